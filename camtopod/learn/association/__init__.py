@@ -1,4 +1,10 @@
-"""association"""
+"""Data association: which departure and which arrival are of one object.
+
+Reading order: `candidates` lists every departure and arrival within the range of lags; `exposure`
+counts how many departures could have been seen to arrive after each lag; `joint_fit` estimates the
+responsibility of each candidate and the hazards of each pair of zones by expectation maximisation.
+`screening` goes before the fit on large sites, where there are too many candidates for it.
+"""
 
 from __future__ import annotations
 

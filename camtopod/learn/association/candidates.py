@@ -1,4 +1,4 @@
-"""Candidates: every departure and arrival that may be one object, within the range of lags."""
+"""Candidates: every departure and arrival that may be of one object, within the range of lags."""
 
 from __future__ import annotations
 
@@ -13,27 +13,34 @@ from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import LagBins, smoother
 
 PAIR_TABLE_MAX = 20_000_000
-"""Largest dense table over pairs of zones, entries."""
+"""Largest dense table over pairs of zones, entries; beyond, pairs are numbered by sorting."""
 EXCESS_SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
+"""Smoothing widths at which a lag histogram is compared with the null model, sd in lag bins."""
 CANDIDATES_AT_ONCE = 1 << 15
-"""Worked on together where there may be millions: what is in between for so many stays in the
-processor's cache, and takes no memory to speak of."""
+"""Candidates worked on together, of possibly millions.
+
+Intermediate results of this size stay in the processor's cache and need little memory.
+"""
 
 
 class Candidates(NamedTuple):
-    """Candidates (M,) in order of arrival: indices, pair of zones, lag in seconds; and the pairs'
-    zones (P,).
-    """
+    """Candidates (M,), ordered by arrival, and the pairs of zones (P,) that they belong to."""
 
     departure: Indices
+    """(M,) index of the departure."""
     arrival: Indices
+    """(M,) index of the arrival, ascending."""
     pair: Ints
+    """(M,) pair of zones, 0 to P - 1."""
     lag: Singles
+    """(M,) seconds from departure to arrival."""
     source: Ints
+    """(P,) zone of departure of each pair."""
     target: Ints
+    """(P,) zone of arrival of each pair."""
 
     def take(self, kept: NDArray[np.bool_]) -> Candidates:
-        """The candidates ``kept``, and of the pairs those that have any."""
+        """Return the candidates of the mask ``kept``, and only the pairs of zones that have any."""
         rows = np.flatnonzero(kept)
         present = np.bincount(self.pair[rows], minlength=len(self.source)) > 0
         number = np.cumsum(present, dtype=np.int32) - 1
@@ -50,16 +57,20 @@ class Candidates(NamedTuple):
 def newest(
     departures: Departures, arrivals: Arrivals, bins: LagBins, candidates_max: int
 ) -> tuple[Departures, Arrivals]:
-    """What left and came in the newest stretch of time that has at most ``candidates_max``
-    candidates.
+    """Return the newest departures and arrivals that make no more candidates than the limit.
 
     Both are cut at the same moment: a departure whose arrivals were left out would look like one
     that leads nowhere.
+
+    candidates_max: limit of the candidates by range of lags alone.
     """
+    # Count candidates back from the newest arrival.
     low, high = in_reach(departures.t, arrivals.t, bins)
     kept = int(np.searchsorted(np.cumsum((high - low)[::-1]), candidates_max, side="right"))
     if kept == len(arrivals.t):
         return departures, arrivals
+
+    # Cut both at the first arrival that is kept.
     first = arrivals.t[len(arrivals.t) - kept] if kept else np.inf
     late = arrivals.t >= first
     return departures.take(departures.t >= first, late), arrivals.take(late)
@@ -68,8 +79,9 @@ def newest(
 def in_reach(
     left: Floats, came: Floats, bins: LagBins
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First and last-but-one departure within the lags of each arrival: of times ``left`` and
-    ``came``, ascending.
+    """Return the first departure within the lags of each arrival, and one past the last.
+
+    left (n,), came (m,): times of departure and arrival in seconds, ascending.
     """
     low = np.searchsorted(left, came - bins.lag_max, side="left")
     high = np.searchsorted(left, came - bins.lag_min, side="right")
@@ -84,19 +96,25 @@ def possible(
     among: NDArray[np.intp] | None = None,
     at_once: int = CANDIDATES_AT_ONCE,
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
-    """Departure, index into ``mine`` (n,) and lag in seconds of all candidates of the arrivals
-    ``mine``; departures only ``among`` these (ascending), if given. In parts of about ``at_once``
-    pairs in reach, so that memory does not grow with their number.
+    """Yield the candidates of some arrivals: departure, index into ``mine``, lag in seconds.
+
+    Each yield holds three arrays (n,), of about ``at_once`` pairs within the range of lags, so that
+    memory does not grow with their number.
+
+    mine: the arrivals, as indices.
+    among: departures to consider, as ascending indices; None: all.
     """
+    # Find the departures in reach of each arrival.
     t, came = departures.t if among is None else departures.t[among], arrivals.t[mine]
     low, high = in_reach(t, came, bins)
     reached = np.concatenate(([0], np.cumsum(high - low)))
-    ends = np.full(
-        len(arrivals.t) + 1, len(departures.t), np.intp
-    )  # where the passage of each arrival ends
-    ends[departures.own[::-1]] = np.arange(len(departures.t))[
-        ::-1
-    ]  # delayed departures come after their own
+
+    # Departure that ends the passage begun by each arrival; n if unknown. Delayed copies come after
+    # their originals, so in reverse order the original is written last.
+    ends = np.full(len(arrivals.t) + 1, len(departures.t), np.intp)
+    ends[departures.own[::-1]] = np.arange(len(departures.t))[::-1]
+
+    # List the pairs of some arrivals at a time, at least one.
     first = 0
     while first < len(mine):
         stop = max(
@@ -111,8 +129,9 @@ def possible(
         lag = came[at] - departures.t[departure]
         possible = (lag >= bins.lag_min) & (lag <= bins.lag_max)
 
-        # A negative lag means two views at once: another camera, and the passage here had begun. Of
-        # two passages that begin at the same instant the one that ends first comes first.
+        # A negative lag means that both views see the object at once: the cameras must differ, and
+        # the passage that ends with the departure must have begun before the arrival. Of two
+        # passages that begin at the same instant, the one that ends first counts as the earlier.
         ahead = np.flatnonzero(lag <= 0)
         left, arrival = departure[ahead], mine[at[ahead]]
         then, since = arrivals.t[arrival], departures.since[left]
@@ -127,10 +146,12 @@ def possible(
 def find_candidates(
     departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int
 ) -> Candidates:
-    """All candidates."""
+    """Return all candidates."""
     low, high = in_reach(departures.t, arrivals.t, bins)
     most = int((high - low).sum())
-    # Of what is not written to no memory is taken: there are fewer than are in reach.
+
+    # np.empty reserves address space only: pages that are never written cost no memory, and there
+    # are fewer candidates than departures in reach.
     departure, arrival, lag = (
         np.empty(most, np.int32),
         np.empty(most, np.int32),
@@ -141,13 +162,17 @@ def find_candidates(
         here = slice(n, n := n + len(left))
         departure[here], arrival[here], lag[here] = left, came, apart
     departure, arrival, lag = departure[:n], arrival[:n], lag[:n]
+
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
     return Candidates(departure, arrival, pair, lag, source, target)
 
 
 def together(arrival: Indices) -> list[slice]:
-    """The candidates (M,) in order of ``arrival``, about `CANDIDATES_AT_ONCE` in each: all of an
-    arrival together.
+    """Return slices of the candidates, each with all candidates of its arrivals.
+
+    A slice has about `CANDIDATES_AT_ONCE` candidates.
+
+    arrival (M,): arrival of each candidate, ascending.
     """
     parts, first = [], 0
     while first < len(arrival):
@@ -159,27 +184,30 @@ def together(arrival: Indices) -> list[slice]:
 
 
 class Runs(NamedTuple):
-    """The arrivals (m,) of some candidates in their order: the ``first`` candidate of each, and how
-    many it has.
-    """
+    """Runs of candidates that share an arrival, (m,) each."""
 
     arrival: Indices
+    """(m,) the arrival of each run."""
     first: NDArray[np.intp]
+    """(m,) the first candidate of each run."""
     candidates: NDArray[np.intp]
+    """(m,) the number of candidates in each run."""
 
 
 def runs_of(arrival: Indices) -> Runs:
-    """The runs of some candidates (n,), ascending by ``arrival``."""
+    """Return the runs of candidates (n,) that share an arrival; ``arrival`` must be ascending."""
     first = np.flatnonzero(np.diff(arrival, prepend=-1))
     return Runs(arrival[first], first, np.diff(first, append=len(arrival)))
 
 
 def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floats:
-    """What a histogram of lags (P, bins) has above chance and ``noise_sd`` standard deviations of
-    it, smoothed, at least 0.
+    """Return how far lag histograms (P, bins) exceed the null model by more than noise, at least 0.
 
-    Cross-correlation (Makris, Ellis and Black 2004), at several widths, as some transit times are
-    kept closely, others not.
+    Noise is ``noise_sd`` standard deviations of the smoothed null model. This is a
+    cross-correlation (Makris, Ellis and Black 2004) at several widths, as the spread of transit
+    times differs between links; the largest excess counts.
+
+    seen, chance (P, bins): observed counts, and those expected under the null model.
     """
     result = np.zeros_like(seen)
     for sd_bins in EXCESS_SMOOTHING_SD_BINS:
@@ -198,10 +226,15 @@ def first_hazards(
     noise_sd: float,
     least: float,
 ) -> Floats:
-    """First hazards (P, bins), in the place of the ``seen`` (P, bins): their `excess`, at ``least``
-    that share of them.
+    """Return initial hazards (P, bins), per second and exposed departure, written over ``seen``.
 
-    ``rates`` (P,): of chance, 1/s; ``exposure`` (zones, bins), ``source`` (P,).
+    They are the excess of the histograms over the null model, and at least the share ``least`` of
+    the histograms themselves.
+
+    seen (P, bins): candidates per lag bin.
+    rates (P, 1/s): arrivals of each pair under the null model.
+    exposure (zones, bins): exposed departures.
+    source (P,): zone of departure of each pair.
     """
     for rows in rows_together(len(seen)):
         exposed = exposure[source[rows]] * bins.widths
@@ -212,10 +245,17 @@ def first_hazards(
 
 
 def number_pairs(left: Ints, came: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
-    """Pairs of zones numbered as they occur, by source, then target: the number of each (M,), and
-    their zones (P,).
+    """Number the pairs of zones that occur, by source, then target.
+
+    Returns the number of each candidate's pair (M,), and the source and target zones of the pairs
+    (P,).
+
+    left, came (M,): zones of departure and arrival.
+    zones: number of zones.
     """
     size = max(zones, 1)
+
+    # Too many pairs for a dense table: sort.
     if zones * zones > PAIR_TABLE_MAX:
         present, number = np.unique(left.astype(np.int64) * zones + came, return_inverse=True)
         return (
@@ -223,6 +263,8 @@ def number_pairs(left: Ints, came: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
             (present // size).astype(np.int32),
             (present % size).astype(np.int32),
         )
+
+    # Mark the pairs that occur in a dense table, number them, and look the numbers up.
     parts = [slice(k, k + CANDIDATES_AT_ONCE) for k in range(0, len(left), CANDIDATES_AT_ONCE)]
     table = np.zeros((zones, zones), np.int32)
     for part in parts:
@@ -236,3 +278,4 @@ def number_pairs(left: Ints, came: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
 
 
 RESPONSIBILITY_MAX = 1.0 - 1e-6
+"""Responsibilities are clipped to this before log(1 - r) is taken."""

@@ -1,16 +1,17 @@
-"""Screening: which candidates are worth a joint fit, where a site has too many cameras to weigh
-them all.
+"""Screening: select the candidates worth a joint fit, on sites with too many cameras to weigh all.
 
 With a dozen cameras every departure within the lags of an arrival is a candidate. With a hundred
-there are thousands for each arrival, nearly all from the other end of the site; their number grows
-with the square of the traffic. So two looks go before the fit, each far cheaper than it:
+there are thousands for each arrival, nearly all from the other end of the site, and their number
+grows with the square of the traffic. Two cheaper steps go before the fit:
 
-* *Rarely, over all pairs of zones*: what follows the departures of a zone more often than chance has it, at any lag
-  (Makris, Ellis and Black 2004)? The zones that stand out most are followed as sources of the zone looked at, until it
-  is looked at again. In each fit as many zones are looked at as its events allow, those whose look is longest ago
-  first, so that the cost of an event does not depend on how many cameras there are.
-* *In every fit, along the pairs followed*: a few rounds of the fit within one zone of arrival, where sources compete
-  for its arrivals but targets do not yet for departures. What has next to no probability even so is left out.
+* *Looks over all pairs of zones, rarely*: which zones do the arrivals at a zone follow more often
+  than under the null model, at any lag (Makris, Ellis and Black 2004)? The zones that stand out
+  most are followed as sources of that zone until its next look. Each fit looks at as many zones as
+  its number of events allows, those with the oldest look first, so the cost per event does not
+  depend on the number of cameras.
+* *Weighing along the pairs followed, in every fit*: a few rounds of the fit within one zone of
+  arrival, where sources compete for its arrivals but targets do not yet compete for departures.
+  Candidates that remain improbable are dropped.
 """
 
 from __future__ import annotations
@@ -48,44 +49,50 @@ from camtopod.learn.traffic import Arrivals, Chance, Departures
 from camtopod.topology import LagBins, smooth, smoother
 
 Part = tuple[Ints, Ints, Singles, Singles]
+"""Some candidates, (n,) each: departure, arrival, lag in seconds, probability."""
 
 PAIRS_FEW = 20_000
-"""So few pairs of zones are all followed, unless their candidates are too many."""
+"""Up to this many pairs of zones, all are followed, unless there are too many candidates."""
 SOURCES_PER_ZONE_MAX = 32
-"""Zones that are followed as sources of one zone."""
+"""Largest number of zones followed as sources of one zone."""
 SEEN_MIN = 3
-"""What was seen to follow fewer times than this stands out of nothing."""
+"""Pairs of zones with fewer candidates in the look are not followed."""
 STANDS_OUT_SD = 2.0
-"""What exceeds chance by fewer standard deviations is not followed."""
+"""Pairs that exceed the null model by fewer standard deviations are not followed."""
 LOOKS_PER_EVENT = 400
-"""Candidates counted in looks over all pairs for each event of the window, in each fit ..."""
+"""Work on looks in each fit, per event of the window: candidates counted plus histogram cells."""
 LOOKS_MIN = 20_000_000
-"""... and at least so many, which is a second's work."""
+"""Least work on looks in each fit, in the same unit; about a second."""
 COUNTED_AT_ONCE = 1 << 17
+"""Candidates of a look that are counted together."""
 ROUNDS = 2
-"""Rounds within one zone of arrival."""
+"""Rounds of the fit within one zone of arrival."""
 NOISE_SD = 0.5
+"""Standard deviations of the null model that the initial hazards of these rounds must exceed."""
 OUTSIDE_FIRST = 0.5
-"""Share of the arrivals that come from outside, as the rounds begin."""
+"""Share of the arrivals that come from outside, kept fixed in these rounds."""
 OVERLAP_FALSE = 0.05
-"""Probability that any two of the cameras that do not overlap seem to."""
+"""Probability that overlap is found for any pair of the cameras of a site without overlap."""
 LIKELY_MIN = 0.001
-"""Less likely candidates are left out ..."""
+"""Candidates of at most this probability are dropped."""
 LIKELY_MAX, LIKELY_PER_ARRIVAL = 3_000_000, 8
-"""... and all but so many, or so many for each arrival if that is more: the likeliest."""
+"""Limits of the candidates kept for the fit, the likeliest: in all, and per arrival.
+
+The larger of the two counts.
+"""
 
 
 class Followed(Struct):
-    """Sources followed of one zone of arrival, by `place`; and how many events had been learned at
-    its last look.
-    """
+    """Sources followed of one zone of arrival."""
 
     sources: Longs
+    """Zones of departure, by `place`."""
     looked: int
+    """Number of events learned at the last look at this zone; -1 if there was none."""
 
 
 class Ends(NamedTuple):
-    """Departures and arrivals of a window with what the looks need of them."""
+    """Departures and arrivals of a window, prepared for looks and weighing."""
 
     departures: Departures
     arrivals: Arrivals
@@ -94,23 +101,28 @@ class Ends(NamedTuple):
     coming: list[Rows]
     """(zones,) rows of the arrivals of each zone."""
     exposure: Floats
-    """(zones, bins)"""
+    """(zones, bins) exposed departures."""
     chance: Chance
+    """Rates of arrivals under the null model."""
     bins: LagBins
 
 
 class Screen:
-    """Keeps what is followed. Nothing is, and all candidates are found, while they are few."""
+    """Selects the candidates of each fit, and remembers which pairs of zones are followed.
+
+    While pairs of zones and candidates are few, all candidates are returned and nothing is
+    remembered.
+    """
 
     def __init__(self) -> None:
         self.followed: dict[int, Followed] = {}
-        """By `place` of the zone of arrival."""
+        """Sources followed, by `place` of the zone of arrival."""
 
     @staticmethod
     def is_needed(
         departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, candidates_max: int
     ) -> bool:
-        """Whether there are more candidates, or pairs of ``zones``, than can all be looked at."""
+        """Return True if there are more candidates, or pairs of zones, than can all be weighed."""
         low, high = in_reach(departures.t, arrivals.t, bins)
         return int((high - low).sum()) > candidates_max or zones**2 > PAIRS_FEW
 
@@ -125,22 +137,25 @@ class Screen:
         candidates_max: int,
         everywhere: bool = False,
     ) -> Candidates:
-        """The candidates of a window: all of them while there are at most ``candidates_max``, and
-        few pairs of zones.
+        """Return the candidates of a window, screened if there are too many.
 
-        ``places`` (zones,): what zones are known by from one fit to the next; ``until``: seconds up
-        to which events have come; ``learned``: events up to now; ``everywhere``: look at every zone
-        now, as there is no other fit.
+        places (zones,): keys of the zones that stay the same from one fit to the next, see `place`.
+        until (seconds): end of the window.
+        learned: number of events learned so far.
+        everywhere: look at every zone now, as there is no other fit.
         """
         if not self.is_needed(departures, arrivals, bins, len(places), candidates_max):
             self.followed = {}
             return find_candidates(departures, arrivals, bins, len(places))
+
+        # Look at the zones whose turn it is.
         low, high = in_reach(departures.t, arrivals.t, bins)
         ends = ends_of(departures, arrivals, bins, len(places), until)
         self._look(ends, places, learned, high - low, everywhere)
         sources_of = self._sources(places)
 
-        # Beyond the limit the clearest arrivals count.
+        # Count the departures in reach of each arrival; beyond the limit, the arrivals with the
+        # fewest are kept.
         reach, left = (
             np.zeros(len(arrivals.t), np.intp),
             [departures.t[rows] for rows in ends.leaving],
@@ -150,6 +165,7 @@ class Screen:
             reach[mine] = _reach([left[source] for source in sources], arrivals.t[mine], bins)
         kept = clearest(reach, WEIGHED_MAX)
 
+        # Weigh the candidates of one zone of arrival at a time, in blocks.
         def parts() -> Iterator[Part]:
             for zone, sources in sources_of.items():
                 mine = ends.coming[zone][kept[ends.coming[zone]]]
@@ -161,7 +177,7 @@ class Screen:
         return _joined(parts(), departures, arrivals, len(places))
 
     def _sources(self, places: Longs) -> dict[int, Longs]:
-        """The zones followed as sources of each zone that has any, ascending."""
+        """Return the sources followed of each zone that has any, as ascending zone indices."""
         row_of = {place: zone for zone, place in enumerate(places.tolist())}
         result = {}
         for zone, place in enumerate(places.tolist()):
@@ -172,11 +188,13 @@ class Screen:
         return result
 
     def _look(self, ends: Ends, places: Longs, learned: int, reach: Rows, everywhere: bool) -> None:
-        """Look at some zones again, or at all, over all pairs, and forget zones that are no
-        more.
+        """Look at the zones with the oldest looks, within the budget; forget zones that are gone.
+
+        reach: departures within the lags of each arrival, the cost of a look.
         """
         never = Followed(np.zeros(0, np.int64), -1)
         self.followed = {place: self.followed.get(place, never) for place in places.tolist()}
+
         pairs_max = zone_pairs_max(len(np.unique(places >> 32)))
         budget = max(LOOKS_MIN, LOOKS_PER_EVENT * (len(ends.departures.t) + len(ends.arrivals.t)))
         for zone in sorted(
@@ -197,10 +215,16 @@ def whole(
     bins: LagBins,
     zones: int,
 ) -> Candidates:
-    """All candidates of the ``pairs``, likely or not, and none of the others: for judging what was
-    found. What is left of a pair after the unlikely ones have gone has the lag that was looked for,
-    whether there is a link or not. Beyond `JUDGED_MAX` all of the clearest arrivals.
+    """Return all candidates of the given pairs of zones, probable or not, to judge links by.
+
+    Screened candidates are biased: those that remain of a pair have the lag that was looked for,
+    whether there is a link or not. Beyond `JUDGED_MAX` candidates, all those of the arrivals with
+    the fewest departures in reach are returned.
+
+    candidates: the screened candidates, whose numbering of pairs is kept.
+    pairs: indices of the pairs.
     """
+    # Group events by zone, and pairs by zone of arrival.
     leaving, coming = rows_of(departures.zone, zones), rows_of(arrivals.zone, zones)
     pairs_to = {
         zone: pairs[rows]
@@ -208,13 +232,15 @@ def whole(
         if len(rows)
     }
 
-    # Beyond the limit the clearest arrivals count.
+    # Count the departures in reach of each arrival; beyond the limit, the arrivals with the fewest
+    # are kept.
     reach = np.zeros(len(arrivals.t), np.intp)
     for zone, here in pairs_to.items():
         left = [departures.t[leaving[source]] for source in candidates.source[here]]
         reach[coming[zone]] = _reach(left, arrivals.t[coming[zone]], bins)
     clear = clearest(reach, JUDGED_MAX)
 
+    # List the candidates of one zone of arrival at a time.
     parts = [
         (
             np.zeros(0, np.int32),
@@ -230,11 +256,11 @@ def whole(
         for departure, at, lag in possible(departures, arrivals, bins, mine, among):
             came, pair = mine[at].astype(np.int32), number[departures.zone[departure]]
             parts.append((departure.astype(np.int32), came, pair, lag.astype(np.float32)))
+
+    # Order by arrival. Each part has its own arrivals, ordered by arrival and departure.
     lefts, cames, pairings, lags = zip(*parts, strict=True)
     arrival = np.concatenate(cames)
-    order = np.argsort(
-        arrival, kind="stable"
-    )  # each part has arrivals of its own, by arrival and departure
+    order = np.argsort(arrival, kind="stable")
     return candidates._replace(
         departure=np.concatenate(lefts)[order],
         arrival=arrival[order],
@@ -250,42 +276,54 @@ def not_overlapping(
     responsibility: Singles,
     overlapping: Bools,
 ) -> NDArray[np.bool_]:
-    """Candidates (M,) that appear before the exit in the view of a camera that shows no overlap
-    with this one.
+    """Return a mask (M,) of candidates with a negative lag between views that do not overlap.
 
-    Two views overlap if `overlapping` found that they do (``overlapping`` (cameras, cameras)), or
-    if the appearances before the exit, over all their zones and in both directions, have more
-    evidence than chance gives any pair of cameras with probability `OVERLAP_FALSE`.
+    Two views overlap if the search for overlapping views found that they do, or if the candidates
+    with a negative lag, over all their zones and in both directions, have more evidence than the
+    null model gives any pair of cameras with probability `OVERLAP_FALSE`.
+
+    responsibility (M,): of each candidate.
+    overlapping (cameras, cameras): True where the search found an overlap.
     """
+    # Number the pairs of cameras among the candidates with a negative lag.
     cameras = len(overlapping)
     c = candidates
     ahead = np.flatnonzero(c.lag < 0)
     left, came = departures.camera[c.departure[ahead]], arrivals.camera[c.arrival[ahead]]
     views = np.minimum(left, came).astype(np.int64) * cameras + np.maximum(left, came)
     present, pair = np.unique(views, return_inverse=True)
+
+    # Responsibility of each arrival, added up over its candidates from one camera.
     key, number = np.unique(c.arrival[ahead].astype(np.int64) * cameras + left, return_inverse=True)
     share = np.minimum(
         np.bincount(number, responsibility[ahead], minlength=len(key)), RESPONSIBILITY_MAX
     )
+
+    # Evidence of each pair of cameras, against a Bonferroni threshold over all pairs.
     of_key = np.zeros(len(key), np.int64)
     of_key[number] = pair
     nats = np.bincount(of_key, -np.log1p(-share) - share, minlength=len(present))
     seen = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
     seen |= (overlapping | overlapping.T)[present // cameras, present % cameras]
+
     result = np.zeros(len(c.lag), bool)
     result[ahead] = ~seen[pair]
     return result
 
 
 def place(camera: int, number: int) -> int:
-    """What a zone is known by from one fit to the next: index of its camera and number there."""
+    """Return a key of a zone that stays the same from one fit to the next.
+
+    camera: index of the camera.
+    number: number of the zone there.
+    """
     return camera << 32 | number
 
 
 def ends_of(
     departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, until: float
 ) -> Ends:
-    """Departures and arrivals until a moment (seconds), made ready to be looked at."""
+    """Prepare the departures and arrivals of a window that ends at ``until`` (seconds)."""
     return Ends(
         departures,
         arrivals,
@@ -298,8 +336,10 @@ def ends_of(
 
 
 def standing_out(ends: Ends, zone: int, pairs_max: int = ZONE_PAIRS_MAX) -> Rows:
-    """Zones whose departures the arrivals at ``zone`` follow more often than by chance, at most
-    `SOURCES_PER_ZONE_MAX` and as many as all zones may have with ``pairs_max``, ascending.
+    """Return the zones whose departures the arrivals at ``zone`` follow most clearly, ascending.
+
+    They are at most `SOURCES_PER_ZONE_MAX`, and at most the zone's share of ``pairs_max``, the
+    pairs that all zones may follow together.
     """
     above = followed_above_chance(ends, zone)
     best = np.argsort(-above, kind="stable")[: min(SOURCES_PER_ZONE_MAX, pairs_max // len(above))]
@@ -307,23 +347,31 @@ def standing_out(ends: Ends, zone: int, pairs_max: int = ZONE_PAIRS_MAX) -> Rows
 
 
 def followed_above_chance(ends: Ends, zone: int) -> Floats:
-    """How far what the arrivals at ``zone`` follow stands out of chance at the lag where it does
-    most, by the zone of departure (zones,), in standard deviations; -inf where too little was seen.
+    """Return how far the lag histogram of each zone of departure exceeds the null model.
+
+    Returns standard deviations at the lag with the largest excess, (zones,); -inf where too few
+    candidates were seen.
+
+    zone: the zone of arrival.
     """
     zones, bins = len(ends.leaving), ends.bins
     seen = np.zeros(zones * bins.size)
     every = ends.coming[zone]
     low, high = in_reach(ends.departures.t, ends.arrivals.t[every], bins)
 
-    # Of too many pairs those of every second arrival are counted, or of every third, ...
+    # Beyond the limit, count the candidates of every second arrival only, or every third, and so
+    # on.
     most = LOOKED_PER_EVENT_MAX * (len(ends.departures.t) + len(ends.arrivals.t))
     mine = every[:: -(-int((high - low).sum()) // most) or 1]
+
+    # Histograms of the lags, by zone of departure.
     for departure, _, lag in possible(
         ends.departures, ends.arrivals, bins, mine, at_once=COUNTED_AT_ONCE
     ):
         cell = ends.departures.zone[departure].astype(np.int64) * bins.size + bins.index(lag)
         seen += np.bincount(cell, minlength=len(seen))
 
+    # Compare those with enough candidates with the null model, thinned like the arrivals.
     counts = seen.reshape(zones, bins.size)
     some = np.flatnonzero(counts.sum(axis=1) >= SEEN_MIN)
     rate = ends.chance.of(some, np.full(len(some), zone)) * (len(mine) / max(len(every), 1))
@@ -334,8 +382,9 @@ def followed_above_chance(ends: Ends, zone: int) -> Floats:
 
 
 def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:
-    """How far each histogram of lags (P, bins) stands out of chance where it does most, in standard
-    deviations (P,).
+    """Return the largest excess of each lag histogram over the null model, in sd, (P,).
+
+    seen, chance (P, bins): observed counts, and those expected under the null model.
     """
     most = np.zeros(len(seen))
     for sd_bins in EXCESS_SMOOTHING_SD_BINS:
@@ -346,8 +395,10 @@ def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:
 
 
 def _reach(left: list[Floats], came: Floats, bins: LagBins) -> Rows:
-    """Departures in reach of each arrival (n,), ``left`` being the times of those of several
-    zones.
+    """Return the number of departures in reach of each arrival.
+
+    left: times of the departures of each of several zones, seconds, ascending.
+    came (n,): times of the arrivals, seconds.
     """
     reach = np.zeros(len(came), np.intp)
     for times in left:
@@ -357,21 +408,23 @@ def _reach(left: list[Floats], came: Floats, bins: LagBins) -> Rows:
 
 
 def _among(leaving: list[Rows], sources: Longs | Ints) -> Rows:
-    """Rows of the departures of several zones, ascending."""
+    """Return the rows of the departures of several zones, ascending."""
     return np.sort(np.concatenate([leaving[source] for source in sources]), kind="stable")
 
 
 def _likely(ends: Ends, zone: int, sources: Longs, mine: Rows) -> Part:
-    """Departure, arrival, lag and probability of the likely candidates for the arrivals ``mine`` at
-    one zone.
+    """Return the probable candidates of some arrivals at one zone.
+
+    sources: the zones of departure that are followed, ascending.
+    mine: the arrivals, as indices.
     """
     bins = ends.bins
     among = _among(ends.leaving, sources)
     number = np.zeros(len(ends.leaving), np.int64)
     number[sources] = np.arange(len(sources))
 
-    # Only what is needed of each pair is kept of each part: departure, index into ``mine``, source
-    # and lag bin, lag.
+    # List the candidates. Of each, only departure, index into ``mine``, cell (source and lag bin)
+    # and lag are kept.
     parts = [
         (
             np.zeros(0, np.int32),
@@ -390,6 +443,7 @@ def _likely(ends: Ends, zone: int, sources: Longs, mine: Rows) -> Part:
     departure, at, cell, lag = (np.concatenate(column) for column in zip(*parts, strict=True))
     del parts
 
+    # Initial hazards (sources, bins): the excess over the null model.
     size = len(sources) * bins.size
     exposed = ends.exposure[sources] * bins.widths
     usual = ends.chance.of(sources, np.full(len(sources), zone))[:, None] * exposed
@@ -397,6 +451,9 @@ def _likely(ends: Ends, zone: int, sources: Longs, mine: Rows) -> Part:
     hazard = np.maximum(excess(seen, usual, bins, NOISE_SD), START_FLOOR * seen) / np.maximum(
         exposed, bins.widths
     )
+
+    # A few rounds of EM. E step: share each arrival among its candidates and the outside, and each
+    # departure among at most one arrival. M step: count, smooth, divide by exposure.
     outside, share = OUTSIDE_FIRST * ends.arrivals.rate[mine], np.zeros(0)
     for _ in range(ROUNDS):
         weight = hazard.ravel()[cell]
@@ -404,6 +461,8 @@ def _likely(ends: Ends, zone: int, sources: Longs, mine: Rows) -> Part:
         once = share / np.maximum(np.bincount(departure, share), 1.0)[departure]
         moved = np.bincount(cell, once, minlength=size).reshape(-1, bins.size).astype(float)
         hazard = smooth(moved)[0] / (np.maximum(ends.exposure[sources], 1.0) * bins.widths)
+
+    # Drop improbable candidates.
     kept = share > LIKELY_MIN
     return (
         departure[kept],
@@ -416,29 +475,29 @@ def _likely(ends: Ends, zone: int, sources: Longs, mine: Rows) -> Part:
 def _joined(
     parts: Iterable[Part], departures: Departures, arrivals: Arrivals, zones: int
 ) -> Candidates:
-    """The likeliest candidates of all parts, by arrival."""
+    """Return the likeliest candidates of all parts, ordered by arrival."""
     most = max(LIKELY_MAX, LIKELY_PER_ARRIVAL * len(arrivals.t))
+
+    # Collect the parts, reduced to the likeliest now and then to limit memory.
     held: list[Part] = []
     n = 0
     for part in parts:
         held.append(part)
         n += len(part[0])
-        if n > 2 * most:  # what is not among the likeliest by now will not be in the end
+        if n > 2 * most:  # a candidate that is not among the likeliest now cannot be later
             held = [_likeliest(held, most, most + most // 2)]
             n = len(held[0][0])
+
+    # Order by arrival. Each part has its own arrivals, ordered by arrival and departure.
     departure, arrival, lag, _ = _likeliest(held, most, most)
-    order = np.argsort(
-        arrival, kind="stable"
-    )  # each part has arrivals of its own, by arrival and departure
+    order = np.argsort(arrival, kind="stable")
     departure, arrival, lag = departure[order], arrival[order], lag[order]
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
     return Candidates(departure, arrival, pair, lag, source, target)
 
 
 def _likeliest(parts: list[Part], most: int, room: int) -> Part:
-    """The likeliest ``most`` of all parts and those that are as likely as the last of them, in all
-    at most ``room``.
-    """
+    """Return the ``most`` likeliest candidates, and those as likely as the last up to ``room``."""
     nothing = (
         np.zeros(0, np.int32),
         np.zeros(0, np.int32),
