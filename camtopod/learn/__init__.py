@@ -1,26 +1,21 @@
-"""Events -> topology -> prediction. Deterministic: no I/O, no clock, no threads, no hidden
-randomness.
+"""Learn a camera network topology from entry and exit events.
 
-In the order in which data flows:
+Deterministic: no I/O, no clock, no threads, and every random draw has a fixed seed, so the same
+events give the same versions. In the order in which data flows, which is a good order to read:
 
-* `learner`: the whole; `settings`: its limits
-* `intake`: any order in, by time out; `window`: the events that count, as sums that can be undone; `positions`
-* `daspec` and `clutter`, `partition`, `evidence`, `valley`: entry and exit zones; `mixture`: which cell is which zone;
-  `zones`: all of it, with numbers that stay with their place; `moved`: a camera that was turned
-* `coarse`, `twoway`, `clocks`: whose clock is wrong, and by how much
-* `scene`: who left, who came, who passed through; `rates`: how often anyway; `slowness`: how fast
-* `long_ways`: cameras between which it takes minutes
-* `candidates`, `lags`, `exposure`, `smoothing`, `joint`: which arrival belongs to which departure; `passages`: also in
-  one view
-* `crossfit`, `significance`, `missed`: whether that makes a link; `transit`, `montecarlo`, `mahalanobis`: its
-  figures; `links`
-* `overlap`, `relations`: how cameras hang together; `chain`: the Markov chain over them
-* `change`, `silence`, `alarms`: what opened, closed, moved or fell silent; `scoring`: how good its own predictions were
-* `posterior`, `entering`, `prior`, `contexts`, `skipped`, `skipping`, `sampling`: where objects go, all weak evidence
-  included; `doubt`: what of that may be chance; `model`: what of it a version carries
-* `assemble`, `rounding`, `topology`: versions with digests and deltas
-* `hazards`, `places`, `surroundings`, `pace`, `recent`, `under_way`, `succession`, `lag_odds`, `ready`, `predict`:
-  where to look next, and when
+* `zones`: the entry and exit zones of each view
+* `window`: events put in order of time, and the sliding window of those that count
+* `traffic`: these events by zone, as departures, arrivals and passages; background rates; speed
+* `clocks`: the clock offset of each camera
+* `association`: candidates (a departure and an arrival that may be of one object) and the joint fit
+  of their responsibilities
+* `links`: significance, transit times and missed detections; which links are published
+* `changes`: links that open or close, cameras that move or fall silent; alarms
+* `next_camera`: the posterior for prediction, weak evidence included
+* the modules here: `learner` runs all of this tick by tick, with `settings` and `limits`;
+  `long_paths` extends the joint fit; `assemble` and `prediction_model` make a version of the
+  topology; `self_score` scores predictions; `snapshot` saves the state, `rewinding` takes event
+  time back in it, `retired_cameras` keeps it small
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""Learned figures -> the nouns of the contract: zones, links, pairs, chain and what prediction
-needs. Figures are rounded (`rounding`).
+"""Assemble the records of a version from learned arrays: zones, links, camera pairs, Markov chain.
+
+Figures are rounded to six significant digits.
 """
 
 from __future__ import annotations
@@ -35,15 +36,16 @@ from camtopod.topology import (
 )
 
 STAY_DECILES = np.linspace(0.0, 1.0, 11)
+"""Quantiles at which the dwell times of a zone are published."""
 
 
 def zone_id(cameras: list[str], zone: ZoneRef) -> str:
-    """``camera/number``."""
+    """Return the public id of a zone, ``camera/number``."""
     return f"{cameras[zone.camera]}/{zone.number}"
 
 
 def zone_records(cameras: list[str], scene: Scene) -> list[Zone]:
-    """Zones with their counts in the window, by id."""
+    """Return the zones with their counts in the window, sorted by id."""
     records = []
     for index, zone in enumerate(scene.zones):
         entries, exits = int(scene.entries[index]), int(scene.exits[index])
@@ -69,8 +71,11 @@ def link_records(
     histograms: bool = True,
     lacks: Lacking | None = None,
 ) -> list[Link]:
-    """Rows of the table as links, by key; ``relation`` None: overlapped or unseen, from where the
-    lags lie.
+    """Return the rows of a link table as links, sorted by key.
+
+    relation: relation of all links; None: overlapped or unseen, decided by the lags of each.
+    histograms: whether the links carry their transit-time histograms.
+    lacks: what each weak link lacks until it is published, if known.
     """
     ids = [zone_id(cameras, zone) for zone in scene.zones]
     t = table.transit
@@ -100,8 +105,11 @@ def _lacks(passages: float, seconds: float) -> Lacks | None:
 
 
 def by_clocks(links: list[Link], zones: list[Zone], ahead: dict[str, float]) -> list[Link]:
-    """The links with transit times as clocks would show them that are ``ahead`` (seconds by
-    camera); histograms stay as right clocks would.
+    """Return the links with transit times as shown by clocks with the offsets ``ahead``.
+
+    ahead (by camera, seconds): clock offsets, positive for a clock that is ahead.
+
+    Histograms are left in corrected time.
     """
     of_zone = {zone.id: ahead[zone.camera] for zone in zones}
     result = []
@@ -127,13 +135,17 @@ def assemble(
     links: list[Link],
     weak_links: list[Link],
 ) -> Topology:
-    """The content of one version, without site, epoch, version, moment, number of events and
-    digest.
+    """Return the content of one version.
+
+    The learner adds site, epoch, version, moment, number of events and digest.
     """
+    # Zones by camera.
     zones = zone_records(window.cameras, scene)
     of_camera: dict[str, list[str]] = {name: [] for name in sorted(window.cameras)}
     for zone in zones:
         of_camera[zone.camera].append(zone.id)
+
+    # Clock offsets, and the offsets that transit times are shown with.
     links = sorted(links, key=link_key)
     ahead = {name: short(float(clocks.offset[k])) for k, name in enumerate(window.cameras)}
     sd = {
@@ -142,6 +154,7 @@ def assemble(
         if np.isfinite(clocks.sd[k])
     }
     shift = dict.fromkeys(ahead, 0.0) if settings.correct_clocks else ahead
+
     return Topology(
         schema=TOPOLOGY_SCHEMA,
         site="",

@@ -1,11 +1,13 @@
-"""Cameras that leave. Names may be invented, misspelled or used for a day, and every name costs a
-place and memory.
+"""Retire cameras that no longer report.
 
-A camera has left when it has had no event for a week, nor for as long as the window goes back
-(``window_hours``): nothing that is learned depends on it any more, and it is forgotten. Little is
-kept, and of a limited number of cameras: the shapes of its zones, so that one that returns, from a
-holiday say, has their numbers back. When all places (``cameras_max``) are taken, a new camera gets
-that of the one with the fewest events in the window, of those silent for an hour.
+Camera names may be invented, misspelled or used for a day, and every name costs memory and one of a
+limited number of places.
+
+A camera is retired when it has had no event for a week and none within the window
+(``window_hours``). Nothing that is learned depends on it any more, so it is forgotten. Only the
+shapes of its zones are kept, for a limited number of cameras, so that a camera that returns, after
+a holiday say, gets its zone numbers back. When all places (``cameras_max``) are taken, a new camera
+replaces the one with the fewest events in the window among those silent for an hour.
 """
 
 from __future__ import annotations
@@ -18,22 +20,20 @@ from camtopod.learn.association import Followed, place
 from camtopod.learn.window import GONE, Intake, Window
 
 STAYS_SECONDS = 7 * 86_400.0
-"""Event time. A camera without events stays at least so long, listed without zones."""
+"""Seconds of event time that a camera without events stays listed, at least."""
 LEFT_CAMERAS_MAX = 10_000
-"""Cameras that have left whose zones' numbers are kept; beyond, the one that left first is
-forgotten altogether.
-"""
+"""Retired cameras whose zones are remembered. Beyond that, the one retired first is forgotten."""
 GIVES_WAY_SECONDS = 3600.0
-"""Event time. When there are too many cameras, one silent for longer may give its place to
-another.
-"""
+"""Seconds of event time after which a silent camera may be replaced by a new one."""
 _CAMERA_SHIFT = 32
-"""Of what a zone is known by, see `place`."""
+"""Bits below the camera's index in a zone's key, see `place`."""
 
 
 def left_by(intake: Intake, window: Window, now_us: int, window_us: int) -> set[str]:
-    """Cameras that have left when event time is ``now_us`` and the window goes back ``window_us``
-    (microseconds).
+    """Return the cameras to retire.
+
+    now_us (microseconds): event time.
+    window_us (microseconds): length of the window.
     """
     newest, t_us = intake.newest_of, now_us - max(window_us, round(STAYS_SECONDS * MICROSECONDS))
     silent = {
@@ -41,19 +41,22 @@ def left_by(intake: Intake, window: Window, now_us: int, window_us: int) -> set[
     }
     if not silent:
         return silent
-    # Of some it may not be known when they were heard last: in the snapshots of older programs it
-    # is not said.
+
+    # Snapshots of older programs do not hold the time of a camera's last event, so the window and
+    # the held events are checked, too.
     return silent - window.cameras_present() - intake.held_of()
 
 
 def gives_way(intake: Intake, window: Window) -> str | None:
-    """The camera that gives its place to a new one; None if none has been silent for long."""
+    """Return the camera that a new one replaces; None if none has been silent for long."""
     newest, watermark_us = intake.newest_of, intake.watermark_us
     silent_us = (watermark_us or 0) - round(GIVES_WAY_SECONDS * MICROSECONDS)
-    if (
-        not newest or newest[next(iter(newest))] >= silent_us
-    ):  # as usual: the one heard last longest ago is not silent
+
+    # The usual case: `newest_of` begins with the camera that was heard longest ago.
+    if not newest or newest[next(iter(newest))] >= silent_us:
         return None
+
+    # Of the silent cameras, the one with the fewest events.
     events = dict(zip(window.cameras, window.events_of_cameras().tolist(), strict=True))
     held = intake.held_of()
     silent = [
@@ -65,8 +68,10 @@ def gives_way(intake: Intake, window: Window) -> str | None:
 
 
 def renumbered(followed: dict[int, Followed], number: NDArray[np.int64]) -> dict[int, Followed]:
-    """What `Screen` follows, by `place`, after cameras were numbered anew: ``number`` (cameras,),
-    `GONE` for those that have left.
+    """Return the followed sources of each zone after the cameras were renumbered.
+
+    followed (by `place`): sources that `Screen` follows.
+    number (cameras,): new index of each camera, `GONE` for retired ones.
     """
     result = {}
     for target, known in followed.items():

@@ -1,5 +1,7 @@
-"""A learner's state as if nothing had been learned that is later than some moment: for when a wrong
-clock had taken event time along. What was learned from earlier events stays.
+"""Rewind a learner's state to an earlier event time.
+
+Needed when a wrong clock has moved event time into the future. What was learned from earlier events
+stays.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from camtopod.learn.window import IntakeState, WindowState
 
 
 def rewound(state: LearnerState, to: float) -> LearnerState:
-    """The state with event time at ``to`` (seconds), without the events that are later."""
+    """Return the state with event time at ``to`` (seconds) and without later events."""
     to_us, tick_us = microseconds(to), microseconds(state.settings.version_seconds)
     reached = to_us // tick_us * tick_us
     return replace(
@@ -51,7 +53,7 @@ def _intake(state: LearnerState, to_us: int) -> IntakeState:
 
 
 def _window(state: WindowState, to_us: int) -> WindowState:
-    """Rows are by time, so those that are later are the last."""
+    """Drop the rows that are later. Rows are in order of time, so these are the last ones."""
     rows = int(np.searchsorted(state.columns["t"], to_us, side="right"))
     return replace(
         state,
@@ -69,7 +71,7 @@ def _alarms(state: AlarmState, to: float) -> AlarmState:
 
 
 def _scorer(state: ScorerState, to: float) -> ScorerState:
-    """What its predictor has observed may be later; it begins anew with the next version."""
+    """Drop the predictor, which may have observed later events; the next version makes one."""
     return replace(
         state, predictor=None, guesses=[guess for guess in state.guesses if guess.t <= to]
     )

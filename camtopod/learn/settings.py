@@ -1,4 +1,4 @@
-"""Every limit and every constant of the learner that somebody may want to set, with its unit."""
+"""Settings of the learner, with their units."""
 
 from __future__ import annotations
 
@@ -11,50 +11,63 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """Settings of the learner (the ``[learn]`` table of the configuration)."""
 
     lateness_seconds: Annotated[float, Meta(ge=0)] = 5.0
-    """How much out of order events may come; later ones are counted, not learned."""
+    """Seconds of event time by which events may arrive out of order. Later events are counted but
+    not learned from.
+    """
     ahead_seconds_max: Annotated[float, Meta(ge=0)] = 60.0
-    """A single camera whose clock is up to this much ahead makes nobody else late; one as much
-    behind is waited for.
+    """Largest clock offset that the learner makes up for, in seconds. A single camera whose clock
+    is ahead by up to this much does not make other cameras' events late; the watermark waits for
+    one that is behind by up to this much.
     """
     version_seconds: Annotated[float, Meta(gt=0)] = 60.0
-    """Event time between two looks at whether a new version is due."""
+    """Length of a tick in seconds of event time. After each tick with new events the learner checks
+    whether a new version is due.
+    """
     refit_share: Annotated[float, Meta(ge=0)] = 0.2
-    """A version is due when the events since the last are this share of the window ..."""
+    """A new version is due when the events since the last one are this share of the window, and at
+    least 10.
+    """
     refit_hours: Annotated[float, Meta(ge=0)] = 1.0
-    """... or when there are any and this much event time has passed."""
+    """A new version is due after this many hours of event time, if there are any new events."""
     window_hours: Annotated[float, Meta(gt=0)] = 336.0
-    """Forgetting: events older than this are not learned from; on a busy site the number of events
-    forgets sooner.
+    """Events older than this many hours are forgotten. On a busy site the limits on the number of
+    events take effect sooner.
     """
     window_events: Annotated[int, Meta(ge=1)] = 60_000
-    """Of all events the newest so many are learned from, be they of a day, ..."""
+    """Events that the window holds, over all cameras; the oldest are forgotten first."""
     window_camera_events: Annotated[int, Meta(ge=0)] = 2_000
-    """... or so many for each camera, if that is more, ..."""
+    """The window holds this many events per camera if that is more than ``window_events``."""
     window_events_max: Annotated[int, Meta(ge=1)] = 20_000_000
-    """... but never more than this."""
+    """Upper limit of the window in events, however many cameras there are."""
     transit_max_seconds: Annotated[float, Meta(gt=0)] = 180.0
-    """The longest transit time looked for, but for long ways that nearly all take as long
-    (`long_ways`).
+    """Longest transit time of a link, in seconds. Longer paths, of up to 15 minutes, are found only
+    if nearly all objects take equally long on them.
     """
     overlap_max_seconds: Annotated[float, Meta(ge=0)] = 120.0
-    """How long before it leaves one view an object may be seen to appear in an overlapping one."""
+    """Longest time by which an object appears in an overlapping view before it leaves the first
+    one, in seconds.
+    """
     overlap_tolerance_seconds: Annotated[float, Meta(ge=0)] = 0.45
-    """T of the thesis's overlap test (table 4.4)."""
+    """Tolerance T of the thesis's overlap test (table 4.4), in seconds."""
     candidates_max: Annotated[int, Meta(ge=1)] = 8_000_000
-    """At most this many (departure, arrival) candidates are weighed in one fit; beyond, only likely
-    ones are.
+    """Candidates (pairs of a departure and an arrival) up to which a fit considers all of them.
+    Beyond that, only likely candidates are kept.
     """
     publish_q_max: Annotated[float, Meta(ge=0, le=1)] = 0.01
-    """A link is published when its false discovery rate is at most this ..."""
+    """A link is published only if its false discovery rate is at most this."""
     publish_probability_min: Annotated[float, Meta(ge=0, le=1)] = 0.03
-    """... and at least this share of those leaving takes it."""
+    """A link is published only if at least this share of the objects leaving its first zone takes
+    it.
+    """
     missed_share_max: Annotated[float, Meta(ge=0, lt=1)] = 0.25
-    """A link is an effect of missed passages when a camera missing at most this share of them could
+    """A link is not published if a camera that misses at most this share of its passages could
     explain it.
     """
     correct_clocks: bool = False
-    """Transit times are stated in right time instead of by the cameras' own clocks; offsets are
-    published anyway.
+    """Whether transit times are in corrected time instead of by the cameras' own clocks. Clock
+    offsets are published in either case.
     """
     cameras_max: Annotated[int, Meta(ge=1)] = 10_000
-    """Events of further cameras are refused."""
+    """Cameras that are learned from. Events of further cameras are refused, unless a camera that
+    has been silent for an hour can give up its place.
+    """

@@ -1,9 +1,9 @@
-"""The whole state of a learner as bytes, and back: one that is restored makes the same versions as
-one that never stopped.
+"""Snapshots: the complete state of a learner as bytes, and back.
 
-What follows from the rest is left out (the sums of the window, keys, indices); what decides
-anything later is in, events that wait for the watermark and predictions that wait for their outcome
-included. Floats and integers go through exactly.
+A restored learner makes the same versions as one that never stopped. The snapshot leaves out what
+can be derived (sums of the window, keys, indices). It holds everything that affects later versions,
+including events that wait for the watermark and predictions that wait for their outcome. Floats and
+integers are preserved exactly.
 """
 
 from __future__ import annotations
@@ -26,40 +26,43 @@ from camtopod.publishers import Publisher
 from camtopod.records import Topology
 
 FORMAT = 1
-"""Of the snapshot: one with a higher number is refused. There is no lower one yet; whoever raises
-this migrates it.
+"""Format of a snapshot. A higher number is refused; whoever raises it adds the migration from lower
+ones, of which there are none yet.
 """
 BYTES_MAX = 1 << 30
-"""A snapshot that unpacks to more is damaged."""
+"""Largest size of an uncompressed snapshot, bytes. One that unpacks to more is damaged."""
 _COMPRESSION = 1
 
 
 class SnapshotError(ValueError):
-    """The bytes are no snapshot that this program can read; ``str()`` says why."""
+    """The bytes are not a snapshot that this program can read; ``str()`` gives the reason."""
 
 
 class NewerSnapshot(SnapshotError):
-    """A newer program wrote it."""
+    """The snapshot was written by a newer program."""
 
 
 class CameraState(Struct):
-    """What is known of the places of one camera, see `Learner`."""
+    """State of one camera's zones, see `Learner`."""
 
     zones: ZoneMap
     zoned: int
+    """Positioned events of the camera when its zones were last learned."""
     gone: tuple[ZoneShape, ...]
+    """Zones that have vanished, latest first."""
     looked: int
+    """Positioned events of the camera when it was last tested for a move."""
 
 
 class LeftCamera(Struct):
-    """What is kept of a camera that has left: its zones, and the next free number."""
+    """State kept of a camera that was retired: its zones, and the next free zone number."""
 
     zones: tuple[ZoneShape, ...] = ()
     next_number: int = 1
 
 
 class LearnerState(Struct):
-    """Everything a `Learner` knows."""
+    """Complete state of a `Learner`."""
 
     settings: Settings
     site: str
@@ -88,13 +91,16 @@ class _Snapshot(Struct):
 
 
 def pack(state: LearnerState) -> bytes:
-    """The state as bytes, compressed."""
+    """Return the state as compressed bytes."""
     raw = msgspec.Raw(_encoder.encode(state))
     return zlib.compress(_encoder.encode(_Snapshot(FORMAT, raw)), _COMPRESSION)
 
 
 def unpack(blob: bytes) -> LearnerState:
-    """The state from bytes; raises `SnapshotError`."""
+    """Return the state from bytes.
+
+    Raises `SnapshotError` if they are damaged, and `NewerSnapshot` if a newer program wrote them.
+    """
     try:
         inflater = zlib.decompressobj()
         plain = inflater.decompress(blob, BYTES_MAX)
@@ -119,7 +125,7 @@ def _encode_array(array: object) -> tuple[str, tuple[int, ...], bytes]:
 
 
 def _decode_array(kind: type, packed: Any) -> np.ndarray[Any, Any]:
-    """Every field that is not one of msgspec's own kinds is an array."""
+    """Decode a field whose type msgspec does not know itself: always an array."""
     dtype, shape, data = msgspec.convert(packed, tuple[str, tuple[int, ...], bytes])
     try:
         return np.frombuffer(data, np.dtype(dtype)).reshape(shape).copy()

@@ -1,11 +1,13 @@
-"""What else is known of an object that leaves, and what it says about where it goes.
+"""Contexts of a departure: what else is known of the object, and where such objects appear next.
 
-Where it came in, where exactly it left, and which camera it probably came from before: people and
-vehicles have a direction. Each level of context counts departures and transitions and backs off to
-the level before it where it has seen little: ``p = (f N + k p') / (f n + k)``, interpolated as in
-the language models of Jelinek and Mercer (1980). As nobody is identified, n departures say less
-than n; ``f`` is the share of their transitions that is sure (the mean responsibility of a
-transition).
+People and vehicles have a direction. So departures are told apart by the zone where the passage
+began, the exact place of the exit and the camera that the object probably came from. Each level of
+context counts departures and transitions, and backs off to the level before it where counts are
+small: ``p = (f N + k p') / (f n + k)``, the interpolation of the language models of Jelinek and
+Mercer (1980). Here n is the number of departures in the context, N that of their transitions to a
+zone, p' the probability at the level before, and k is `BACK_OFF_DEPARTURES`. As no object is
+identified, n departures carry less information than n tracked ones; ``f`` is the certain share of
+their transitions (the mean responsibility of a transition).
 """
 
 from __future__ import annotations
@@ -22,59 +24,56 @@ from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
 LEVELS = ("entry", "block", "entry+block", "previous")
-"""In this order: the zone of entry; the block of the image of the exit; both; the camera before."""
+"""Levels of context; each backs off to the one before. ``block``: image block of the exit."""
 PREVIOUS_RESPONSIBILITY_MIN = 0.02
-"""Less likely sources of an arrival are not looked at when it is asked which camera an object came
-from.
-"""
+"""Candidates with a smaller responsibility are ignored when the previous camera is determined."""
 
 
 class Level(NamedTuple):
-    """One level: context ``k`` belongs to zone ``zone[k]`` and has the parts ``parts[k]`` (-1: no
-    such part).
-    """
+    """One level of context, as it is published."""
 
     zone: Longs
-    """(contexts,)"""
+    """(contexts,) zone of departure."""
     parts: Longs
-    """(contexts, 2): zone of entry or camera before, and block."""
+    """(contexts, 2): zone of entry or previous camera, and image block; -1 for neither."""
     departures: Floats
-    """(contexts,) sure departures, f n."""
+    """(contexts,) certain departures, f n."""
     first: Longs
-    """(contexts + 1,) rows of each context among the following."""
+    """(contexts + 1,) where the rows of each context begin in ``target`` and ``transitions``."""
     target: Longs
-    """(rows,) zones where departures of a context appear next, ascending ..."""
+    """(rows,) zones where departures of a context appear next, ascending within the context."""
     transitions: Floats
-    """... and how many surely do, f N."""
+    """(rows,) certain transitions to that zone, f N."""
 
 
 class Counted(NamedTuple):
-    """What is counted of the contexts of one level."""
+    """Counts of one level of context, in a form for leave-one-out probabilities."""
 
     keys: Longs
-    """(contexts, 3)"""
+    """(contexts, 3): zone of departure and the two parts, as of `Level`."""
     departures: Floats
-    """(contexts,) sure departures."""
+    """(contexts,) certain departures."""
     row: Longs
-    """(n,) where the row of the context of each departure begins in ``moved``, were that one row
-    ...
-    """
+    """(n,) index of the first column of each departure's context in the flattened ``moved``."""
     mine: Singles
-    """... (n,), how sure the departure itself is in it, ..."""
+    """(n,) weight of the departure itself in its context, which leave-one-out removes."""
     scale: Singles
-    """... (n,), how sure the context is over the departures in it, those backed off to included,
-    ...
+    """(n,) probability of the context over its departures, the departure itself left out and
+    `BACK_OFF_DEPARTURES` included.
     """
     unsure: Singles
-    """... and (n,), how unsure it is."""
+    """(n,) probability that the departure is not in this context."""
     moved: Singles
-    """(contexts, columns) sure transitions."""
+    """(contexts, columns) certain transitions; `Contexts._columns` gives the columns."""
 
     def of(
         self, departure: NDArray[np.intp], target: Longs, responsibility: Singles
     ) -> tuple[Longs, Singles]:
-        """Of some candidates (m,): the cell in ``moved`` and what the candidate itself adds
-        there.
+        """Return the cells in ``moved`` of some candidates (m,), and their own contributions there.
+
+        departure (m,): row of the departure.
+        target (m,): column of the pair of zones.
+        responsibility (m,): of the candidate.
         """
         cell = self.row.take(departure)
         cell += target
@@ -85,8 +84,11 @@ class Counted(NamedTuple):
     def judged(
         self, departure: NDArray[np.intp], cell: Longs, own: Singles, share: Singles
     ) -> Singles:
-        """The probabilities of some candidates (m,) by the others of their context; ``share`` (m,)
-        without it.
+        """Return the leave-one-out probabilities of some candidates (m,) at this level.
+
+        departure (m,): row of the departure.
+        cell, own (m,): results of `of`; ``cell`` is the index in ``moved``, ``own`` is left out.
+        share (m,): probability at the level before, to which this one backs off.
         """
         here = self.moved.take(cell)
         here -= own
@@ -98,7 +100,7 @@ class Counted(NamedTuple):
 
 
 class Contexts:
-    """The contexts of all departures of a fit and what the responsibilities say of them."""
+    """Contexts of all departures of a fit, and the counts that responsibilities give them."""
 
     def __init__(
         self, departures: Departures, arrivals: Arrivals, zones: int, cameras: int
@@ -120,17 +122,22 @@ class Contexts:
     def count(
         self, candidates: Candidates, responsibility: Singles, gone: Floats, leave: Floats
     ) -> tuple[list[Counted], Floats]:
-        """What is counted level by level, and the probability of each departure (n,) to leave in
-        its context.
+        """Count each level of context; return the counts and each probability to leave the site.
 
-        ``leave`` (n,): the same without context; ``gone`` (n,): probability of not having been seen
-        again. Each is judged by the others (leave one out).
+        responsibility (M,): of the candidates.
+        gone (n,): probability that the object of each departure was not seen again.
+        leave (n,): probability of leaving the site without context.
+
+        The second result (n,) is the probability of each departure to leave the site, given its
+        context. Each departure is judged by the others in its context (leave one out).
         """
         c = candidates
         sure = self._sureness(c, responsibility)[self._zone]
         column, width = self._columns(c)
         levels = []
         most = max(context_cells_max(self.cameras) // width, 1)
+
+        # Departures of each context, and leaving the site as one of their outcomes.
         for (number, keys), told in self._contexts(c, responsibility):
             number, keys, told = _commonest(number, keys, told, most)
             mine = sure * told
@@ -144,6 +151,8 @@ class Contexts:
             )
             moved = np.zeros((len(keys), width), np.float32)
             levels.append(Counted(keys, n, number * width, own, scale, unsure, moved))
+
+        # Transitions of each context.
         for part in together(c.arrival):
             departure, target = c.departure[part].astype(np.intp), column.take(c.pair[part])
             for level in levels:
@@ -154,8 +163,10 @@ class Contexts:
     def judged(
         self, candidates: Candidates, responsibility: Singles, share: Floats, levels: list[Counted]
     ) -> Singles:
-        """Probability of each candidate (M,) in its context, judged by the others; ``share`` (P,):
-        without context.
+        """Return the leave-one-out probability (M,) of each candidate's transition in its context.
+
+        share (P,): the same probability without context.
+        levels: result of `count`.
         """
         c, column = candidates, self._columns(candidates)[0]
         after, without = np.empty(len(c.lag), np.float32), share.astype(np.float32)
@@ -170,7 +181,7 @@ class Contexts:
         return after
 
     def named(self, candidates: Candidates, levels: list[Counted]) -> list[Level]:
-        """The levels as they are published."""
+        """Return the levels in the form that is published."""
         first, result = np.searchsorted(candidates.source, np.arange(self.zones)), []
         for level in levels:
             context, at = np.nonzero(level.moved)
@@ -190,8 +201,9 @@ class Contexts:
         return result
 
     def _columns(self, candidates: Candidates) -> tuple[Longs, int]:
-        """Of each zone's pairs, which come by source, the first, the second, ... (P,): the columns
-        of the tables of transitions; and how many there are.
+        """Return the column (P,) of each pair of zones in the tables of transitions, and the width.
+
+        Pairs come in order of their source; those of one source have the columns 0, 1, 2, ...
         """
         source = candidates.source
         column = np.arange(len(source)) - np.searchsorted(source, np.arange(self.zones))[source]
@@ -200,8 +212,9 @@ class Contexts:
     def _contexts(
         self, candidates: Candidates, responsibility: Singles
     ) -> list[tuple[tuple[Longs, Longs], Floats]]:
-        """(Context of each departure, keys of the contexts) and how sure the context is (n,), level
-        by level.
+        """Return each departure's context number (n,), the keys and the certainty (n,), by level.
+
+        The certainty is the probability that the departure is in this context.
         """
         told = [known.astype(float) for known in self._known]
         camera, sure = self._previous(candidates, responsibility)
@@ -215,8 +228,9 @@ class Contexts:
         return list(zip([*self._fixed, previous], [*told, sure], strict=True))
 
     def _previous(self, candidates: Candidates, responsibility: Singles) -> tuple[Longs, Floats]:
-        """Camera each object most probably came from (n,), -1: unknown, and the probability of
-        that.
+        """Return the most probable previous camera of each departure (n,) and its probability (n,).
+
+        The camera is -1 where it is unknown.
         """
         c, d = candidates, self.departures
         likely = np.flatnonzero(responsibility > PREVIOUS_RESPONSIBILITY_MIN)
@@ -224,14 +238,16 @@ class Contexts:
         present, number = np.unique(key, return_inverse=True)
         mass = np.bincount(number, responsibility[likely], minlength=len(present))
         arrival, camera = np.divmod(present, self.cameras)
+
+        # For each arrival, the camera with the largest probability.
         best, sure = np.full(len(self.arrivals.t) + 1, -1), np.zeros(len(self.arrivals.t) + 1)
         np.maximum.at(sure, arrival, mass)
         most = np.flatnonzero(mass == sure.take(arrival))
-        best[arrival[most]] = camera[most]  # where there are several the last stays
+        best[arrival[most]] = camera[most]  # of equally probable cameras the last one
         return best[d.own], np.minimum(sure[d.own], 1.0)
 
     def _sureness(self, candidates: Candidates, responsibility: Singles) -> Floats:
-        """Share of the transitions from each zone (zones,) that is sure."""
+        """Return the certain share of the transitions from each zone (zones,)."""
         squares, all_of = np.zeros(self.zones), np.zeros(self.zones)
         for part in together(candidates.arrival):
             zone, r = (
@@ -245,7 +261,7 @@ class Contexts:
 
 
 def multipliers(before: Floats, after: Floats) -> Floats:
-    """By how much a context raises probabilities."""
+    """Return the factors by which a context raises or lowers probabilities."""
     ratio: Floats = np.clip(
         after / np.maximum(before, 1e-300), 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX
     )
@@ -253,8 +269,10 @@ def multipliers(before: Floats, after: Floats) -> Floats:
 
 
 def _commonest(number: Longs, keys: Longs, told: Floats, most: int) -> tuple[Longs, Longs, Floats]:
-    """Context number of each departure (n,), the keys and how sure each context is (n,) when at
-    most so many contexts count: those of the most departures.
+    """Keep only the ``most`` contexts with the most departures.
+
+    Returns the context of each departure (n,), the keys and the certainty (n,), which is 0 for
+    departures whose context is dropped.
     """
     if len(keys) <= most:
         return number, keys, told
@@ -268,6 +286,6 @@ def _commonest(number: Longs, keys: Longs, told: Floats, most: int) -> tuple[Lon
 
 
 def _numbered(zone: Longs, first: Longs, second: Longs) -> tuple[Longs, Longs]:
-    """Context number of each departure (n,) and the keys (contexts, 3) of the contexts."""
+    """Return each departure's context number (n,) and the contexts' keys (contexts, 3)."""
     keys, number = np.unique(np.column_stack((zone, first, second)), axis=0, return_inverse=True)
     return number.ravel().astype(np.int64), keys.astype(np.int64)

@@ -1,8 +1,8 @@
-"""Entry kernels: where views overlap, how long after it entered one an object appears in the next.
+"""Entry kernels: where views overlap, the time from entering one view to appearing in the next.
 
-Of the pairs of a zone of entry and a zone of the next appearance there may be twenty thousand,
-nearly all of them made by chance. Only what the candidates need is kept of them: a table of all
-would be larger than the rest of a fit.
+There may be twenty thousand pairs of an entry zone and a zone of the next appearance, nearly all of
+them spurious. Only the values that candidates need are kept: a table of all pairs would take more
+memory than the rest of a fit.
 """
 
 from __future__ import annotations
@@ -21,9 +21,7 @@ from camtopod.topology import LagBins, smooth
 
 
 class Entering:
-    """The candidates that appear before the exit of a passage whose entry is known, and the kernels
-    they make.
-    """
+    """Candidates that appear before the exit of a passage with a known entry; their kernels."""
 
     def __init__(
         self,
@@ -34,17 +32,26 @@ class Entering:
         bins: LagBins,
         zones: int,
     ) -> None:
-        """``entry`` (n,): zone where the passage of each departure began, -1 unknown."""
+        """Find the candidates and number the pairs of zones.
+
+        entry (n,): zone where the passage of each departure began, -1 where unknown.
+        """
         c, d, a = candidates, departures, arrivals
         self._departures, self._arrivals, self._bins, self._zones = d, a, bins, zones
-        tied = (d.own >= 0) & np.isfinite(d.since)  # delayed departures have no passage
+
+        # Candidates with a negative lag, and their lag from the entry; delayed copies of departures
+        # (`long_paths`) have no passage.
+        tied = (d.own >= 0) & np.isfinite(d.since)
         early = np.flatnonzero((c.lag < 0) & tied[c.departure])
         at = bins.index(a.t[c.arrival[early]] - d.since[c.departure[early]])
         early, at = early[at >= 0], at[at >= 0]
+
+        # Pairs of zones; the rarest beyond the limit have no kernel, so their lags count from the
+        # exit.
         key = entry[c.departure[early]] * zones + a.zone[c.arrival[early]]
         present, number, often = np.unique(key, return_inverse=True, return_counts=True)
         most = entry_pairs_max(int(a.camera.max(initial=0)) + 1)
-        if len(present) > most:  # the rarest have no kernel: their lags count from the exit
+        if len(present) > most:
             usual = np.sort(np.argsort(-often, kind="stable")[:most])
             kept = np.isin(number, usual)
             early, at, number, present = (
@@ -53,26 +60,31 @@ class Entering:
                 np.searchsorted(usual, number[kept]),
                 present[usual],
             )
+
         self.early = early
-        """(m,) the candidates, ascending."""
+        """(m,) rows of these candidates, ascending."""
         self.source = (present // max(zones, 1)).astype(np.int32)
-        """(Q,) zone of entry ..."""
+        """(Q,) zone of entry of each pair."""
         self.target = (present % max(zones, 1)).astype(np.int32)
-        """... and zone of the next appearance."""
+        """(Q,) zone of the next appearance of each pair."""
         self.cell = number.astype(np.int64) * bins.size + at
-        """(m,) place of each in a table of the kernels (Q, bins)."""
+        """(m,) index of each candidate in a flattened table of kernels (Q, bins)."""
         self.hazard, self.own, self.part = np.zeros((3, len(early)))
-        """(m,) hazard by the kernel; by how much its smoothed count grows with the candidate's own;
-        and the share of what speaks for the candidate that is the kernel's.
+        """(m,) each. ``hazard``: hazard by the kernel, per second. ``own``: derivative of the log
+        of the smoothed count by the candidate's own weight (for leave-one-out). ``part``: share of
+        the candidate's hazard that the kernel contributes.
         """
         self._order = np.argsort(self.cell, kind="stable")
         self._reached = self.cell[self._order]
         self._began, self._entered = d.since[tied], entry[tied]
         self.exposure = in_view((d.t - d.since)[tied], self._entered, bins, zones)
-        """(zones, bins) passages in view so long after they entered."""
+        """(zones, bins) passages still in view when a lag bin, counted from the entry, begins."""
 
     def start(self, noise_sd: float) -> None:
-        """The first kernels: what exceeds chance and ``noise_sd`` standard deviations of it."""
+        """Set the first kernels: the excess over the null model.
+
+        noise_sd: standard deviations of the null model that are subtracted, too.
+        """
         a, order = self._arrivals, np.argsort(self._began, kind="stable")
         if len(self.early) == 0:
             return
@@ -88,7 +100,7 @@ class Entering:
             self.hazard[some] = first.take(self.cell[some] - rows.start * self._bins.size)
 
     def learn(self, weight: Floats) -> None:
-        """M step, by the ``weight`` (m,) of each candidate."""
+        """M step: estimate the kernels from the ``weight`` (m,) of each candidate."""
         for rows, some, counts in self._counts(weight):
             cell = self.cell[some] - rows.start * self._bins.size
             smoothed, stays = smooth(counts)
@@ -98,15 +110,19 @@ class Entering:
             self.hazard[some] = (smoothed / self._exposed(rows)).take(cell)
 
     def kernels(self, weight: Floats) -> Floats:
-        """The kernels (Q, bins), per second and passage in view, by the ``weight`` (m,) of each
-        candidate.
+        """Return the kernels (Q, bins), per second and passage in view.
+
+        weight (m,): weight of each candidate.
         """
         each = [smooth(counts)[0] / self._exposed(rows) for rows, _, counts in self._counts(weight)]
         return np.concatenate([np.zeros((0, self._bins.size)), *each])
 
     def _counts(self, weight: Floats) -> Iterator[tuple[slice, NDArray[np.intp], Floats]]:
-        """Of some pairs at a time: which of all, their candidates, and these counted (rows,
-        bins).
+        """Yield the counts (rows, bins) of some pairs at a time.
+
+        weight (m,): weight of each candidate.
+
+        Each item is a slice of the pairs, their candidates and the counts.
         """
         size = self._bins.size
         for rows in rows_together(len(self.source)):
@@ -118,6 +134,6 @@ class Entering:
             yield rows, some, counts.astype(float, copy=False).reshape(-1, size)
 
     def _exposed(self, rows: slice) -> Floats:
-        """Seconds (rows, bins) in which somebody could have appeared."""
+        """Return the exposure (rows, bins) of some pairs, passages in view times seconds."""
         exposed: Floats = np.maximum(self.exposure[self.source[rows]], 1.0) * self._bins.widths
         return exposed

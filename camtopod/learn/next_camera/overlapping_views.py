@@ -24,7 +24,7 @@ from camtopod.learn.traffic import Scene
 from camtopod.topology import LagBins, smooth, smoother
 
 SHIFTS_SECONDS = (-30.0, -15.0, 15.0, 30.0)
-"""Shifts of the exits that make up the null model."""
+"""Shifts of the exits that make up the null model, seconds."""
 NULL_SD_BINS = 2.8
 """Standard deviation of the Gaussian that smooths the null model, in bins of offset."""
 NULL_MIN = 0.02
@@ -59,9 +59,7 @@ class Overlapping(NamedTuple):
 
 
 def table_of(overlapping: list[Overlapping], cameras: int) -> NDArray[np.bool_]:
-    """Whether objects that leave the view of one of the ``cameras`` are seen by another: (cameras,
-    cameras).
-    """
+    """Return whether objects leaving one camera's view are seen by another, (cameras, cameras)."""
     table = np.zeros((cameras, cameras), np.bool_)
     for one in overlapping:
         table[one.source, one.target] = True
@@ -69,7 +67,7 @@ def table_of(overlapping: list[Overlapping], cameras: int) -> NDArray[np.bool_]:
 
 
 class Views(NamedTuple):
-    """Passages (n,) with a known beginning and end, in order of ``left``; times in seconds."""
+    """Passages (n,) with a known entry and exit, in order of ``left``; times in seconds."""
 
     camera: Longs
     entered: Floats
@@ -77,7 +75,7 @@ class Views(NamedTuple):
 
 
 def views_of(scene: Scene) -> Views:
-    """The passages of a scene."""
+    """Return the passages of a scene in order of their exits."""
     camera = np.array([zone.camera for zone in scene.zones], np.int64)
     order = np.argsort(scene.passages.left, kind="stable")
     p = scene.passages
@@ -85,8 +83,10 @@ def views_of(scene: Scene) -> Views:
 
 
 def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[Overlapping]:
-    """The overlapping pairs of ``cameras`` views, by source, then target. ``bins``: of offsets
-    (`offset_bins`).
+    """Return the overlapping pairs of views, sorted by source, then target.
+
+    cameras: number of cameras.
+    bins: bins of offsets (`offset_bins`).
     """
     if len(views.left) == 0:
         return []
@@ -127,22 +127,25 @@ def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[Overlapp
 
 
 class _Counted(NamedTuple):
-    """Open passages of some pairs of cameras by offset, (P, bins)."""
+    """Counts (P, bins) of open passages of some pairs of cameras, by offset."""
 
     seen: Floats
     null: Floats
-    """As the null model has it."""
+    """The counts that the null model expects."""
 
     def split(self) -> tuple[Floats, Floats]:
-        """Those of the same object and those of others, (P, bins)."""
+        """Return the counts of the same object and those of other objects, (P, bins) each."""
         others = np.maximum(self.null @ smoother(self.null.shape[1], NULL_SD_BINS).T, NULL_MIN)
         same = smooth(self.seen)[0] - others - NOISE_SD * np.sqrt(others)
         return np.maximum(same, 0.0), others
 
 
 def _predicts(known: _Counted, judged: _Counted, ratio: Floats) -> Floats:
-    """Log likelihood ratios (2, P) in nats, against both null models, of the counts ``judged`` as
-    the counts ``known`` predict them. ``ratio`` (P,): exits judged for each that is known.
+    """Return log likelihood ratios (2, P) in nats of ``judged`` as predicted from ``known``.
+
+    The two rows are against the two null models: no overlap, and the null model's offsets.
+
+    ratio (P,): number of judged exits for each known exit.
     """
     same, others = known.split()
     weight = np.log1p(same / others)
@@ -153,8 +156,9 @@ def _predicts(known: _Counted, judged: _Counted, ratio: Floats) -> Floats:
 
 
 def _screened(excess: Floats) -> tuple[Rows, Rows]:
-    """Sources and targets (P,) of the pairs worth a test. ``excess`` (cameras, cameras): in
-    standard deviations.
+    """Return the sources and targets (P,) of the pairs worth a test.
+
+    excess (cameras, cameras): excess over the null model in standard deviations.
     """
     largest = np.argsort(-excess, axis=1, kind="stable")[:, :SCREENED_PER_CAMERA_MAX]
     kept = np.zeros(excess.shape, np.bool_)
@@ -166,18 +170,21 @@ def _screened(excess: Floats) -> tuple[Rows, Rows]:
 
 
 def _shifted(count: Callable[[float], NDArray[Any]]) -> Floats:
-    """The null model of a count: its mean over the shifts."""
+    """Return the null model of a count: its mean over the shifts."""
     mean: Floats = np.mean([count(shift) for shift in SHIFTS_SECONDS], axis=0)
     return mean
 
 
 def _open(views: Views, exits: slice, shift: float) -> Iterator[tuple[Rows, Rows]]:
-    """Exits and passages (m,) of other cameras that are open ``shift`` seconds after them, in
-    parts.
+    """Yield exits and the passages (m,) of other cameras that are open ``shift`` seconds later.
+
+    A passage is open from its entry to its exit. Pairs come in parts of `OPEN_PAIRS_AT_ONCE`.
     """
     left = views.left[exits]
     first, stop = (np.searchsorted(left, t - shift) for t in (views.entered, views.left))
     reached = np.concatenate(([0], np.cumsum(np.maximum(stop - first, 0))))
+
+    # As many passages at a time as memory allows.
     begin = 0
     while begin < len(first):
         end = max(
@@ -197,8 +204,9 @@ def _open(views: Views, exits: slice, shift: float) -> Iterator[tuple[Rows, Rows
 
 
 def _newest(views: Views, most: int) -> int:
-    """The oldest exit that is counted: from there on at most ``most`` passages are open, added up
-    over the exits.
+    """Return the row of the oldest exit that is counted.
+
+    From there on, at most ``most`` passages are open, added up over the exits.
     """
     begun = np.searchsorted(np.sort(views.entered), views.left, "right")
     over = np.searchsorted(views.left, views.left, "right")
@@ -207,7 +215,11 @@ def _newest(views: Views, most: int) -> int:
 
 
 def _totals(views: Views, exits: slice, shift: float, cameras: int) -> Longs:
-    """Pairs of an exit and a passage open ``shift`` seconds after it, (cameras, cameras)."""
+    """Return the number of open passages by camera of the exit and camera of the passage.
+
+    A passage is counted if it is open ``shift`` seconds after the exit; the result is (cameras,
+    cameras).
+    """
     total = np.zeros(cameras * cameras, np.int64)
     for exit_, passage in _open(views, exits, shift):
         total += np.bincount(
@@ -217,7 +229,10 @@ def _totals(views: Views, exits: slice, shift: float, cameras: int) -> Longs:
 
 
 def _count(views: Views, exits: slice, number: Longs, bins: LagBins) -> _Counted:
-    """By offset, of the pairs of cameras that have a ``number`` (cameras, cameras), -1: none."""
+    """Return the counts by offset of the numbered pairs of cameras.
+
+    number (cameras, cameras): row of each pair in the result, -1 for none.
+    """
     return _Counted(
         _offsets(views, exits, 0.0, number, bins),
         _shifted(lambda shift: _offsets(views, exits, shift, number, bins)),
@@ -225,7 +240,10 @@ def _count(views: Views, exits: slice, number: Longs, bins: LagBins) -> _Counted
 
 
 def _offsets(views: Views, exits: slice, shift: float, number: Longs, bins: LagBins) -> Floats:
-    """Passages open ``shift`` seconds after an exit, by pair of cameras and offset, (P, bins)."""
+    """Return the passages open ``shift`` seconds after an exit, by pair and offset, (P, bins).
+
+    number (cameras, cameras): row of each pair in the result, -1 for none.
+    """
     pairs = int(number.max()) + 1
     total = np.zeros(pairs * bins.size)
     for exit_, passage in _open(views, exits, shift):

@@ -1,12 +1,12 @@
-"""What is expected of a pair of zones before anything has been seen there: a hierarchical prior
-over the hazards.
+"""A hierarchical prior over the hazards of pairs of zones.
 
-Two things are known of any site. What leaves a camera's view goes much the same ways, whichever of
-its zones it left by. And a way is as a rule taken in both directions, by about the same share and
-in about the same time: of a few departures, what comes back from a zone says more about who goes
-there than they do. Both are counted as transitions of so many further departures, so enough of a
-zone's own outweigh them. How far ways are taken in both directions is learned from the site: where
-traffic goes one way only, nothing is made of what does not come back.
+Two things hold on any site. Objects that leave a camera's view take much the same paths, whichever
+of its zones they left by. And a path is usually taken in both directions, by about the same share
+and in about the same time: when a zone has few departures, the arrivals from another zone say more
+about transitions to that zone than the departures do. Both are counted as transitions of a number
+of additional departures, so they are outweighed once the zone has enough of its own. The share of
+traffic on two-way paths is estimated from the site, so on a one-way site missing return traffic has
+no effect.
 """
 
 from __future__ import annotations
@@ -21,20 +21,19 @@ from camtopod.learn.association import Candidates
 from camtopod.topology import smooth
 
 POOLING = 1.0
-"""What leaves anywhere in a camera's view counts for each of its zones as much as this many
-departures.
-"""
+"""Additional departures of each zone that behave like all departures from its camera's view."""
 RETURNING = 10.0
-"""What comes from a zone counts for what goes there as much as this many departures, where all ways
-are two-way.
-"""
+"""Additional departures of each zone that mirror its arrivals if all paths are two-way."""
 TWO_WAY_TRANSITIONS = 20.0
-"""That they are is believed beforehand as much as this many transitions say."""
+"""Prior weight, in transitions, of the assumption that all paths are two-way."""
 
 
 class Prior:
-    """Of the pairs of zones of ``candidates``; ``camera``, ``came`` (zones,): each zone's camera
-    and arrivals, at least 1; ``exposure`` (zones, bins).
+    """The prior over the pairs of zones of ``candidates``.
+
+    camera (zones,): camera of each zone.
+    exposure (zones, bins): departures of each zone that are exposed to a lag bin.
+    came (zones,): arrivals of each zone, at least 1.
     """
 
     def __init__(
@@ -49,17 +48,17 @@ class Prior:
         self.back = _leading_back(candidates, len(camera))
 
     def expected(self, counts: Floats) -> Expected:
-        """By the ``counts`` (P, bins) seen."""
+        """Return the prior expectation, given the ``counts`` (P, bins) of transitions."""
         return Expected(self, counts)
 
     def two_way(self, transitions: Floats) -> float:
-        """Share of the ``transitions`` (P,) that as many come back from."""
+        """Return the share of the ``transitions`` (P,) that return traffic matches."""
         returned = np.where(self.back < 0, 0.0, transitions[self.back])
         both = float(np.minimum(transitions, returned).sum())
         return (both + TWO_WAY_TRANSITIONS) / (float(transitions.sum()) + TWO_WAY_TRANSITIONS)
 
     def pooled(self, counts: Floats) -> Singles:
-        """Transitions per exposed departure (views, bins) from camera to camera."""
+        """Return transitions per exposed departure from camera to camera, (camera pairs, bins)."""
         seen = summed(counts, self.pair, len(self._views))
         rates = np.empty(seen.shape, np.float32)
         for rows in rows_together(len(seen)):
@@ -68,7 +67,7 @@ class Prior:
 
 
 class Expected:
-    """Transitions that pairs of zones are expected to have, and of how many ``departures``."""
+    """Transitions that the prior adds to pairs of zones, and the ``departures`` they belong to."""
 
     def __init__(self, prior: Prior, counts: Floats) -> None:
         self._prior, self._pooled = prior, prior.pooled(counts)
@@ -76,9 +75,14 @@ class Expected:
         self.departures = POOLING + self._returning
 
     def of(self, rows: slice, rates: Callable[[NDArray[np.int64]], Floats]) -> Floats:
-        """Of some pairs of zones (rows, bins): if only the cameras counted, and in them the traffic
-        of the zones; and if every way were taken in both directions alike. ``rates``: transitions
-        per exposed departure of pairs (n,) as seen, smoothed.
+        """Return the expected transitions (rows, bins) of some pairs of zones.
+
+        They are the sum of two terms: transitions if only the cameras mattered, divided among the
+        zones by their arrivals; and transitions if every path were taken equally in both
+        directions.
+
+        rates: function from pairs (n,) to their observed transitions per exposed departure,
+            smoothed.
         """
         back = self._prior.back[rows]
         alike = np.where(back[:, None] < 0, 0.0, rates(back))
@@ -88,8 +92,9 @@ class Expected:
 
 
 def _leading_back(candidates: Candidates, zones: int) -> NDArray[np.int64]:
-    """The pair (P,) from each pair's target to its source, -1 if there is none. Pairs come by
-    source, then target.
+    """Return the pair (P,) from each pair's target back to its source, -1 if there is none.
+
+    Pairs come by source, then target.
     """
     source, target = candidates.source.astype(np.int64), candidates.target.astype(np.int64)
     there, back = source * zones + target, target * zones + source

@@ -1,9 +1,8 @@
-"""Monte Carlo over who came from where (thesis section 4.1; Marinakis and Dudek 2005 sample the
-same).
+"""Monte Carlo over the sources of arrivals (thesis section 4.1; Marinakis and Dudek 2005).
 
-Where there is little to go by, a fit that has settled is surer than it may be: it believes in its
-own first guesses. A sampler draws one source for each arrival, learns from the draw as if it were
-the truth, and draws again; what it believes on average is what the events say.
+With little data a converged fit is overconfident, as it reinforces its own first guesses. A sampler
+draws one source for each arrival, estimates the hazards as if the draw were the truth, and draws
+again; the mean over the draws is what the events support.
 """
 
 from __future__ import annotations
@@ -14,14 +13,15 @@ from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
 from camtopod.topology import LagBins
 
 FAINT_TRANSITIONS = 0.2
-"""Every pair of zones that is followed has this many transitions beforehand, at any lag after the
-exit: what has not been drawn may still happen.
+"""Prior transitions of every followed pair of zones, spread over the lags after the exit: a pair
+that has not been drawn may still be drawn later.
 """
 
 
 class Sources:
-    """Draws of one source, or the outside, for each of ``n`` arrivals; ``arrival`` (M,) is that of
-    each candidate, ascending.
+    """Random draws of one source, or the outside, for each of ``n`` arrivals.
+
+    arrival (M,): arrival of each candidate, ascending.
     """
 
     def __init__(self, arrival: Indices, n: int, seed: int) -> None:
@@ -30,7 +30,10 @@ class Sources:
         self._random = np.random.default_rng(seed)
 
     def draw(self, responsibility: Singles) -> Indices:
-        """The candidates that are drawn, ascending, of all (M,) with these probabilities."""
+        """Return the drawn candidates, ascending.
+
+        responsibility (M,): probability with which each candidate is drawn.
+        """
         reached = np.cumsum(responsibility, dtype=float, out=self._reached[1:])
         before = self._reached[self._start[:-1]]
         at = np.searchsorted(reached, before + self._random.random(len(before)))
@@ -39,8 +42,11 @@ class Sources:
 
 
 def with_faint(hazard: Singles, exposed: Floats, source: Ints, bins: LagBins) -> Singles:
-    """Hazards (P, bins) as they are with the faint transitions that every pair has, in the place of
-    those without; ``exposed`` (zones, bins) departures, at least 1, ``source`` (P,).
+    """Add the faint transitions of every pair of zones to its hazard, in place, and return it.
+
+    hazard (P, bins): per second and exposed departure.
+    exposed (zones, bins): exposed departures, at least 1.
+    source (P,): zone of departure of each pair.
     """
     after = bins.edges[1:] > 0
     more = FAINT_TRANSITIONS * np.bincount(source, minlength=len(exposed))

@@ -1,7 +1,8 @@
-"""Which candidates may have skipped a view, and how often views are skipped.
+"""Estimate how often cameras miss passages, and which candidates may have skipped a camera.
 
-Of ten thousand pairs of zones some hundred are ends of ways over a skipped view (`skipped`), and of
-the candidates one in ten may have taken such a way: only of these anything is kept.
+Of ten thousand pairs of zones a hundred or so are joined by a path over a skipped camera
+(`skipped_cameras`), and one in ten of the candidates may have taken such a path. Data are kept for
+these only.
 """
 
 from __future__ import annotations
@@ -15,36 +16,42 @@ from camtopod.learn.association import Candidates
 from camtopod.topology import LagBins
 
 ODDS_FIRST, ODDS_MAX = 0.1, 2.0 / 3.0
-"""Passages that a camera misses for each that it records."""
+"""Missed passages for each recorded one: first estimate, and upper limit."""
 ODDS_PASSAGES = 20.0
-"""The first odds count as much as this many passages recorded on ways that may be skipped."""
+"""Weight of the first estimate, in passages recorded on paths that may be skipped."""
 
 
 class Skipping:
-    """The candidates that may have skipped a view, and the hazards of that."""
+    """Candidates that may have skipped a camera, and the hazards of that."""
 
     def __init__(self, bins: LagBins) -> None:
         self._bins = bins
         self.odds = ODDS_FIRST
-        """Passages missed for each that is recorded, which all views have in common."""
+        """Missed passages for each recorded one, the same for all cameras."""
         self.pair: Longs = np.zeros(0, np.int64)
-        """(K,) the pairs of zones over a skipped view, ascending."""
-        self._unit = np.zeros((0, bins.size), np.float32)  # hazards (K, bins) of them at odds of 1
+        """(K,) pairs of zones that a path over a skipped camera joins, ascending."""
+        self._unit = np.zeros((0, bins.size), np.float32)  # (K, bins) their hazards at odds of 1
         self.some: Indices = np.zeros(0, np.int32)
-        """(s,) the candidates, ascending."""
-        self._cell: Ints = np.zeros(0, np.int32)  # place of each in the table
+        """(s,) candidates that may have skipped a camera, ascending."""
+        self._cell: Ints = np.zeros(0, np.int32)  # (s,) index of each in the flattened table
         self.part: Singles = np.zeros(0, np.float32)
-        """(s,) share of what speaks for each that is the skipped view's."""
+        """(s,) share of each candidate's hazard that skipped cameras contribute."""
 
     def use(
         self, pair: Longs, unit: Floats, candidates: Candidates, cell: Ints, parts: Sequence[slice]
     ) -> None:
-        """From here on the hazards ``unit`` (K, bins) of `skip_hazards`; ``cell`` (M,): place of
-        each candidate in a table (P, bins).
+        """Use new hazards of skipped cameras from here on.
+
+        pair (K,): pairs of zones, ascending.
+        unit (K, bins): hazards at odds of 1 (`skip_hazards`).
+        cell (M,): index of each candidate in a flattened table (P, bins).
+        parts: slices of the candidates, worked on one at a time.
         """
         self.pair, self._unit = pair, unit.astype(np.float32)
         row = np.full(len(candidates.source), -1, np.int32)
         row[pair] = np.arange(len(pair), dtype=np.int32)
+
+        # Candidates of these pairs whose lag a path over a skipped camera can have.
         some, cells = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)]
         for part in parts:
             of = candidates.pair[part]
@@ -58,16 +65,16 @@ class Skipping:
         self.part = np.zeros(len(self.some), np.float32)
 
     def believe(self, some: Indices, part: Singles) -> None:
-        """In the end: of which candidates what share is the skipped view's."""
+        """Set the final candidates ``some`` (s,) and the share ``part`` (s,) of skipped cameras."""
         self.some, self.part, self._cell = some, part, np.zeros(0, np.int32)
 
     def hazard(self, here: slice) -> Singles:
-        """Of some of the candidates, by the odds."""
+        """Return the hazards of a slice ``here`` of these candidates at the current odds."""
         hazard: Singles = self.odds * self._unit.take(self._cell[here])
         return hazard
 
     def added(self, hazard: Singles, rows: slice) -> Singles:
-        """Hazards (rows, bins) of some pairs of zones and of skipped views together."""
+        """Return the hazards (rows, bins) of some pairs of zones, skipped cameras included."""
         here = slice(*np.searchsorted(self.pair, (rows.start, rows.stop)).tolist())
         if here.start == here.stop:
             return hazard
@@ -76,8 +83,10 @@ class Skipping:
         return both
 
     def learn(self, responsibility: Singles, left: Floats) -> None:
-        """M step of the odds; ``responsibility`` (M,) of all candidates, ``left`` (P,) departures
-        at the sources.
+        """M step: estimate the odds.
+
+        responsibility (M,): of all candidates.
+        left (P,): departures at the source of each pair.
         """
         recorded = float(self._unit @ self._bins.widths @ left[self.pair])
         skipped = float(responsibility[self.some].astype(float) @ self.part)

@@ -1,13 +1,13 @@
-"""Skipped views: an object that a camera on its way did not record appears next where that camera
-would have led it.
+"""Skipped cameras: next appearances of objects whose passage a camera missed.
 
-Who takes u -> a, passes that view from a to b and takes b -> v is seen at u and next at v when the
-camera missed the passage: for every one that it recorded there are ``odds = m / (1 - m)`` such, m
-being the share that it misses. There are far more such pairs (u, v) than links, each with a percent
-or so of the departures, too few to be found one by one; but the links and the passages say how
-likely and how late each of them is, and only the odds have to be learned.
+An object that takes a link u -> a, passes the view from a to b and takes a link b -> v is seen at u
+and next at v if the camera missed the passage. For every recorded object there are ``odds = m / (1
+- m)`` such objects, m being the share of passages that the camera misses. There are far more such
+pairs (u, v) than links, each with a percent or so of the departures, which is too little to find
+them one by one. But the links and the passages give the probability and the lag of each, and only
+the odds have to be estimated.
 
-`missed` uses the same ways to publish no link that they explain.
+`links.missed_detections` uses the same paths to leave out links that they explain.
 """
 
 from __future__ import annotations
@@ -25,47 +25,54 @@ from camtopod.learn.traffic import Departures
 from camtopod.topology import UNKNOWN_STAY_SECONDS, LagBins, smoother
 
 PASSAGE_SHARE_MIN = 0.02
-"""Less likely ways through a view are not followed; nor are ..."""
+"""Smallest share of the passages from an entry zone that a path through the view must have."""
 LINK_SHARE_MIN = 0.05
-"""... next appearances of a smaller share of the departures; nor ..."""
+"""Smallest share of the departures from a zone that a leg (zone to next zone) must have."""
 WAY_SHARE_MIN = 1e-3
-"""... ways that fewer take."""
+"""Smallest share of the departures from a zone that a path over a skipped camera must have."""
 TIED_SHARE_MIN = 0.5
-"""Of a camera that ties a smaller share of its exits to entries, any entry may lead to any exit."""
+"""Share of a camera's exits that must be tied to entries; below, any entry may lead to any exit."""
 LEG_QUANTILES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+"""Quantiles of a leg's lags; the lags of a path are the sums over its two legs."""
 SPREAD_SD_BINS = 2.0
-"""The lags of a way are those of its legs at these quantiles, spread over this many bins."""
+"""Standard deviation, in lag bins, by which these lags are spread."""
 WAYS_AT_ONCE = 1024
-"""Counted together: more would take memory for all quantiles of both legs of each."""
+"""Paths worked on together: each takes memory for all pairs of quantiles of its two legs."""
 
 
 class Through(NamedTuple):
-    """Ways through views, (n,) each: zones of entry and exit, share of those who enter there, usual
-    seconds.
-    """
+    """Paths through views, (n,) each."""
 
     entry: Longs
+    """Zone of entry."""
     exit: Longs
+    """Zone of exit."""
     share: Floats
+    """Share of the objects entering there that leave at ``exit``."""
     seconds: Floats
+    """Median dwell time."""
 
 
 class Legs(NamedTuple):
-    """Next appearances that enough take, (n,) each: zones, share of the departures, lags (n,
-    quantiles) in seconds.
-    """
+    """Next appearances with a sufficient share of the departures, (n,) each."""
 
     source: Ints
+    """Zone of departure."""
     target: Ints
+    """Zone of the next appearance."""
     share: Floats
+    """Share of the departures at ``source``."""
     lag: Floats
+    """(n, quantiles) lags in seconds at `LEG_QUANTILES`."""
 
 
 def legs_of(
     share: Floats, appears: Callable[[Indices], Floats], candidates: Candidates, bins: LagBins
 ) -> Legs:
-    """``share`` (P,) of those who leave at the source of each pair of zones that appears next at
-    its target; ``appears``: of pairs (n,), by lag (n, bins).
+    """Return the legs that paths over a skipped camera may consist of.
+
+    share (P,): share of the departures at each pair's source that appear next at its target.
+    appears: function from pairs (n,) to that share by lag (n, bins).
     """
     some = np.flatnonzero(share >= LINK_SHARE_MIN)
     reached = np.cumsum(appears(some), axis=1) / share[some][:, None]
@@ -74,15 +81,21 @@ def legs_of(
 
 
 def ways_through(departures: Departures, entry: Longs, camera: Longs) -> Through:
-    """The likely ways through all views. ``entry`` (departures,): zone where the passage began, -1
-    unknown; ``camera`` (zones,).
+    """Return the likely paths through all views.
+
+    entry (departures,): zone where the passage of each departure began, -1 where unknown.
+    camera (zones,): camera of each zone.
     """
     zones, cameras, d = len(camera), int(camera.max(initial=-1)) + 1, departures
     tied = (entry >= 0) & np.isfinite(departures.since)
+
+    # Cameras that tie enough of their exits to entries.
     of_camera = np.bincount(camera[d.zone], minlength=cameras)
     ties = np.bincount(camera[d.zone], tied, minlength=cameras) >= TIED_SHARE_MIN * np.maximum(
         of_camera, 1
     )
+
+    # Paths through these views as observed, through the other views as any entry to any exit.
     key, n, seconds = _medians(entry[tied] * zones + d.zone[tied], (d.t - d.since)[tied])
     came, left = key // zones, key % zones
     share = n / np.bincount(came, n, minlength=zones)[came]
@@ -97,14 +110,17 @@ def ways_through(departures: Departures, entry: Longs, camera: Longs) -> Through
 
 
 def _any_to_any(departures: Departures, camera: Longs, wanted: NDArray[np.bool_]) -> Through:
-    """The ways through the views of the cameras ``wanted`` (cameras,) as if all who enter left
-    alike.
+    """Return paths through the views of some cameras as if the zone of entry did not matter.
+
+    wanted (cameras,): whether to include a camera.
     """
     d = departures
     timed = np.isfinite(d.since)
     where, _, stay = _medians(camera[d.zone[timed]], (d.t - d.since)[timed])
     seconds = np.full(len(wanted), UNKNOWN_STAY_SECONDS)
     seconds[where] = stay
+
+    # Shares of the exits of each camera.
     left = np.bincount(d.zone, minlength=len(camera))
     share = left / np.maximum(np.bincount(camera, left)[camera], 1.0)
     mine = np.flatnonzero(wanted[camera])
@@ -115,7 +131,7 @@ def _any_to_any(departures: Departures, camera: Longs, wanted: NDArray[np.bool_]
 
 
 def _medians(key: Longs, seconds: Floats) -> tuple[Longs, Longs, Floats]:
-    """The keys that occur, how often, and the (upper) median of their seconds."""
+    """Return the keys that occur, how often each occurs and its (upper) median of ``seconds``."""
     present, number, n = np.unique(key, return_inverse=True, return_counts=True)
     order = np.lexsort((seconds, number))
     return present.astype(np.int64), n.astype(np.int64), seconds[order][np.cumsum(n) - n + n // 2]
@@ -124,8 +140,10 @@ def _medians(key: Longs, seconds: Floats) -> tuple[Longs, Longs, Floats]:
 def skip_hazards(
     legs: Legs, candidates: Candidates, through: Through, bins: LagBins, zones: int
 ) -> tuple[Longs, Floats]:
-    """The pairs of the candidates (K,), ascending, to whose target a skipped view may have led, and
-    the hazards (K, bins) of appearing there because it was, if every second one is.
+    """Return the pairs (K,), ascending, that paths over skipped cameras join, and their hazards.
+
+    The pairs are indices into the candidates' pairs of zones. The hazards (K, bins) are those of appearing at
+    the target because a camera was skipped, at odds of 1 (if every second passage is missed).
     """
     ways = _ways(legs, through)
     pair, known = _rows(
@@ -140,8 +158,9 @@ def skip_hazards(
 def skipped_beside(
     legs: Legs, candidates: Candidates, through: Through, bins: LagBins, zones: int
 ) -> tuple[Ints, Ints, Floats]:
-    """Sources and targets (X,) of the ways over skipped views that are no pairs of the candidates,
-    and the hazards (X, bins), as `skip_hazards`.
+    """Return sources, targets (X,) and hazards (X, bins) of paths between zones without candidates.
+
+    The hazards are as of `skip_hazards`.
     """
     ways = _ways(legs, through)
     key = ways.key(legs, zones)
@@ -156,26 +175,28 @@ def skipped_beside(
 
 
 class _Ways(NamedTuple):
-    """Ways over one skipped view, (n,) each: the leg before it, the way through it, the leg after
-    it; and the share that takes it of those who leave where it begins.
-    """
+    """Paths over one skipped camera, (n,) each."""
 
     before: Indices
+    """Row of the leg to that camera."""
     through: Indices
+    """Row of the path through its view."""
     after: Indices
+    """Row of the leg from that camera."""
     taken: Floats
+    """Share of the departures at the start of the path that take it."""
 
     def key(self, legs: Legs, zones: int) -> Longs:
-        """(n,) where they begin and end: source * zones + target."""
+        """Return the key (n,) of the zones that each path joins: source * zones + target."""
         return legs.source[self.before].astype(np.int64) * zones + legs.target[self.after]
 
     def take(self, rows: NDArray[Any] | slice) -> _Ways:
-        """Some of them."""
+        """Return some of the paths."""
         return _Ways(self.before[rows], self.through[rows], self.after[rows], self.taken[rows])
 
 
 def _ways(legs: Legs, through: Through) -> _Ways:
-    """The likely ways."""
+    """Return all paths over one skipped camera with a share of at least `WAY_SHARE_MIN`."""
     before, way = joined(legs.target, through.entry)
     step, after = joined(through.exit[way], legs.source)
     before, way = before[step], way[step]
@@ -186,7 +207,10 @@ def _ways(legs: Legs, through: Through) -> _Ways:
 def _along(
     ways: _Ways, number: NDArray[np.intp], rows: int, legs: Legs, through: Through, bins: LagBins
 ) -> Floats:
-    """Hazards (rows, bins) of the ways; ``number`` (n,): the row of each."""
+    """Return the hazards (rows, bins) of the paths at odds of 1.
+
+    number (n,): row of each path in the result.
+    """
     mass = np.zeros(rows * bins.size)
     for k in range(0, len(number), WAYS_AT_ONCE):
         part = slice(k, k + WAYS_AT_ONCE)
@@ -196,10 +220,13 @@ def _along(
             + middle[:, None, None]
             + legs.lag[some.after][:, None, :]
         )
+        # Cells of the sums of all quantiles of both legs.
         at = bins.index(lag)
         cell = number[part][:, None, None] * bins.size + at
         weight = np.broadcast_to((some.taken / len(LEG_QUANTILES) ** 2)[:, None, None], lag.shape)
         np.add.at(mass, cell[at >= 0], weight[at >= 0])
+
+    # Spread over neighbouring bins, per second.
     hazard: Floats = (
         mass.reshape(-1, bins.size) @ smoother(bins.size, SPREAD_SD_BINS).T / bins.widths
     )
@@ -207,8 +234,6 @@ def _along(
 
 
 def _rows(pairs: Longs, wanted: Longs) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Rows of ``pairs`` (ascending) in which the ``wanted`` are, and whether they are there at
-    all.
-    """
+    """Return the rows of ``pairs`` (ascending) that hold the ``wanted``, and whether they do."""
     at = np.minimum(np.searchsorted(pairs, wanted), max(len(pairs) - 1, 0))
     return at, pairs[at] == wanted if len(pairs) else np.zeros(len(wanted), bool)

@@ -1,17 +1,17 @@
-"""How far what is believed of two zones may be chance.
+"""Estimate the share of a pair's transitions that is spurious.
 
-Among thousands of pairs of zones chance makes a few transitions for each. Together they would be
-many: an object that is not seen again would as a rule be foretold somewhere. One at a time they
-cannot be told from a rare way, but they are out of character. The transitions of a way that is
-taken add about as much to the likelihood as those of the site's other ways: much where few are
-under way at once and transit times are kept closely, little in a crowd. Those made by chance add
-far less. So each pair's *evidence per transition* is held against what is usual on this site, as
-far as the site's pairs are alike and so many transitions would have been enough to tell. It is no
-matter of how broad a pair's transit times are: where all are broad, that is usual.
+Among thousands of pairs of zones, chance produces a few transitions for each. In total these would
+be many: an object that is not seen again would usually be predicted to appear somewhere. A single
+spurious transition cannot be told from a rare path, but it contributes less evidence. Transitions
+of real paths on one site contribute about equally to the likelihood: much where few objects are
+under way at once and transit times are sharp, little in a crowd. Spurious transitions contribute
+far less. So each pair's *evidence per transition* is compared with the site's usual value, allowing
+for the spread among the site's pairs and for transitions that are too few to tell. The width of a
+pair's transit times does not matter in itself: where all are broad, that is usual.
 
-Where no pair of zones is beyond chance, what is usual says nothing. Whether anything is linked at
-all is asked of all pairs at once: the mean of the e-values of all the pairs that there could be is
-one, too (see `crossfit`).
+Where no pair of zones has significant evidence, the usual value has no meaning. Whether there is
+any link at all is decided from all pairs together: the mean of the e-values of all possible pairs
+is an e-value, too (see `links.cross_validation`).
 """
 
 from __future__ import annotations
@@ -23,36 +23,33 @@ from camtopod.arrays import Floats, Ints
 from camtopod.learn.links import unrelated
 
 SPREAD_MIN = 0.7
-"""Standard deviation of the log of the evidence per transition among the ways of any site, at
-least.
-"""
+"""Least standard deviation of the log of the evidence per transition among real paths."""
 NATS_TO_TELL = 3.0
-"""Where a way with so many transitions would have this much evidence, chance adds 1 to the variance
-of its log.
-"""
+"""Evidence of a pair, in nats, at which noise adds 1 to the variance of that log."""
 NORMAL_QUARTILE = 0.6745
+"""Upper quartile of the standard normal distribution."""
 CHANCE_PRIOR = 0.1
-"""How likely a pair of many transitions is one that chance made, beside a way whose evidence is the
-usual; ...
-"""
+"""Prior odds of being spurious for a pair with many transitions."""
 CHANCE_TRANSITIONS = 3.0
-"""... one of so many is twice as likely, as chance makes few of each."""
+"""Transitions at which these odds are doubled: chance makes few transitions of each pair."""
 DEPARTURES_TO_TELL = 10.0
-"""Of so many departures of a zone two in three would do to see that nothing follows them
-anywhere.
+"""Scale of the departures of a zone that suffice to see whether anything follows them: of n
+departures they suffice with probability ``1 - exp(-n / DEPARTURES_TO_TELL)``.
 """
 REAL_MIN = 0.07
-"""Share of the transitions that are real even where all speaks against it."""
+"""Least share of a pair's transitions that is taken as real, however weak the evidence."""
 
 
 def doubts(
     pair: Ints, responsibility: Floats, pairs: int, evidence: Floats, left: Floats
 ) -> Floats:
-    """Share (P,) of the transitions of each of ``pairs`` pairs of zones that may as well be chance.
+    """Return the spurious share (P,) of the transitions of each of ``pairs`` pairs of zones.
 
-    ``pair``, ``responsibility`` (M,): of the candidates; ``evidence``: in nats, of pairs of zones
-    (`cross_evidence`); ``left`` (zones,): departures. Without a transition of its own a pair is as
-    doubtful as it is whether anything is linked.
+    pair, responsibility (M,): pair of zones and responsibility of each candidate.
+    evidence (nats): evidence of the pairs of zones that have any (`cross_evidence`).
+    left (zones,): departures.
+
+    A pair without a transition of its own gets the probability that there is no link at all.
     """
     transitions: Floats = np.bincount(pair, responsibility, minlength=pairs).astype(float)
     each = unrelated(pair, responsibility, pairs) / np.maximum(transitions, 1e-300)
@@ -62,32 +59,42 @@ def doubts(
 
 
 def in_character(each: Floats, transitions: Floats) -> Floats:
-    """Probability (P,) that a pair is a way and not chance, by its evidence ``each`` transition
-    (P,), nats.
+    """Return the probability (P,) that a pair is a real path.
 
-    Half of the site's transitions have more than the usual; how far pairs differ is read off those,
-    as chance is not among them.
+    each (P,): evidence per transition, nats.
+    transitions (P,): number of transitions of each pair.
+
+    The usual evidence is the median over the site's transitions. The spread among pairs is read off
+    the upper half, as that holds no spurious ones.
     """
     if not transitions.any():
         return np.ones(len(each))
+
+    # Median and upper quartile of the evidence per transition.
     order = np.argsort(each, kind="stable")
     reached = np.cumsum(transitions[order])
     half, upper = np.searchsorted(reached, (0.5 * reached[-1], 0.75 * reached[-1]))
     usual, high = (max(float(each[order[k]]), 1e-12) for k in (half, upper))
+
+    # Likelihood of a real path: log-normal below the usual value, 1 above it.
     differ = (np.log(high / usual) / NORMAL_QUARTILE) ** 2 + SPREAD_MIN**2
     variance = differ + NATS_TO_TELL / np.maximum(usual * transitions, 1e-12)
     likely = np.exp(-0.5 * np.log(np.clip(each / usual, 1e-12, 1.0)) ** 2 / variance)
+
+    # Posterior probability, scaled to 1 at the usual value.
     chance = CHANCE_PRIOR * (1.0 + CHANCE_TRANSITIONS / np.maximum(transitions, 1e-12))
     probability: Floats = (1.0 + chance) * likely / (likely + chance)
     return probability
 
 
 def linked(evidence: Floats, left: Floats) -> float:
-    """Probability that any of the zones are linked, as likely as not beforehand: by the evidence
-    (nats) of those pairs that have any, and by the ``left`` (zones,) departures.
+    """Return the probability that the site has any link, with prior probability 1/2.
 
-    The others' e-values are 0 where departures would have been enough to find something, and 1
-    where they were not.
+    evidence (nats): evidence of the pairs of zones that have any.
+    left (zones,): departures of each zone.
+
+    The e-value of a pair without evidence is 0 if there were enough departures to find a link, and
+    1 if there were not.
     """
     every = float(len(left)) ** 2
     unknown = float(np.exp(-left / DEPARTURES_TO_TELL).mean()) * (1.0 - len(evidence) / every)
