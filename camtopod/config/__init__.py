@@ -1,4 +1,9 @@
-"""config"""
+"""Configuration files: TOML to typed settings, with the line of every mistake.
+
+`settings` holds the tables, their defaults, and `load`. It is built on `toml_tables`, which makes
+structs of tables, and `toml_lines`, which finds the lines of keys. `secret_files` reads and writes
+files that hold secrets.
+"""
 
 from __future__ import annotations
 

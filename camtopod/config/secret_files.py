@@ -1,4 +1,4 @@
-"""Files that are not for everybody: reading one, writing one, and whether others can read them."""
+"""Read and write files that hold secrets, and find those that others can read."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from collections.abc import Iterable
 from pathlib import Path
 
 BYTES_MAX = 4096
+"""Most bytes of a file that `read` looks at."""
 
 
 def read(path: Path) -> str:
-    """The first line of a file that holds one secret. Raises `OSError`, also if it is empty or not
-    text.
+    """Return the first line of a file that holds one secret.
+
+    Raises `OSError`, also if the line is empty or not UTF-8.
     """
     try:
         with path.open("rb") as file:
             line = file.read(BYTES_MAX).split(b"\n", 1)[0].strip()
     except FileNotFoundError as error:
-        unset = re.search(
-            r"\$\{?\w+\}?", str(path)
-        )  # as $CREDENTIALS_DIRECTORY outside of a service
+        # A variable may not be set, as $CREDENTIALS_DIRECTORY outside of a service.
+        unset = re.search(r"\$\{?\w+\}?", str(path))
         raise (
             error
             if unset is None
@@ -38,11 +39,14 @@ def read(path: Path) -> str:
 
 
 def write(path: Path, content: bytes, mode: int = 0o600) -> None:
-    """Whole or not at all, for its owner alone (0600) from its first byte on. Raises `OSError`.
+    """Write a file whole or not at all, readable by its owner alone from the first byte on.
 
-    With another ``mode`` it is shared, and belongs to whom its folder belongs, if this user may
-    give it away.
+    Raises `OSError`.
+
+    mode: permissions of the file. With another mode than 0600 the file is shared: it gets the owner
+        and the group of its folder, if this user may set them.
     """
+    # Write a new file beside the old one.
     new = path.with_name(f".{path.name}.new")
     new.unlink(missing_ok=True)
     fd = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
@@ -54,19 +58,20 @@ def write(path: Path, content: bytes, mode: int = 0o600) -> None:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
+
+    # Put it in the old one's place.
     os.replace(new, path)
     folder = os.open(path.parent, os.O_RDONLY)
     try:
-        os.fsync(folder)  # or the old file could be back after a power cut
+        os.fsync(folder)  # else a power cut could bring the old file back
     finally:
         os.close(folder)
 
 
 def exposed(paths: Iterable[Path]) -> list[str]:
-    """A sentence for each file that everybody on this machine can read or write, or whose group can
-    write it.
+    """Return a sentence for each file that others can read or write, or whose group can write it.
 
-    That its group can read a file is how services share it; what is not there is not exposed.
+    A group may read a file, as services share files so. Missing files are not exposed.
     """
     found = []
     for path in dict.fromkeys(paths):
@@ -77,6 +82,7 @@ def exposed(paths: Iterable[Path]) -> list[str]:
         if mode & (stat.S_IROTH | stat.S_IWOTH | stat.S_IWGRP):
             can = "read" if mode & stat.S_IROTH else "written"
             found.append(
-                f"{path} holds a secret and can be {can} by others of this machine: chmod 600 or 640"
+                f"{path} holds a secret and can be {can} by others of this machine:"
+                f" chmod 600 or 640"
             )
     return found

@@ -1,5 +1,8 @@
-"""TOML -> typed settings. Every limit of the program that somebody may set has its default and unit
-here, in `camtopod.learn.settings` and in `camtopod.vision.settings`; nowhere else.
+"""The settings of a configuration file, and reading one.
+
+Every limit that users may set has its default and its unit here, in `camtopod.learn.settings` or in
+`camtopod.vision.settings`, and nowhere else. The docstrings of fields also become the comments of
+the example configuration and the descriptions of the JSON schema.
 """
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ from camtopod.sharding import Sharding
 from camtopod.vision import VisionSettings
 
 RESERVED = ("daemon",)
-"""No camera's id: ``status/daemon`` is the daemon's."""
+"""Names that no camera may have: ``status/daemon`` is the key of the daemon's status."""
 Name = Annotated[
     str, Meta(pattern=CAMERA_PATTERN, description="1 to 64 of the characters A-Z a-z 0-9 _ . -")
 ]
@@ -40,63 +43,59 @@ Count = Annotated[int, Meta(ge=1)]
 
 
 class SiteSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """``[site]``: whose cameras these are."""
+    """``[site]``: the site that the cameras belong to."""
 
     name: Name = "site"
     """The second part of every key on the bus."""
 
 
 class TlsSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """``[bus.tls]``: who may be on the bus. Files as `camtopod keys` makes them, relative to the
-    configuration.
+    """``[bus.tls]``: access control of the bus. `camtopod keys` makes the files.
 
-    In paths, ``{camera}`` stands for the camera being grabbed, ``$NAME`` for an environment
-    variable.
+    In paths, which are relative to the configuration file, ``{camera}`` stands for the camera being
+    grabbed, and ``$NAME`` for an environment variable.
     """
 
     ca: str = ""
     """The authority's certificate; empty: everybody who reaches the bus may do everything. Paths
     are relative to this file; {camera} in them is the camera being grabbed, $NAME an environment
-    variable."""
+    variable.
+    """
     certificate: str = ""
     """This program's own certificate."""
     private_key: str = ""
-    """The certificate's key, which nobody else may read."""
+    """The key of the certificate; nobody else may be able to read it."""
     access: str = ""
-    """Who may do what (access.json of `camtopod keys`); needed by a daemon that is the meeting
-    point.
-    """
+    """Access list (access.json of `camtopod keys`), for a daemon that is the meeting point."""
 
 
 class BusSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """``[bus]``: where the programs meet; with no endpoint at all the daemon is the meeting point
-    itself.
-    """
+    """``[bus]``: where the programs meet; without endpoints the daemon is the meeting point."""
 
     connect: tuple[Endpoint, ...] = ()
-    """Endpoints to dial, e.g. ["tcp/192.168.1.5:7447"]; empty: the daemon listens, the others dial
-    it.
+    """Endpoints to connect to, e.g. ["tcp/192.168.1.5:7447"]; empty: the daemon listens, other
+    programs connect to it.
     """
     listen: tuple[Endpoint, ...] = ()
-    """Endpoints at which the daemon listens; empty: tcp/127.0.0.1:7447, or none if it dials."""
+    """Endpoints at which the daemon listens; empty: tcp/127.0.0.1:7447, or none if it connects."""
     connect_seconds: Positive = 3.0
-    """How long to try to reach the meeting point before saying that it cannot be reached."""
+    """Time to try to reach the meeting point until an error is reported."""
     query_seconds: Positive = 2.0
-    """How long to wait for the answer to a query."""
+    """Time to wait for the answer to a query."""
     message_bytes_max: Count = 16 * 1024 * 1024
-    """Larger messages are refused; a daemon that is the meeting point takes 1 to 2 MiB, but for
-    shard 0.
+    """Maximum size of a message; larger ones are refused. A daemon that is the meeting point takes
+    1 to 2 MiB, except shard 0, which takes this much.
     """
     tls: TlsSettings = TlsSettings()
     """See [bus.tls]."""
 
 
 class StateSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """``[state]``: what survives a restart."""
+    """``[state]``: files that survive a restart."""
 
     directory: str = ""
-    """Where journal and spools live; empty: $STATE_DIRECTORY, else ~/.local/state/camtopod
-    (XDG).
+    """Directory of the journal and the spools; empty: $STATE_DIRECTORY, else
+    ~/.local/state/camtopod (XDG).
     """
 
 
@@ -104,15 +103,15 @@ class KeepSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """``[keep]``: how much of the past the daemon keeps on disk."""
 
     journal_days: Positive = 30.0
-    """Received events, for recovery and for the record; older ones are forgotten ..."""
+    """Days that received events are kept, for recovery and for the record."""
     journal_bytes_max: Count = 2 * 1024**3
-    """... and the oldest ones when the database is larger than this."""
+    """Maximum size of the journal's database; beyond it the oldest events are deleted."""
     history_days: Positive = 90.0
-    """Old versions of the topology, which can be asked for ..."""
+    """Days that old versions of the topology are kept, which can be queried."""
     history_bytes_max: Count = 256 * 1024**2
-    """... compressed; the oldest are forgotten beyond this."""
+    """Maximum size of the old versions, compressed; beyond it the oldest are deleted."""
     snapshot_events: Count = 20_000
-    """The learner's state is saved after this many events, and after every version."""
+    """Number of events after which the learner's state is saved; also after every version."""
 
 
 class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -122,76 +121,83 @@ class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """An rtsp:// URL, a video file or a device number."""
     source_file: str = ""
     """Instead of source: a file whose first line is the source, so that no password stands here; a
-    path as in [bus.tls], for example $CREDENTIALS_DIRECTORY/lobby."""
+    path as in [bus.tls], e.g. $CREDENTIALS_DIRECTORY/lobby.
+    """
     start: float = 0.0
     """A file only: time of its first frame, seconds since the Unix epoch."""
     realtime: bool = False
-    """A file only: played at its own pace, not as fast as it decodes."""
+    """A file only: play it at its own speed, not as fast as it decodes."""
     speed: Positive = 1.0
-    """A file only, with realtime: this many times its own pace."""
+    """A file only, with realtime: play it at this many times its own speed."""
 
 
 class Limits(Struct, frozen=True, forbid_unknown_fields=True):
-    """``[limits]``: bounds of everything that waits, is kept, or is repeated."""
+    """``[limits]``: bounds of all queues, stores and intervals."""
 
     future_seconds_max: Positive = 60.0
-    """Events stamped further ahead of this machine's clock are set aside, not learned; those less
-    far ahead wait.
+    """Events stamped further ahead of this machine's clock are stored but not learned; those less
+    far ahead wait until their time.
     """
     inbox_events_max: Count = 50_000
-    """Received and not yet stored; beyond it events are dropped here and pulled from the spool
-    later.
+    """Maximum number of events received and not yet stored; further ones are dropped, and pulled
+    from the spool later.
     """
     inbox_camera_events_max: Count = 5_000
-    """The same of one camera, so that one that floods leaves room for the others."""
+    """The same for one camera, so that a flooding camera leaves room for the others."""
     camera_events_per_second_max: Count = 200
-    """Events of one camera within a second of event time; what is more is counted and not
-    learned.
+    """Maximum number of events of one camera within a second of event time; further ones are
+    counted, not learned.
     """
     cameras_max: Count = 1_000
-    """Events of further cameras are refused, until one has been silent for an hour."""
+    """Maximum number of cameras; events of further ones are refused until one is silent for an
+    hour.
+    """
     commit_events_max: Count = 2_000
-    """Events a transaction of the journal."""
+    """Maximum number of events in one transaction of the journal."""
     commit_seconds: float = 0.02
-    """How long a transaction waits for more events, which their predictions do not; raise it on an
+    """Time that a transaction waits for more events; predictions do not wait for it. Raise it on an
     SD card (0.05).
     """
     learn_events_max: Count = 2_000_000
-    """Stored and not yet learned, nearly all of them in the journal alone; beyond it storing
-    waits.
+    """Maximum number of events stored and not yet learned, nearly all of them only in the journal;
+    beyond it storing waits.
     """
     held_events_max: Count = 5_000
-    """Events of one camera held back behind a gap; beyond it they are dropped and pulled later."""
+    """Maximum number of events of one camera that wait behind a gap; further ones are dropped and
+    pulled later.
+    """
     streams_max: Count = 20_000
-    """(camera, boot) pairs followed at a time, at most 16 of a camera; beyond, those not heard for
-    longest give way.
+    """Maximum number of streams, that is (camera, boot) pairs, at most 16 of one camera; beyond it
+    those without events for longest are no longer followed.
     """
     gap_seconds: Positive = 5.0
-    """A gap that no spool can fill is given up after this long."""
+    """Time until a gap that no spool can fill is given up."""
     pull_seconds: Positive = 1.0
-    """How often each grabber's spool is asked for what is missing."""
+    """Interval at which each grabber's spool is asked for missing events."""
     pull_events_max: Count = 1_000
-    """Events an answer of a spool."""
+    """Maximum number of events in one answer of a spool."""
     ack_seconds: Positive = 0.2
-    """How often what is stored is acknowledged."""
+    """Interval of acknowledgements."""
     status_seconds: Positive = 1.0
-    """How often the status is published."""
+    """Interval of the published status."""
     settle_seconds: Positive = 10.0
     """When no event has come for this long, event time follows the clock at this distance."""
     spool_events_max: Count = 1_000_000
-    """Events a grabber keeps for a daemon that is away; beyond it the oldest are dropped and
-    counted.
+    """Maximum number of events that a grabber keeps while the daemon is away; beyond it the oldest
+    are dropped and counted.
     """
     spool_bytes_max: Count = 256 * 1024 * 1024
-    """The same in bytes of its file; a transaction more, and 1 MiB of log, may be on the disk."""
+    """The same limit for the size of the spool's file; a transaction more, and 1 MiB of log, may be
+    on the disk.
+    """
     spool_kept_events: Annotated[int, Meta(ge=0)] = 10_000
-    """Acknowledged events that a grabber keeps, for a daemon whose journal was damaged."""
+    """Number of acknowledged events that a grabber keeps, in case the journal is damaged."""
     spool_batch_events: Count = 500
-    """Events a transaction of a spool when many come at once."""
+    """Number of events in one transaction of a spool when many come at once."""
 
 
 class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """``[health]``: when a program that still runs counts as dead, and who is told."""
+    """``[health]``: when a running program counts as stalled, and who can ask."""
 
     listen: Annotated[
         str,
@@ -200,31 +206,32 @@ class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
             description="an address and a port, like 127.0.0.1:8787",
         ),
     ] = ""
-    """Where the daemon answers GET /healthz and /readyz, e.g. "127.0.0.1:8787"; empty: nowhere."""
+    """Address at which the daemon answers GET /healthz and /readyz, e.g. "127.0.0.1:8787"; empty:
+    nowhere.
+    """
     stall_seconds: Positive = 30.0
-    """A loop of the daemon, the page's server or the bridge that has not got on for this long makes
-    it unhealthy: systemd starts it again.
+    """A loop of the daemon, the page's server or the bridge without progress for this long makes
+    the program unhealthy, and systemd restarts it.
     """
     learn_seconds: Positive = 900.0
-    """The same for a step of the learner (fitting anew takes long on a small machine) and for the
-    start.
+    """The same for a step of the learner (a refit takes long on a small machine) and for the start.
     """
     hung_seconds: Positive = 30.0
-    """A camera's process that has not got on for this long is killed and started again."""
+    """A camera's process without progress for this long is killed and restarted."""
     start_seconds: Positive = 60.0
-    """How long a camera's process may take to be there; loading OpenCV takes a while on a small
+    """Time that a camera's process may take to start; loading OpenCV takes a while on a small
     machine.
     """
     restart_seconds_min: Positive = 1.0
-    """First wait before a camera's process is started again; doubles up to the largest."""
+    """First wait before a camera's process is restarted; it doubles up to restart_seconds_max."""
     restart_seconds_max: Positive = 60.0
-    """Largest wait before a camera's process is started again; one that ran for this long waits
-    least.
+    """Largest wait before a camera's process is restarted; after a run of this length the first
+    wait is used again.
     """
 
 
 class Config(Struct, frozen=True):
-    """A whole configuration; what the file does not say has its default."""
+    """A whole configuration; settings that the file does not have keep their defaults."""
 
     site: SiteSettings = SiteSettings()
     bus: BusSettings = BusSettings()
@@ -239,7 +246,7 @@ class Config(Struct, frozen=True):
 
     @property
     def state_directory(self) -> Path:
-        """Where journal and spools live."""
+        """Directory of the journal and the spools."""
         if self.state.directory:
             return Path(self.state.directory).expanduser()
         if systemd := os.environ.get("STATE_DIRECTORY"):
@@ -249,7 +256,7 @@ class Config(Struct, frozen=True):
 
     @property
     def listens(self) -> tuple[Endpoint, ...]:
-        """The endpoints at which the daemon listens; empty if it only dials."""
+        """Endpoints at which the daemon listens; empty if it only connects to others."""
         default = (
             f"tls/{DEFAULT_ENDPOINT.partition('/')[2]}" if self.bus.tls.ca else DEFAULT_ENDPOINT
         )
@@ -257,11 +264,11 @@ class Config(Struct, frozen=True):
 
     @property
     def dials(self) -> tuple[Endpoint, ...]:
-        """The endpoints which everything but the daemon dials."""
+        """Endpoints to which all programs but the daemon connect."""
         return self.bus.connect or tuple(_from_here(endpoint) for endpoint in self.listens)
 
     def secrets(self, path: Path) -> list[Path]:
-        """The files that hold secrets, when this configuration was read from ``path``."""
+        """Return the files that hold secrets, if this configuration was read from ``path``."""
         files = [Path(camera.source_file) for camera in self.cameras.values() if camera.source_file]
         if any(redact.holds_secret(camera.source) for camera in self.cameras.values()):
             files.append(path)
@@ -270,10 +277,10 @@ class Config(Struct, frozen=True):
         return files + [Path(key) for key in keys if key]
 
     def for_camera(self, camera: str) -> Config:
-        """What the process that grabs ``camera`` needs: its own certificate, and its source read
-        from its file.
+        """Return the configuration of the process that grabs ``camera``.
 
-        Raises `OSError` if the file cannot be read.
+        It has the camera's certificate, and the source that was read from its file. Raises
+        `OSError` if that cannot be read.
         """
         cameras = self.cameras
         if camera in cameras and cameras[camera].source_file:
@@ -284,7 +291,7 @@ class Config(Struct, frozen=True):
         return replace(self.certified(camera), cameras=cameras)
 
     def certified(self, camera: str) -> Config:
-        """With the certificate of ``camera``, for who speaks for it on the bus."""
+        """Return the configuration with the certificate of ``camera``, for its publisher."""
         tls = _with_paths(self.bus.tls, lambda path: path.replace("{camera}", camera))
         return replace(self, bus=replace(self.bus, tls=tls))
 
@@ -301,11 +308,11 @@ TABLES: dict[str, type[Struct]] = {
     "health": HealthSettings,
     "shards": Sharding,
 }
-"""The tables with fixed keys; ``[cameras.ID]`` is the other one."""
+"""The tables with fixed keys; all others are ``[cameras.ID]``."""
 
 
 class ConfigError(Exception):
-    """The configuration is wrong; ``str()`` is one ``file:line: what`` per mistake."""
+    """The configuration is wrong; ``str()`` has one ``file:line: problem`` for each mistake."""
 
     def __init__(self, path: str, problems: list[Problem]) -> None:
         self.problems = sorted(set(problems))
@@ -315,10 +322,11 @@ class ConfigError(Exception):
 
 
 def load(path: Path, raw: bytes | None = None) -> Config:
-    """Read a configuration file. Raises `ConfigError` with every mistake, `OSError` if it cannot be
-    read.
+    """Read a configuration file.
 
-    ``raw``: what was in the file when it was read before.
+    Raises `ConfigError` with every mistake, and `OSError` if the file cannot be read.
+
+    raw: content of the file, if it was read before.
     """
     if raw is None:
         raw = path.read_bytes()
@@ -331,9 +339,7 @@ def load(path: Path, raw: bytes | None = None) -> Config:
 
 
 def parse(text: str, name: str = "configuration") -> Config:
-    """The configuration that ``text`` says. Raises `ConfigError`, in which the file is called
-    ``name``.
-    """
+    """Return the configuration in ``text``; raise `ConfigError`, which calls the file ``name``."""
     data, text, problems = syntax(text.replace("\r\n", "\n"))
     reader = _Reader(TABLES, toml_lines.key_lines(text), missing_matters=not problems)
     config = reader.config(data)
@@ -344,7 +350,7 @@ def parse(text: str, name: str = "configuration") -> Config:
 
 
 class _Reader(TableReader):
-    """Builds the settings from what tomllib read."""
+    """Builds the settings from the tables that tomllib read."""
 
     def config(self, data: dict[str, Any]) -> Config:
         known = [*TABLES, "cameras"]
@@ -366,16 +372,21 @@ class _Reader(TableReader):
         cameras = {}
         for camera in data:
             path = ("cameras", camera)
+
+            # The id.
             if not re.match(CAMERA_PATTERN, camera):
                 self.say(
                     path,
-                    f"cameras.{camera}: a camera's id is 1 to 64 of the characters A-Z a-z 0-9 _ . -",
+                    f"cameras.{camera}: a camera's id is 1 to 64 of the characters"
+                    f" A-Z a-z 0-9 _ . -",
                 )
             if camera in RESERVED:
                 self.say(
                     path,
                     f"cameras.{camera}: this name is taken on the bus; call the camera otherwise",
                 )
+
+            # The source: either of the two keys, and hidden in all messages.
             given = data[camera]
             if isinstance(given, dict) and isinstance(given.get("source"), str):
                 redact.remember(given["source"])
@@ -394,7 +405,7 @@ class _Reader(TableReader):
         return cameras
 
     def _check_bus(self, bus: Struct | None) -> None:
-        """TLS is whole or not at all, and then there is nothing beside it."""
+        """Check that all files of TLS are given or none, and that with TLS all endpoints use it."""
         assert isinstance(bus, BusSettings)
         tls = bus.tls
         if tls == TlsSettings():
@@ -420,7 +431,10 @@ class _Reader(TableReader):
 
 
 def _from(folder: Path, config: Config) -> Config:
-    """Paths relative to ``folder``, with the environment's variables in them."""
+    """Return the configuration with absolute paths, environment variables filled in.
+
+    folder: the folder to which relative paths are relative.
+    """
 
     def located(path: str) -> str:
         return str(folder.absolute() / os.path.expandvars(path)) if path else ""
@@ -440,5 +454,5 @@ def _with_paths(tls: TlsSettings, change: Callable[[str], str]) -> TlsSettings:
 
 
 def _from_here(endpoint: Endpoint) -> Endpoint:
-    """An endpoint listened at on every interface, as this machine dials it."""
+    """Return the address at which this machine reaches an endpoint on all interfaces."""
     return endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")

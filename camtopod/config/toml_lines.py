@@ -1,4 +1,4 @@
-"""Which line each key of a TOML document stands on; the standard library's parser does not say."""
+"""Find the line of each key of a TOML document; the standard library's parser does not tell."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 import tomllib
 
 Path = tuple[str | int, ...]
-"""Keys from the root; an element of an array (or of an array of tables) is its index."""
+"""Keys from the root; the key of an array's element (or of a table in an array) is its index."""
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _BLANK = re.compile(r"(?:[ \t\r\n]+|#[^\n]*)*")
@@ -20,20 +20,22 @@ _SCALAR = re.compile(r"[^,\]}\n#]*")
 
 
 def key_lines(text: str) -> dict[Path, int]:
-    """Line (from 1) of every key, table and array element of a *valid* TOML document, by path.
+    """Return the line (from 1) of every key, table and array element of a valid TOML document.
 
-    A table's line is its first mention's. For invalid documents the answer is unspecified, but it
-    ends.
+    The line of a table is that of its first mention. For an invalid document the result is
+    unspecified, but the function ends.
     """
     return _Scanner(text).document()
 
 
 class _Scanner:
+    """A scanner that steps through a TOML document and notes lines, without reading values."""
+
     def __init__(self, text: str) -> None:
         self._text = text
         self._at = 0
         self._lines: dict[Path, int] = {}
-        self._arrays: dict[Path, int] = {}  # arrays of tables -> index of the newest element
+        self._arrays: dict[Path, int] = {}  # arrays of tables -> index of the last element so far
 
     def document(self) -> dict[Path, int]:
         table: Path = ()
@@ -53,6 +55,7 @@ class _Scanner:
         return self._lines
 
     def _pair(self, table: Path) -> None:
+        """Step over ``key = value``."""
         key = table
         for part in self._key():
             key = (*key, part)
@@ -63,6 +66,8 @@ class _Scanner:
 
     def _value(self, path: Path) -> None:
         self._skip_blank()
+
+        # An array.
         if self._take("["):
             index = 0
             while self._skip_blank() and not self._take("]"):
@@ -71,6 +76,8 @@ class _Scanner:
                 self._skip_blank()
                 self._take(",")
                 index += 1
+
+        # An inline table.
         elif self._take("{"):
             while self._skip_blank() and not self._take("}"):
                 start = self._at
@@ -79,6 +86,8 @@ class _Scanner:
                 self._take(",")
                 if self._at == start:
                     return
+
+        # A number, a date or a boolean.
         elif not self._string():
             match = _SCALAR.match(self._text, self._at)
             assert match is not None  # it matches the empty text too
@@ -101,7 +110,7 @@ class _Scanner:
                 return parts
 
     def _resolve(self, key: list[str]) -> Path:
-        """A header's path; inside an array of tables it goes on in the newest element."""
+        """Return the path of a table header; in an array of tables, that of its last element."""
         path: Path = ()
         for part in key:
             path = (*path, part)
@@ -118,11 +127,13 @@ class _Scanner:
         return element
 
     def _mark(self, path: Path) -> None:
+        """Note the present line for ``path``, and for the tables around it without one."""
         line = self._text.count("\n", 0, self._at) + 1
         for end in range(1, len(path) + 1):
             self._lines.setdefault(path[:end], line)
 
     def _string(self) -> bool:
+        """Step over a string if one comes next; return whether it did."""
         for pattern in _STRINGS:
             if match := pattern.match(self._text, self._at):
                 self._at = match.end()
@@ -130,13 +141,14 @@ class _Scanner:
         return False
 
     def _skip_blank(self) -> bool:
-        """Step over white space and comments; False at the end."""
+        """Step over white space and comments; return False at the end."""
         match = _BLANK.match(self._text, self._at)
         assert match is not None  # it matches the empty text too
         self._at = match.end()
         return self._at < len(self._text)
 
     def _take(self, token: str) -> bool:
+        """Step over ``token`` if it comes next; return whether it did."""
         if self._text.startswith(token, self._at):
             self._at += len(token)
             return True

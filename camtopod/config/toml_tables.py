@@ -1,4 +1,4 @@
-"""TOML -> structs, collecting every mistake with its line instead of stopping at the first."""
+"""Make structs of TOML, collecting all mistakes with their lines, not only the first."""
 
 from __future__ import annotations
 
@@ -14,30 +14,39 @@ from msgspec import Meta, Struct
 from camtopod.config import toml_lines
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+"""Endpoint of a daemon that the configuration gives none."""
 ENDPOINT_PATTERN = r"^(tcp|udp|tls|quic|ws|unixsock-stream|vsock|serial)/\S+\Z"
+"""Regular expression of an endpoint of zenoh: protocol/address."""
 Endpoint = Annotated[str, Meta(pattern=ENDPOINT_PATTERN)]
 FLOAT_MAX = 9e9
-"""No system waits for longer, in seconds; and a time before the year 2255."""
+"""Largest number that a setting may have.
+
+No operating system waits for longer, in seconds, and as a time it is in 2255.
+"""
 _SYNTAX_ERRORS_MAX = 20
+"""Syntax errors after which `syntax` stops."""
 _T = TypeVar("_T", bound=Struct)
 
 
 class Problem(NamedTuple):
-    """One mistake and the line (from 1) it is on."""
+    """A mistake, and the line (from 1) it is on."""
 
     line: int
     what: str
 
 
 def syntax(text: str) -> tuple[dict[str, Any], str, list[Problem]]:
-    """Parse; after a mistake in a ``key = value`` line go on without that line, to find the others
-    too.
+    """Parse TOML; return the tables, the text that could be parsed, and the syntax errors.
+
+    A line ``key = value`` with a mistake is left out and parsing continues, to find further
+    mistakes.
     """
     problems: list[Problem] = []
     while len(problems) < _SYNTAX_ERRORS_MAX:
         try:
             return tomllib.loads(text), text, problems
         except tomllib.TOMLDecodeError as error:
+            # Note the mistake and its line; stop if parsing does not get past it.
             match = re.search(r"(.*) \(at (?:line (\d+)|end of document)", str(error))
             lines = text.split("\n")
             number = int(match[2]) if match and match[2] else len(text.rstrip("\n").split("\n"))
@@ -47,13 +56,20 @@ def syntax(text: str) -> tuple[dict[str, Any], str, list[Problem]]:
             problems.append(problem)
             if match is None or not match[2] or not re.match(r"\s*[^\[#=]+=", lines[number - 1]):
                 break
+
+            # Try again without the line.
             lines[number - 1] = ""
             text = "\n".join(lines)
     return {}, "", problems
 
 
 class TableReader:
-    """Builds structs from the tables that tomllib read. ``tables``: dotted name -> struct."""
+    """Builds structs from the tables that tomllib read.
+
+    tables: struct of each table, by its dotted name.
+    lines: line of each key, as of `toml_lines.key_lines`.
+    missing_matters: report required keys that are missing; not useful where lines were left out.
+    """
 
     def __init__(
         self,
@@ -67,14 +83,18 @@ class TableReader:
         self._missing_matters = missing_matters
 
     def table(self, kind: type[_T], parent: dict[str, Any], path: tuple[str, ...]) -> _T | None:
-        """The struct at ``path``, with the default for each mistake; None if a required key is
-        missing.
+        """Return the struct at ``path``, mistakes replaced by defaults; None without a required
+        key.
         """
         title = ".".join(path)
+
+        # It has to be a table.
         data = parent.get(path[-1], {})
         if not isinstance(data, dict):
             self.say(path, f"{title}: expected a table [{title}]")
             return None if any(field.required for field in msgspec.structs.fields(kind)) else kind()
+
+        # Convert each key.
         fields = {field.name: field for field in msgspec.structs.fields(kind)}
         values: dict[str, Any] = {}
         for key, value in data.items():
@@ -87,6 +107,8 @@ class TableReader:
                 values[key] = self.table(nested, data, (*path, key))
             elif (converted := self._value(fields[key], value, (*path, key))) is not None:
                 values[key] = converted
+
+        # Look for required keys.
         for field in fields.values():
             if field.required and field.name not in data and self._missing_matters:
                 self.say(path, f"{title}: {field.name} is missing")
@@ -95,14 +117,18 @@ class TableReader:
         return kind(**values)
 
     def _value(self, field: msgspec.structs.FieldInfo, value: Any, path: toml_lines.Path) -> Any:
-        """``value`` as the field's type, or None after saying why not; each element of an array by
-        itself.
+        """Return ``value`` as the field's type, or report why it does not fit and return None.
+
+        Each endpoint of an array is checked by itself.
         """
         title = ".".join(str(part) for part in path[:3])
         if field.type == tuple[Endpoint, ...] and isinstance(value, list):
             for index, endpoint in enumerate(value):
                 if not is_endpoint(endpoint):
-                    what = f"{title}: {endpoint!r} is not an endpoint; write it like {DEFAULT_ENDPOINT!r}"
+                    what = (
+                        f"{title}: {endpoint!r} is not an endpoint;"
+                        f" write it like {DEFAULT_ENDPOINT!r}"
+                    )
                     self.say((*path, index), what)
             return tuple(value)
         try:
@@ -111,13 +137,14 @@ class TableReader:
         except ValueError as error:
             self.say(
                 path,
-                f"{title}: {_in_words(field) if 'matching regex' in str(error) else _sentence(str(error))}",
+                f"{title}: "
+                f"{_in_words(field) if 'matching regex' in str(error) else _sentence(str(error))}",
             )
             return None
         return converted
 
     def say(self, path: toml_lines.Path, what: str) -> None:
-        """A mistake at ``path``, or where its nearest table begins."""
+        """Report a mistake at ``path``, or at the nearest table around it that has a line."""
         while path and path not in self._lines:
             path = path[:-1]
         self.problems.append(Problem(self._lines.get(path, 1), what))
@@ -132,7 +159,7 @@ class TableReader:
 
 
 def is_endpoint(value: object) -> bool:
-    """Whether ``value`` looks like an endpoint of zenoh: protocol/address."""
+    """Return True if ``value`` looks like an endpoint of zenoh: protocol/address."""
     return isinstance(value, str) and re.match(ENDPOINT_PATTERN, value) is not None
 
 
@@ -148,19 +175,19 @@ def _check_number(value: Any, default: Any) -> None:
 
 
 def _in_words(field: msgspec.structs.FieldInfo) -> str:
-    """What the field's pattern asks for, which is told better than shown."""
+    """Return the field's pattern in words, which are easier to read than the pattern."""
     metas = getattr(field.type, "__metadata__", ())
     return f"expected {next(meta.description for meta in metas if meta.description)}"
 
 
 def did_you_mean(key: str, known: list[str]) -> str:
-    """The second half of a sentence about a key that does not exist."""
+    """Return the second half of a sentence about a key that does not exist."""
     close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
     return f"; did you mean {close[0]!r}?" if close else f"; known are {', '.join(known)}"
 
 
 def _sentence(message: str) -> str:
-    """A message of msgspec or tomllib as the second half of a sentence, in TOML's words."""
+    """Return a message of msgspec or tomllib as the second half of a sentence, in TOML's words."""
     message = re.sub(r" - at `\$.*", "", message)
     words = {
         "`float`": "a number",
