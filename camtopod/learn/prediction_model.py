@@ -1,4 +1,4 @@
-"""The posterior -> what prediction needs, as the topology carries it."""
+"""Convert the posterior into the model that prediction reads from the topology."""
 
 from __future__ import annotations
 
@@ -29,16 +29,17 @@ from camtopod.records import (
 from camtopod.topology import LagBins, in_steps, offset_bins, short
 
 OUTCOMES_PER_ZONE_MAX = 24
-"""Zones where objects leaving one zone may appear next, the likeliest first."""
+"""Zones listed as the next appearance of objects leaving one zone, the likeliest first."""
 ENTRY_KERNELS_PER_ZONE_MAX = 16
+"""Entry kernels listed for one zone of entry, those with the most mass first."""
 SHARE_MIN = 1e-4
+"""Smaller shares and smaller kernels are left out."""
 CONTEXT_DEPARTURES_MIN = 0.5
-"""Contexts of fewer sure departures are left out; so are their transitions below
-`CONTEXT_TRANSITIONS_MIN`.
-"""
+"""Contexts with fewer certain departures are left out."""
 CONTEXT_TRANSITIONS_MIN = 0.05
+"""Fewer certain transitions of a context are left out."""
 SHARE_FLOOR = 1e-3
-"""Of what is measured against a share that has changed since, at least this much counts."""
+"""Lower bound on a share in the window when a changed share is divided by it."""
 
 
 def model_of(
@@ -51,7 +52,13 @@ def model_of(
     clocks_corrected: bool,
     overlapping: Sequence[Overlapping] = (),
 ) -> Model:
-    """Everything beside the links that prediction reads."""
+    """Return the part of the topology, beside the links, that prediction reads.
+
+    posterior: None where nothing has left or arrived yet.
+    changes: links whose share has changed within the window.
+    clocks_corrected: whether the links' transit times are in corrected time.
+    overlapping: views that overlap.
+    """
     ids = [zone_id(cameras, zone) for zone in scene.zones]
     zones = sorted(_zone_models(ids, scene, posterior), key=lambda zone: zone.zone)
     model = Model(
@@ -77,7 +84,7 @@ def model_of(
 
 
 def _pace(ids: list[str], scene: Scene, persistence: Persistence) -> Pace | None:
-    """How fast somebody was says how long it will take; None where it does not."""
+    """Return how an object's slowness persists; None where it tells nothing about the next view."""
     if persistence.scaling <= 0.0:
         return None
     p = scene.passages
@@ -88,7 +95,7 @@ def _pace(ids: list[str], scene: Scene, persistence: Persistence) -> Pace | None
 
 
 def _zone_models(ids: list[str], scene: Scene, posterior: Posterior | None) -> list[ZoneModel]:
-    """Rates of arrivals from outside, and how long passages last."""
+    """Return each zone's unexplained arrival rate and the deciles of its dwell times."""
     d = scene.departures
     span = max(scene.last - scene.first, 1.0)
     zones = []
@@ -106,7 +113,7 @@ def _zone_models(ids: list[str], scene: Scene, posterior: Posterior | None) -> l
 
 
 def _camera_models(cameras: list[str], window: Window) -> list[CameraModel]:
-    """Shares of all events, and when each camera was last heard."""
+    """Return each camera's share of all events and the time of its last event."""
     camera = window.column("camera").astype(np.int64)
     share = np.bincount(camera, minlength=len(cameras)) / max(len(camera), 1)
     last = np.zeros(len(cameras))
@@ -120,7 +127,7 @@ def _camera_models(cameras: list[str], window: Window) -> list[CameraModel]:
 
 
 def _presently(posterior: Posterior, changes: list[Change]) -> Floats:
-    """Factor (P,) from a pair's share in the window to its share now."""
+    """Return the factor (P,) from each pair's share in the window to its present share."""
     c = posterior.fit.candidates
     after = {(change.source, change.target): change.after for change in changes}
     factor = np.ones(len(c.source))
@@ -193,13 +200,15 @@ def _contexts(
     }
     result = []
     for name, level in zip(LEVELS, posterior.levels, strict=True):
-        # A context of delayed departures is the same as that of their originals: transitions of
-        # both count.
+        # Delayed copies of departures (`long_paths`) share the context of their originals;
+        # transitions of both count.
         counted: dict[tuple[int, int, int], tuple[float, float, dict[str, float]]] = {}
         for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
             first, block = (int(part) for part in level.parts[k])
             if name == "previous" and first >= len(cameras):
-                continue  # the camera before is known by a long way only, as a virtual view
+                continue  # a virtual view: the previous camera is known by a long path only
+
+            # Transitions, scaled to the departures of the originals and to present shares.
             zone, row = int(level.zone[k]), slice(level.first[k], level.first[k + 1])
             sure = float(level.departures[k])
             original, departures, to = counted.get((zone, first, block), (sure, sure, {}))

@@ -33,7 +33,7 @@ WAY_SHARE_MIN = 1e-3
 TIED_SHARE_MIN = 0.5
 """Share of a camera's exits that must be tied to entries; below, any entry may lead to any exit."""
 LEG_QUANTILES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
-"""Quantiles of a leg's lags; the lags of a path are the sums over its two legs."""
+"""Quantiles of a leg's lags. A path's lags are the sums over both legs, plus the dwell time."""
 SPREAD_SD_BINS = 2.0
 """Standard deviation, in lag bins, by which these lags are spread."""
 WAYS_AT_ONCE = 1024
@@ -114,6 +114,7 @@ def _any_to_any(departures: Departures, camera: Longs, wanted: NDArray[np.bool_]
 
     wanted (cameras,): whether to include a camera.
     """
+    # Median dwell time of each camera.
     d = departures
     timed = np.isfinite(d.since)
     where, _, stay = _medians(camera[d.zone[timed]], (d.t - d.since)[timed])
@@ -142,8 +143,9 @@ def skip_hazards(
 ) -> tuple[Longs, Floats]:
     """Return the pairs (K,), ascending, that paths over skipped cameras join, and their hazards.
 
-    The pairs are indices into the candidates' pairs of zones. The hazards (K, bins) are those of appearing at
-    the target because a camera was skipped, at odds of 1 (if every second passage is missed).
+    The pairs are indices into the candidates' pairs of zones. The hazards (K, bins) are those of
+    appearing at the target because a camera was skipped, at odds of 1 (if every second passage is
+    missed).
     """
     ways = _ways(legs, through)
     pair, known = _rows(
@@ -175,7 +177,7 @@ def skipped_beside(
 
 
 class _Ways(NamedTuple):
-    """Paths over one skipped camera, (n,) each."""
+    """Paths over one skipped camera, (n,) each: a leg, a path through a view, and a leg."""
 
     before: Indices
     """Row of the leg to that camera."""

@@ -46,8 +46,8 @@ def doubts(
     """Return the spurious share (P,) of the transitions of each of ``pairs`` pairs of zones.
 
     pair, responsibility (M,): pair of zones and responsibility of each candidate.
-    evidence (nats): evidence of the pairs of zones that have any (`cross_evidence`).
-    left (zones,): departures.
+    evidence (pairs with any, nats): evidence for a link (`cross_evidence`).
+    left (zones,): departures of each zone.
 
     A pair without a transition of its own gets the probability that there is no link at all.
     """
@@ -90,7 +90,7 @@ def in_character(each: Floats, transitions: Floats) -> Floats:
 def linked(evidence: Floats, left: Floats) -> float:
     """Return the probability that the site has any link, with prior probability 1/2.
 
-    evidence (nats): evidence of the pairs of zones that have any.
+    evidence (pairs with any, nats): evidence for a link.
     left (zones,): departures of each zone.
 
     The e-value of a pair without evidence is 0 if there were enough departures to find a link, and
