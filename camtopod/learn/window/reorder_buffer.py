@@ -1,17 +1,14 @@
-"""Reorder buffer with a watermark: whatever the order of arrival, the rest of the learner sees
-events by time.
+"""Reorder buffer with a watermark: the learner gets events ordered by time.
 
-Theory of operation. The watermark trails event time by the lateness. An event at or above the
-watermark is held until the watermark has passed it; one below is late: counted, not learned. So any
-order of arrival within the lateness gives the same sequence out. Event time is where a second
-camera has come to, so that a single one whose clock is ahead makes nobody else late; but it is at
-most ``apart`` behind the first, so that silent cameras hold nobody up. A camera whose events are
-mostly late, but by no more than ``apart``, has a clock that is behind: from then on it is waited
-for. An event with (camera, boot, seq) counts once however often it comes.
+An event at or above the watermark is held until the watermark has passed it. An event below it is
+late: it is counted, but not learned. So the output does not depend on the order in which events are
+received, as long as none is later than the lateness allows. `camtopod.event_time` defines event
+time and watermark. An event with the same (camera, boot, seq) as an earlier one is a duplicate and
+counts once.
 
-What is held is limited: of each camera and tick of event time the newest events count, up to a rate
-that nothing that is seen by a camera has. Which these are does not depend on the order of arrival
-either.
+Memory is limited: for each camera and tick of event time, only the newest events count, up to a
+rate (`EVENTS_PER_SECOND_MAX`) that no real view reaches. These do not depend on the order in which
+events are received either.
 """
 
 from __future__ import annotations
@@ -26,26 +23,25 @@ from camtopod.event_time import Behind, EventTime, EventTimeState, microseconds
 from camtopod.records import Event
 
 BOOTS_PER_CAMERA_MAX = 16
-"""Incarnations of one publisher that are remembered; the oldest is forgotten."""
+"""Boots (runs of the publisher) remembered for each camera; beyond, the oldest is forgotten."""
 GAPS_PER_BOOT_MAX = 1024
-"""Gaps in one incarnation's count that are remembered; beyond, the oldest gap counts as
-delivered.
-"""
+"""Ranges of sequence numbers remembered per boot; beyond, the oldest gap counts as received."""
 
 EVENTS_PER_SECOND_MAX = 50.0
-"""Events that are learned from in a tick of event time, by camera and second: of more, the newest
-of the tick.
-"""
+"""Limit of the events learned per camera and tick, per second of the tick; the newest count."""
 TICK_EVENTS_MIN = 1000
-"""So many are in any case, however short the tick is."""
+"""Least limit of the events learned per camera and tick, however short the tick is."""
 
 
 _Key = tuple[int, str, str, float, float, str, str, int]
+"""Sort key of an event: time (microseconds), camera, kind, x, y, track, boot, seq."""
 
 
 class IntakeState(Struct):
-    """What an `Intake` knows. ``seen``: (camera, boot, starts, ends) of every `Sequence`;
-    ``newest``: see `Intake`.
+    """The saved state of an `Intake`.
+
+    seen: (camera, boot, starts, ends) of every `Sequence`.
+    newest: `Intake.newest_of`.
     """
 
     newest_us: int | None
@@ -62,18 +58,21 @@ class IntakeState(Struct):
 
 
 class Sequence:
-    """Which numbers of one incarnation have been seen: disjoint ranges, merged as gaps fill."""
+    """The sequence numbers received of one boot: disjoint ranges, merged as gaps are filled."""
 
     def __init__(self) -> None:
         self.starts: list[int] = []
         self.ends: list[int] = []  # inclusive
 
     def add(self, seq: int) -> bool:
-        """Note ``seq``; False when it had been seen before."""
+        """Add ``seq``; return False if it had been received before."""
+        # The range that starts at or before it.
         starts, ends = self.starts, self.ends
         k = bisect_right(starts, seq) - 1
         if k >= 0 and seq <= ends[k]:
             return False
+
+        # Extend the neighbouring ranges, or insert a new one.
         joins_left = k >= 0 and ends[k] == seq - 1
         joins_right = k + 1 < len(starts) and starts[k + 1] == seq + 1
         if joins_left and joins_right:
@@ -86,6 +85,8 @@ class Sequence:
         else:
             starts.insert(k + 1, seq)
             ends.insert(k + 1, seq)
+
+        # Close the oldest gap if there are too many.
         if len(starts) > GAPS_PER_BOOT_MAX:
             starts.pop(1)
             ends.pop(0)
@@ -93,7 +94,12 @@ class Sequence:
 
 
 class Intake:
-    """Events in any order in, events by time out."""
+    """Accepts events in any order and returns them ordered by time.
+
+    lateness_seconds, clocks_apart_seconds: see `EventTime`.
+    cameras_max: events of further cameras are refused.
+    tick_seconds: length of a tick of event time.
+    """
 
     def __init__(
         self,
@@ -103,38 +109,41 @@ class Intake:
         tick_seconds: float = 60.0,
     ) -> None:
         self.time = EventTime(lateness_seconds, clocks_apart_seconds)
-        """How far event time has come."""
+        """Event time and watermark."""
         self._tick_us = microseconds(tick_seconds)
         self._tick_events_max = max(int(EVENTS_PER_SECOND_MAX * tick_seconds), TICK_EVENTS_MIN)
         self.cameras_max = cameras_max
         self.counts = {"accepted": 0, "duplicate": 0, "late": 0, "refused": 0}
         self.surplus = 0
-        """Events of those accepted that are not learned from, see `EVENTS_PER_SECOND_MAX`."""
-        self._held: dict[tuple[int, str], list[Event]] = {}  # by tick and camera
-        self._oldest_us: int | None = None  # of those held
+        """Accepted events that are not learned because of `EVENTS_PER_SECOND_MAX`."""
+        # Held events by tick and camera, and the time of the oldest.
+        self._held: dict[tuple[int, str], list[Event]] = {}
+        self._oldest_us: int | None = None
+        # Received sequence numbers by camera and boot.
         self._seen: dict[str, dict[str, Sequence]] = {}
         self.newest_of: dict[str, int] = {}
-        """Time of the newest event of each camera, late ones included, in microseconds; the camera
-        that has been heard of last comes last.
+        """Time of the newest event of each camera in microseconds, late events included.
+
+        The camera of the last received event is at the end.
         """
 
     @property
     def newest_us(self) -> int | None:
-        """The newest event time there has been."""
+        """Time of the newest event, see `EventTime`."""
         return self.time.newest_us
 
     @property
     def watermark_us(self) -> int | None:
-        """Nothing older will be learned any more; None before the first event."""
+        """Events older than this are late; None before the first event."""
         return self.time.watermark_us
 
     @property
     def lateness_us(self) -> int:
-        """By how much the watermark trails event time."""
+        """By how much the watermark trails event time, in microseconds."""
         return self.time.lateness_us
 
     def save(self) -> IntakeState:
-        """Everything `load` needs to go on from here."""
+        """Return the state from which `load` continues."""
         seen = [
             (camera, boot, sequence.starts, sequence.ends)
             for camera, boots in self._seen.items()
@@ -156,7 +165,7 @@ class Intake:
         )
 
     def load(self, state: IntakeState) -> None:
-        """Go on from there."""
+        """Continue from a saved state; this buffer must be new."""
         self.time.load(
             EventTimeState(
                 state.newest_us, state.second_us, state.leader, state.watermark_us, state.behind
@@ -172,21 +181,28 @@ class Intake:
         self.newest_of = state.newest
 
     def receive(self, event: Event) -> str:
-        """Take one event; the verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too
-        many cameras)."""
+        """Receive one event and return the verdict.
+
+        It is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many cameras).
+        """
         verdict = self._judge(event)
         self.counts[verdict] += 1
         return verdict
 
     def has_place(self, camera: str) -> bool:
-        """Whether an event of the camera would not be refused."""
+        """Return True if the camera is known or there is room for one more."""
         return camera in self._seen or len(self._seen) < self.cameras_max
 
     def _judge(self, event: Event) -> str:
+        """Return the verdict on an event, and hold it if it is accepted."""
         if not self.has_place(event.camera):
             return "refused"
+
+        # The camera has been active.
         boots, t_us = self._seen.setdefault(event.camera, {}), microseconds(event.t)
         self.newest_of[event.camera] = max(t_us, self.newest_of.pop(event.camera, t_us))
+
+        # Was the event received before?
         if event.boot is not None and event.seq is not None:
             sequence = boots.get(event.boot)
             if sequence is None:
@@ -195,34 +211,38 @@ class Intake:
                     del boots[next(iter(boots))]
             if not sequence.add(event.seq):
                 return "duplicate"
+
+        # Is it too late?
         if not self.time.note(t_us, event.camera):
             return "late"
         self._hold(event, t_us)
         return "accepted"
 
     def advance(self, now_us: int) -> None:
-        """Event time has come to ``now`` although no event says so."""
+        """Advance event time to ``now_us`` without an event."""
         self.time.advance(now_us)
 
     @property
     def cameras(self) -> list[str]:
-        """Cameras that have a place."""
+        """Names of the known cameras."""
         return list(self._seen)
 
     def held_of(self) -> set[str]:
-        """Cameras of which events wait for the watermark."""
+        """Return the cameras that have held events."""
         return {camera for _, camera in self._held}
 
     def forget(self, names: Set[str]) -> None:
-        """Forget these cameras, but for their events that wait for the watermark."""
+        """Forget these cameras, except for their held events."""
         for known in (self._seen, self.newest_of):
             for name in names & known.keys():
                 del known[name]
         self.time.forget(names)
 
     def take(self, until_us: int) -> list[tuple[int, Event]]:
-        """Remove and return the held events with time <= ``until_us`` as (microseconds, event), in
-        canonical order."""
+        """Remove and return the held events with time <= ``until_us``.
+
+        They come as (microseconds, event) in canonical order.
+        """
         held = [event for waiting in self._held.values() for event in self._newest(waiting)]
         self._held, self._oldest_us = {}, None
         due = []
@@ -235,17 +255,17 @@ class Intake:
         return _in_order(due)
 
     def _hold(self, event: Event, t_us: int) -> None:
+        """Hold an event until the watermark has passed it."""
         key = -(-t_us // self._tick_us), event.camera
         waiting = self._held.setdefault(key, [])
         waiting.append(event)
-        if (
-            4 * len(waiting) > 5 * self._tick_events_max
-        ):  # a few more than count, as sorting takes its time
+        # Sort only once a quarter more events are held than count.
+        if 4 * len(waiting) > 5 * self._tick_events_max:
             self._held[key] = self._newest(waiting)
         self._oldest_us = t_us if self._oldest_us is None else min(self._oldest_us, t_us)
 
     def _newest(self, waiting: list[Event]) -> list[Event]:
-        """Those of one camera and tick that count."""
+        """Return those of the held events of one camera and tick that count."""
         if len(waiting) <= self._tick_events_max:
             return waiting
         self.surplus += len(waiting) - self._tick_events_max
@@ -256,19 +276,17 @@ class Intake:
 
     @property
     def oldest_held_us(self) -> int | None:
-        """Time of the oldest event still held."""
+        """Time of the oldest held event in microseconds."""
         return self._oldest_us
 
     @property
     def held(self) -> int:
-        """Number of events waiting for the watermark."""
+        """Number of held events."""
         return sum(map(len, self._held.values()))
 
 
 def _in_order(timed: list[tuple[int, Event]]) -> list[tuple[int, Event]]:
-    """Events with their times (microseconds) in canonical order; whole keys are made only of those
-    at one time.
-    """
+    """Sort (microseconds, event) into canonical order, in place; full keys only for equal times."""
     timed.sort(key=itemgetter(0))
     first = 0
     for k in range(1, len(timed) + 1):
@@ -280,8 +298,10 @@ def _in_order(timed: list[tuple[int, Event]]) -> list[tuple[int, Event]]:
 
 
 def _order(event: Event) -> _Key:
-    """Total order of events: by time, then by everything else, so that ties do not depend on the
-    order of arrival."""
+    """Return an event's key in the canonical order: its time, then everything else.
+
+    So the order of events at the same time does not depend on that in which they are received.
+    """
     x, y = (-1.0, -1.0) if event.x is None or event.y is None else (event.x, event.y)
     seq = -1 if event.seq is None else event.seq
     track = "" if event.track is None else f"={event.track}"

@@ -1,10 +1,10 @@
-"""Sliding window of event time: the events that count, and integer sums over them that are undone
-exactly.
+"""Sliding window of event time: the events that are learned from, and integer sums over them.
 
-Rows are kept by column, oldest first; a row's absolute number changes with `forget_camera` and
-`forget_cameras` only, so a passage (an exit and the entry that began it) is one number in the
-column ``mate``. Positions are fixed point and summed per grid cell and camera, so a zone's mean and
-covariance are exact whatever has come and gone.
+Events are rows, stored by column, oldest first. A row's absolute number is its index plus the
+number of rows removed so far; it changes only in `forget_camera` and `forget_cameras`. So a passage
+is stored as one number, the absolute row of the entry, in the column ``mate`` of the exit.
+Positions are in fixed point and summed per camera and grid cell; integer sums can be subtracted
+exactly, so a zone's mean and covariance do not depend on events that have left the window.
 """
 
 from __future__ import annotations
@@ -24,15 +24,18 @@ from camtopod.records import Event
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 OPEN_PASSAGES_MAX = 100_000
-"""Entries whose exit has not come, over all cameras; beyond, the oldest is forgotten."""
+"""Entries of all cameras that wait for the exit of their track; beyond, the oldest is forgotten."""
 FLOOD_SHARE, FLOOD_CAMERAS_MIN = 0.75, 3
-"""A camera floods that has more than this share of a full window, where there are at least so many
-cameras.
+"""A camera floods the window if it has more than this share of a full one.
+
+This applies to sites of at least so many cameras.
 """
 NO_CELL = -1
+"""In place of a coordinate or a cell for events without position."""
 NO_MATE = -1
+"""In place of the row of the entry for exits without one."""
 GONE = -1
-"""In place of the index of a camera that is forgotten."""
+"""In place of the new index of a camera that has been forgotten."""
 
 _COLUMNS = {
     "t": np.int64,
@@ -45,8 +48,9 @@ _COLUMNS = {
 
 
 class WindowState(Struct):
-    """What a `Window` knows; its sums follow from the rows. ``open``: (camera, track, row) of
-    passages under way.
+    """The saved state of a `Window`, whose sums follow from the rows.
+
+    open: (camera, track, absolute row of the entry) of passages that have not ended.
     """
 
     base: int
@@ -57,24 +61,32 @@ class WindowState(Struct):
 
 
 class Window:
-    """The events of the last hours by column, and per camera the sums of `CellSums` over them."""
+    """The events of the last hours by column, and the sums over them by camera and grid cell.
+
+    events_max: limit of the size of the window, in events.
+    events, camera_events: the size is ``events``, or ``camera_events`` for each camera if that is
+        more, up to the limit; ``events`` None: the limit.
+    """
 
     def __init__(self, events_max: int, events: int | None = None, camera_events: int = 0) -> None:
         self._events_max, self._camera_events = events_max, camera_events
         self._events = events_max if events is None else events
         self.cameras: list[str] = []
         self.base = 0
+        """Absolute number of the first row."""
         self.sums = GridSums()
         self.unplaced: list[NDArray[np.int64]] = []
+        """For each camera the numbers of entries and of exits without position in the window."""
         self.seen: list[int] = []
-        """Events with positions of each camera that have ever come in."""
+        """Events with positions of each camera that have ever been added."""
         self._index: dict[str, int] = {}
-        self._open: dict[
-            tuple[int, str], int
-        ] = {}  # (camera, track): row, by row; all in the window
+        # Absolute row of the entry of each passage that has not ended, by (camera, track).
+        # Ascending by row; all rows are in the window.
+        self._open: dict[tuple[int, str], int] = {}
         self._columns: dict[str, NDArray[Any]] = {
             name: np.zeros(1024, dtype) for name, dtype in _COLUMNS.items()
         }
+        # The rows of the window within the columns.
         self._start = 0
         self._stop = 0
 
@@ -83,17 +95,17 @@ class Window:
 
     @property
     def events_max(self) -> int:
-        """Events that it holds."""
+        """Size of the window in events."""
         return min(self._events_max, max(self._events, self._camera_events * len(self.cameras)))
 
     def save(self) -> WindowState:
-        """Everything `load` needs to go on from here."""
+        """Return the state from which `load` continues."""
         passages = [(camera, track, row) for (camera, track), row in self._open.items()]
         columns = {name: self.column(name).copy() for name in _COLUMNS}
         return WindowState(self.base, list(self.cameras), list(self.seen), passages, columns)
 
     def load(self, state: WindowState) -> None:
-        """Go on from there; this window must be new."""
+        """Continue from a saved state; this window must be new."""
         for name in state.cameras:
             self._camera(name)
         self.base = state.base
@@ -105,15 +117,16 @@ class Window:
         self.seen = list(state.seen)
 
     def column(self, name: str) -> NDArray[Any]:
-        """One column, oldest row first; a view, not to be written to."""
+        """Return one column, oldest row first, as a view that must not be written to."""
         return self._columns[name][self._start : self._stop]
 
     def camera_index(self, camera: str) -> int | None:
-        """Index of a camera that has been seen, else None."""
+        """Return the index of a camera, or None if it has had no event."""
         return self._index.get(camera)
 
     def append(self, batch: list[tuple[int, Event]]) -> None:
-        """Add events, which must not be older than those already here."""
+        """Add events (microseconds, event) in order; none may be older than those already here."""
+        # Compute the columns of the new rows.
         n = len(batch)
         self._room(n)
         rows = slice(self._stop, self._stop + n)
@@ -128,16 +141,16 @@ class Window:
             "mate": [self._mate(camera[k], event, first + k) for k, (_, event) in enumerate(batch)],
         }
 
+        # Store them.
         for name, values in fresh.items():
             self._columns[name][rows] = values
         self._stop += n
         self._count(rows, 1)
 
     def forget(self, before_us: int) -> int:
-        """Drop what is older than ``before_us`` or beyond the size of the window; returns the
-        number of rows.
+        """Remove events older than ``before_us`` or beyond the window's size; return their number.
 
-        Of what is beyond, a camera that floods loses its own oldest, not everybody's.
+        If a camera floods the window, its own oldest events are removed first, not those of all.
         """
         old = int(np.searchsorted(self.column("t"), before_us))
         self._forget_oldest(old)
@@ -146,6 +159,7 @@ class Window:
         return old + beyond
 
     def _forget_oldest(self, drop: int) -> None:
+        """Remove the oldest ``drop`` rows."""
         if drop > 0:
             self._count(slice(self._start, self._start + drop), -1)
             self._start += drop
@@ -158,7 +172,7 @@ class Window:
                 del self._open[key]
 
     def _forget_flood(self, most: int) -> int:
-        """Drop up to ``most`` of the oldest rows of a camera that floods; returns how many."""
+        """Remove up to ``most`` of the oldest rows of a flooding camera; return their number."""
         if most == 0 or len(self.cameras) < FLOOD_CAMERAS_MIN:
             return 0
         count = np.bincount(self.column("camera"))
@@ -170,10 +184,9 @@ class Window:
         return self.forget_camera(camera, self.base + int(rows[surplus - 1]) + 1)
 
     def forget_camera(self, camera: int, before: int) -> int:
-        """Drop the camera's rows older than row number ``before`` (absolute), whatever their age;
-        returns how many.
+        """Remove the camera's rows before the absolute row ``before``; return their number.
 
-        The rows that stay move up, so their numbers change; passages are renumbered with them.
+        The absolute numbers of the remaining rows change, and those of passages with them.
         """
         gone = np.zeros(len(self), np.bool_)
         gone[: max(before - self.base, 0)] = True
@@ -181,19 +194,25 @@ class Window:
         return self._drop(gone)
 
     def forget_cameras(self, names: Set[str]) -> NDArray[np.int64]:
-        """Forget these cameras and their events. The others are numbered anew: returns the new
-        index of each camera by its old one, `GONE` for those that are forgotten.
+        """Forget these cameras and their events, and renumber the others.
+
+        Return the new index of each camera by its old one, `GONE` for the forgotten ones.
         """
+        # Remove the events.
         kept = np.array([name not in names for name in self.cameras], np.bool_)
         number = np.where(kept, np.cumsum(kept) - 1, GONE)
         gone = ~kept[self.column("camera")]
         if gone.any():
             self._drop(gone)
+
+        # Renumber the cameras of the other events.
         rows = slice(self._start, self._stop)
         self._columns["camera"][rows] = number[self._columns["camera"][rows]]
         self._open = {
             (int(number[camera]), track): row for (camera, track), row in self._open.items()
         }
+
+        # Remove the cameras.
         stay = np.flatnonzero(kept).tolist()
         self.sums.keep(stay)
         self.unplaced, self.seen = (
@@ -205,9 +224,11 @@ class Window:
         return number
 
     def _drop(self, gone: NDArray[np.bool_]) -> int:
-        """Drop these rows (n,), whatever their age; returns how many."""
+        """Remove the rows of the mask ``gone`` (n,), of any age; return their number."""
         drop = int(gone.sum())
         self._count(np.flatnonzero(gone) + self._start, -1)
+
+        # Renumber passages: absolute row of each remaining row after the removal.
         number = np.where(gone, NO_MATE, self.base + drop + np.cumsum(~gone) - 1)
         mate = self.column("mate")
         renumbered = np.where(mate >= self.base, number[np.maximum(mate - self.base, 0)], mate)
@@ -217,6 +238,8 @@ class Window:
             for key, row in self._open.items()
             if not gone[row - self.base]
         }
+
+        # Move the remaining rows together, to the end.
         for column in self._columns.values():
             column[self._start + drop : self._stop] = column[self._start : self._stop][~gone]
         self._start += drop
@@ -224,26 +247,27 @@ class Window:
         return drop
 
     def cell_sums(self, camera: int) -> CellSums:
-        """The sums over one camera's events that have positions, each (rows, columns)."""
+        """Return the sums over one camera's events that have positions, each (rows, columns)."""
         return CellSums(*self.sums[camera][:6])
 
     def rows_of_cameras(self) -> list[NDArray[np.intp]]:
-        """Rows of each camera, oldest first; for now: appending and forgetting renumber them."""
+        """Return the row indices of each camera, oldest first; valid until the window changes."""
         return rows_of(self.column("camera"), len(self.cameras))
 
     def events_of_cameras(self) -> NDArray[np.int64]:
-        """Events of each camera in the window, (cameras,)."""
+        """Return the number of events of each camera in the window (cameras,)."""
         return np.bincount(self.column("camera"), minlength=len(self.cameras))
 
     def cameras_present(self) -> set[str]:
-        """Cameras with events in the window."""
+        """Return the names of the cameras with events in the window."""
         return {self.cameras[camera] for camera in np.flatnonzero(self.events_of_cameras())}
 
     def placed(self, camera: int) -> int:
-        """Events of the camera in the window that have positions."""
+        """Return the number of the camera's events in the window that have positions."""
         return self.sums.count(camera)
 
     def _camera(self, name: str) -> int:
+        """Return the index of a camera, which is added if it is new."""
         index = self._index.get(name)
         if index is None:
             index = self._index[name] = len(self.cameras)
@@ -254,6 +278,7 @@ class Window:
         return index
 
     def _mate(self, camera: int, event: Event, row: int) -> int:
+        """Return the absolute row of the entry that an exit ends; remember an entry, at ``row``."""
         if event.track is None:
             return NO_MATE
         key = (camera, str(event.track))
@@ -266,26 +291,29 @@ class Window:
         return NO_MATE
 
     def _count(self, rows: slice | NDArray[np.intp], sign: int) -> None:
-        """Add (+1) or take back (-1) rows to the sums of their cameras."""
+        """Add rows to the sums of their cameras (``sign`` +1) or subtract them (-1)."""
+        # Find the cell of each event, and the events of each camera.
         camera, entry = self._columns["camera"][rows], self._columns["entry"][rows]
         px, py = (self._columns[name][rows].astype(np.int64) for name in ("px", "py"))
         cell = cells_of(px, py)
         order = np.argsort(camera, kind="stable")
         present, first = np.unique(camera[order], return_index=True)
+
         for index, here in zip(present.tolist(), np.split(order, first)[1:], strict=True):
+            # Events with positions count by cell.
             placed = here[cell[here] >= 0]
             at, x, y = cell[placed], px[placed], py[placed]
             if len(at):
                 values = np.stack((np.ones_like(x), x, y, x * x, x * y, y * y, entry[placed]))
                 self.sums.add(index, at, sign * values)
             self.seen[index] += len(at) if sign > 0 else 0
+
+            # The others count as entries and exits.
             came = int(entry[here].sum()) - int(entry[placed].sum())
             self.unplaced[index] += sign * np.array([came, len(here) - len(placed) - came])
 
     def _room(self, n: int) -> None:
-        """Make room for ``n`` more rows at the end, moving the rows to the front of larger columns
-        if need be.
-        """
+        """Make room for ``n`` more rows at the end, in larger columns if needed."""
         size = len(self._columns["t"])
         if self._stop + n <= size:
             return
@@ -299,12 +327,12 @@ class Window:
 
 
 def _fixed_point(value: float | None, other: float | None) -> int:
-    """One coordinate of a position; `NO_CELL` if either is missing."""
+    """Return the coordinate ``value`` in fixed point; `NO_CELL` if it or the other is missing."""
     return NO_CELL if value is None or other is None else round(value * POSITION_ONE)
 
 
 def cells_of(px: NDArray[np.int64], py: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Flat grid cell (row * columns + column) of fixed-point positions; -1 where there is none."""
+    """Return the flat grid cell (row * columns + column) of fixed-point positions, -1 for none."""
     column = np.minimum(px * GRID_COLUMNS // POSITION_ONE, GRID_COLUMNS - 1)
     row = np.minimum(py * GRID_ROWS // POSITION_ONE, GRID_ROWS - 1)
     return np.where(px < 0, NO_CELL, row * GRID_COLUMNS + column)
