@@ -523,7 +523,7 @@ def test_who_is_not_let_in(keys: Keys, guarded: RealDaemon, cleanup: contextlib.
             reason,
             status(observer)["refused"],
         )
-        wanted = f"not let onto the bus: {reason}"
+        wanted = f"connection to the bus was refused: {reason}"
         wait_for(
             lambda wanted=wanted: any(wanted in line for line in guarded.said),
             f"it to be said: {reason}",

@@ -176,7 +176,7 @@ def test_a_name_that_fits_the_bus_but_no_certificate(authority: Authority) -> No
 
 
 def test_other_mistakes(authority: Authority, tmp_path: Path) -> None:
-    with pytest.raises(KeysError, match="neither a host's name nor an address"):
+    with pytest.raises(KeysError, match="neither a host name nor an address"):
         authority.issue("daemon", "daemon", 10, replace=True, hosts=["tls/hub:7447"])
     with pytest.raises(KeysError, match="the authority itself ends"):
         authority.issue("camera", "late", 8000)
@@ -564,7 +564,7 @@ def test_a_plain_endpoint_beside_certificates_is_said(tmp_path: Path) -> None:
         ),
         ('[bus]\nlisten = ["tcp/[::]:7447"]', "ANYBODY ON THE NETWORK"),
         ('[bus]\nlisten = ["tls/hub.example:7447"]', "ANYBODY ON THE NETWORK"),
-        ('[bus]\nconnect = ["tcp/hub:7447"]', "whoever reaches the bus at tcp/hub:7447"),
+        ('[bus]\nconnect = ["tcp/hub:7447"]', "any program that reaches the bus at tcp/hub:7447"),
         ('[bus.tls]\nca = "a"\ncertificate = "b"\nprivate_key = "c"\naccess = "d"', None),
     ],
 )
@@ -590,7 +590,7 @@ def test_the_access_list_is_checked(tmp_path: Path, authority: Authority) -> Non
         '[bus.tls]\nca = "a"\ncertificate = "b"\nprivate_key = "c"\naccess = "access.json"\n'
     )
     for content, why in (
-        (None, "cannot read who may do what"),
+        (None, "cannot read the access list"),
         (b"{}", "no access list"),
         (msgspec.json.encode(authority.access), "is for site hq, but this is site site"),
     ):

@@ -1,7 +1,7 @@
-"""Who is let onto the bus: the settings for it, what is open, and who came.
+"""Access to the bus: zenoh's security settings, the access list, and who has connected.
 
-The daemon that is the meeting point enforces `camtopod.keys.rules`; with a router of its own, that
-one does.
+The rules are those of `camtopod.keys.rules`. The daemon enforces them if it listens itself; with a
+separate router, the router does.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from camtopod.serve.runtime import Clock
 log = logging.getLogger(__name__)
 
 STRANGERS_NAMED_MAX = 100
-"""Names of certificates without rights that are said in the log, each once."""
+"""Most certificates without rights that are named in the log; each is named once."""
 
 
 class AccessError(OSError):
@@ -28,8 +28,11 @@ class AccessError(OSError):
 def settings(
     config: Config, mode: str, access: rules.Access | None = None, shared: bool = False
 ) -> rules.Settings:
-    """Everything that a session of zenoh is told, except the endpoints. ``shared``: as
-    `camtopod.serve.bus.session.meet`.
+    """Return the settings of a zenoh session, without its endpoints.
+
+    mode: "router" for the daemon that listens, otherwise "client".
+    access: the access list to enforce, in a router only.
+    shared: as in `camtopod.serve.bus.session.meet`.
     """
     values = rules.quiet(mode)
     tls = config.bus.tls
@@ -37,7 +40,8 @@ def settings(
         values |= rules.mutual_tls(tls.ca, tls.certificate, tls.private_key)
     largest = config.bus.message_bytes_max
     if mode == "router":
-        if not shared:  # it receives no topology nor parts of one, so nothing large
+        # Without other shards it receives no topology and no parts of one: nothing large.
+        if not shared:
             largest = min(largest, rules.spool_bytes_max(config.limits.pull_events_max))
         values |= rules.sizes(config.site.name, config.limits.pull_events_max) | rules.priorities(
             config.site.name
@@ -49,40 +53,44 @@ def settings(
 
 
 def read_access(config: Config, clock: Clock) -> rules.Access | None:
-    """Who may do what, None if everybody may do everything. Warns of what expires soon. Raises
-    `AccessError`.
+    """Return the access list, or None without authentication, where everything is allowed.
+
+    Logs a warning for each certificate that has expired or expires soon. Raises `AccessError`.
     """
     path = config.bus.tls.access
     if not config.bus.tls.ca:
         return None
+
+    # Read the list.
     try:
         access = rules.read_access(Path(path).read_bytes())
     except OSError as error:
-        raise AccessError(f"cannot read who may do what, {path}: {error.strerror}") from None
+        raise AccessError(f"cannot read the access list {path}: {error.strerror}") from None
     except ValueError as error:
         raise AccessError(f"{path} is no access list of `camtopod keys`: {error}") from None
     if access.site != config.site.name:
         raise AccessError(f"{path} is for site {access.site}, but this is site {config.site.name}")
+
+    # Warn of certificates that end.
     for certificate, days in rules.expiring(access, clock()):
         when = f"expires in {days:.0f} days" if days > 0 else f"expired {-days:.0f} days ago"
         log.warning(
-            "the certificate of %s %s: `camtopod keys` makes another", certificate.name, when
+            "the certificate of %s %s: make another with `camtopod keys`", certificate.name, when
         )
     return access
 
 
 def boxes(config: Config) -> dict[str, str]:
-    """By camera the certificate under which it is published; none without authentication. Raises
-    `AccessError`.
+    """Return, by camera, the name of the certificate under which its events are published.
+
+    Empty without authentication. Raises `AccessError`.
     """
     if not config.bus.tls.access:
         return {}
     try:
         access = rules.read_access(Path(config.bus.tls.access).read_bytes())
     except (OSError, ValueError) as error:
-        raise AccessError(
-            f"cannot read who may do what, {config.bus.tls.access}: {error}"
-        ) from None
+        raise AccessError(f"cannot read the access list {config.bus.tls.access}: {error}") from None
     return {
         camera: certificate.name
         for certificate in access.certificates
@@ -92,7 +100,7 @@ def boxes(config: Config) -> dict[str, str]:
 
 
 def check_files(config: Config) -> None:
-    """A missing certificate or key is said by its name. Raises `AccessError`."""
+    """Raise `AccessError` if a file of [bus.tls] cannot be read, with its path."""
     tls = config.bus.tls
     if not tls.ca:
         return
@@ -105,25 +113,27 @@ def check_files(config: Config) -> None:
 
 
 def openness(config: Config) -> str | None:
-    """What is open to whom without authentication, and what to do about it; None with
-    authentication.
-    """
+    """Return a warning of what is open to whom, and what to do; None with authentication."""
     if config.bus.tls.ca:
         return None
     what = "write events, read everything learned and answer in the daemon's place"
     cure = "`camtopod keys init` and [bus.tls] close it, see README, 'Security'"
     if not config.listens:
         return (
-            f"no [bus.tls]: whoever reaches the bus at {', '.join(config.dials)} can {what}; {cure}"
+            f"no [bus.tls]: any program that reaches the bus at {', '.join(config.dials)} "
+            f"can {what}; {cure}"
         )
     if beyond := [endpoint for endpoint in config.listens if not is_local(endpoint)]:
         where = ", ".join(beyond)
-        return f"ANYBODY ON THE NETWORK who reaches {where} can {what}: there is no authentication; {cure}"
+        return (
+            f"ANYBODY ON THE NETWORK who reaches {where} can {what}: "
+            f"there is no authentication; {cure}"
+        )
     return f"no authentication: every program of this machine can {what}; {cure}"
 
 
 def is_local(endpoint: str) -> bool:
-    """Whether only this machine can reach an endpoint."""
+    """Return True if an endpoint can be reached from this machine only."""
     protocol, _, rest = endpoint.partition("/")
     if protocol in ("unixsock-stream", "vsock", "serial"):
         return True
@@ -137,7 +147,7 @@ def is_local(endpoint: str) -> bool:
 
 
 class Doorkeeper:
-    """Notes which certificates are on the bus; one without rights is counted, and said once."""
+    """Count the connections of certificates without rights, and log each such certificate once."""
 
     def __init__(self, access: rules.Access | None) -> None:
         self._known = (
@@ -146,10 +156,10 @@ class Doorkeeper:
         self._mutex = threading.Lock()
         self._said: set[str | None] = set()
         self.strangers = 0
-        """Links of certificates of the authority which the access list does not have (any more)."""
+        """Connections whose certificate is of the site's authority, but not on the access list."""
 
     def came(self, name: str | None, address: str) -> None:
-        """A link was added; from a thread of the bus."""
+        """Take note of a new connection. Called from a thread of the bus."""
         if self._known is None or name in self._known:
             return
         with self._mutex:

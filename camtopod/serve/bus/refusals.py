@@ -1,5 +1,7 @@
-"""Who was not let in, and what was not let through: zenoh says so in its log only, which it writes
-to standard output; so read it from there.
+"""Count and log who was refused by zenoh, and which messages were dropped.
+
+Zenoh reports refusals only in its log, which it writes to standard output, so the log is read from
+there.
 """
 
 from __future__ import annotations
@@ -20,22 +22,27 @@ log = logging.getLogger(__name__)
 FILTER = (
     "zenoh_link_tls=warn,zenoh::net::routing::interceptor=trace,zenoh::net::primitives::demux=trace"
 )
-"""What of zenoh's log is wanted; the environment variable RUST_LOG asks for more. Of what access
-control decides there is no less than everything: a line a message. The last of them writes no
-lines: it has each say whose message it is.
+"""The parts of zenoh's log that are needed; the environment variable RUST_LOG can ask for more.
+
+The decisions of access control are logged at level trace only, a line for each message. ``demux``
+writes no lines of its own: it adds the session of the sender to the others.
 """
 FILTER_OF_STRANGERS = f"{FILTER},zenoh_transport::unicast::universal::rx=trace"
-"""The same, and what is too large to be put together from its pieces. Of that, too, there is no
-less than everything: each message with its bytes, 6 us of a processor (for 150 bytes). So it is for
-where somebody is kept out.
+"""`FILTER`, and messages that are too large to be reassembled from their fragments.
+
+These, too, are logged at level trace only, where every message is logged with its bytes: 6 us of
+CPU time for a message of 150 bytes. So this filter is used only with authentication.
 """
 SAY_SECONDS = 60.0
-"""Each reason is said at most this often."""
+"""Shortest time between two log lines for the same reason, in seconds."""
 LINE_BYTES_MAX = 4096
+"""Longest part of a log line that is read, in bytes."""
 _REASONS = {
     "no-certificate": r"peer sent no certificates",
     "expired": r"invalid peer certificate: .*(expired|Expired|not valid yet|NotValidYet)",
-    "wrong-authority": r"invalid peer certificate: .*(UnknownIssuer|BadSignature|CaUsedAsEndEntity)",
+    "wrong-authority": (
+        r"invalid peer certificate: .*(UnknownIssuer|BadSignature|CaUsedAsEndEntity)"
+    ),
     "bad-certificate": r"invalid peer certificate|received fatal alert|signature",
     "not-tls": r"corrupt message|InvalidContentType|InvalidMessage",
 }
@@ -49,14 +56,16 @@ _DECISION = re.compile(
     r" is (un)?authorized to ([\w/ ]+) \((\w+)\) on (\S+)"
 )
 _REHEARSAL, _REHEARSED = "caching permissions for", 9
-"""Of a key that is declared access control decides beforehand what of all kinds of messages would
-be allowed, a line each; when one comes it says so anew, without the name.
+"""The line that announces cached decisions, and the number of lines that follow for one key.
+
+When a key is declared, access control decides in advance about all kinds of messages on it, and
+logs a line for each. A message on that key is then logged again, without the certificate's name.
 """
 _MARKED = re.compile(r"Overwriting QoS for .*priority: (\w+)")
 _LIMITS = {priority.replace("_", ""): limit for priority, limit in rules.MARKS.items()}
-"""By the priority's name as zenoh writes it, in small letters."""
+"""Size limits of `rules.MARKS`, by the priority's name as zenoh writes it, in lower case."""
 NAMES_MAX = 10_000
-"""Sessions of which it is remembered whose they are."""
+"""Most sessions whose certificate is remembered; beyond it all are forgotten."""
 _LINK = re.compile(r"zenoh_link_tls\S*: (.*)")
 _RECEIVED, _TOO_LARGE = b"unicast::universal::rx", b"Defragmentation buffer full"
 _BUFFER = re.compile(r"buffer full: (\d+) bytes\. Capacity: (\d+)")
@@ -64,42 +73,50 @@ _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 class Refusals:
-    """Counts by reason; one for the process, as zenoh's log is."""
+    """Counts of refusals by reason. There is one for the process, as there is one log of zenoh."""
 
     def __init__(self) -> None:
         self.counts: collections.Counter[str] = collections.Counter()
         self._said: dict[str, float] = {}
-        self._denied: set[str] = set()  # threads of zenoh's whose message in hand is not allowed
-        self._rehearsing: dict[
-            str, int
-        ] = {}  # by thread the decisions to come that are of no message
-        self._keys: dict[str, str] = {}  # by thread the key of the message that was decided on last
-        self._marked: dict[
-            str, tuple[str, str, int]
-        ] = {}  # by thread the limit that its message in hand is over
-        self._names: dict[str, str] = {}  # by session: its certificate's name, or else its address
+        # Threads of zenoh whose current message is denied.
+        self._denied: set[str] = set()
+        # By thread: number of decisions to follow that are made in advance, not of a message.
+        self._rehearsing: dict[str, int] = {}
+        # By thread: key of the message that was decided on last.
+        self._keys: dict[str, str] = {}
+        # By thread: size limit that its current message exceeds.
+        self._marked: dict[str, tuple[str, str, int]] = {}
+        # By session: name of its certificate, or else its address.
+        self._names: dict[str, str] = {}
 
     def came(self, session: str, name: str | None, address: str) -> None:
-        """A session was opened; from a thread of the bus."""
+        """Remember the certificate or address of a new session. Called from a thread of the bus."""
         self._remember(session, name or address)
 
     def hear(self, line: str) -> None:
-        """A line of zenoh's log."""
+        """Evaluate a line of zenoh's log."""
         line = _COLOUR.sub("", line).strip()
+
+        # A message whose fragments exceed the buffer.
         if _TOO_LARGE.decode() in line:
             found = _BUFFER.search(line)
             size, most = found.groups() if found is not None else ("many", "fewer")
             self._count(
                 "too-large",
-                f"a message of more than {size} bytes was dropped{_when(line)}: the bus takes {most}",
+                f"a message of more than {size} bytes was dropped{_when(line)}: "
+                f"the bus takes {most}",
             )
             return
+
+        # A decision of access control, a size limit, or a dropped message.
         intercepted = _INTERCEPTOR.search(line)
         if intercepted is not None:
             self._intercepted(
                 intercepted["thread"], intercepted["session"], intercepted["what"], _when(line)
             )
             return
+
+        # A connection that was refused; other lines are passed on.
         link = _LINK.search(line)
         if link is None:
             if line:
@@ -109,23 +126,21 @@ class Refusals:
         reason = next(
             (reason for reason, words in _REASONS.items() if re.search(words, what)), "other"
         )
-        self._count(reason, f"somebody was not let onto the bus: {reason} ({what})")
+        self._count(reason, f"a connection to the bus was refused: {reason} ({what})")
 
     def _intercepted(self, thread: str, session: str | None, what: str, when: str) -> None:
-        """What access control says of a message, or that it is over a limit, or that it is dropped.
+        """Evaluate a line about a message: decided on, over a size limit, or dropped.
 
-        A message that is dropped for neither reason has no key, which zenoh drops wherever there
-        are limits. A client's session sends one by itself when a question to its program is not
-        answered in time, so it is no fault to count.
+        Where there are size limits, zenoh also drops messages without a key. They are not counted:
+        a client's session sends one by itself when a query to its program is not answered in time.
         """
         if _REHEARSAL in what:
             self._rehearsing[thread] = _REHEARSED
         elif decision := _DECISION.match(what):
             self._decided(thread, *decision.groups())
         elif marked := _MARKED.match(what):
-            if (
-                limit := _LIMITS.get(marked[1].lower())
-            ) is not None:  # else it is a question, see `rules.ANSWERS`
+            # Without a limit it is a query, see `rules.ANSWERS`.
+            if (limit := _LIMITS.get(marked[1].lower())) is not None:
                 self._marked[thread] = limit
         elif what.startswith("Msg intercepted"):
             over, key = self._marked.pop(thread, None), self._keys.pop(thread, None)
@@ -144,24 +159,31 @@ class Refusals:
         way: str,
         key: str,
     ) -> None:
+        """Evaluate a decision of access control; its parts are the groups of `_DECISION`."""
+
+        # A decision with a name is a fresh one: skip it if it was made in advance.
         if name is not None:
             self._remember(session, name)
             if self._rehearsing.get(thread, 0):
                 self._rehearsing[thread] -= 1
                 return
+
+        # A decision on a message.
         self._rehearsing.pop(thread, None)
         self._keys[thread] = key
         if un is None:
             self._denied.discard(thread)
             return
         self._denied.add(thread)
-        if way == "ingress" and " " not in action:  # a message; who only declares gets nothing
+        # Count messages only: a denied declaration has no effect.
+        if way == "ingress" and " " not in action:
             who = self._names.get(session, "somebody")
             self._count("denied", f"the certificate of {who} does not allow {action} on {key}")
 
     def _too_large(
         self, session: str | None, key: str | None, limit: tuple[str, str, int], when: str
     ) -> None:
+        """Count a message that was dropped for its size; ``limit``: (kind, keys, bytes)."""
         kind, keys, most = limit
         names = [
             name
@@ -171,7 +193,8 @@ class Refusals:
         who = names[0] if names else f"session {session}" if session else "somebody"
         self._count(
             "too-large",
-            f"a {kind} from {who} on {key or keys} was dropped{when}: it has more than {most} bytes",
+            f"a {kind} from {who} on {key or keys} was dropped{when}: "
+            f"it has more than {most} bytes",
         )
 
     def _remember(self, session: str, name: str) -> None:
@@ -180,6 +203,7 @@ class Refusals:
         self._names[session] = name
 
     def _count(self, reason: str, what: str) -> None:
+        """Count a refusal, and log it unless one of the same reason was logged recently."""
         self.counts[reason] += 1
         now = time.monotonic()
         if now - self._said.get(reason, -SAY_SECONDS) >= SAY_SECONDS:
@@ -188,18 +212,18 @@ class Refusals:
 
 
 def _when(line: str) -> str:
+    """Return the time stamp of a line of zenoh's log as `` at TIMEZ``; "" if it has none."""
     stamp = _STAMP.match(line)
     return f" at {stamp[1]}Z" if stamp is not None else ""
 
 
 refusals = Refusals()
+"""The refusals of this process."""
 
 
 @contextlib.contextmanager
 def standard_output_heard() -> Iterator[None]:
-    """While the block runs, what is written to the file descriptor of standard output goes to
-    `refusals`.
-    """
+    """Send standard output (file descriptor 1) to `refusals` while the block runs."""
     reading, writing = os.pipe()
     saved = os.dup(1)
     os.dup2(writing, 1)
@@ -209,12 +233,13 @@ def standard_output_heard() -> Iterator[None]:
     try:
         yield
     finally:
-        os.dup2(saved, 1)  # the last writer is gone, so the thread ends
+        os.dup2(saved, 1)  # closes the last writing end, so the thread ends
         os.close(saved)
         thread.join(1.0)
 
 
 def _hear_all(reading: int) -> None:
+    """Read the log until its end; only the beginning of an overlong line is evaluated."""
     begins = True
     with os.fdopen(reading, "rb") as lines:
         while piece := lines.readline(LINE_BYTES_MAX):

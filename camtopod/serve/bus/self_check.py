@@ -1,7 +1,7 @@
-"""Whether the bus still lives at which this daemon is the meeting point: it is a client of its own,
-and looks for itself there as any other program would.
+"""Check that the bus a daemon listens on is alive, by connecting to it as a client.
 
-What it publishes and answers does not tell: a session hands that to itself without a connection.
+The daemon looks for itself on the bus as any other program would. Its own session cannot tell:
+zenoh delivers a session's publications and answers to the session itself without a connection.
 """
 
 from __future__ import annotations
@@ -20,20 +20,29 @@ from camtopod.serve.runtime import Mark
 log = logging.getLogger(__name__)
 
 LOOK_SECONDS = 5.0
+"""Time between two checks, in seconds."""
 
 
 class SelfCheck:
-    """``endpoint``: where the daemon listens; ``name``: what it is known by there."""
+    """The check of one daemon's bus.
+
+    endpoint: the endpoint at which the daemon listens.
+    name: the name under which it appears on the bus.
+    """
 
     def __init__(self, config: Config, endpoint: str, name: str) -> None:
         bus = msgspec.structs.replace(config.bus, listen=(endpoint,), connect=())
         self._config, self._name = msgspec.structs.replace(config, bus=bus), name
         self._reached = False
         self.look_seconds_max = LOOK_SECONDS + config.bus.connect_seconds + config.bus.query_seconds
-        """Between two looks, at most."""
+        """Longest time between two checks, in seconds."""
 
     def work(self, stopping: threading.Event, mark: Mark) -> None:
-        """Look every `LOOK_SECONDS`; once it has been seen, ``mark`` beats only when it is seen."""
+        """Check every `LOOK_SECONDS` until ``stopping`` is set, and beat ``mark`` after a success.
+
+        Until the first success ``mark`` beats, too: the daemon may be unreachable from its own
+        machine.
+        """
         with contextlib.ExitStack() as stack:
             session: Bus | None = None
             while not stopping.wait(LOOK_SECONDS):
@@ -45,11 +54,12 @@ class SelfCheck:
                     mark.beat()
 
     def _dial(self) -> Bus | None:
-        """None where it is not reached from here: a firewall, an interface or a certificate may be
-        the reason.
+        """Return a client session; None if the bus cannot be reached from here.
+
+        The reason may be a firewall, a network interface or a certificate.
         """
         try:
             return dial(self._config)
         except BusError as error:
-            log.debug("the daemon does not reach itself: %s", error)
+            log.debug("the daemon cannot reach its own bus: %s", error)
             return None

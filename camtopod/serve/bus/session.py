@@ -1,9 +1,9 @@
-"""The bus: the only module that knows zenoh. Keys as in contract 5, always below
-``camtopo/{site}/``.
+"""A program's session on the bus. Only this module and `refusals` use zenoh.
 
-Clients dial explicit endpoints; the daemon may be the meeting point itself (mode ``router``). No
-multicast scouting and no shared memory: both cost more in trouble than they bring. What arrives is
-handed to callbacks which must not block: a handler that is full starves the whole session.
+All keys are below ``camtopo/{site}/``. Clients connect to explicit endpoints; the daemon may itself
+be the endpoint they connect to (zenoh's mode ``router``). Multicast scouting and shared memory are
+off, as both cause more trouble than they save. Callbacks must not block: while one does, nothing
+else is delivered to the session.
 """
 
 from __future__ import annotations
@@ -35,52 +35,59 @@ log = logging.getLogger(__name__)
 _PACK = "application/msgpack;schema=camtopod.{}.1"
 JSON = "application/json"
 _OPEN_RETRY_SECONDS = 0.2
+"""Time between two attempts to open a session, in seconds."""
 _TAKEN_MAX = 10_000
-"""Messages an ear gives at a time."""
+"""Most messages that `Ear.take` returns at a time."""
 _REPLIES_MAX = 4096
-"""Answers to one query that are kept; the rest is dropped by closing the channel."""
+"""Most answers to one query that are kept; closing the channel drops the rest."""
 _PROMPT = ("prediction", "ack", "status")
-"""Small and urgent: these never wait behind a topology on their way to the same program."""
+"""Schemas of small and urgent messages, which never wait behind a topology on the same link."""
 _UNREPEATED = ("event", "part")
-"""Published once, by programs that may wait: a full link is waited for."""
+"""Schemas that are published once, by programs that may wait until a full link has room."""
 HANGS_SECONDS = 1.0
-"""A publication that takes longer than this shows in the status."""
+"""A publication that takes longer than this, in seconds, shows in the status."""
 
+# What zenoh does with a message for a link that is full: make the caller wait (_WAIT); let one
+# message wait without the caller and drop further ones (_ONE_WAITS); drop it (_DROP).
 _WAIT, _ONE_WAITS = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.BLOCK_FIRST
 _DROP = zenoh.CongestionControl.DROP
-"""What becomes of a message for a link that is full: the caller waits; one such message waits, and
-not the caller, and further ones are dropped; it is dropped."""
 _FIRST, _USUAL, _ASKED = (
     zenoh.Priority.INTERACTIVE_HIGH,
     zenoh.Priority.DATA,
     zenoh.Priority.INTERACTIVE_LOW,
 )
-"""Each is a queue of its own on every link. Questions and answers are in the third; the meeting
-point puts those of readers there, whatever they ask for (`camtopod.keys.rules.priorities`)."""
+"""Priorities, each a queue of its own on every link; _ASKED is that of queries and answers.
+
+The daemon that others connect to gives _ASKED to readers' queries, whatever they ask for
+(`camtopod.keys.rules.priorities`).
+"""
 
 OnMessage = Callable[[str, bytes], None]
-"""Called with (key below the site, payload), from a thread of the bus; must not block."""
+"""Callback with (key below the site, payload). Called on a thread of the bus; must not block."""
 Answer = Callable[[str, dict[str, str]], Any]
-"""Called with (key below the site, parameters); returns the noun to answer or raises
-`QueryError`.
+"""Callback for a query: (key below the site, parameters).
+
+Returns the struct to answer with, or None for no answer; raises `QueryError` to refuse.
 """
 
 
 class BusError(OSError):
-    """The bus cannot be reached or opened; ``str()`` says where and what to do."""
+    """The bus cannot be reached or opened; ``str()`` says where, and what to do."""
 
 
 class QueryError(Exception):
-    """A question that cannot be answered; ``str()`` goes to the asker."""
+    """A query that cannot be answered; ``str()`` is sent to the program that asked."""
 
 
 Heard = tuple[str, bytes, bytes]
-"""(key below the site, payload, what the publisher has attached to it)."""
+"""A received message: (key below the site, payload, the publisher's attachment)."""
 
 
 class Ear:
-    """What is published, for one thread that asks for it: where many messages come, far cheaper
-    than a callback for each, and what comes alone is there no later.
+    """A subscription that one thread reads, instead of a callback.
+
+    Where many messages come, this is far cheaper than a callback for each, and a single message is
+    not delayed.
     """
 
     def __init__(self, subscriber: Any, above: str) -> None:
@@ -88,8 +95,10 @@ class Ear:
         self._closing = threading.Lock()
 
     def take(self, wait: bool = True) -> list[Heard] | None:
-        """What comes next, and that alone, waited for; or all that has come. None when it is closed
-        and everything has been taken.
+        """Return received messages; None when the subscription is closed and everything was taken.
+
+        wait: True waits for the next message and returns it alone; False returns all messages that
+            have come, at most `_TAKEN_MAX`, without waiting.
         """
         messages, skipped, put, heard = (
             self._messages,
@@ -115,7 +124,7 @@ class Ear:
         return heard
 
     def close(self) -> None:
-        """Nothing more will come; may be called twice, and by several threads."""
+        """End the subscription. Thread-safe; may be called twice."""
         with self._closing, contextlib.suppress(zenoh.ZError):
             self._subscriber.undeclare()
 
@@ -123,8 +132,8 @@ class Ear:
 class Bus:
     """One session on the bus of one site.
 
-    Not for use inside its own callbacks, except `put` (asking there waits for itself). Close it
-    before leaving: a process with callbacks and an open session does not end.
+    Do not call it from its own callbacks, except `put` (a query there waits for itself). Close it
+    at the end: a process with callbacks and an open session does not exit.
     """
 
     def __init__(
@@ -132,7 +141,7 @@ class Bus:
     ) -> None:
         self.site = site
         self.endpoint = endpoint
-        """The endpoint listened at, with its real port, or the first one dialled."""
+        """The endpoint listened on, with the actual port, or the first one connected to."""
         self._session = session
         self._query_seconds, self._bytes_max = settings.query_seconds, settings.message_bytes_max
         self._too_large: set[str] = set()
@@ -140,14 +149,11 @@ class Bus:
         self._ears: list[Ear] = []
         self._closed = threading.Event()
         self._doorkeeper: access.Doorkeeper | None = None
-        self._putting: dict[
-            int, tuple[float, str]
-        ] = {}  # by thread: since when (monotonic), and on which key
+        # By thread: (since when on the monotonic clock, key) of its publication under way.
+        self._putting: dict[int, tuple[float, str]] = {}
 
     def put(self, key: str, noun: Any, schema: str) -> None:
-        """Publish a noun, as MessagePack. What becomes of it is not known; see
-        `camtopod.serve.outbox.spool`.
-        """
+        """Publish a struct as MessagePack, without confirmation (see `camtopod.serve.outbox`)."""
         self.put_raw(key, codec.to_pack(noun), schema)
 
     def put_raw(
@@ -155,9 +161,13 @@ class Bus:
     ) -> None:
         """Publish bytes that are MessagePack already. Does nothing once the bus is closed.
 
-        Does not wait for a program that has stopped reading, except with events and parts. On its
-        full link the rest is dropped, but for one topology that the link takes as it empties; the
-        program notices by the versions, and asks.
+        key: key below the site.
+        schema: name of the payload's type; it also decides how the message is sent.
+        attachment: bytes to send beside the payload.
+
+        Only events and parts wait for a subscriber that has stopped reading. Other messages for its
+        full link are dropped, except one topology, which is sent when the link has room; the
+        subscriber notices the gap in the versions, and queries the topology.
         """
         if self._closed.is_set():
             return
@@ -185,15 +195,14 @@ class Bus:
 
     @property
     def hanging(self) -> tuple[float, str]:
-        """(seconds, key) of the publication that has been under way for longest; (0, "") if there
-        is none.
-        """
+        """(seconds, key) of the publication that has been under way longest; (0, "") if none."""
         since, key = min(self._putting.copy().values(), default=(math.inf, ""))
         return max(0.0, time.monotonic() - since), key
 
     def subscribe(self, key: str, on_message: OnMessage) -> Callable[[], None]:
-        """Hand every publication on ``key`` (may hold ``*``) to ``on_message``; returns what ends
-        it.
+        """Call ``on_message`` for every publication on ``key`` (may contain ``*``).
+
+        Returns a function that ends the subscription.
         """
 
         def receive(sample: zenoh.Sample) -> None:
@@ -211,8 +220,10 @@ class Bus:
         return end
 
     def listen(self, key: str, most: int) -> Ear:
-        """What is published on ``key`` (may hold ``*``). Where more than ``most`` messages wait to
-        be taken, the whole session waits, so they are to be taken whatever else there is to do.
+        """Subscribe to ``key`` (may contain ``*``) and return an `Ear` for one thread to read.
+
+        While more than ``most`` messages wait to be taken, nothing is delivered to the whole
+        session, so the thread has to take them whatever else it has to do.
         """
         subscriber = self._session.declare_subscriber(
             self._full(key), zenoh.handlers.FifoChannel(most)
@@ -222,8 +233,9 @@ class Bus:
         return ear
 
     def answer(self, key: str, answer: Answer, schema: str) -> None:
-        """Answer queries on ``key`` (may hold ``*``) in MessagePack, or JSON if
-        format=application/json.
+        """Answer queries on ``key`` (may contain ``*``) by calling ``answer``.
+
+        In MessagePack, or in JSON if the query has the parameter format=application/json.
         """
 
         def reply(query: zenoh.Query) -> None:
@@ -232,6 +244,8 @@ class Bus:
                     name: str(query.parameters.get(name)) for name in _names(str(query.parameters))
                 }
                 asked = str(query.key_expr) if "*" in key else self._full(key)
+
+                # Get the answer, or the refusal.
                 try:
                     noun = answer(self._below(asked), parameters)
                 except QueryError as error:
@@ -239,6 +253,8 @@ class Bus:
                     return
                 if noun is None:
                     return
+
+                # Encode and send it.
                 as_json = parameters.get("format") == JSON
                 payload = codec.to_json(noun) if as_json else codec.to_pack(noun)
                 self._mind_size(self._below(asked), payload)
@@ -253,13 +269,16 @@ class Bus:
         seconds: float | None = None,
         one: bool = False,
     ) -> list[tuple[str, bytes]]:
-        """All answers to a query as (key below the site, payload). The list is empty when the time
-        is over first.
+        """Return all answers to a query as (key below the site, payload).
 
-        ``one``: return as soon as there is one answer. On a busy machine zenoh (1.10.2) sometimes
-        loses the message that ends a query, which then lasts for its whole time limit.
+        key: key below the site (may contain ``*``).
+        parameters: sent with the query.
+        seconds: time limit; `bus.query_seconds` by default.
+        one: return after the first answer. On a busy machine zenoh (1.10.2) sometimes loses the
+            message that ends a query, which then lasts for its whole time limit.
 
-        Raises `QueryError` if the only answer is that it cannot be answered.
+        Answers that do not come within the time limit are missing. Raises `QueryError` if there is
+        no answer but a refusal.
         """
         if self._closed.is_set():
             return []
@@ -267,6 +286,7 @@ class Bus:
         answers: list[tuple[str, bytes]] = []
         refusal = None
         try:
+            # Send the query, and collect answers and refusals.
             replies = self._session.get(
                 f"{self._full(key)}?{given}",
                 zenoh.handlers.FifoChannel(_REPLIES_MAX),
@@ -295,8 +315,9 @@ class Bus:
         self._declared.append(token)
 
     def present(self, role: str) -> list[str]:
-        """The names of those of a role who are there; a name that is none by `CAMERA_PATTERN` is
-        left out.
+        """Return the names of the programs of a role that are on the bus.
+
+        Names that do not match `CAMERA_PATTERN` are left out.
         """
         answers = self._session.liveliness().get(
             self._full(f"alive/{role}/*"),
@@ -309,8 +330,9 @@ class Bus:
         return [name for name in names if re.match(CAMERA_PATTERN, name)]
 
     def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
-        """Call ``on_change(name, alive)`` for those of a role who are there, appear, and vanish;
-        names as `present`.
+        """Call ``on_change(name, alive)`` for programs of a role: those present, and each change.
+
+        Names as in `present`.
         """
 
         def change(sample: zenoh.Sample) -> None:
@@ -324,7 +346,7 @@ class Bus:
         )
 
     def watch_door(self, doorkeeper: access.Doorkeeper) -> None:
-        """Tell ``doorkeeper`` who connects. Closing these connections will not block the bus."""
+        """Report new connections to ``doorkeeper``, and keep closing ones from blocking the bus."""
 
         def change(event: zenoh.LinkEvent) -> None:
             if event.kind == zenoh.SampleKind.PUT:
@@ -338,15 +360,13 @@ class Bus:
 
     @property
     def refused(self) -> dict[str, int]:
-        """How many were not let in, by reason; those without a good certificate only inside
-        `refusals_heard`.
-        """
+        """Number of refusals by reason; outside of `refusals_heard` only "no-rights" is counted."""
         strangers = 0 if self._doorkeeper is None else self._doorkeeper.strangers
         return {**refusals.refusals.counts, "no-rights": strangers}
 
     @property
     def connected(self) -> bool:
-        """Whether a meeting point is reached at this moment; the session keeps trying by itself."""
+        """True if the session is connected to a router now; zenoh reconnects by itself."""
         return not self._closed.is_set() and bool(self._session.info.routers_zid())
 
     def close(self) -> None:
@@ -359,7 +379,7 @@ class Bus:
         for declared in self._declared:
             with contextlib.suppress(zenoh.ZError):
                 declared.undeclare()
-        with contextlib.suppress(zenoh.ZError):  # after its own timeout (zenoh#2675)
+        with contextlib.suppress(zenoh.ZError):  # raised after zenoh's own timeout (zenoh#2675)
             self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Bus:
@@ -369,13 +389,15 @@ class Bus:
         self.close()
 
     def _mind_size(self, key: str, payload: bytes) -> None:
-        """Said once of a key: who does not take what is too large does not even hear that there was
-        something.
+        """Log an error, once for each key, if a payload is larger than other programs receive.
+
+        They drop it without notice.
         """
         if len(payload) > self._bytes_max and key not in self._too_large:
             self._too_large.add(key)
             log.error(
-                "%s has %d bytes, and nobody takes more than bus.message_bytes_max, %d: set it higher for all programs",
+                "a message on %s has %d bytes, more than bus.message_bytes_max (%d): "
+                "other programs drop it; raise that setting for all programs",
                 key,
                 len(payload),
                 self._bytes_max,
@@ -395,6 +417,8 @@ def dial(config: Config) -> Bus:
         access.check_files(config)
     except access.AccessError as error:
         raise BusError(str(error)) from None
+
+    # Retry until the deadline.
     deadline = time.monotonic() + config.bus.connect_seconds
     while True:
         try:
@@ -403,8 +427,8 @@ def dial(config: Config) -> Bus:
             if time.monotonic() >= deadline:
                 also = ", and does it accept this certificate" if config.bus.tls.ca else ""
                 raise BusError(
-                    f"cannot reach the bus at {', '.join(endpoints)}: is `camtopod run` running there{also}? "
-                    f"({_short(error)})"
+                    f"cannot reach the bus at {', '.join(endpoints)}: "
+                    f"is `camtopod run` running there{also}? ({_short(error)})"
                 ) from None
             time.sleep(_OPEN_RETRY_SECONDS)
         else:
@@ -412,15 +436,20 @@ def dial(config: Config) -> Bus:
 
 
 def meet(config: Config, shared: bool = False) -> Bus:
-    """The daemon's session: the meeting point at ``config.listens``, or a client if there are none.
+    """Open the daemon's session: listen at ``config.listens``, or connect if there are none.
 
-    ``shared``: the other shards of the site come here with what they have learned. A port 0 stands
-    for a free one. Says what is open to whom. Raises `BusError`.
+    shared: the other shards of the site connect to this daemon and send what they have learned.
+
+    Port 0 stands for a free port. Logs a warning if the bus is open without authentication. Raises
+    `BusError`.
     """
     if (open_to := access.openness(config)) is not None:
         log.warning("%s", open_to)
+
     if not config.listens:
         return dial(config)
+
+    # Listen.
     endpoints = [_with_port(endpoint) for endpoint in config.listens]
     try:
         access.check_files(config)
@@ -434,6 +463,8 @@ def meet(config: Config, shared: bool = False) -> Bus:
             f"cannot listen at {', '.join(endpoints)}: another daemon may be running there; "
             f"stop it or set other endpoints in [bus] ({_short(error)})"
         ) from None
+
+    # Watch connections, and keep stalled ones from delaying others.
     sockets.limit_waiting(endpoints)
     bus = Bus(session, config.site.name, endpoints[0], config.bus)
     bus.watch_door(access.Doorkeeper(granted))
@@ -442,8 +473,9 @@ def meet(config: Config, shared: bool = False) -> Bus:
 
 @contextlib.contextmanager
 def refusals_heard(config: Config) -> Iterator[None]:
-    """Count and log who is refused while the block runs. Once in a process, which leaves standard
-    output alone.
+    """Count and log who is refused while the block runs.
+
+    Once in a process, which must not write to standard output meanwhile.
     """
     with refusals.standard_output_heard():
         zenoh.init_log_from_env_or(
@@ -458,6 +490,7 @@ def _open(
     connect: Sequence[str] = (),
     listen: Sequence[str] = (),
 ) -> zenoh.Session:
+    """Open a zenoh session with these settings and endpoints."""
     settings = zenoh.Config()
     endpoints = {"connect/endpoints": list(connect), "listen/endpoints": list(listen)}
     for key, value in {**values, **endpoints}.items():
@@ -470,8 +503,9 @@ def _open(
 
 
 def _with_port(endpoint: str) -> str:
-    """``tcp/host:0`` with a port that is free now: zenoh takes port 0 but does not tell which it
-    got.
+    """Replace port 0 of ``tcp/host:0`` by a port that is free now.
+
+    Zenoh accepts port 0 but does not tell which port it got.
     """
     if not endpoint.endswith(":0"):
         return endpoint
@@ -488,9 +522,10 @@ def _encoding(schema: str) -> zenoh.Encoding:
 
 
 def _names(parameters: str) -> list[str]:
+    """Return the names of a query's parameters."""
     return [pair.partition("=")[0] for pair in parameters.split(";") if pair]
 
 
 def _short(error: Exception) -> str:
-    """Zenoh's message without the path of its source file."""
+    """Return zenoh's message without the path of its source file."""
     return str(error).split(" at /")[0].strip()

@@ -1,10 +1,11 @@
-"""Another daemon for the same site: two would both acknowledge, and each have half of the events.
+"""Detect a second daemon of the same site.
 
-One that starts beside another refuses to. Where neither could see the other (a cut between them
-that heals), both go on and say so loudly until one is stopped: nothing that was acknowledged is
-given up. A daemon is known by a name that stays with its state directory, so it does not mistake
-its own trace from before a crash for another. The shards of a site (``2of8-NAME``) are no rivals,
-as long as all are of as many.
+Two daemons would both acknowledge, and each would have half of the events. So a daemon that starts
+beside another one refuses to. If neither could see the other (in a network partition that has
+healed), both go on and log errors until one is stopped: nothing that was acknowledged is given up.
+A daemon's name stays with its state directory, so it does not mistake its own traces from before a
+crash for another daemon. The shards of a site (``2of8-NAME``) are no rivals as long as all of them
+state the same number of shards.
 """
 
 from __future__ import annotations
@@ -19,40 +20,46 @@ from camtopod.serve.bus.session import Bus, BusError
 log = logging.getLogger(__name__)
 
 ROLE = "daemon"
+"""Role under which daemons appear on the bus, see `Bus.appear`."""
 _LOOK_SECONDS = 0.1
+"""Time between two looks for other daemons at the start, in seconds."""
 NAMED_MAX = 20
-"""Others that are remembered by name."""
+"""Most other daemons that are remembered by name."""
 
 
 class Rivals:
-    """``name``: this daemon's own; ``shard``: (i, n), none for one that has the site to itself."""
+    """The other daemons of the site.
+
+    name: the name of this daemon.
+    shard: (i, n) for shard i of n; None for a daemon that serves its site alone.
+    """
 
     def __init__(self, bus: Bus, name: str, shard: tuple[int, int] | None = None) -> None:
         self._bus, self._shard = bus, shard
         self.name = name if shard is None else "{}of{}-{}".format(*shard, name)
-        """What the others see."""
+        """The name under which the other daemons see this one."""
         self._there: set[str] = set()
 
     def refuse(self, seconds: float, cancelled: threading.Event) -> None:
-        """Raises `BusError` if another is there and does not go within ``seconds``."""
+        """Raise `BusError` if there is another daemon, and it does not leave within ``seconds``."""
         deadline = time.monotonic() + seconds
         while others := {name for name in self._bus.present(ROLE) if self._is_rival(name)}:
             if time.monotonic() >= deadline:
                 raise BusError(
-                    f"another daemon ({', '.join(sorted(others))}) serves site {self._bus.site} on this bus: "
-                    f"stop it, or give one of them another [site] name"
+                    f"another daemon ({', '.join(sorted(others))}) serves site {self._bus.site} "
+                    f"on this bus: stop it, or give one of them another [site] name"
                 )
             if cancelled.wait(_LOOK_SECONDS):
                 return
 
     def appear(self) -> None:
-        """Be seen as the site's daemon, and look out for others."""
+        """Appear as a daemon of the site, and watch for others."""
         self._bus.watch_alive(ROLE, self._on_change)
         self._bus.appear(ROLE, self.name)
 
     @property
     def reason(self) -> str:
-        """Why this is no good state; empty if there is no other."""
+        """Reason for the degraded state; "" if this is the only daemon."""
         others = ", ".join(sorted(self._there.copy()))
         return f"another daemon ({others}) serves the same site: stop one of them" if others else ""
 

@@ -1,7 +1,6 @@
-"""Options of the bus's sockets that zenoh has no setting for: a program that stops reading must not
-delay the others.
+"""Socket options that zenoh does not set: a program that stops reading must not delay others.
 
-Linux only, as they need the list of a process's sockets; elsewhere nothing is changed.
+Linux only, as the list of the process's sockets is needed; elsewhere nothing is changed.
 """
 
 from __future__ import annotations
@@ -13,9 +12,7 @@ import struct
 from collections.abc import Callable, Sequence
 
 STALLED_SECONDS_MAX = 4.0
-"""A program is disconnected when data has waited this long for it to be read; it may connect
-again.
-"""
+"""A program is disconnected when data has waited this many seconds for it; it may reconnect."""
 _DESCRIPTORS = "/proc/self/fd"
 _LISTENS, _LINGERS = (
     (socket.SOL_SOCKET, socket.SO_ACCEPTCONN),
@@ -25,11 +22,10 @@ _NO_LINGER = struct.pack("ii", 0, 0)
 
 
 def limit_waiting(endpoints: Sequence[str]) -> None:
-    """Let the kernel end connections to these endpoints that have taken nothing for
-    `STALLED_SECONDS_MAX`.
+    """Let the kernel end connections to ``endpoints`` whose data waits for `STALLED_SECONDS_MAX`.
 
-    Zenoh itself ends one whose program has stopped only when its lease is over, after ten seconds.
-    A connection has this option from the socket that listens.
+    Zenoh itself ends the connection of a program that has stopped only when its lease is over,
+    after ten seconds. Connections inherit this option from the listening socket.
     """
     ports = {
         int(port)
@@ -47,11 +43,11 @@ def limit_waiting(endpoints: Sequence[str]) -> None:
 
 
 def close_without_waiting() -> None:
-    """Turn SO_LINGER off on all connections: closing one returns at once, and the kernel sends the
-    rest.
+    """Turn SO_LINGER off on all connections, so that closing one returns at once.
 
-    Zenoh (1.10) sets it to ten seconds. If a program has stopped reading, closing its connection
-    blocks a thread of the bus for that long, and no message is delivered meanwhile.
+    The kernel then sends the rest. Zenoh (1.10) sets SO_LINGER to ten seconds: when a program has
+    stopped reading, closing its connection blocks a thread of the bus for that long, and no message
+    is delivered meanwhile.
     """
 
     def turn_off(one: socket.socket) -> None:
@@ -62,7 +58,7 @@ def close_without_waiting() -> None:
 
 
 def _with_each_socket(act: Callable[[socket.socket], None]) -> None:
-    """Call ``act`` with each of this process's network sockets."""
+    """Call ``act`` with each network socket of this process."""
     for fd in map(int, os.listdir(_DESCRIPTORS) if os.path.isdir(_DESCRIPTORS) else []):
         with contextlib.suppress(OSError):  # another file, or closed meanwhile
             one = socket.socket(socket.AF_INET, socket.SOCK_STREAM, fileno=fd)

@@ -1,5 +1,6 @@
-"""The topology as a subscriber sees it: subscribe, then get, then apply by version, get again on a
-gap.
+"""Follow the topology of a site's daemon: subscribe to deltas, query the whole, apply deltas to it.
+
+The whole topology is queried again when a delta is missing.
 """
 
 from __future__ import annotations
@@ -19,27 +20,26 @@ from camtopod.topology import apply_delta
 log = logging.getLogger(__name__)
 
 WAITING_MAX = 1000
-"""Deltas that wait for `TopologyView.update`; beyond it they are dropped and the whole is
-fetched.
-"""
+"""Most deltas that wait for `TopologyView.update`; beyond it they are dropped."""
 BEHIND_SECONDS = 1.0
-"""A delta is taken for lost when the daemon has had a newer version for this long."""
+"""A delta counts as lost when the daemon has had a newer version for this many seconds."""
 _ASK_AGAIN_SECONDS = 0.5
+"""Shortest time between two queries for the whole topology, in seconds."""
 _TICK_SECONDS = 0.1
 
 
 class _Status(Struct):
-    """What of ``status/daemon`` says which version is the newest."""
+    """The part of ``status/daemon`` that tells the newest version."""
 
     epoch: str
     version: int
 
 
 class TopologyView:
-    """Follows the versions of one site's daemon. `update` from one thread, as often as one likes.
+    """The newest topology of one site's daemon. Call `update` from one thread, as often as needed.
 
-    Late joiners, missed deltas, a daemon that restarts and one that begins a new epoch all end the
-    same way: the whole topology is fetched. That a delta is missing shows with the next, or in the
+    A late start, a missed delta, a restarted daemon and a new epoch are all handled the same way:
+    the whole topology is queried. A missing delta is noticed with the next one, or from the
     daemon's status.
     """
 
@@ -50,17 +50,15 @@ class TopologyView:
         self._ask_after = 0.0
         self._behind_since: float | None = None
         self.topology: Topology | None = None
-        """The newest version seen, None before the first."""
+        """The newest version received; None before the first."""
         self.fetched = 0
-        """How often the whole topology was fetched."""
+        """Number of times the whole topology was queried and received."""
         bus.subscribe("topology/delta", self._on_delta)
         bus.subscribe(STATUS, self._on_status)
         bus.watch_alive("daemon", self._on_daemon)
 
     def update(self) -> Topology | None:
-        """Work off what has arrived; returns the newest version if it is newer than before, else
-        None.
-        """
+        """Process what has been received; return the newest version, or None if it is not new."""
         before = self.topology
         while True:
             try:
@@ -72,8 +70,9 @@ class TopologyView:
         return self.topology if self.topology is not before else None
 
     def wait_for(self, version: int, seconds: float) -> Topology | None:
-        """`update` until at least ``version`` is there; returns the newest, or None when the time
-        is over.
+        """Call `update` until at least ``version`` is received, and return the newest version.
+
+        Returns None after ``seconds``.
         """
         deadline = time.monotonic() + seconds
         while True:
@@ -96,10 +95,11 @@ class TopologyView:
             self._ask_after = 0.0
 
     def _on_status(self, key: str, payload: bytes) -> None:
+        """Query the whole topology if a newer version does not arrive within `BEHIND_SECONDS`."""
         try:
             newest = codec.read(_Status, payload, pack=True)
         except codec.Rejected as error:
-            log.debug("a status that cannot be read: %s", error)
+            log.debug("ignoring a malformed status of the daemon: %s", error)
             return
         held, now = self.topology, time.monotonic()
         if newest.version == 0 or (
@@ -112,27 +112,29 @@ class TopologyView:
             self._behind_since, self._stale = now, True
 
     def _apply(self, payload: bytes) -> None:
+        """Apply a delta; if that is impossible, have the whole topology queried."""
         try:
             delta = codec.read(Delta, payload, pack=True)
         except codec.Rejected as error:
-            log.warning("a delta that cannot be read: %s", error)
+            log.warning("malformed delta, querying the whole topology: %s", error)
             self._stale = True
             return
         held = self.topology
         if held is not None and (delta.epoch, delta.version) <= (held.epoch, held.version):
-            return  # it came with the whole already; epochs sort by time
+            return  # the whole topology had it already; epochs sort by time
         try:
             if held is None:
-                raise ValueError("there is nothing yet to apply it to")
+                raise ValueError("there is no topology yet to apply the delta to")
             self.topology = apply_delta(held, delta)
         except ValueError as error:
-            log.info("fetching the whole topology: %s", error)
+            log.info("querying the whole topology: %s", error)
             self._stale = True
             self._ask_after = 0.0
 
     def _fetch(self) -> None:
+        """Query the whole topology."""
         self._ask_after = time.monotonic() + _ASK_AGAIN_SECONDS
-        self._stale = False  # before asking: a daemon may come back meanwhile
+        self._stale = False  # before the query: a daemon may restart meanwhile
         try:
             answers = self._bus.ask("topology", one=True)
         except QueryError:  # nothing learned yet
@@ -140,14 +142,14 @@ class TopologyView:
         try:
             newest = codec.read_topology(answers[0][1], pack=True) if answers else None
         except codec.Rejected as error:
-            log.warning("a topology that cannot be read: %s", error)
+            log.warning("malformed topology, querying it again: %s", error)
             newest = None
         if newest is None:
             self._stale = True
             return
         self.fetched += 1
         held = self.topology
-        # An epoch before the one held: a daemon has lost its state while its clock was behind. A
-        # version before the one held, in the same epoch: the delta was faster than the answer.
+        # Another epoch is taken even if it is older: then a daemon has lost its state and its
+        # clock is behind. An older version of the same epoch is not: the delta was faster.
         if held is None or newest.epoch != held.epoch or newest.version > held.version:
             self.topology = newest
