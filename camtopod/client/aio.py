@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 
 class Topology(View):
-    """As `camtopod.client.Topology`. Methods that do not wait, such as `predict`, are synchronous."""
+    """As `camtopod.client.Topology`; methods that do not wait, such as `predict`, are not async."""
 
     @classmethod
     @contextlib.asynccontextmanager

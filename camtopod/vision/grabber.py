@@ -1,4 +1,4 @@
-"""One camera: pixels in, entry and exit events out."""
+"""Grabber: one camera's pixels in, entry and exit events out."""
 
 from __future__ import annotations
 
@@ -14,22 +14,25 @@ from camtopod.vision.source import Complaints, LiveSource, RecordedSource, kind_
 State = Literal["connecting", "running", "stalled", "ended"]
 
 HEARTBEAT_SECONDS = 0.5
-"""`Grabber.events` gives control back at least this often (a single slow frame aside)."""
+"""`Grabber.events` yields at least this often (processing of a single frame aside)."""
 
 
 class Grabber:
-    """Watches one source and says who appears in its view and who leaves it.
+    """Entry and exit events of one source.
 
-    ``source`` is an ``rtsp://`` (or other) URL, the path of a video file, or a device number as
-    text. A file is read as fast as it decodes and its times are ``start`` + position in the file;
-    with ``realtime`` it is paced at ``speed`` times its own rate (times stay ``start`` + position).
-    A stream's or device's times are capture times on the clock ``wall_clock`` (seconds since the
-    epoch).
+    source: an ``rtsp://`` (or other) URL, the path of a video file, or a device number as text.
+    start (seconds since the epoch): time of a file's beginning; event times are ``start`` +
+        position.
+    realtime, speed: pace a file at ``speed`` times its own rate; otherwise it is read as fast as it
+        decodes. Event times do not depend on it.
+    wall_clock: current time in seconds since the epoch. Frames of a stream or device have capture
+        times on this clock.
 
-    One grabber per process for network streams: OpenCV serialises opens inside a process and its
-    FFmpeg options are process-wide. Not thread-safe: all calls from one thread. Raises `OSError`
-    (`SourceError` among them) if a *file* cannot be read or decoded; a stream that is not there yet
-    is waited for.
+    Use one grabber per process for network streams: OpenCV serialises opening within a process, and
+    its FFmpeg options are process-wide. Not thread-safe.
+
+    Raises `OSError` (including `SourceError`) if a *file* cannot be read or decoded. A stream that
+    is not available yet is waited for.
     """
 
     def __init__(
@@ -57,23 +60,27 @@ class Grabber:
         self._last_t: float | None = None
 
     def events(self) -> Iterator[Event | None]:
-        """Yield events as they become certain, and ``None`` at least about once a second so that
-        the caller can act.
+        """Yield events as they become certain, and None at least about once a second.
 
-        Entries come once the object is confirmed, exits after the tracker's patience; ``t`` is the
-        capture time of the first or last sighting, so events come up to some seconds late and not
-        quite in order of ``t``. No ``boot``, no ``seq``: the publisher adds them. Ends after the
-        last frame of a file; never for a stream or device (after `close`, it does). Raises
+        None lets the caller act while nothing happens. An entry is yielded once its object is
+        confirmed, an exit after the tracker's patience. As ``t`` is the capture time of the first
+        or last sighting, events are up to some seconds late and not strictly in order of ``t``.
+        They have no ``boot`` and no ``seq``: the publisher adds them.
+
+        Ends after the last frame of a file; for a stream or device, only after `close`. Raises
         `SourceError` if a *file* turns out to hold no frame.
         """
         heard = time.monotonic()
         for frame in self._source.frames():
             events: list[Event] = []
+
             if frame is not None:
                 began = time.thread_time()
                 events = self._watcher.see(frame.t, frame.luma)
                 self._analysis_seconds += time.thread_time() - began
                 self._last_t = frame.t
+
+            # Yield what was found, or None if nothing was yielded for the heartbeat interval.
             yield from events
             now = time.monotonic()
             if events:
@@ -81,32 +88,36 @@ class Grabber:
             elif frame is None or now - heard >= HEARTBEAT_SECONDS:
                 heard = now
                 yield None
+
+        # The source has ended.
         yield from self._watcher.finish()
 
     @property
     def state(self) -> State:
-        """``connecting`` (not one frame yet), ``running``, ``stalled`` (it worked before;
-        reconnecting), ``ended``."""
+        """State of the source: ``connecting``, ``running``, ``stalled`` or ``ended``.
+
+        ``connecting``: no frame has arrived yet; ``stalled``: frames arrived before, reconnecting.
+        """
         return self._source.state
 
     @property
     def reason(self) -> str:
-        """A short sentence for a person saying why the state is not ``running``; "" if it is. Holds
-        no password."""
+        """Readable reason why the state is not ``running``; "" if it is. Contains no password."""
         return self._source.reason
 
     @property
     def overdue_seconds(self) -> float:
-        """How much longer than its timeouts allow the source has been in one call of OpenCV; 0.0 if
-        all is well.
+        """Time that a call of OpenCV has exceeded its timeouts by; 0.0 if all is well.
 
-        Nothing but ending the process helps against that.
+        Only ending the process helps against such a call.
         """
         return self._source.overdue_seconds
 
     def statistics(self) -> dict[str, int | float]:
-        """Counters since the start; ``last_frame_t`` is the capture time of the latest frame
-        (absent before it)."""
+        """Return counters since the start.
+
+        ``last_frame_t`` is the capture time of the latest frame (absent before the first).
+        """
         source = self._source
         figures: dict[str, int | float] = {
             "frames_grabbed": source.grabbed,
@@ -122,6 +133,8 @@ class Grabber:
         return figures
 
     def close(self) -> None:
-        """Release the source; `events` then ends. A stream's blocked read is waited for, at most
-        its timeouts."""
+        """Release the source, which ends `events`.
+
+        Waits for a blocked read, at most its timeouts.
+        """
         self._source.close()

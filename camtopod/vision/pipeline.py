@@ -1,4 +1,4 @@
-"""Frames -> events: the whole of a grabber that needs no source, no clock and no waiting."""
+"""Frames of one view -> events: detection, tracking, crossings. Has no source, clock or waiting."""
 
 from __future__ import annotations
 
@@ -8,16 +8,20 @@ from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track import Crossings, Track, Tracker, went_somewhere
 
 GHOST_SECONDS = 3.0
-"""An object that has not moved for this long is looked at again: it may be where something was."""
+"""An object that has not moved for this long is tested for being a ghost.
+
+A ghost is the hole that an object leaves in the background model.
+"""
 GHOST_MOVE_HEIGHTS = 0.1
+"""An object that moves less than this (heights of the object) stands still."""
 STEP_SECONDS_MAX = 1.0
-"""A gap between two pictures counts as no more than this for what is learned of the scene."""
+"""Longest interval between two frames that background learning takes into account."""
 BOOTSTRAP_FRAMES_KEPT = 100
-"""At most so many pictures wait for the first background."""
+"""Number of frames that may wait for the first background."""
 
 
 class Watcher:
-    """One view's frames to events. Same frames and times in, same events out."""
+    """Turns one view's frames into events. Deterministic: equal frames and times, equal events."""
 
     def __init__(self, camera: str, settings: VisionSettings) -> None:
         self._camera = camera
@@ -31,10 +35,10 @@ class Watcher:
         self.ghosts = 0
 
     def see(self, t: float, frame: Luma) -> list[Event]:
-        """Take the picture (H, W) captured at ``t`` seconds, later than the last; returns what
-        became certain by it.
+        """Process the frame (H, W) captured at ``t`` (seconds) and return the events now certain.
 
-        The first seconds' pictures wait until there is a background, then all are looked at.
+        Times must increase. The frames of the first seconds wait until there is a background, then
+        all of them are analysed.
         """
         self.analysed += 1
         small = self._motion.clean(shrunk(frame, self._settings.working_width))
@@ -47,14 +51,18 @@ class Watcher:
         return []
 
     def _bootstrap(self) -> list[Event]:
+        """Initialise the background from the waiting frames, then analyse them."""
         waiting, self._waiting = self._waiting, []
         self._motion.bootstrap([frame for _, frame in waiting])
         height, width = waiting[0][1].shape
+
+        # The size of the picture is known from here on. After a relearned scene, tracking restarts.
         if self._crossings is None or self._tracker is None:
             self._crossings = Crossings(self._camera, width, height)
             self._tracker = Tracker(self._settings, self._crossings)
         else:
             self._tracker.restart()
+
         self._t = None
         events = []
         for t, frame in waiting:
@@ -63,22 +71,31 @@ class Watcher:
         return events
 
     def _step(self, t: float, frame: Luma) -> list[Event]:
+        """Analyse one frame."""
         assert self._tracker is not None
         assert self._crossings is not None
         dt = 0.0 if self._t is None else min(max(0.0, t - self._t), STEP_SECONDS_MAX)
         self._t = t
+
+        # Moving pixels against the background.
         motion = self._motion.look(frame, dt)
-        if motion is None:  # another picture altogether: begin again
+        if motion is None:  # the whole scene has changed: bootstrap again
             return []
-        if self._motion.disturbed:  # a flash, or the first moments of such another picture
+        if self._motion.disturbed:  # a flash, or the first frames of a changed scene
             return []
+
+        # Blobs, tracks, events.
         blobs = find_blobs(motion, self._tracker.stature.height)
         changes = self._tracker.step(t, blobs)
         events = self._crossings.report(changes, self._tracker.active)
+
+        # Drop ghosts.
         for track in self._tracker.active:
             if self._is_still(track, t) and self._motion.is_ghost(frame, motion, track.last.box):
                 self._tracker.drop(track)
                 self.ghosts += 1
+
+        # Learn the background outside of confirmed tracks.
         claimed = [
             track.last.box if track.last.t == t else track.box
             for track in self._tracker.active
@@ -88,7 +105,10 @@ class Watcher:
         return events
 
     def _is_still(self, track: Track, t: float) -> bool:
-        """Seen now, and for `GHOST_SECONDS` (as far as is remembered) in one place."""
+        """Return True if the track is seen now and has stayed in place for `GHOST_SECONDS`.
+
+        Movement is judged over the sightings that are kept.
+        """
         past = track.history[0]
         if track.last.t < t or len(track.history) < 8 or t - track.first.t < GHOST_SECONDS:
             return False
@@ -99,7 +119,10 @@ class Watcher:
         )
 
     def finish(self) -> list[Event]:
-        """The recording is over: what is certain now. Objects still in view have no exit."""
+        """Return the remaining events at the end of a recording.
+
+        Objects still in view have no exit.
+        """
         events = self._bootstrap() if self._waiting else []
         if self._tracker is not None and self._crossings is not None and self._t is not None:
             events += [
@@ -108,7 +131,7 @@ class Watcher:
         return events
 
     def statistics(self) -> dict[str, int | float]:
-        """Counters since the start, and the noise in grey levels."""
+        """Return counters since the start, noise (grey levels) and shake (pixels)."""
         tracker, crossings = self._tracker, self._crossings
         return {
             "frames_analysed": self.analysed,

@@ -1,4 +1,4 @@
-"""Every limit and every constant of the grabber that somebody may want to set, with its unit."""
+"""Settings of a grabber (the ``[vision]`` table of the configuration), with their units."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Settings of one grabber (the ``[vision]`` table of the configuration)."""
 
     analysed_fps: Positive = 7.0
-    """Frames per second that are looked at (as near as the source's rate allows); the rest are only
-    grabbed."""
+    """Frames per second to analyse, as near as the source's rate allows; the rest is only grabbed.
+    """
     working_width: Annotated[int, Meta(ge=1)] = 320
-    """Frames wider than this are scaled down to it before anything else, pixels."""
+    """Wider frames are scaled down to this width (pixels) before analysis."""
     bootstrap_seconds: float = 3.0
-    """The first background is the median over this long."""
+    """The first background is the median of the frames of this period."""
     background_seconds: Positive = 20.0
-    """Time constant with which the background follows the settled scene."""
+    """Time constant with which the background follows changes of the settled scene."""
     confirm_seconds: float = 0.5
-    """How long something must be followed, and move, before it is an object."""
+    """Minimum time something must be tracked, and move, before it counts as an object."""
     patience_seconds: Positive = 1.5
-    """How long an object may be out of sight before its track has ended."""
+    """Time an object may be out of sight before its track ends."""
     stitch_seconds: float = 10.0
-    """How long after a track broke in mid-view it may be found again and stay one passage."""
+    """Time within which a track that broke in mid-view may be found and continue its passage."""
     tracks_max: Annotated[int, Meta(ge=1)] = 200
-    """At most this many objects at once; further ones are not followed."""
+    """Maximum number of tracks at a time; further objects are not tracked."""
     open_timeout_seconds: Positive = 5.0
-    """How long opening a stream may take."""
+    """Timeout for opening a stream."""
     read_timeout_seconds: Positive = 3.0
-    """How long a stream may be silent before it is opened anew."""
+    """Time without a frame after which a stream is reopened."""
     backoff_min_seconds: Positive = 0.5
-    """First wait before a lost stream is opened anew; doubles up to the largest."""
+    """Delay before a lost stream is reopened for the first time; it doubles with each attempt."""
     backoff_max_seconds: Positive = 15.0
-    """Largest wait before a lost stream is opened anew."""
+    """Maximum delay before a lost stream is reopened."""

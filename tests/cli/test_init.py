@@ -84,9 +84,9 @@ def test_a_file_and_what_could_be_better_about_it(film: Path, tmp_path: Path) ->
     assert good.words == ["MPEG-4, 192x144, 7 frames a second"]
     assert (bad.problem, bad.width, bad.fps) == ("", 2560, 2.0)
     assert [remark.partition(":")[0] for remark in bad.remarks] == [
-        "the picture is of one colour",
-        "so few frames a second that people who walk fast are missed",
-        "larger than is of use",
+        "the picture has hardly any contrast",
+        "the frame rate is so low that fast walkers are missed",
+        "the picture is larger than needed",
     ]
     assert none == Probe("No such file or directory")
 
@@ -113,14 +113,14 @@ def test_what_is_wrong_with_a_stream_is_said_in_words(tmp_path: Path) -> None:
     assert list(found) == list(sources)
     assert sorted(told) == sorted(sources)
     assert {
-        name: probe.problem.removeprefix("it cannot be opened: ") for name, probe in found.items()
+        name: probe.problem.removeprefix("cannot be opened: ") for name, probe in found.items()
     } == {
         "secret": "the camera refuses the user name or password (401)",
         "other": "the camera has no such stream (404)",
         "silent": "the host does not answer",
         "shy": "the host closes the connection: is it a camera's port?",
         "away": "nothing listens at this address and port",
-        "device": "there is no /dev/video4242",
+        "device": "/dev/video4242 does not exist",
     }
 
 
@@ -214,7 +214,7 @@ def test_passwords_go_into_files_of_their_own(
     out, err = capsys.readouterr()
     assert out == ""
     assert (
-        "front.door  it cannot be opened: the camera refuses the user name or password (401)" in err
+        "front.door  cannot be opened: the camera refuses the user name or password (401)" in err
     )
     assert "yard        MPEG-4, 192x144, 7 frames a second" in err
     assert err.endswith(
@@ -456,7 +456,7 @@ def test_check_probe_opens_the_cameras_and_the_bus(
         capsys.readouterr()
     assert main(["check", str(path), "--probe"]) == 69
     err = capsys.readouterr().err
-    assert f"{path}:4: cameras.gone: it cannot be opened: there is no /dev/video4242\n" in err
+    assert f"{path}:4: cameras.gone: cannot be opened: /dev/video4242 does not exist\n" in err
     assert "cannot reach the bus at" in err
 
 

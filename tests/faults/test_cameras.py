@@ -386,7 +386,7 @@ def test_reasons_are_recognised_and_nothing_else_is_said(capfd: pytest.CaptureFi
         "the camera refuses the user name or password (401)",
         "nothing listens at this address and port",
         "the camera refuses (461)",
-        "the host's name is not known",
+        "the host name cannot be resolved",
         "",
     ]
     assert reason_in(said[0] + said[1] + said[4]) == words[1], "the last that is known"

@@ -10,16 +10,16 @@
 
 _shtab_camtopod_commands() {
   local _commands=(
-    bridge:'cameras, alarms and predictions in Home Assistant, by MQTT'
-    check:'every mistake in a configuration, in one pass'
-    completion:'makes the shell complete commands and options'
-    demo:'the whole system on one machine: rendered cameras, real grabbers, a real bus, the real daemon'
-    doctor:'what a bug report needs, without secrets'
-    export:'a topology as a picture or in an exchange format'
-    grab:'one camera to entry and exit events'
-    ingest:'other programs'"'"' events onto the bus'
-    init:'looks at cameras and writes a configuration with them'
-    keys:'certificates for the bus'
+    bridge:'show cameras, alarms and predictions in Home Assistant, through MQTT'
+    check:'check a configuration and list all mistakes'
+    completion:'print a script that completes commands and options in a shell'
+    demo:'run the whole system on simulated cameras, without any configuration'
+    doctor:'collect diagnostics for a bug report, without secrets'
+    export:'convert a topology to a picture or an exchange format'
+    grab:'turn the video of one camera, or of all configured ones, into entry and exit events'
+    ingest:'publish events from other programs'
+    init:'probe cameras and write a configuration'
+    keys:'create a private certificate authority and certificates for the bus'
     learn:'the same learner over recorded event lines'
     predict:'for each exit of recorded events, where the object appears next'
     report:'the page of one topology as a file'
@@ -33,12 +33,12 @@ _shtab_camtopod_commands() {
 
 _shtab_camtopod_keys_commands() {
   local _commands=(
-    camera:'a certificate for each camera'
-    daemon:'a new certificate for the daemon, or for a router'
-    init:'a new authority, and the daemon'"'"'s certificate'
-    list:'who has what, and until when'
-    reader:'a certificate for a program that reads topology and predictions'
-    revoke:'take a camera'"'"'s or a reader'"'"'s rights away'
+    camera:'issue a certificate for each camera'
+    daemon:'issue a new certificate for the daemon, or for a zenoh router'
+    init:'create an authority and the daemon'"'"'s certificate'
+    list:'list all certificates and when they expire'
+    reader:'issue a certificate for a program that reads topology and predictions'
+    revoke:'revoke the certificate of a camera or reader'
   )
   _describe 'camtopod keys commands' _commands
 }
@@ -47,9 +47,9 @@ _shtab_camtopod_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "(- : *)--version[show program\'s version number and exit]"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -61,10 +61,10 @@ _shtab_camtopod_bridge_options=(
   "--password-file[the user\'s password (or in \$CAMTOPOD_MQTT_PASSWORD)]:FILE:_files"
   "--ca[mqtts\: the authorities to trust (default\: the system\'s)]:FILE:_files"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  ":mqtt\[s\]\:\/\/\[USER\@\]HOST\[\:PORT\]\[\/PREFIX\]\; PREFIX of the topics\: camtopod:"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  ":broker as mqtt\[s\]\:\/\/\[USER\@\]HOST\[\:PORT\]\[\/PREFIX\]\; default PREFIX of the topics\: camtopod:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -72,15 +72,15 @@ _shtab_camtopod_bridge_defaults_added=0
 
 _shtab_camtopod_check_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--example[write an example with every setting, its default and its unit]"
-  "--probe[also open every camera of it, and the bus]"
-  "--pictures[with --probe\: keep a picture of each camera here, DIR\/NAME.jpg instead of an older one, which \`camtopod web\` and \`report\` draw on\; it is stored here only and not sent]:DIR:_files -/"
-  "--schema[write the configuration\'s JSON Schema, for editors]"
+  "--example[print an example configuration with every setting, its default and its unit]"
+  "--probe[also open each of its cameras, and the bus]"
+  "--pictures[with --probe\: store a picture of each camera as DIR\/NAME.jpg, replacing an older one\; \`camtopod web\` and \`report\` draw zones on it. It is stored only there and not sent]:DIR:_files -/"
+  "--schema[print the JSON Schema of the configuration, for editors]"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  ":the configuration (or --config):_files"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  ":the configuration file (default\: that of --config):_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -89,10 +89,10 @@ _shtab_camtopod_check_defaults_added=0
 _shtab_camtopod_completion_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  ":for which shell:(bash zsh fish)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  ":shell to print the script for:(bash zsh fish)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -100,14 +100,14 @@ _shtab_camtopod_completion_defaults_added=0
 
 _shtab_camtopod_demo_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--out[results go here (default\: camtopod-demo)]:DIR:_files -/"
-  "--seed[other people, same site (default\: 1)]:seed:"
+  "--out[directory for the results (default\: camtopod-demo)]:DIR:_files -/"
+  "--seed[seed of the simulated people\; same site (default\: 1)]:seed:"
   "--minutes[length of the recording (default\: 18.0)]:minutes:"
-  "--keep[keep the videos and the state too]"
+  "--keep[also keep the videos and the state]"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -115,11 +115,11 @@ _shtab_camtopod_demo_defaults_added=0
 
 _shtab_camtopod_doctor_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--out[write it here\; with .tar.gz a file for each part]:FILE:_files"
+  "--out[write the report to FILE\; if it ends in .tar.gz, one file per part (default\: standard output)]:FILE:_files"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -127,13 +127,13 @@ _shtab_camtopod_doctor_defaults_added=0
 
 _shtab_camtopod_export_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--format[format]:format:(dot graphml svg json aicity)"
-  "--out[default\: standard output]:FILE:_files"
+  "--format[format of the output]:format:(dot graphml svg json aicity)"
+  "--out[write to FILE (default\: standard output)]:FILE:_files"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  ":what \`learn\` wrote (\'-\'\: standard input):_files"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  ":topology as \`camtopod learn\` writes it (\'-\'\: standard input):_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -142,15 +142,15 @@ _shtab_camtopod_export_defaults_added=0
 _shtab_camtopod_grab_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--camera[the camera\'s id, \[A-Za-z0-9_.-\]\{1,64\}]:ID:"
-  "--out[write event lines here (\'-\'\: standard output), use no bus]:FILE:_files"
-  "--start[a file\: time of its first frame (default 0)]:SECONDS:"
-  "--realtime[a file\: at its own pace]"
-  "--speed[a file\: with --realtime, times its own pace]:FACTOR:"
-  "--state[where the spool is kept (default\: \[state\] directory)]:DIRECTORY:_files -/"
+  "--out[write event lines to FILE (\'-\'\: standard output) instead of the bus]:FILE:_files"
+  "--start[video file\: event time of its first frame (default 0)]:SECONDS:"
+  "--realtime[video file\: read it in real time instead of as fast as possible]"
+  "--speed[video file\: with --realtime, read it FACTOR times as fast]:FACTOR:"
+  "--state[directory of the spool (default\: \[state\] directory)]:DIRECTORY:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
   ":rtsp\:\/\/ URL, video file or device number:_files"
 )
 
@@ -159,10 +159,10 @@ _shtab_camtopod_grab_defaults_added=0
 
 _shtab_camtopod_ingest_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--out[write event lines here (\'-\'\: standard output), use no bus]:FILE:_files"
-  "--state[where the spool is kept (default\: \[state\] directory)]:DIRECTORY:_files -/"
-  "--boot[number the events under this name, so that they count once however often they are ingested (default\: a regular file\'s digest)]:NAME:"
-  "--anew[count a regular file\'s events again, as if they were new]"
+  "--out[write event lines to FILE (\'-\'\: standard output) instead of the bus]:FILE:_files"
+  "--state[directory of the spool (default\: \[state\] directory)]:DIRECTORY:_files -/"
+  "--boot[number the events under this name, so that they count once however often they are ingested (default\: digest of a regular file)]:NAME:"
+  "--anew[count the events of a regular file again, as if they were new]"
   "*--size[size of the pictures that the boxes are of, in pixels (frigate\: detect width and height, which a Frigate that sends path_data can do without)\; may be repeated]:[CAMERA=]WxH:"
   "*--label[frigate, scenescape\: only objects of this kind (person, car, ...)\; may be repeated]:NAME:"
   "--tracked[scenescape\: ids are a tracker\'s (gvatrack in the pipeline)]"
@@ -172,11 +172,11 @@ _shtab_camtopod_ingest_options=(
   "--password-file[the user\'s password (or in \$CAMTOPOD_MQTT_PASSWORD)]:FILE:_files"
   "--ca[mqtts\: the authorities to trust (default\: the system\'s)]:FILE:_files"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
   ":one of\: jsonl, frigate, mot, scenescape:(jsonl frigate mot scenescape)"
-  ":default\: standard input:_files"
+  ":input (default\: standard input):_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -184,15 +184,15 @@ _shtab_camtopod_ingest_defaults_added=0
 
 _shtab_camtopod_init_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--out[write it here (default\: camtopod.toml)]:FILE:_files"
-  "--pictures[also keep a picture of each camera here, DIR\/NAME.jpg, which \`camtopod web\` and \`report\` draw on\; it is stored here only and not sent. No other picture is ever stored]:DIR:_files -/"
-  "--credentials[for systemd\'s services, whose users cannot read secrets\: every camera\'s source goes into a file of that folder, and the configuration names it as \$CREDENTIALS_DIRECTORY\/NAME, where systemd hands it to that camera\'s service\; the daemon tells how it is at 127.0.0.1\:8787]"
-  "--force[overwrite files that are there already]"
+  "--out[configuration file to write (default\: camtopod.toml)]:FILE:_files"
+  "--pictures[also store a picture of each camera as DIR\/NAME.jpg\; \`camtopod web\` and \`report\` draw zones on it. It is stored only there and not sent\; no other picture is ever stored]:DIR:_files -/"
+  "--credentials[for systemd services, whose users cannot read secrets\: every camera\'s source goes into a file of that folder, and the configuration refers to it as \$CREDENTIALS_DIRECTORY\/NAME, where systemd passes it to the camera\'s service\; the daemon reports its health at 127.0.0.1\:8787]"
+  "--force[overwrite existing files]"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  "*:rtsp\:\/\/ URL, video file or device number\; \'-\'\: read them from standard input, a line each, as others on this machine can read passwords on a command line:_files"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "*:rtsp\:\/\/ URL, video file or device number\; \'-\'\: read them from standard input, one a line, as other users of this machine can read passwords on a command line:_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -200,11 +200,11 @@ _shtab_camtopod_init_defaults_added=0
 
 _shtab_camtopod_keys_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--keys[default\: camtopod-keys]:FOLDER:_files -/"
+  "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -212,14 +212,14 @@ _shtab_camtopod_keys_defaults_added=0
 
 _shtab_camtopod_keys_camera_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "*--for[NAME is no camera but a program with events of several (\`camtopod ingest\`), of which this is one\; may be repeated]:CAMERA:"
-  "--days[valid for so long (default\: 1825)]:N:"
-  "--replace[make it anew\; the old one loses its rights]"
-  "--keys[default\: camtopod-keys]:FOLDER:_files -/"
+  "*--for[NAME is a program that publishes events of several cameras (\`camtopod ingest\`), and CAMERA is one of them\; may be repeated]:CAMERA:"
+  "--days[validity of the certificate, days (default\: 1825)]:N:"
+  "--replace[replace the existing one, which loses its rights]"
+  "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
   "*:the camera\'s id, or any name for a reader:"
 )
 
@@ -228,14 +228,14 @@ _shtab_camtopod_keys_camera_defaults_added=0
 
 _shtab_camtopod_keys_daemon_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "*--host[name or address under which the others dial the daemon\; may be repeated (default\: as before)]:NAME:"
-  "--days[valid for so long (default\: 1825)]:N:"
-  "--replace[make it anew\; the old one loses its rights]"
-  "--keys[default\: camtopod-keys]:FOLDER:_files -/"
+  "*--host[host name or address at which others connect to the daemon\; may be repeated (default\: as before)]:NAME:"
+  "--days[validity of the certificate, days (default\: 1825)]:N:"
+  "--replace[replace the existing one, which loses its rights]"
+  "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -243,15 +243,15 @@ _shtab_camtopod_keys_daemon_defaults_added=0
 
 _shtab_camtopod_keys_init_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--authority-days[default\: 7300]:N:"
-  "*--host[name or address under which the others dial the daemon\; may be repeated]:NAME:"
-  "--days[valid for so long (default\: 1825)]:N:"
-  "--replace[make it anew\; the old one loses its rights]"
-  "--keys[default\: camtopod-keys]:FOLDER:_files -/"
+  "--authority-days[validity of the authority, days (default\: 7300)]:N:"
+  "*--host[host name or address at which others connect to the daemon\; may be repeated]:NAME:"
+  "--days[validity of the certificate, days (default\: 1825)]:N:"
+  "--replace[replace the existing one, which loses its rights]"
+  "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -259,11 +259,11 @@ _shtab_camtopod_keys_init_defaults_added=0
 
 _shtab_camtopod_keys_list_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--keys[default\: camtopod-keys]:FOLDER:_files -/"
+  "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -271,13 +271,13 @@ _shtab_camtopod_keys_list_defaults_added=0
 
 _shtab_camtopod_keys_reader_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--days[valid for so long (default\: 1825)]:N:"
-  "--replace[make it anew\; the old one loses its rights]"
-  "--keys[default\: camtopod-keys]:FOLDER:_files -/"
+  "--days[validity of the certificate, days (default\: 1825)]:N:"
+  "--replace[replace the existing one, which loses its rights]"
+  "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
   "*:the camera\'s id, or any name for a reader:"
 )
 
@@ -286,12 +286,12 @@ _shtab_camtopod_keys_reader_defaults_added=0
 
 _shtab_camtopod_keys_revoke_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--keys[default\: camtopod-keys]:FOLDER:_files -/"
+  "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  ":role:(camera reader)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  ":role of the certificate:(camera reader)"
   "*:the camera\'s id, or any name for a reader:"
 )
 
@@ -304,9 +304,9 @@ _shtab_camtopod_learn_options=(
   "--updates[every version on the way, one a line]:OUT.jsonl:_files"
   "--state[a new state directory, for a daemon that goes on from there (its \[state\] directory)]:DIR:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
   "*:files of event lines (\'-\'\: standard input):_files"
 )
 
@@ -316,9 +316,9 @@ _shtab_camtopod_learn_defaults_added=0
 _shtab_camtopod_predict_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
   ":as \`learn\` writes it:_files"
   ":event lines (\'-\'\: standard input):_files"
 )
@@ -332,9 +332,9 @@ _shtab_camtopod_report_options=(
   "--updates[the versions before it, what \`learn --updates\` wrote]:FILE:_files"
   "--pictures[a folder with a picture a camera, CAMERA.jpg or CAMERA.png (\`camtopod init --pictures\` makes them)\; they are in the file then]:DIR:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
   ":what \`learn\` wrote (\'-\'\: standard input):_files"
 )
 
@@ -346,9 +346,9 @@ _shtab_camtopod_run_options=(
   "--state[where the journal is kept (default\: \[state\] directory)]:DIRECTORY:_files -/"
   "--shard[share the site\'s cameras with N - 1 others\; I from 0]:I/N:"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -396,9 +396,9 @@ _shtab_camtopod_simulate_options=(
   "--no-track[events without track]"
   "--no-positions[events without x and y]"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -409,9 +409,9 @@ _shtab_camtopod_watch_options=(
   "--once[show the state once, without waiting for more, and end]"
   "--plain[lines of text, also where rich (\[terminal\]) is installed]"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -423,9 +423,9 @@ _shtab_camtopod_web_options=(
   "*--name[a further name that it is asked for by, behind a proxy say (addresses need none\; repeat for several)]:NAME:"
   "--pictures[a folder of this machine with a picture a camera, CAMERA.jpg or CAMERA.png (\`camtopod init --pictures\` makes them\; for cameras of other machines copy theirs)]:DIR:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
-  "--site[name of the site, second part of every key]:NAME:"
-  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
-  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
 )
 
 # guard to ensure default positional specs are added only once per session

@@ -1,4 +1,9 @@
-"""detect"""
+"""Detection: a frame -> blobs of moving pixels.
+
+In the order of use: `shrink` (working size), `wiener` (noise filter, thesis 4.1), `background`
+(model of the settled scene), `shake` (shift of the picture), `motion` (moving pixels), `blobs`
+(boxes with a foot point).
+"""
 
 from __future__ import annotations
 

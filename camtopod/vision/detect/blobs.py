@@ -1,4 +1,4 @@
-"""Moving pixels -> blobs: boxes with a foot point, fragments of one person merged."""
+"""Blobs from moving pixels: boxes with a foot point; fragments of one person are merged."""
 
 from __future__ import annotations
 
@@ -13,28 +13,30 @@ from camtopod.vision.detect.background import Luma
 from camtopod.vision.detect.motion import Box, Motion
 
 FRAGMENT_PIXELS_MIN = 6
+"""Smallest fragment, pixels."""
 AREA_SHARE_MIN = 0.0004
 """Smallest blob as a share of the picture's area."""
 AREA_PIXELS_MIN = 14
+"""Smallest blob, pixels."""
 EDGE_SHARE_MIN = 0.2
-"""Of a blob's pixels, this share must have an edge of their own; shadows and light have fewer."""
+"""Smallest share of a blob's pixels with an edge of their own; shadows and light have fewer."""
 FILL_SHARE_MIN = 0.2
-"""Of its box, a person fills at least this share."""
+"""Smallest share of its box that a person fills."""
 BESIDE_HEIGHTS = 0.06
-"""Fragments of one person are at most this share of a person's height beside each other."""
+"""Largest horizontal gap between fragments of one person (heights of the person)."""
 BLOBS_MAX = 400
-"""More fragments than this in one frame are noise; the largest are kept."""
+"""Fragments kept of one frame, the largest; more are noise."""
 _HEIGHT_UNKNOWN = 1.5
-"""While a person's height is unknown it is at most so many times that of the taller fragment."""
+"""Largest height of a person, in heights of the taller fragment, while it is unknown."""
 _CLOSE = np.ones((3, 1), np.uint8)
 
 ExpectedHeight = Callable[[float], float | None]
-"""Height in pixels of a person whose feet are in this row, or None while unknown."""
+"""Height in pixels of a person whose feet are in a given row; None while unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Blob:
-    """Something that moves. Pixels of the working picture; right and bottom exclusive."""
+    """A moving region. In pixels of the working picture; right and bottom are exclusive."""
 
     left: float
     top: float
@@ -50,35 +52,39 @@ class Blob:
 
     @property
     def width(self) -> float:
-        """Pixels."""
+        """Width, pixels."""
         return self.right - self.left
 
     @property
     def height(self) -> float:
-        """Pixels."""
+        """Height, pixels."""
         return self.bottom - self.top
 
     @property
     def head(self) -> tuple[float, float]:
-        """Top centre."""
+        """Head point: top centre."""
         return ((self.left + self.right) / 2, self.top)
 
     @property
     def foot(self) -> tuple[float, float]:
-        """Bottom centre: the lowest fifth's middle column in the lowest row."""
+        """Foot point: middle column of the lowest fifth, in the bottom row."""
         return (self.foot_x, self.bottom)
 
 
 def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
-    """The frame's blobs, in no particular order."""
+    """Return the blobs of a frame, in no particular order."""
     if not cv2.countNonZero(motion.moving):
         return []
     mask = cv2.morphologyEx(motion.moving, cv2.MORPH_CLOSE, _CLOSE)
+
+    # Connected fragments, the largest if there are too many.
     labels, stats = _fragments(mask)
     areas = stats[1:, cv2.CC_STAT_AREA]
     kept = 1 + np.flatnonzero(areas >= FRAGMENT_PIXELS_MIN)
     if len(kept) > BLOBS_MAX:
         kept = 1 + np.argsort(areas)[-BLOBS_MAX:]
+
+    # Merge fragments of one person and keep what looks like one.
     groups = _merge([(int(label), _box(stats[label])) for label in kept], cache(expected_height))
     area_min = max(AREA_PIXELS_MIN, AREA_SHARE_MIN * mask.size)
     blobs = []
@@ -92,12 +98,11 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
 
 
 def _fragments(mask: Luma) -> tuple[Luma, Luma]:
-    """Connected pixels of ``mask``: label of each pixel (0: not in the mask), and OpenCV's table of
-    the labels.
+    """Return the label of each pixel of ``mask`` (0: outside) and OpenCV's table of the labels.
 
-    Labelling costs by the area looked at, so it is done only where there is something.
+    The cost of labelling grows with the area, so it is limited to the bounding box of the mask.
     """
-    few = mask.size < 4 * np.iinfo(np.uint16).max  # no two fragments share a square of 2 x 2 pixels
+    few = mask.size < 4 * np.iinfo(np.uint16).max  # a square of 2 x 2 pixels holds one fragment
     depth, dtype = (cv2.CV_16U, np.uint16) if few else (cv2.CV_32S, np.int32)
     labels: Luma = np.zeros(mask.shape, dtype)
     left, top, width, height = cv2.boundingRect(mask)
@@ -117,16 +122,23 @@ def _box(row: cv2.typing.MatLike) -> Box:
 
 
 def _blob(group: list[int], box: Box, area: int, labels: Luma, motion: Motion) -> Blob | None:
-    """One blob of the fragments ``group``, or None if it has too few edges of its own."""
+    """Return the blob of the fragments ``group``, or None.
+
+    None if it fills too little of its box or has too few edges of its own.
+    """
     left, top, right, bottom = map(int, box)
     part = labels[top:bottom, left:right]
     mask = part == group[0]
     for label in group[1:]:
         mask |= part == label
+
+    # Reject shadows, light and scattered pixels.
     if area < FILL_SHARE_MIN * (right - left) * (bottom - top):
         return None
     if np.count_nonzero(motion.edges[top:bottom, left:right][mask]) < EDGE_SHARE_MIN * area:
         return None
+
+    # Foot: middle of the lowest fifth.
     feet = np.flatnonzero(mask[-max(1, (bottom - top) // 5) :].any(axis=0))
     return Blob(left, top, right, bottom, left + float(feet[0] + feet[-1] + 1) / 2, area)
 
@@ -134,8 +146,11 @@ def _blob(group: list[int], box: Box, area: int, labels: Luma, motion: Motion) -
 def _merge(
     fragments: list[tuple[int, Box]], expected_height: ExpectedHeight
 ) -> list[tuple[list[int], Box]]:
-    """Groups of labels that are one person, and their boxes: one above the other, or nearly
-    touching, and not too tall together."""
+    """Group the labels that belong to one person; return the groups with their boxes.
+
+    Fragments are merged if one is above the other or they nearly touch, and the union is not too
+    tall.
+    """
     groups = [([label], box) for label, box in fragments]
     reach = BESIDE_HEIGHTS * _tallest([box for _, box in groups], expected_height)
     merged = True
@@ -144,7 +159,7 @@ def _merge(
         for i in range(len(groups)):
             for j in range(len(groups) - 1, i, -1):
                 a, b = groups[i][1], groups[j][1]
-                if a[0] - b[2] > reach or b[0] - a[2] > reach:  # most of them
+                if a[0] - b[2] > reach or b[0] - a[2] > reach:  # too far apart: most pairs
                     continue
                 if _belong(a, b, expected_height):
                     labels, box = groups.pop(j)
@@ -154,9 +169,7 @@ def _merge(
 
 
 def _tallest(boxes: list[Box], expected_height: ExpectedHeight) -> float:
-    """No two of the boxes, nor of what they are merged to, are taken for parts of a taller person
-    than this.
-    """
+    """Return an upper bound (pixels) of the height of a person that any of the boxes is part of."""
     if not boxes:
         return 0.0
     unknown = _HEIGHT_UNKNOWN * (max(box[3] for box in boxes) - min(box[1] for box in boxes))
@@ -168,17 +181,23 @@ def _union(a: Box, b: Box) -> Box:
 
 
 def _belong(a: Box, b: Box, expected_height: ExpectedHeight) -> bool:
+    """Return True if two boxes are parts of one person."""
     overlap = (a[2] if a[2] < b[2] else b[2]) - (a[0] if a[0] > b[0] else b[0])
     height = expected_height(a[3] if a[3] > b[3] else b[3])
     if height is None:
         height = _HEIGHT_UNKNOWN * max(a[3] - a[1], b[3] - b[1])
     if overlap < -BESIDE_HEIGHTS * height:
         return False
+
     gap = max(a[1], b[1]) - min(a[3], b[3])
     together = _union(a, b)
+
+    # One above the other.
     if overlap >= 0.5 * min(a[2] - a[0], b[2] - b[0]):
         slim = together[2] - together[0] <= 1.3 * max(a[2] - a[0], b[2] - b[0])
         return slim and gap <= 0.35 * height and together[3] - together[1] <= 1.2 * height
+
+    # Nearly touching, and one of them is small.
     small = min((a[2] - a[0]) * (a[3] - a[1]), (b[2] - b[0]) * (b[3] - b[1]))
     near = gap <= 0.05 * height
     return near and small < 0.05 * height * height and together[3] - together[1] <= 1.2 * height

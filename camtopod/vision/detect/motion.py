@@ -1,9 +1,9 @@
-"""Moving pixels against the settled scene, and which of the scene may be learned meanwhile.
+"""Motion detection against the settled scene, and selection of the pixels to learn.
 
-Three things decide how well this works on real video: the background must not learn what stands
-under a confirmed track; light must not be motion (tone curve in `background`, gradients here); and
-freezing must end - a picture that changed as a whole is learned anew, and what nobody claims is
-adopted after some seconds.
+Three rules make this work on real video: the background must not learn what stands under a
+confirmed track; light must not count as motion (tone curve in `background`, gradients here); and no
+pixel may stay frozen for ever: a picture that has changed as a whole is learned anew, and
+differences that no track claims are adopted after some seconds.
 """
 
 from __future__ import annotations
@@ -20,56 +20,66 @@ from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiene
 from camtopod.vision.settings import VisionSettings
 
 Box = tuple[float, float, float, float]
-"""Left, top, right, bottom in pixels; right and bottom exclusive."""
+"""Left, top, right, bottom in pixels; right and bottom are exclusive."""
 
 DIFFERENCE_MIN = 15.0
-"""A pixel moves from this difference on, grey levels, in a picture without noise."""
+"""Smallest difference (grey levels) of a moving pixel, in a picture without noise."""
 NOISE_FACTOR = 4.0
+"""Smallest difference of a moving pixel in sigmas of the noise."""
 EDGE_MIN = 18.0
-"""Step of the logarithmic difference between neighbours that a change of light does not make; 100
-is a factor of e."""
+"""Smallest step of the logarithmic difference between neighbours that light does not cause.
+
+In hundredths of e-folds: 100 is a factor of e.
+"""
 STRONG_MIN = 75.0
-"""Logarithmic difference that no shadow makes."""
+"""Smallest logarithmic difference that no shadow causes (100: a factor of e)."""
 WHOLE_PICTURE_SHARE = 0.5
+"""Share of differing pixels above which the whole picture counts as changed."""
 WHOLE_PICTURE_SECONDS = 1.5
+"""Time for which the whole picture must have changed before it is learned anew."""
 ADOPT_SECONDS = 6.0
-"""What differs from the model for this long and belongs to no object becomes part of the scene."""
+"""Time after which a difference that belongs to no object becomes part of the scene."""
 BOOTSTRAP_FRAMES_MAX = 24
+"""Largest number of frames in the median of the first background."""
 GHOST_RATIO = 1.5
-"""Along a ghost's outline the model has this many times the picture's gradient: what left is in the
-model.
+"""Gradient of the model over that of the picture, along the outline, above which it is a ghost.
+
+The model then still contains the object that has left.
 """
 SHAKE_PIXELS = 0.2
-"""From this mean shake on, a pixel may show what the scene has beside it (which hides some
-people).
+"""Mean shake (pixels) from which a pixel may show its neighbour in the scene.
+
+This tolerance hides some people.
 """
 SHAKE_PIXELS_MAX = 2.0
+"""Largest shift of one frame that enters the mean shake, pixels."""
 _NOISE_RATE = 0.1
+"""Weight of the newest frame in the running means of noise and shake."""
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _SQUARE = np.ones((3, 3), np.uint8)
 _WIDE = np.ones((3, 3), np.uint8)
 _DARK = 24.0
-"""Below this level the logarithm flattens, so that noise in the dark is no edge."""
+"""Level below which the logarithm flattens, so that noise in the dark makes no edges."""
 _LOGARITHM = np.clip(100 * np.log((np.arange(256) + _DARK) / _DARK), 0, 255).astype(np.uint8)
+"""Logarithm of each grey level, in hundredths of e-folds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """One frame against the settled scene, masks (H, W) of 0 and 255.
-
-    ``changed``: differs from the scene; ``moving``: of these, without shadows and reflections;
-    ``edges``: edges that the scene does not have; ``expected``: the picture of the scene in this
-    light.
-    """
+    """One frame against the settled scene; masks (H, W) of 0 and 255."""
 
     moving: Luma
+    """Changed pixels without shadows and reflections."""
     edges: Luma
+    """Edges that the scene does not have."""
     changed: Luma
+    """Pixels that differ from the scene."""
     expected: Luma
+    """Picture of the scene in the frame's light."""
 
 
 class MotionDetector:
-    """`bootstrap` once, then for each frame `look` and, after tracking, `learn`."""
+    """Motion of one view: call `bootstrap` once, then `look` and, after tracking, `learn`."""
 
     def __init__(self, settings: VisionSettings) -> None:
         self._settings = settings
@@ -82,19 +92,17 @@ class MotionDetector:
 
     @property
     def ready(self) -> bool:
-        """Whether there is a background to compare with."""
+        """True if there is a background to compare with."""
         return self._background is not None
 
     @property
     def disturbed(self) -> bool:
-        """Whether most of the latest picture differs from the scene: nothing in it can be told
-        apart.
-        """
+        """True if most of the latest picture differs from the scene, so that objects are hidden."""
         return self._changed_seconds > 0.0
 
     @property
     def shake(self) -> float:
-        """How far pictures lie off the scene, pixels, a running mean."""
+        """Running mean of the shift between pictures and scene, pixels."""
         return self._shake
 
     @property
@@ -103,7 +111,7 @@ class MotionDetector:
         return self._noise
 
     def clean(self, frame: Luma) -> Luma:
-        """Measure the noise of ``frame`` and filter it if there is enough of it."""
+        """Measure the noise of ``frame``; return the frame, filtered if it is noisy."""
         if self._last is not None and self._last.shape == frame.shape:
             noise = temporal_noise(frame, self._last)
             self._noise += (_NOISE_RATE if self._noise else 1.0) * (noise - self._noise)
@@ -113,7 +121,7 @@ class MotionDetector:
         return cv2.convertScaleAbs(wiener(frame, 3, self._noise**2))
 
     def bootstrap(self, frames: list[Luma]) -> None:
-        """Take the median of (at most 24 of) ``frames`` as the settled scene."""
+        """Take the median of ``frames`` (at most 24 of them) as the settled scene."""
         step = -(-len(frames) // BOOTSTRAP_FRAMES_MAX)
         self._background = Background(frames[::step], self._settings.background_seconds)
         self._settled: Luma = np.full(frames[0].shape, 255, np.uint8)
@@ -121,18 +129,22 @@ class MotionDetector:
         self._changed_seconds = 0.0
 
     def look(self, frame: Luma, dt: float) -> Motion | None:
-        """Moving pixels of ``frame``, ``dt`` seconds after the last; None when the whole picture
-        has changed.
+        """Return the motion in ``frame``, ``dt`` seconds after the last.
 
-        After None the caller forgets its objects and bootstraps again.
+        Returns None if the whole picture has changed; the caller then forgets its objects and
+        bootstraps again.
         """
         assert self._background is not None, "bootstrap first"
         expected = self._background.expected(frame, self._settled, self._noise)
+
+        # Difference to the expected picture, tolerant of shake if there is any.
         x, y = shift(frame, expected, self._settled)
         self._shake += _NOISE_RATE * (min(abs(x) + abs(y), SHAKE_PIXELS_MAX) - self._shake)
         difference = (
             _beyond(frame, expected) if self._shake > SHAKE_PIXELS else cv2.absdiff(frame, expected)
         )
+
+        # Moving pixels; a picture that has changed as a whole for long ends this scene.
         threshold = max(DIFFERENCE_MIN, NOISE_FACTOR * min(self._noise, NOISE_TO_FILTER))
         moving = cv2.threshold(difference, threshold, 255, cv2.THRESH_BINARY)[1]
         share = cv2.countNonZero(moving) / moving.size
@@ -143,21 +155,21 @@ class MotionDetector:
             return None
         if share == 0.0:
             return Motion(moving, moving, moving, expected)
+
+        # Keep moving pixels near own edges or with a strong difference, and what they enclose.
         edges, strong = self._own_texture(frame, expected)
         near = cv2.dilate(edges, _WIDE)
         solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
         solid = cv2.bitwise_and(moving, _filled(solid))
-        solid = cv2.morphologyEx(
-            solid, cv2.MORPH_OPEN, _CROSS
-        )  # outlines of furniture are lines, people are not
+        # Opening removes lines, such as outlines of furniture.
+        solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)
         return Motion(solid, edges, moving, expected)
 
     def _own_texture(self, frame: Luma, expected: Luma) -> tuple[Luma, Luma]:
-        """Where the picture has edges the scene has not, and where it differs more than a shadow
-        makes it.
+        """Return the picture's own edges, and the pixels that differ by more than a shadow can.
 
-        A shadow or a reflection multiplies the scene by a factor that varies slowly, so in
-        logarithms it adds a flat patch, whatever texture lies below.
+        A shadow or a reflection multiplies the scene by a factor that varies slowly. In logarithms
+        it adds a flat patch, whatever the texture below.
         """
         ratio = cv2.absdiff(cv2.LUT(frame, _LOGARITHM), cv2.LUT(expected, _LOGARITHM))
         steps = cv2.morphologyEx(ratio, cv2.MORPH_GRADIENT, _CROSS)
@@ -165,10 +177,13 @@ class MotionDetector:
         return edges, cv2.threshold(ratio, STRONG_MIN, 255, cv2.THRESH_BINARY)[1]
 
     def learn(self, frame: Luma, motion: Motion, dt: float, claimed: Iterable[Box]) -> None:
-        """Follow the scene where nothing moves, outside ``claimed`` (the boxes of confirmed
-        objects).
+        """Adapt to the scene where nothing moves.
+
+        claimed: boxes of confirmed objects, whose pixels are not learned.
         """
         assert self._background is not None, "bootstrap first"
+
+        # Exclude moving pixels and, with a margin, confirmed objects.
         unclaimed = motion.changed.copy()
         self._settled = cv2.bitwise_not(cv2.dilate(motion.changed, _SQUARE))
         for left, top, right, bottom in claimed:
@@ -177,10 +192,13 @@ class MotionDetector:
             columns = slice(max(0, int(left - margin)), max(0, int(right + margin) + 1))
             unclaimed[rows, columns] = 0
             self._settled[rows, columns] = 0
+
         self._background.learn(frame, motion.expected, dt, self._settled)
         if not cv2.countNonZero(unclaimed):
             self._unclaimed_seconds.fill(0.0)
             return
+
+        # Adopt differences that no object has claimed for long.
         self._unclaimed_seconds = cv2.copyTo(self._unclaimed_seconds + np.float32(dt), unclaimed)
         if float(self._unclaimed_seconds.max()) > ADOPT_SECONDS:
             self._adopt(
@@ -193,8 +211,10 @@ class MotionDetector:
         self._unclaimed_seconds[where != 0] = 0.0
 
     def is_ghost(self, frame: Luma, motion: Motion, box: Box) -> bool:
-        """Whether the moving pixels in ``box`` are where something *was*; if so the scene adopts
-        what is there now."""
+        """Return True if ``box`` holds a ghost: motion where an object *was*.
+
+        The scene then adopts the current picture there.
+        """
         assert self._background is not None, "bootstrap first"
         left, top, right, bottom = (max(0, int(value)) for value in box)
         rows, columns = slice(max(0, top - 2), bottom + 2), slice(max(0, left - 2), right + 2)
@@ -204,12 +224,16 @@ class MotionDetector:
         outline = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, _SQUARE) != 0
         if not outline.any():
             return False
+
+        # Compare the gradients along the outline.
         now = cv2.morphologyEx(frame[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
         model = cv2.morphologyEx(
             self._background.picture[rows, columns], cv2.MORPH_GRADIENT, _CROSS
         )[outline].mean()
         if float(model) < GHOST_RATIO * max(1.0, float(now)):
             return False
+
+        # Adopt the picture.
         where = np.zeros(frame.shape, np.uint8)
         where[rows, columns] = cv2.dilate(mask, _SQUARE)
         self._adopt(frame, where)
@@ -217,9 +241,9 @@ class MotionDetector:
 
 
 def _filled(mask: Luma) -> Luma:
-    """``mask`` and what it goes around: all that a flood from outside does not reach.
+    """Return ``mask`` with its holes filled: all that a flood fill from outside does not reach.
 
-    A flood costs by the area, so it is let in only where there is something.
+    The cost of a flood fill grows with the area, so it is limited to the bounding box of the mask.
     """
     left, top, width, height = cv2.boundingRect(mask)
     if width == 0:
@@ -235,8 +259,10 @@ def _filled(mask: Luma) -> Luma:
 
 
 def _beyond(frame: Luma, expected: Luma) -> Luma:
-    """How far each pixel is outside of what the scene shows there or one pixel beside: cameras on
-    poles shake."""
+    """Return how far each pixel lies outside the range of the scene in its 3 x 3 neighbourhood.
+
+    For cameras that shake, such as those on poles.
+    """
     above = cv2.subtract(frame, cv2.dilate(expected, _SQUARE))
     below = cv2.subtract(cv2.erode(expected, _SQUARE), frame)
     return cv2.max(above, below)

@@ -1,8 +1,7 @@
-"""Pictures down to the working size: halved as long as that goes, the rest in one step; pixels are
-means of areas.
+"""Scale pictures down to the working size by area means: halvings first, the rest in one step.
 
-A mean of 2 x 2 pixels is what processors do many of at a time; all in one step costs up to six
-times as much. Interpolating the rest instead would be cheaper still, but people are lost by it.
+Means of 2 x 2 pixels are fast because processors vectorise them; a single step for everything costs
+up to six times as much. Interpolating the rest instead would be cheaper still, but loses people.
 """
 
 from __future__ import annotations
@@ -13,13 +12,13 @@ from camtopod.vision.detect.background import Luma
 
 
 def shrunk(picture: Luma, width_max: int) -> Luma:
-    """``picture`` (H, W) at most ``width_max`` pixels wide, in its proportions; never the same
-    memory.
-    """
+    """Return ``picture`` (H, W) scaled to at most ``width_max`` pixels of width, as a copy."""
     height, width = picture.shape
     if width <= width_max:
         return picture.copy()
     size = (width_max, round(height * width_max / width))
+
+    # Halve as long as possible.
     while (
         width >= 2 * size[0]
         and height >= 2 * size[1]
@@ -27,10 +26,9 @@ def shrunk(picture: Luma, width_max: int) -> Luma:
     ):
         height, width = height // 2, width // 2
         picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
-    if (width, height) == (
-        3 * size[0],
-        3 * size[1],
-    ):  # 1080p to 320: every third of the running means is the same
+
+    # Scale by the rest. By 3 (1080p to 320), every third running mean is the area mean.
+    if (width, height) == (3 * size[0], 3 * size[1]):
         return cv2.blur(picture, (3, 3))[1::3, 1::3].copy()
     return (
         picture

@@ -1,8 +1,8 @@
-"""Wiener noise reduction (thesis 4.1) out of box filters, and how noisy a picture is.
+"""Wiener noise filter (thesis 4.1) built from box filters, and noise measurement.
 
 The filter is that of ``scipy.signal.wiener`` (Lim, Two-Dimensional Signal and Image Processing,
-1990, p. 548): a window with no more variance than the noise is replaced by its mean, others keep
-the share of their deviation that is signal.
+1990, p. 548): a window whose variance does not exceed the noise is replaced by its mean; other
+windows keep the share of their deviation that is signal.
 """
 
 from __future__ import annotations
@@ -15,47 +15,50 @@ import numpy as np
 import numpy.typing as npt
 
 NOISE_TO_FILTER = 2.5
-"""Below this noise, grey levels (one sigma), filtering costs more detail than it takes noise
-away.
-"""
+"""Noise (one sigma, grey levels) below which filtering costs more detail than it removes noise."""
 _TRIM = 0.75
+"""Share of the pixels, the least changed, that the noise is measured by."""
 _TRIMMED_MEAN = 0.5147
-"""Mean of the lowest 75 % of |z| for standard normal z."""
+"""Mean of the lowest 75 % of abs(z) for standard normal z."""
 
 
 def wiener(
     image: npt.NDArray[Any], size: int = 3, noise: float | None = None
 ) -> npt.NDArray[np.floating[Any]]:
-    """Filter ``image`` (H, W) with a window of ``size`` x ``size`` (odd).
+    """Filter ``image`` (H, W) with a window of ``size`` x ``size`` pixels (odd).
 
-    ``noise`` is the variance of the noise, grey levels squared; without it, the mean of the local
-    variances as in scipy (which takes texture for noise). float64 stays float64, everything else
-    becomes float32. Outside the picture everything is zero.
+    noise (grey levels squared): variance of the noise; by default the mean of the local variances,
+        as in SciPy, which mistakes texture for noise.
+
+    float64 stays float64, every other type becomes float32. The image is padded with zeros.
     """
     depth, dtype = (
         (cv2.CV_64F, np.float64) if image.dtype == np.float64 else (cv2.CV_32F, np.float32)
     )
     window = (size, size)
+
+    # Local mean and variance.
     mean = cv2.boxFilter(image, depth, window, borderType=cv2.BORDER_CONSTANT)
     variance = cv2.sqrBoxFilter(image, depth, window, borderType=cv2.BORDER_CONSTANT)
     variance = variance - mean * mean
     if noise is None:
         noise = float(variance.mean())
-    # Where the variance is at most the noise the weight is 0, which is the mean alone.
+
+    # Where the variance does not exceed the noise, the weight is 0 and the mean remains.
     weight = 1.0 - noise / np.maximum(variance, max(noise, float(np.finfo(dtype).tiny)))
     return np.asarray(mean + weight * (image - mean), dtype=dtype)
 
 
 def temporal_noise(frame: cv2.typing.MatLike, previous: cv2.typing.MatLike) -> float:
-    """One-sigma noise in grey levels from two neighbouring frames (H, W), by each fourth pixel of
-    each fourth row.
+    """Return the one-sigma noise (grey levels) between two consecutive frames (H, W).
 
-    The quarter of the pixels that changed most is left out: that is motion.
+    Every fourth pixel of every fourth row is used. The quarter of these that changed most is left
+    out as motion.
     """
     change = cv2.absdiff(
         *(np.ascontiguousarray(picture[::4, ::4]) for picture in (frame, previous))
     )
     kept = max(1, int(change.size * _TRIM))
-    at_most = np.cumsum(np.bincount(change.ravel()))  # so many pixels changed by 0, by 0 or 1, ...
+    at_most = np.cumsum(np.bincount(change.ravel()))  # pixels that changed by at most 0, 1, ...
     total = int(np.maximum(kept - at_most, 0).sum())
     return total / kept / _TRIMMED_MEAN / sqrt(2.0)

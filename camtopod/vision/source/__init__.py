@@ -1,4 +1,10 @@
-"""source"""
+"""Video sources: a file, a stream or a device -> frames with capture times.
+
+`source_url` tells the kind of a source and encodes its password; `capture` wraps OpenCV. On top of
+it `recorded` reads a file and `live` a stream or device, which reconnects; `frame_times` estimates
+capture times from presentation stamps. `ffmpeg_log` finds out why a stream cannot be opened,
+`probe` describes a source for people, `errors` has the exceptions.
+"""
 
 from __future__ import annotations
 

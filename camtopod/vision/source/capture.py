@@ -1,11 +1,14 @@
-"""A file, an RTSP stream or a device -> frames with capture times.
+"""Frames with capture times from a file, an RTSP stream or a device, through OpenCV.
 
-What was learned about OpenCV's FFmpeg backend the hard way: name the backend or the timeouts are
-ignored; one decoder thread, or a stall first hands out stale frames as good ones; a capture that
-said False once spins and never recovers; releasing it from another thread while it reads crashes;
-without ``rtsp_transport;tcp`` it switches to UDP; the frame rate wanted must be had by skipping
-`retrieve`, never `grab`, or the stream falls behind. The luma plane must be asked for before the
-first `retrieve`: the conversion chosen there stays, whatever is asked for later.
+Properties of OpenCV's FFmpeg backend that this code respects:
+
+- The backend must be named, or the timeouts are ignored.
+- With more than one decoder thread, stale frames are returned as good ones after a stall.
+- A capture that returned False once spins and never recovers.
+- Releasing a capture from another thread while it reads crashes.
+- Without ``rtsp_transport;tcp`` it switches to UDP.
+- To reduce the frame rate, skip `retrieve`, never `grab`, or the stream falls behind.
+- The luma plane must be requested before the first `retrieve`, which fixes the conversion.
 """
 
 from __future__ import annotations
@@ -23,39 +26,40 @@ from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.source_url import kind_of, percent_encoded
 
 STREAM_OPTIONS = "rtsp_transport;tcp|probesize;32768|analyzeduration;300000"
-"""A small probe gives the first frame after 0.6 s instead of 1.9 s."""
+"""FFmpeg options of streams. The small probe gives the first frame after 0.6 s instead of 1.9 s."""
 _OPTIONS_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 LUMA_FORMATS = frozenset({"I420", "YV12", "Y42B", "444P", "NV12", "NV21", "Y800"})
-"""FFmpeg's names for pixel formats that begin with a plane of 8-bit luma."""
+"""FFmpeg's names of pixel formats that begin with a plane of 8-bit luma."""
 _STEP_RATE = 0.1
+"""Weight of the newest interval in the running mean of frame intervals."""
 
 
 class Grab(NamedTuple):
-    """A frame that was grabbed: its presentation time in seconds (0.0 where unknown)."""
+    """A grabbed frame: presentation time in seconds, 0.0 if unknown."""
 
     stamp: float
 
 
 class Frame(NamedTuple):
-    """A frame that is to be analysed: capture time in seconds and picture (H, W) at working
-    size.
-    """
+    """A frame to analyse: capture time (seconds) and luma (H, W) at working size."""
 
     t: float
     luma: Luma
 
 
 class Capture:
-    """One opened capture. All calls from one thread; dead after the first failed `grab`."""
+    """An open OpenCV capture. For a single thread; unusable after the first failed `grab`."""
 
     def __init__(self, source: str, settings: VisionSettings, colour: bool = False) -> None:
-        """Open ``source``; see `is_open` for whether that worked. Blocks for at most the open
-        timeout.
+        """Open ``source``; `is_open` tells if that worked. Blocks for at most the open timeout.
 
-        ``colour``: `jpeg` is wanted, too, for which frames have to be converted.
+        colour: convert frames to colour, as `jpeg` requires.
         """
-        cv2.utils.logging.setLogLevel(0)  # its messages hold URLs with passwords
-        cv2.setNumThreads(1)  # for pictures this small, waking the others costs more than they do
+        cv2.utils.logging.setLogLevel(0)  # its messages contain URLs with passwords
+        # Pictures are so small that waking more threads costs more than it gains.
+        cv2.setNumThreads(1)
+
+        # Open with timeouts (streams) and one decoder thread.
         kind = kind_of(source)
         if kind == "device":
             self._capture = cv2.VideoCapture(int(source))
@@ -73,9 +77,11 @@ class Capture:
             with _environment(kind == "stream"):
                 name = percent_encoded(source) if kind == "stream" else source
                 self._capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, parameters)
+
+        # Request the luma plane if the pixel format has one.
         self._width_max = settings.working_width
         self._picture: Luma | None = None
-        """Used again for each frame: a new one of this size costs more than filling it."""
+        """Buffer of the latest frame; allocating a new one costs more than filling it."""
         pixels = (
             ""
             if kind == "device"
@@ -86,42 +92,43 @@ class Capture:
 
     @property
     def is_open(self) -> bool:
-        """Whether opening worked (it stays so when the source dies)."""
+        """True if opening worked (it stays so when the source dies)."""
         return bool(self._capture.isOpened())
 
     @property
     def fps(self) -> float:
-        """What the source says its frame rate is; 0.0 where it does not."""
+        """Frame rate that the source declares; 0.0 if unknown."""
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
         return fps if 0.0 < fps < 1000.0 else 0.0
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of its pictures, pixels."""
+        """Width and height of the source's pictures, pixels."""
         get = self._capture.get
         return int(get(cv2.CAP_PROP_FRAME_WIDTH)), int(get(cv2.CAP_PROP_FRAME_HEIGHT))
 
     @property
     def codec(self) -> str:
-        """The four characters of its codec; "" where it is not known."""
+        """Four-character code of the codec; "" if unknown."""
         return _four_characters(self._capture, cv2.CAP_PROP_FOURCC).strip("\0 ")
 
     def grab(self) -> Grab | None:
-        """Take the next frame without converting it; None when the source has ended or died."""
+        """Take the next frame without converting it; None if the source has ended or died."""
         if not self._capture.grab():
             return None
         return Grab(float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0)
 
     def retrieve(self) -> Luma | None:
-        """The grabbed frame's luma (H, W) at working size; None if it cannot be decoded."""
+        """Return the grabbed frame's luma (H, W) at working size; None if it cannot be decoded."""
         good, self._picture = self._capture.retrieve(self._picture)
         if not good or self._picture is None:
             return None
         return shrunk(_grey(self._picture), self._width_max)
 
     def jpeg(self, width_max: int) -> bytes:
-        """The frame that was retrieved last, at most ``width_max`` pixels wide; b"" if there is
-        none.
+        """Return the latest retrieved frame as JPEG, at most ``width_max`` pixels wide.
+
+        Empty if there is none.
         """
         if self._picture is None:
             return b""
@@ -135,14 +142,12 @@ class Capture:
         return cv2.imencode(".jpg", small)[1].tobytes()
 
     def release(self) -> None:
-        """Close it. From the thread that reads."""
+        """Close the capture. Call it from the thread that reads."""
         self._capture.release()
 
 
 class Cadence:
-    """Which frames to analyse: as near to a wanted rate as the source's own allows, by time
-    stamps.
-    """
+    """Chooses the frames to analyse, by time stamps, for a rate as near to ``fps`` as possible."""
 
     def __init__(self, fps: float) -> None:
         self._interval = 1.0 / fps
@@ -151,11 +156,17 @@ class Cadence:
         self._last_taken: float | None = None
 
     def wants(self, stamp: float) -> bool:
-        """Whether to analyse the frame with this time stamp, seconds; call it for every frame."""
+        """Return True if the frame with this stamp (seconds) is to be analysed.
+
+        Must be called for every frame.
+        """
+        # Running mean of the source's frame interval.
         if self._last_stamp is not None and stamp > self._last_stamp:
             step = min(stamp - self._last_stamp, 1.0)
             self._step += (step - self._step) * (_STEP_RATE if self._step else 1.0)
         self._last_stamp = stamp
+
+        # Due: nearer to the wanted time than the next frame would be, or the stamps went back.
         due = (
             self._last_taken is None
             or not 0.0 <= stamp - self._last_taken < self._interval - self._step / 2
@@ -167,7 +178,10 @@ class Cadence:
 
 @contextmanager
 def _environment(stream: bool) -> Iterator[None]:
-    """FFmpeg's options are read from the environment at opening; a user's own stay."""
+    """Set FFmpeg's options in the environment, where it reads them when opening, for the block.
+
+    Options that the user has set take precedence.
+    """
     if not stream or _OPTIONS_VARIABLE in os.environ:
         yield
         return

@@ -1,8 +1,10 @@
-"""What the grabber raises."""
+"""Exceptions of video sources."""
 
 from __future__ import annotations
 
 
 class SourceError(OSError):
-    """A video file that is there but cannot be decoded (or holds no frame). ``str()`` says which,
-    without a password."""
+    """A video file exists but cannot be decoded, or holds no frame.
+
+    ``str()`` names the file, without a password.
+    """

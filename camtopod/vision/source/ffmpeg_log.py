@@ -1,7 +1,7 @@
-"""Why a stream cannot be opened, which OpenCV does not tell: FFmpeg says it, and OpenCV prints it
-to standard output.
+"""Find out why a stream cannot be opened, from FFmpeg's log.
 
-Only what is recognised is handed on, in our words: FFmpeg's own may hold addresses and passwords.
+OpenCV does not report the reason; FFmpeg logs it, and OpenCV prints that to standard output. Only
+recognised reasons are passed on, in our own words: FFmpeg's may contain addresses and passwords.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ from contextlib import contextmanager
 
 LEVEL_VARIABLE = "OPENCV_FFMPEG_LOGLEVEL"
 LEVEL_WARNINGS = "24"
+"""FFmpeg's number for the log level "warning"."""
 _READ_BYTES = 65536
 _LIBC = ctypes.CDLL(None)
 _STANDARD_OUTPUT = 1
 _REFUSED = re.compile(rb"(?:failed: (?:Server returned )?|HTTP error )([45]\d\d)\b")
+"""HTTP or RTSP status of a refused request, as FFmpeg logs it."""
 _STATUSES = {
     401: "the camera refuses the user name or password",
     403: "the camera refuses the user name or password",
@@ -27,20 +29,22 @@ _STATUSES = {
     453: "the camera has too many viewers",
     503: "the camera is busy",
 }
+"""Reason by HTTP or RTSP status."""
 _PHRASES = {
     b"Connection refused": "nothing listens at this address and port",
-    b"Failed to resolve hostname": "the host's name is not known",
-    b"No route to host": "there is no way to the host",
-    b"Network is unreachable": "there is no way to the host",
+    b"Failed to resolve hostname": "the host name cannot be resolved",
+    b"No route to host": "no route to the host",
+    b"Network is unreachable": "the network is unreachable",
     b"Connection timed out": "the host does not answer",
     b"Immediate exit requested": "the host does not answer",
     b"End of file": "the host closes the connection: is it a camera's port?",
     b"Connection reset": "the host closes the connection: is it a camera's port?",
 }
+"""Reason by phrase in FFmpeg's log."""
 
 
 def reason_in(said: bytes) -> str:
-    """The last reason in what FFmpeg said; "" if none is recognised."""
+    """Return the last recognised reason in FFmpeg's output; "" if there is none."""
     for line in reversed(said.splitlines()):
         refused = _REFUSED.search(line)
         if refused is not None:
@@ -53,13 +57,13 @@ def reason_in(said: bytes) -> str:
 
 
 class Complaints:
-    """What has been said since it was asked last; nothing unless `listening`."""
+    """FFmpeg's output since the last query; empty unless created by `listening`."""
 
     def __init__(self, fd: int | None = None) -> None:
         self._fd = fd
 
     def take(self) -> str:
-        """The newest reason, or "". Never blocks."""
+        """Return the newest reason, or "". Never blocks."""
         if self._fd is not None:
             _flush()
         said = b""
@@ -68,25 +72,23 @@ class Complaints:
                 heard = os.read(self._fd, _READ_BYTES)
             except BlockingIOError:
                 break
-            if not heard:  # nobody can say anything any more
+            if not heard:  # the pipe has been closed
                 break
             said = (said + heard)[-_READ_BYTES:]
         return reason_in(said)
 
 
 def _flush() -> None:
-    """What OpenCV has printed waits in the buffer of C's standard output, a thing apart from
-    `sys.stdout`.
-    """
+    """Flush C's standard output, which holds OpenCV's output and is separate from `sys.stdout`."""
     _LIBC.fflush(None)
 
 
 @contextmanager
 def _log_level(level: str) -> Iterator[None]:
-    """FFmpeg's log has this level if it is opened first while the block runs; one that the user has
-    set stays.
+    """Set FFmpeg's log level, which it reads when it is first used, while the block runs.
 
-    Afterwards the environment is as before: a process that is started then decides for itself.
+    A level that the user has set takes precedence. The environment is restored afterwards, so it
+    does not affect child processes.
     """
     if LEVEL_VARIABLE in os.environ:
         yield
@@ -100,14 +102,17 @@ def _log_level(level: str) -> Iterator[None]:
 
 @contextmanager
 def listening() -> Iterator[Complaints]:
-    """Standard output is FFmpeg's while the block runs; a program with data for it duplicates the
-    descriptor before.
+    """Redirect standard output to a pipe, for FFmpeg's log, while the block runs.
+
+    A program that writes data to standard output duplicates the descriptor first.
     """
     sys.stdout.flush()
     _flush()
     heard, written = os.pipe()
     for fd in (heard, written):
-        os.set_blocking(fd, False)  # when it is full, what is said is lost, and nothing waits
+        os.set_blocking(fd, False)  # a full pipe loses output instead of blocking
+
+    # Redirect standard output; the descriptor is restored at the end.
     before = os.dup(_STANDARD_OUTPUT)
     os.dup2(written, _STANDARD_OUTPUT, inheritable=False)
     os.close(written)
@@ -115,7 +120,7 @@ def listening() -> Iterator[Complaints]:
         with _log_level(LEVEL_WARNINGS):
             yield Complaints(heard)
     finally:
-        _flush()  # or it would come among what is printed next
+        _flush()  # or its output would mix with what is printed next
         os.dup2(before, _STANDARD_OUTPUT)
         os.close(before)
         os.close(heard)

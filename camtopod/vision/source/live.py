@@ -1,8 +1,8 @@
-"""A stream or device that may stall, end, or not be there yet -> frames, for ever.
+"""Frames of a stream or device that may stall, end or not be available yet; endless.
 
-One thread owns the capture (opening, reading and releasing it: another thread doing so crashes) and
-may block in it for as long as the timeouts; the caller never does. Frames go through a small queue;
-when the caller is slow the oldest go.
+One thread owns the capture: it opens, reads and releases it (from another thread OpenCV crashes)
+and may block for as long as the timeouts. The caller never blocks for longer than the heartbeat.
+Frames pass through a small queue; if the caller is slow, the oldest are dropped.
 """
 
 from __future__ import annotations
@@ -21,21 +21,24 @@ from camtopod.vision.source.frame_times import StampClock
 from camtopod.vision.source.source_url import AGAIN
 
 QUEUE_FRAMES = 8
+"""Frames that wait for the caller; beyond it the oldest are dropped."""
 SETTLE_SECONDS = 1.0
-"""Right after opening frames are old by an unknown delay: they wait this long for prompt ones to
-tell.
+"""Time for which frames are held after opening.
+
+The first frames are old by an unknown delay; prompt frames that follow reveal it.
 """
 HEARTBEAT_SECONDS = 0.5
-"""The caller gets control back at least this often."""
+"""Longest time until `LiveSource.frames` yields."""
 HEALTHY_SECONDS = 10.0
-"""A connection that gave frames for this long starts the backoff from the beginning."""
+"""Duration of a connection after which the backoff starts from its minimum again."""
 MARGIN_SECONDS = 1.0
-"""What a call of OpenCV may take beyond its timeouts."""
+"""Time that a call of OpenCV may exceed its timeouts by."""
 TIME_STEP_MIN_SECONDS = 0.001
+"""Smallest difference of the capture times of consecutive frames."""
 
 
 class LiveSource:
-    """Reconnects by itself with jittered, doubling waits."""
+    """A stream or device that reconnects by itself, with jittered, doubling delays."""
 
     def __init__(
         self,
@@ -62,31 +65,31 @@ class LiveSource:
         self._called: float | None = None
 
     def frames(self) -> Iterator[Frame | None]:
-        """Frames with capture times on the wall clock; None when there was none for half a
-        second.
+        """Yield frames with wall-clock capture times; None if there is none for half a second.
+
+        Call it once. `close` or leaving the iteration stops the capture thread.
         """
         self._thread.start()
         try:
             while not self._stop.is_set():
                 yield self._next()
         finally:
-            self.close()  # a thread left in OpenCV at the interpreter's end crashes it
+            self.close()  # a thread still in OpenCV at interpreter exit would crash
 
     def _next(self) -> Frame | None:
+        """Return the next frame, or None after the heartbeat interval."""
         try:
             frame = self._queue.get(timeout=HEARTBEAT_SECONDS)
         except queue.Empty:
             return None
-        if frame.t < self._latest + TIME_STEP_MIN_SECONDS:  # re-anchored: time goes on all the same
+        if frame.t < self._latest + TIME_STEP_MIN_SECONDS:  # re-anchored: keep times ascending
             frame = frame._replace(t=self._latest + TIME_STEP_MIN_SECONDS)
         self._latest = frame.t
         return frame
 
     @property
     def overdue_seconds(self) -> float:
-        """How much longer than the timeouts allow a call of OpenCV has been going on; 0.0 if all is
-        well.
-        """
+        """Time that the current call of OpenCV has exceeded its timeouts by; 0.0 if all is well."""
         called = self._called
         return (
             0.0
@@ -96,6 +99,7 @@ class LiveSource:
 
     @property
     def _blocked_seconds_max(self) -> float:
+        """Longest time a call of OpenCV should take."""
         return (
             self._settings.open_timeout_seconds
             + self._settings.read_timeout_seconds
@@ -103,7 +107,7 @@ class LiveSource:
         )
 
     def close(self) -> None:
-        """Stop; waits for a blocked read to come back, at most the sum of the timeouts."""
+        """Stop; waits for a blocked read, at most the sum of the timeouts."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(self._blocked_seconds_max)
@@ -111,9 +115,12 @@ class LiveSource:
     # -- the capture thread ------------------------------
 
     def _run(self) -> None:
+        """Connect, read, and reconnect after a delay, until stopped."""
         wait = self._settings.backoff_min_seconds
         while not self._stop.is_set():
-            self._complaints.take()  # of before
+            self._complaints.take()  # discard those of an earlier connection
+
+            # Open and read. `_called` marks the begin of each call that may block.
             self._called = time.monotonic()
             capture = Capture(self._source, self._settings)
             began = time.monotonic()
@@ -123,9 +130,13 @@ class LiveSource:
             else:
                 why = self._complaints.take()
                 reason = f"the source cannot be opened{why and ': '}{why}"
+
+            # Release.
             self._called = time.monotonic()
             capture.release()
             self._called = None
+
+            # Wait with jitter; the delay doubles unless the connection was healthy.
             self.failures += 1
             self.state = "stalled" if self.grabbed else "connecting"
             if time.monotonic() - began > HEALTHY_SECONDS:
@@ -136,11 +147,12 @@ class LiveSource:
             self._stop.wait(pause)
 
     def _read(self, capture: Capture) -> str:
-        """Hand on frames until the source dies; returns why it did."""
+        """Pass frames on until the source dies; return the reason."""
         clock, cadence = StampClock(), Cadence(self._settings.analysed_fps)
         held: list[tuple[float, float, Frame]] = []
         first: float | None = None
         while not self._stop.is_set():
+            # Grab a frame.
             self._called = asked = time.monotonic()
             grab = capture.grab()
             arrival = time.monotonic()
@@ -151,12 +163,15 @@ class LiveSource:
                     if slow
                     else "the source ended or closed the connection"
                 )
+
             if arrival - asked > self._settings.read_timeout_seconds / 2:
-                self.dropped += 1  # after a stall what comes first is old
+                self.dropped += 1  # the first frames after a stall are old
                 continue
             first = arrival if first is None else first
             self.grabbed += 1
             self.state, self.reason = "running", ""
+
+            # Decode it if it is to be analysed.
             clock.see(grab.stamp, arrival)
             if not cadence.wants(grab.stamp if grab.stamp > 0.0 else arrival):
                 continue
@@ -164,6 +179,8 @@ class LiveSource:
             if luma is None:
                 self.dropped += 1
                 continue
+
+            # Hold it until the clock has settled, then pass it on with its capture time.
             held.append((grab.stamp, arrival, Frame(0.0, luma)))
             if arrival - first >= SETTLE_SECONDS:
                 for stamp, came, frame in held:
@@ -173,10 +190,11 @@ class LiveSource:
         return "closed"
 
     def _on_the_wall(self, t: float) -> float:
-        """A time of the monotonic clock on the wall clock, which may have been set meanwhile."""
+        """Convert a monotonic time to the wall clock, which may have been set meanwhile."""
         return self._wall_clock() - (time.monotonic() - t)
 
     def _hand_on(self, frame: Frame) -> None:
+        """Queue a frame, dropping the oldest ones if the queue is full."""
         while True:
             try:
                 self._queue.put_nowait(frame)

@@ -1,9 +1,10 @@
-"""A look at a source for some seconds: what it is, and in words what is wrong with it. A process of
-its own:
+"""Describe a source after reading it for some seconds, and explain what is wrong with it.
+
+Runs as a process of its own,
 
     python -m camtopod.vision.source.probe
 
-reads `Question` from standard input and writes `Probe` to standard output, both as JSON.
+which reads a `Question` from standard input and writes a `Probe` to standard output, both as JSON.
 """
 
 from __future__ import annotations
@@ -23,18 +24,19 @@ from camtopod.vision.source.recorded import RecordedSource
 from camtopod.vision.source.source_url import kind_of
 
 LOOK_SECONDS = 2.0
-"""So long frames are counted, after the first one."""
+"""Time for which frames are counted, from the first one on."""
 FILE_FRAMES = 50
-"""So many of a file are read."""
+"""Number of frames read of a file."""
 FPS_MIN = 4.5
-"""Fewer frames a second, and who walks fast is hardly seen."""
+"""Frame rate below which fast walkers are hardly detected."""
 PIXELS_MAX = 1920 * 1080
-"""Of a larger picture decoding alone takes much of a small machine."""
+"""Number of pixels above which decoding alone takes much of a small machine's capacity."""
 WIDTH_MIN = 160
+"""Width (pixels) below which people can hardly be detected."""
 CONTRAST_MIN = 3.0
-"""Standard deviation of the luma, of 255; a picture with less shows nothing."""
+"""Standard deviation of the luma (of 255) below which a picture shows nothing."""
 PICTURE_WIDTH_MAX = 1280
-"""Of the picture that is kept, pixels; to draw zones on, more is of no use."""
+"""Largest width (pixels) of the returned picture, which serves to draw zones on."""
 _CODECS = {
     "avc1": "H.264",
     "h264": "H.264",
@@ -47,33 +49,37 @@ _CODECS = {
     "vp09": "VP9",
     "av01": "AV1",
 }
+"""Name of a codec by its four-character code."""
 
 
 class Question(Struct):
-    """What to look at, and how; ``picture``: whether one is wanted."""
+    """What to probe: a source, with the grabber's settings."""
 
     source: str
     settings: VisionSettings
     picture: bool = False
+    """Return a picture, too."""
 
 
 class Probe(Struct):
-    """What was seen. ``problem``: why it cannot be watched, "" if it can; ``remarks``: what could
-    be better; ``picture``: its last frame as JPEG, b"" unless asked for.
-    """
+    """Result of a probe."""
 
     problem: str = ""
+    """Why the source cannot be used; "" if it can."""
     codec: str = ""
     width: int = 0
     height: int = 0
     fps: float = 0.0
     remarks: list[str] = []
+    """What could be improved."""
     picture: bytes = b""
+    """The last frame as JPEG; empty unless requested."""
 
     @property
     def words(self) -> list[str]:
-        """For people, for example ``H.264, 1920x1080, 25 frames a second``; or the problem; then
-        the remarks.
+        """The result for people, a line each.
+
+        First ``H.264, 1920x1080, 25 frames a second``, say, or the problem; then the remarks.
         """
         rate = f"{self.fps:.3g} frames a second" if self.fps else "unknown frame rate"
         return [self.problem or f"{self.codec}, {self.width}x{self.height}, {rate}", *self.remarks]
@@ -82,8 +88,9 @@ class Probe(Struct):
 def probe(
     source: str, settings: VisionSettings, complaints: Complaints, picture: bool = False
 ) -> Probe:
-    """Open it and count its frames. Takes at most the timeouts and `LOOK_SECONDS`; nothing is
-    raised.
+    """Open the source and count its frames.
+
+    Takes at most the timeouts plus `LOOK_SECONDS`. Never raises for a source that does not work.
     """
     kind = kind_of(source)
     path = source.removeprefix("file://")
@@ -92,11 +99,12 @@ def probe(
             RecordedSource(path, settings, 0.0, None).close()
         except OSError as error:
             return Probe(error.strerror or str(error).removeprefix(f"{path}: "))
+
     capture = Capture(path, settings, colour=picture)
     try:
         if not capture.is_open:
             why = _of_device(source) if kind == "device" else complaints.take()
-            return Probe(f"it cannot be opened{why and ': '}{why}")
+            return Probe(f"cannot be opened{why and ': '}{why}")
         seen = _watched(capture, live=kind != "file")
         return (
             msgspec.structs.replace(seen, picture=capture.jpeg(PICTURE_WIDTH_MAX))
@@ -108,6 +116,7 @@ def probe(
 
 
 def _watched(capture: Capture, live: bool) -> Probe:
+    """Read frames for a while and return what they are."""
     stamps: list[float] = []
     arrivals: list[float] = []
     contrast = 0.0
@@ -124,8 +133,10 @@ def _watched(capture: Capture, live: bool) -> Probe:
         picture = capture.retrieve()
         if picture is not None:
             contrast = max(contrast, float(picture.std()))
+
+    # Frame rate: of a live source as measured, of a file as declared.
     if not arrivals:
-        return Probe("it opens, but no picture comes")
+        return Probe("opens, but delivers no frame")
     times = stamps if stamps[-1] > stamps[0] else arrivals
     fps = (len(times) - 1) / (times[-1] - times[0]) if live and len(times) > 1 else capture.fps
     width, height = capture.size
@@ -136,34 +147,37 @@ def _watched(capture: Capture, live: bool) -> Probe:
 
 
 def _remarks(seen: Probe, contrast: float) -> list[str]:
+    """Return suggestions for a source that works."""
     remarks = []
     if contrast < CONTRAST_MIN:
-        remarks.append("the picture is of one colour: is something before the lens?")
+        remarks.append("the picture has hardly any contrast: is the lens covered?")
     if 0.0 < seen.fps < FPS_MIN:
         remarks.append(
-            "so few frames a second that people who walk fast are missed: set 5 or more in the camera"
+            "the frame rate is so low that fast walkers are missed: "
+            "set the camera to 5 frames a second or more"
         )
     if seen.width * seen.height > PIXELS_MAX:
         remarks.append(
-            "larger than is of use: a second, smaller stream of the camera takes less of this machine"
+            "the picture is larger than needed: "
+            "a smaller stream of the camera takes less of this machine's capacity"
         )
     if seen.width < WIDTH_MIN:
-        remarks.append("so small that people can hardly be seen")
+        remarks.append("the picture is so small that people can hardly be detected")
     return remarks
 
 
 def _of_device(number: str) -> str:
-    """Why a device cannot be opened."""
+    """Return why a device cannot be opened."""
     path = f"/dev/video{int(number)}"
     if not os.path.exists(path):
-        return f"there is no {path}"
+        return f"{path} does not exist"
     if not os.access(path, os.R_OK | os.W_OK):
-        return f"no permission for {path}; this user has to be in the group video"
-    return f"{path} is in use, or no camera"
+        return f"no permission for {path}: add this user to the group video"
+    return f"{path} is in use or is not a camera"
 
 
 def decoders() -> list[str]:
-    """What OpenCV's build says of the libraries that decode video, a line each."""
+    """Return the versions of OpenCV and of its libraries that decode video, a line each."""
     video = cv2.getBuildInformation().partition("Video I/O:")[2].partition("\n\n")[0]
     return [
         f"OpenCV {cv2.__version__}",

@@ -1,4 +1,4 @@
-"""A video file -> frames, as fast as it decodes or at a multiple of its own pace."""
+"""Frames of a video file, as fast as it decodes or at a multiple of its own pace."""
 
 from __future__ import annotations
 
@@ -12,19 +12,24 @@ from camtopod.vision.source.capture import Cadence, Capture, Frame
 from camtopod.vision.source.errors import SourceError
 
 FPS_UNKNOWN = 25.0
-"""Assumed where a file has neither time stamps nor a frame rate."""
+"""Frame rate assumed if a file has neither time stamps nor a frame rate."""
 HEARTBEAT_SECONDS = 0.5
+"""Longest time until `RecordedSource.frames` yields while it waits."""
 
 
 class RecordedSource:
-    """Times are ``start`` plus the position in the file, seconds."""
+    """A video file. Capture times are ``start`` plus the position in the file, seconds."""
 
     def __init__(
         self, path: str, settings: VisionSettings, start: float, speed: float | None
     ) -> None:
-        """``speed``: None for as fast as it decodes, 1.0 for the file's own pace. Raises `OSError`,
-        `SourceError`."""
-        with open(path, "rb") as file:  # says clearly why not, which OpenCV does not
+        """Open the file.
+
+        speed: multiple of the file's own pace; None to read as fast as it decodes.
+
+        Raises `OSError`, `SourceError`.
+        """
+        with open(path, "rb") as file:  # reports why it cannot be read, which OpenCV does not
             if os.fstat(file.fileno()).st_size == 0:
                 raise SourceError(f"{path}: the file is empty")
         self._path = path
@@ -43,11 +48,12 @@ class RecordedSource:
         self.failures = 0
         self.untrusted_stamps = 0
         self.overdue_seconds = 0.0
-        """Its reader is its caller, who cannot ask while a call of OpenCV lasts."""
+        """Always 0.0: the caller is the reader and cannot ask while a call of OpenCV lasts."""
 
     def frames(self) -> Iterator[Frame | None]:
-        """The frames to analyse; None while waiting. Raises `SourceError` if there is not one
-        frame.
+        """Yield the frames to analyse, or None while waiting.
+
+        Raises `SourceError` if the file holds no frame.
         """
         cadence = Cadence(self._settings.analysed_fps)
         began = time.monotonic()
@@ -61,6 +67,7 @@ class RecordedSource:
             self.state, self.reason = "running", ""
             if not cadence.wants(position):
                 continue
+
             luma = self._capture.retrieve()
             if luma is None:
                 self.dropped += 1
@@ -68,13 +75,14 @@ class RecordedSource:
             if self._speed is not None:
                 yield from _until(began + position / self._speed)
             yield Frame(self._start + position, luma)
+
         self.close()
         if not self.grabbed:
             raise SourceError(f"{self._path}: no frame in it can be decoded")
         self.state, self.reason = "ended", "the file is at its end"
 
     def _position(self, stamp: float, last: float) -> float:
-        """Seconds from the beginning; by the frame rate where the stamps do not go on."""
+        """Return the position in seconds, by the frame rate where stamps do not increase."""
         if not self.grabbed:
             return max(0.0, stamp)
         if stamp > last:
@@ -91,7 +99,7 @@ class RecordedSource:
 
 
 def _until(due: float) -> Iterator[None]:
-    """Sleep until ``due`` on the monotonic clock, giving control back now and then."""
+    """Sleep until ``due`` on the monotonic clock, yielding None now and then."""
     while (remaining := due - time.monotonic()) > 0:
         time.sleep(min(remaining, HEARTBEAT_SECONDS))
         if remaining > HEARTBEAT_SECONDS:

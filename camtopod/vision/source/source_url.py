@@ -1,4 +1,4 @@
-"""What a source is, by its name, and how its password is spelled for FFmpeg."""
+"""Kind of a source by its name, and encoding of passwords in URLs for FFmpeg."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from typing import Literal
 from urllib.parse import quote
 
 AGAIN = "; trying again in "
-"""Between the reason why a source gives no pictures and the seconds until it is opened anew."""
+"""Separates the reason why a source gives no frames from the seconds until it is reopened."""
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+)(:\d+)?(?=[/?]|$)")
 _ENCODED = re.compile(r"(?:[^%]|%[0-9A-Fa-f]{2})*")
 
 
 def kind_of(source: str) -> Literal["device", "stream", "file"]:
-    """A number is a device, anything with a scheme a stream, the rest the path of a file."""
+    """Return the kind of a source: a number is a device, a URL a stream, all else a file path.
+
+    ``file://`` URLs are files.
+    """
     if source.isdigit():
         return "device"
     match = _SCHEME.match(source)
@@ -22,14 +25,13 @@ def kind_of(source: str) -> Literal["device", "stream", "file"]:
 
 
 def percent_encoded(url: str) -> str:
-    """``url`` with the user name and password encoded, which may hold ``@``, ``:`` and ``/`` as
-    they are.
+    """Return ``url`` with user name and password percent-encoded.
 
-    The host begins after the first ``@`` that a host name and perhaps a port follow. What is
-    encoded already stays.
+    Both may contain ``@``, ``:`` and ``/`` as they are. The host begins after the first ``@`` that
+    is followed by a host name and optionally a port. Text that is encoded already is left as it is.
     """
     match = _SCHEME.match(url)
-    if match is None or _HOST.match(match.group(2)):  # begins with the host: there is no password
+    if match is None or _HOST.match(match.group(2)):  # begins with the host: no password
         return url
     scheme, rest = match.groups()
     for at in (m.start() for m in re.finditer("@", rest)):

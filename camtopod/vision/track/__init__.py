@@ -1,4 +1,10 @@
-"""track"""
+"""Tracking: blobs -> tracks -> entry and exit events of one view.
+
+`tracker` is the centre and explains the method. It uses `track` (state of an object), `kalman`
+(prediction of positions), `stature` (expected height of a person) and `swap` (two people changing
+places at the border). `crossings` turns track changes into events, with `doors` for entrances away
+from the border.
+"""
 
 from __future__ import annotations
 

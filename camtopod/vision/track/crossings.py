@@ -1,8 +1,8 @@
-"""Tracks -> events: who crossed the edge of the view, when and where.
+"""Entry and exit events from tracks: which object crossed the edge of the view, when and where.
 
-An edge is the border of the picture, or a door learned in mid-view (`doors`). The time of an entry
-is that of the first sighting although it is reported only when the object is confirmed; that of an
-exit is the last sighting's.
+An edge is the border of the picture, or a door learned in mid-view (`doors`). An entry has the time
+of the first sighting, although it is reported only when the object is confirmed; an exit has the
+time of the last sighting.
 """
 
 from __future__ import annotations
@@ -15,26 +15,29 @@ from camtopod.vision.track.doors import Doors
 from camtopod.vision.track.track import Changes, Sighting, Track
 
 BORDER_SHARE = 0.025
-"""A box this near the border is at it, share of the picture's diagonal."""
+"""Distance from the border within which a box is at it (share of the picture's diagonal)."""
 REACH_SECONDS = 0.4
-"""So is one that at its speed is this long before (or after) it."""
+"""Time within which a box that reaches the border at its speed counts as being at it."""
 CUT_SHARE = 0.7
-"""Somebody of whom the top of the picture leaves less than this to be seen is at the border."""
+"""Visible share of a person below which the top of the picture counts as border."""
 TOUCH_PIXELS = 1.5
-"""A box this near the border is cut by it."""
+"""Distance from the border (pixels) within which it cuts a box."""
 FOOT_SIGHTINGS = 5
-"""The foot row of somebody cut by the side of the picture is the median of this many sightings,"""
+"""Sightings whose median gives the foot row of somebody cut by the side of the picture."""
 WHOLE_SHARE = 0.6
-"""each at least this share as tall as the tallest."""
+"""Least height of these sightings, as a share of the tallest one."""
 EXIT_HEIGHTS_MIN = 0.6
-"""What never went this far from where it began does not leave: it was none."""
+"""Least distance from its origin (heights) that a track must have moved for an exit.
+
+Tracks that moved less are false detections.
+"""
 
 
 class Crossings:
     """Entries and exits of one view."""
 
     def __init__(self, camera: str, width: int, height: int) -> None:
-        """``width`` x ``height`` pixels of the working picture."""
+        """Prepare for a working picture of ``width`` x ``height`` pixels."""
         self._camera = camera
         self._width, self._height = self.size = (width, height)
         self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
@@ -46,15 +49,14 @@ class Crossings:
     # -- where ------------------------------
 
     def touches(self, box: Box) -> bool:
-        """Whether the box is cut by the border of the picture."""
+        """Return True if the border of the picture cuts the box."""
         near = min(box[0], box[1], self._width - box[2], self._height - box[3])
         return near <= TOUCH_PIXELS
 
     def _at_border(self, box: Box, height: float, drift: tuple[float, float] = (0.0, 0.0)) -> bool:
-        """Box of a person ``height`` tall within the margin of the border, or across it when moved
-        by ``drift``.
+        """Return True if a person's box is near the border, or across it when moved by ``drift``.
 
-        At the top it is the foot that counts: heads are cut off far inside the view.
+        At the top the foot decides, because heads are cut off far inside the view.
         """
         left, top, right, bottom = box
         margin = self._margin
@@ -66,15 +68,13 @@ class Crossings:
         return inside <= self._margin or bottom <= margin or ahead <= 0
 
     def at_edge(self, track: Track) -> bool:
-        """Whether the track was last seen where objects leave the view."""
+        """Return True if the track was last seen where objects leave the view."""
         if self._at_border(track.last.box, track.height, _drift(track)):
             return True
         return self.doors.is_door(*track.last.foot, track.height)
 
     def begins_at_edge(self, track: Track) -> bool:
-        """Whether the track, followed for a short while only, was first seen where objects enter
-        the view.
-        """
+        """Return True if the track, still short, was first seen where objects enter the view."""
         dx, dy = _drift(track)
         if self._at_border(track.first.box, track.height, (-dx, -dy)):
             return True
@@ -83,10 +83,13 @@ class Crossings:
     # -- what ------------------------------
 
     def report(self, changes: Changes, active: list[Track]) -> list[Event]:
-        """The events of one frame's changes; ``active`` are all tracks, for learning where people
-        walk.
+        """Return the events of one frame's changes.
+
+        active: all tracks, to learn where people walk.
         """
         events = []
+
+        # Entries; tracks that begin in mid-view may be evidence of a door.
         for track in changes.appeared:
             if track.from_start:
                 continue
@@ -95,30 +98,41 @@ class Crossings:
                 events.append(self._event("entry", track, track.first, list(track.history)))
             elif not track.beside_others:
                 self.doors.learn(*track.first.foot)
+
+        # Exits; tracks that vanish in mid-view may be evidence of a door, too.
         events += [self.exit(track) for track in changes.left if went_somewhere(track)]
         for track in changes.vanished:
             self._forget(track)
             if not (track.covered or track.interrupted):
                 self.doors.learn(*track.last.foot)
+
+        # Cells that people walk through are evidence against doors.
         for track in active:
             if track.confirmed:
                 self._walks.setdefault(track.number, set()).add(self.doors.cell(*track.last.foot))
         return events
 
     def exit(self, track: Track) -> Event:
-        """The exit of a track that has ended at an edge."""
+        """Return the exit of a track that has ended at an edge."""
         self._forget(track)
         return self._event("exit", track, track.last, list(track.history))
 
     def _forget(self, track: Track) -> None:
+        """Count the cells that the track walked through, except where it began and ended."""
         ends = {self.doors.cell(*track.first.foot), self.doors.cell(*track.last.foot)}
         self.doors.walked(self._walks.pop(track.number, set()) - ends)
 
     def _event(self, kind: Kind, track: Track, at: Sighting, around: list[Sighting]) -> Event:
+        """Return an event at a sighting.
+
+        The foot row of somebody cut by the side of the picture is estimated from the sightings
+        ``around``.
+        """
         x, y = at.foot
         cut_by_side = at.box[0] <= TOUCH_PIXELS or at.box[2] >= self._width - TOUCH_PIXELS
         if cut_by_side:
             y = _foot_row(around, latest=kind == "exit")
+
         if kind == "entry":
             self.entries += 1
         else:
@@ -130,13 +144,14 @@ class Crossings:
 
 
 def went_somewhere(track: Track) -> bool:
-    """Whether the object has moved enough to have left."""
+    """Return True if the object has moved enough to have left."""
     return track.reach >= EXIT_HEIGHTS_MIN * track.height
 
 
 def _foot_row(sightings: list[Sighting], latest: bool) -> float:
-    """Row of the feet of somebody cut lengthwise: the last piece seen of a person need not have a
-    foot.
+    """Return the foot row of somebody cut by the side of the picture.
+
+    The piece of a person that is seen last need not include a foot.
     """
     tallest = max(sighting.box[3] - sighting.box[1] for sighting in sightings)
     whole = [
@@ -150,7 +165,7 @@ def _foot_row(sightings: list[Sighting], latest: bool) -> float:
 
 
 def _drift(track: Track) -> tuple[float, float]:
-    """How far the track moves in `REACH_SECONDS`, pixels, judged over its latest sightings."""
+    """Return the movement in `REACH_SECONDS`, pixels, judged by the latest sightings."""
     first, last = track.history[0], track.history[-1]
     dt = last.t - first.t
     if dt <= 0:

@@ -1,9 +1,9 @@
-"""Doors in mid-view: places away from the border where people appear and disappear again and again.
+"""Doors in mid-view: places away from the border where people repeatedly appear and disappear.
 
-One track that begins or ends in mid-view is most often a mistake - somebody walked out of a group,
-behind a tree, or stood until the tracker lost him. A place is admitted as a door only when several
-objects began or ended there without any other explanation, and more of them did so than walked
-through; until then nothing is reported there.
+A single track that begins or ends in mid-view is most often an error: somebody stepped out of a
+group or behind a tree, or stood still until the track was lost. A place becomes a door only when
+several tracks began or ended there without another explanation, and more of them than walked
+through. Until then no events are reported there.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ from collections import deque
 import numpy as np
 
 DOOR_EVENTS_MIN = 3
-"""Unexplained beginnings and endings a door needs."""
+"""Unexplained beginnings and ends of tracks that make a door."""
 DOOR_HEIGHTS = 0.6
-"""They lie within this many heights of the person of each other."""
+"""Radius around a foot point in which they count (heights of the person)."""
 REMEMBERED_MAX = 200
-"""So many unexplained beginnings and endings are remembered, the latest."""
+"""Unexplained beginnings and ends that are kept, the newest."""
 GRID_ROWS, GRID_COLUMNS = 24, 32
+"""Cells of the picture in which passing objects are counted."""
 
 
 class Doors:
-    """Learns the doors of one view; positions in pixels of the working picture."""
+    """Learned doors of one view; positions in pixels of the working picture."""
 
     def __init__(self, width: int, height: int) -> None:
         self._size = (width, height)
@@ -35,21 +36,25 @@ class Doors:
         return min(max(row, 0), GRID_ROWS - 1), min(max(column, 0), GRID_COLUMNS - 1)
 
     def learn(self, x: float, y: float) -> None:
-        """An object began or ended at this foot point in mid-view, for no known reason."""
+        """Record that a track began or ended at this foot point in mid-view without explanation."""
         self._unexplained.append((x, y))
 
     def walked(self, feet: set[tuple[int, int]]) -> None:
-        """An object went through these cells (see `cells`) without beginning or ending there."""
+        """Record that an object crossed these cells without beginning or ending there.
+
+        feet: cells as returned by `cell`.
+        """
         for row, column in feet:
             self._passed[row, column] += 1
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
-        """The grid cell of a foot point, for `walked`."""
+        """Return the grid cell of a foot point, for `walked`."""
         return self._cell(x, y)
 
     def is_door(self, x: float, y: float, height: float) -> bool:
-        """Whether an object ``height`` pixels tall that begins or ends at this foot point uses a
-        door.
+        """Return True if an object that begins or ends at this foot point uses a door.
+
+        height: the object's height, pixels.
         """
         radius = DOOR_HEIGHTS * height
         near = sum(

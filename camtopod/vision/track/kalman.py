@@ -1,8 +1,8 @@
 """Constant-velocity Kalman filter for a person's head and foot (R. E. Kalman, 1960).
 
-Four coordinates (head x, y, foot x, y), each with its velocity, share one 2 x 2 covariance, because
-they are measured together with the same uncertainty. Lengths are pixels; noise is given in heights
-of the person, so that near and far people move alike.
+The four coordinates (head x, y, foot x, y), each with its velocity, share one 2 x 2 covariance,
+because they are measured together with the same uncertainty. Lengths are in pixels; noise is given
+in heights of the person, so that near and far people move alike.
 """
 
 from __future__ import annotations
@@ -10,23 +10,23 @@ from __future__ import annotations
 from math import exp, sqrt
 
 Vector = tuple[float, float, float, float]
-"""Head x, y, foot x, y. For so few numbers plain ones are quicker than arrays."""
+"""Head x, y, foot x, y. A tuple, which is faster than an array for so few numbers."""
 
 ACCELERATION = 1.2
-"""One sigma, heights per second squared."""
+"""Process noise: one sigma of the acceleration, heights per second squared."""
 MEASUREMENT = 0.08
-"""One sigma of a head or foot, heights."""
+"""Measurement noise: one sigma of a head or foot position, heights."""
 SPEED_AT_BIRTH = 1.0
-"""One sigma, heights per second."""
+"""Initial uncertainty of the velocity: one sigma, heights per second."""
 COASTING_SECONDS = 1.0
-"""Unseen, an object is expected to slow down with this time constant."""
+"""Time constant with which an object is expected to slow down while out of sight."""
 
 
 class Kalman:
-    """Filter of one object."""
+    """Kalman filter of one object."""
 
     def __init__(self, measured: Vector, height: float) -> None:
-        """``measured`` and ``height`` of the person in pixels."""
+        """Start at rest at ``measured``; ``height`` of the person in pixels."""
         self.position = measured
         self.velocity: Vector = (0.0, 0.0, 0.0, 0.0)
         self._pp, self._pv, self._vv = (
@@ -36,12 +36,14 @@ class Kalman:
         )
 
     def predict(self, dt: float, height: float, coasting: bool) -> None:
-        """Move on by ``dt`` seconds."""
-        if coasting:  # unseen, head and foot keep their distance
+        """Advance by ``dt`` seconds; ``coasting`` if the object is out of sight."""
+        if coasting:  # head and foot keep their distance
             head_x, head_y, foot_x, foot_y = self.velocity
             slower = exp(-dt / COASTING_SECONDS)
             x, y = (head_x + foot_x) / 2 * slower, (head_y + foot_y) / 2 * slower
             self.velocity = (x, y, x, y)
+
+        # State and covariance of the constant-velocity model.
         self.position = _moved(self.position, dt, self.velocity)
         noise = (ACCELERATION * height) ** 2
         self._pp += dt * (2 * self._pv + dt * self._vv) + noise * dt**4 / 4
@@ -49,7 +51,7 @@ class Kalman:
         self._vv += noise * dt**2
 
     def update(self, measured: Vector, height: float) -> None:
-        """Correct by a sighting."""
+        """Correct the state by a measurement."""
         spread = self._pp + (MEASUREMENT * height) ** 2
         gain_p, gain_v = self._pp / spread, self._pv / spread
         residual = _moved(measured, -1.0, self.position)
@@ -65,5 +67,5 @@ class Kalman:
 
 
 def _moved(a: Vector, share: float, b: Vector) -> Vector:
-    """a + share * b."""
+    """Return a + share * b."""
     return (a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2], a[3] + share * b[3])

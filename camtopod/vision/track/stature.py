@@ -1,5 +1,4 @@
-"""How tall a person looks in each row of the picture: a line through the heights of the people seen
-so far."""
+"""Expected height of a person by row of the picture: a line fitted to people seen so far."""
 
 from __future__ import annotations
 
@@ -9,17 +8,19 @@ import numpy as np
 import numpy.typing as npt
 
 SAMPLES_MAX = 400
+"""Samples kept, the newest."""
 SAMPLES_MIN = 20
+"""Samples needed for a fit."""
 OBJECTS_MIN = 2
-"""One object says nothing about others."""
+"""Objects needed for a fit: one object does not tell the height of others."""
 _REFIT_SAMPLES_MIN = 10
+"""New samples after which the line is fitted again, at least."""
 _REFIT_SHARE = 0.1
-"""The line is fitted again after so many new samples, and this share of those there are."""
+"""Share of new samples after which the line is fitted again."""
 
 
 class Stature:
-    """Learns height = a + b * foot row from whole, confirmed, single objects; robust to some that
-    are none."""
+    """Line height = a + b * foot row, fitted robustly to whole, confirmed, single objects."""
 
     def __init__(self) -> None:
         self._rows: deque[float] = deque(maxlen=SAMPLES_MAX)
@@ -30,7 +31,7 @@ class Stature:
         self._middle = 0.0
 
     def add(self, track: int, foot_y: float, height: float) -> None:
-        """One sighting of ``track``: feet in row ``foot_y``, ``height`` tall, pixels."""
+        """Add a sighting of ``track``: feet in row ``foot_y``, ``height`` tall, pixels."""
         self._rows.append(foot_y)
         self._heights.append(height)
         if len(self._objects) < OBJECTS_MIN:
@@ -42,6 +43,10 @@ class Stature:
             self._new = 0
 
     def _fit(self) -> None:
+        """Fit the line in three rounds, each without the outliers of the one before.
+
+        The slope is 0 unless the rows span more than a person's height.
+        """
         rows, heights = np.array(self._rows), np.array(self._heights)
         self._middle = _median(heights)
         kept = np.ones(len(rows), bool)
@@ -57,7 +62,10 @@ class Stature:
         self._line = (base, slope)
 
     def height(self, foot_y: float) -> float | None:
-        """Pixels; None until enough people were seen. At most a factor of 2.5 from the median."""
+        """Return the expected height in pixels; None if unknown.
+
+        It is within a factor of 2.5 of the median.
+        """
         if self._line is None:
             return None
         base, slope = self._line
@@ -65,7 +73,7 @@ class Stature:
 
 
 def _median(values: npt.NDArray[np.float64]) -> float:
-    """NumPy's own takes five times as long for so few."""
+    """Return the median; for so few values `numpy.median` takes five times as long."""
     ordered, middle = np.sort(values), len(values) // 2
     return float(
         ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2

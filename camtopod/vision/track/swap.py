@@ -1,8 +1,9 @@
-"""Two people who meet at the border: one leaves while another comes in, and their blobs never part.
+"""Detect two people who change places at the border: one leaves while another enters.
 
-The tracker sees one object that walks out of the view and, half out of it, shoots back in. Somebody
-who really turns round slows down first; so a blob that shrinks into the border and grows out of it
-again at walking speed both times is taken for two people.
+If their blobs never separate, the tracker sees one object that walks out of the view and, half out
+of it, comes back at once. Somebody who really turns round slows down first. A blob that shrinks
+into the border and grows out of it again, at walking speed both times, is therefore taken for two
+people.
 """
 
 from __future__ import annotations
@@ -13,25 +14,28 @@ from camtopod.vision.detect import Box
 from camtopod.vision.track.track import Sighting
 
 CHANGE_HEIGHTS = 0.35
-"""So far the blob must draw back to the border, and come out again,"""
+"""Distance (heights) that the blob must draw back to the border and come out again."""
 CHANGE_SECONDS = 1.3
-"""each within this time."""
+"""Longest time of each of these two movements."""
 SPEED_MAX = 2.5
-"""Heights per second. People walk about one; what changes faster is a blob that merged or split."""
-LEFT_SHARE = 1.0
-"""When it is smallest, at most this share of a person's width (at the sides) or height is in
-view.
+"""Largest speed of these movements, heights per second.
+
+People walk about one height per second; faster changes are blobs that merged or split.
 """
+LEFT_SHARE = 1.0
+"""Largest share of a person's width (at the sides) or height in view at the turning point."""
 
 
 def find_handover(
     history: Sequence[Sighting], size: tuple[int, int], width: float, height: float
 ) -> int | None:
-    """Index of the sighting at which one person took another's place at the border, if so.
+    """Return the index of the sighting at which one person replaced another at the border, or None.
 
-    ``size`` of the picture, ``width`` and ``height`` of a person, pixels.
+    size: width and height of the picture, pixels.
+    width, height: those of a person, pixels.
     """
     for side in range(4):
+        # Turning point: the sighting with the least extent into the view.
         whole = width if side in (0, 2) else height
         into = [_into_view(sighting.box, side, size) for sighting in history]
         turn = min(range(len(into)), key=into.__getitem__)
@@ -39,12 +43,16 @@ def find_handover(
             continue
         if not touches_side(history[turn].box, side, size):
             continue
+
+        # It must draw back and come out far enough.
         t = history[turn].t
         near = [i for i, sighting in enumerate(history) if abs(sighting.t - t) <= CHANGE_SECONDS]
         before = max(into[i] for i in near if i <= turn)
         after = max(into[i] for i in near if i >= turn)
         if min(before, after) - into[turn] < CHANGE_HEIGHTS * height:
             continue
+
+        # At walking speed both times.
         steps = [(into[i + 1] - into[i]) / (history[i + 1].t - history[i].t) for i in near[:-1]]
         if max(map(abs, steps)) <= SPEED_MAX * height:
             return turn
@@ -52,12 +60,10 @@ def find_handover(
 
 
 def _into_view(box: Box, side: int, size: tuple[int, int]) -> float:
-    """How far the box reaches into the view from its left, top, right or bottom (0 to 3),
-    pixels.
-    """
+    """Return how far the box extends from a side (0 to 3: left, top, right, bottom), pixels."""
     return (box[2], box[3], size[0] - box[0], size[1] - box[1])[side]
 
 
 def touches_side(box: Box, side: int, size: tuple[int, int], pixels: float = 1.5) -> bool:
-    """Whether the box is cut by that side of the picture."""
+    """Return True if that side of the picture cuts the box."""
     return (box[0], box[1], size[0] - box[2], size[1] - box[3])[side] <= pixels

@@ -1,4 +1,4 @@
-"""One object followed through the view, and what a frame changes about all of them."""
+"""State of one tracked object, and the changes that one frame makes to all of them."""
 
 from __future__ import annotations
 
@@ -10,66 +10,70 @@ from camtopod.vision.detect import Box
 from camtopod.vision.track.kalman import Kalman, Vector
 
 HISTORY_SIGHTINGS = 16
-"""So many of an object's latest sightings are kept."""
+"""Sightings kept of an object, the newest."""
 
 
 @dataclass(slots=True, eq=False)
 class Track:
-    """One object followed through the view."""
+    """One tracked object. Lengths in pixels, times in seconds."""
 
     number: int
+    """Number of the track; it stays the same for a whole passage."""
     first: Sighting
     last: Sighting
     kalman: Kalman
     height: float
     width: float
     from_start: bool
+    """In view when tracking began, so without an entry."""
     beside_others: bool
-    """Born next to another object: rather half of a group than somebody new."""
+    """Born next to another object: more likely half of a group than somebody new."""
     history: deque[Sighting] = field(default_factory=lambda: deque(maxlen=HISTORY_SIGHTINGS))
     sightings: int = 1
     frames: int = 1
+    """Frames since the first sighting."""
     confirmed: bool = False
     covered: bool = False
+    """Hidden behind others in the latest frame."""
     entered: bool = False
     """An entry was reported for it."""
     interrupted: bool = False
-    """There were no pictures when it was lost."""
+    """Lost while there were no frames."""
     reach: float = 0.0
-    """The farthest its head or foot has been from where it began, pixels."""
+    """Largest distance of head or foot from where it began, pixels."""
     origin: Vector = (0.0, 0.0, 0.0, 0.0)
+    """Head and foot where it began."""
     cut_t: float = float("-inf")
-    """When a side of the picture cut it last, seconds."""
+    """Time when the border last cut its box, seconds."""
     measured_at: tuple[float, float] = (0.0, 0.0)
-    """Foot point where its height was last taken."""
+    """Foot point where its height was last measured."""
 
     @property
     def box(self) -> Box:
-        """Where it is expected now."""
+        """Expected box."""
         x, top, foot_x, bottom = self.kalman.position
         middle = (x + foot_x) / 2
         return (middle - self.width / 2, min(top, bottom - 1), middle + self.width / 2, bottom)
 
     def unseen_seconds(self, t: float) -> float:
-        """Since the last sighting."""
+        """Return the time since the last sighting."""
         return t - self.last.t
 
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """What one frame changed: tracks that became objects, and objects whose track is over.
-
-    ``left``: out of sight at an edge of the view; ``vanished``: out of sight in mid-view and not
-    found again.
-    """
+    """Changes made by one frame."""
 
     appeared: list[Track]
+    """Tracks that became objects."""
     left: list[Track]
+    """Objects out of sight at an edge of the view."""
     vanished: list[Track]
+    """Objects out of sight in mid-view that were not found again."""
 
 
 class Sighting(NamedTuple):
-    """Time in seconds, foot point and box in pixels of the working picture."""
+    """Time (seconds), foot point and box (pixels of the working picture)."""
 
     t: float
     foot: tuple[float, float]

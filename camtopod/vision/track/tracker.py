@@ -1,12 +1,13 @@
-"""Blobs -> tracks: who is where, within one view.
+"""Tracker: follow the objects of one view from frame to frame.
 
-Theory of operation. A track is *tentative* until it has been followed for half a second and its
-head or foot has moved; then it is *confirmed*. Each frame, blobs that cover several confirmed
-tracks update these as a group (people crossing or walking side by side); the rest are assigned one
-to one (Kalman prediction, Hungarian method, gate in heights of the person). A confirmed track that
-is out of sight for longer than the patience has *ended* if it was at an edge of the view; in
-mid-view it is *broken*: kept for some seconds, and a track confirmed nearby continues it, so that a
-passage that breaks behind a lamp post stays one passage.
+A track is *tentative* until it has been followed for half a second and its head or foot has moved;
+then it is *confirmed*. In each frame, blobs that cover several confirmed tracks update these as a
+group (people crossing or walking side by side). The other blobs are assigned one to one (Kalman
+prediction, Hungarian method, gate in heights of the person).
+
+A confirmed track that is out of sight for longer than the patience has *ended* if it was at an edge
+of the view. In mid-view it is *broken*: it is kept for some seconds, and a track confirmed nearby
+continues it. A passage that breaks behind a lamp post thus stays one passage.
 """
 
 from __future__ import annotations
@@ -27,53 +28,54 @@ from camtopod.vision.track.swap import find_handover
 from camtopod.vision.track.track import HISTORY_SIGHTINGS, Changes, Sighting, Track
 
 GATE_HEIGHTS = 0.35
-"""A head or foot this far from where it is expected (plus two sigma) is still the same person's."""
+"""Gate: largest distance (heights, plus two sigma) of head or foot from the expected position."""
 CONFIRM_HEIGHTS = 0.25
-"""Head or foot must have moved this far."""
+"""Distance (heights) that head or foot must move for a track to be confirmed."""
 TENTATIVE_PATIENCE_SECONDS = 0.45
+"""Patience with tentative tracks."""
 GONE_PATIENCE_SECONDS = 0.7
-"""Patience with somebody who was cut by the border when last seen."""
+"""Patience with an object that the border cut when it was last seen."""
 COVERED_PATIENCE_FACTOR = 2.0
-"""Patience with somebody hidden behind others, in patiences."""
+"""Factor of the patience with an object hidden behind others."""
 STITCH_HEIGHTS = 1.0
+"""Distance (heights) within which a broken passage may continue, for a gap of no time."""
 STITCH_HEIGHTS_PER_SECOND = 0.4
+"""Growth of this distance with the gap, heights per second."""
 STITCH_HEIGHTS_MAX = 2.5
-"""How far from where it broke a passage may go on: the first plus the second times the gap, at most
-the third."""
+"""Upper limit of this distance, heights."""
 STITCH_AT_EDGE_SECONDS = 1.5
+"""Longest gap after which a track that begins at an edge may continue a broken one."""
 STITCH_AT_EDGE_HEIGHTS = 0.5
-"""What begins at an edge is somebody new, unless somebody was lost this short a time ago and this
-near.
-"""
+"""Largest distance (heights) at which a track that begins at an edge may continue a broken one."""
 PIECE_HEIGHT_MIN = 0.35
-"""A blob away from the border that is smaller than this share of a person is no sighting of that
-person.
-"""
+"""Least height of a blob away from the border, as a share of the person it is assigned to."""
 BIRTH_HEIGHT_MIN = 0.4
-"""A blob in mid-view that is smaller than this share of a person is none."""
+"""Least height of a new blob in mid-view, as a share of a person's."""
 STATURE_STEP_HEIGHTS = 0.15
-"""Somebody's height is taken again after this much of a way, so that standing people do not outvote
-the others."""
+"""Distance (heights) after which an object's height is measured again.
+
+Standing people would otherwise outvote the others.
+"""
 _SIZE_RATE = 0.2
+"""Weight of the newest sighting in the running means of height and width."""
 _NEVER = 1e9
+"""Cost of an assignment that is not allowed."""
 
 
 class Edges(Protocol):
-    """Where the view ends."""
+    """Where objects enter and leave the view."""
 
     size: tuple[int, int]
-    """Width and height of the working picture."""
+    """Width and height of the working picture, pixels."""
 
     def touches(self, box: Box) -> bool:
-        """Whether the box is cut by the border of the picture."""
+        """Return True if the border of the picture cuts the box."""
 
     def at_edge(self, track: Track) -> bool:
-        """Whether the track was last seen where objects leave the view."""
+        """Return True if the track was last seen where objects leave the view."""
 
     def begins_at_edge(self, track: Track) -> bool:
-        """Whether the track, followed for a short while only, was first seen where objects enter
-        the view.
-        """
+        """Return True if the track, still short, was first seen where objects enter the view."""
 
 
 class Tracker:
@@ -94,22 +96,30 @@ class Tracker:
         self.stitched = 0
 
     def step(self, t: float, blobs: list[Blob]) -> Changes:
-        """Take the blobs of the frame captured at ``t`` seconds, later than the last."""
+        """Process the blobs of the frame captured at ``t`` seconds, later than the last."""
         dt = 0.0 if self._t is None else t - self._t
         self._t = t
         self._start = t if self._start is None else self._start
         left = []
+
+        # A pause in the frames interrupts all tracks.
         if dt > self._settings.patience_seconds:
             left = self._interrupt(t)
+
+        # Predict.
         for track in self.active:
             track.kalman.predict(dt, track.height, coasting=track.last.t < t - 1.5 * dt)
             track.frames += 1
             track.covered = False
+
+        # Assign blobs, to groups first, and begin tracks with the others.
         free = self._update_groups(t, blobs)
         free = self._assign(t, free)
         self._cover(t, blobs)
         for blob in free:
             self._give_birth(t, blob)
+
+        # Confirm, split and end tracks.
         appeared = self._confirm(t)
         left += self._hand_over(t, appeared)
         return self._retire(t, appeared, left)
@@ -117,15 +127,14 @@ class Tracker:
     # -- sightings ------------------------------
 
     def _update_groups(self, t: float, blobs: list[Blob]) -> list[Blob]:
-        """Blobs that hide several confirmed people update all of them; the other blobs are
-        returned.
-        """
+        """Update tracks by blobs that cover several confirmed people; return the other blobs."""
         free = []
         waiting = [
             (track, *_middle(track.box))
             for track in self.active
             if track.confirmed and track.last.t < t
         ]
+
         for blob in blobs:
             left, top, right, bottom = blob.box
             held = [track for track, x, y in waiting if left <= x <= right and top <= y <= bottom]
@@ -139,13 +148,15 @@ class Tracker:
         return free
 
     def _update_group(self, t: float, blob: Blob, inside: list[Track]) -> None:
-        """The outermost people of a group touch its outline; the others are where they were
-        expected.
+        """Update the tracks inside a group's blob.
+
+        The outermost people touch its outline; the others are taken to be where they were expected.
         """
         leftmost = min(inside, key=lambda track: track.box[0])
         rightmost = max(inside, key=lambda track: track.box[2])
         lowest = max(inside, key=lambda track: track.box[3])
         highest = min(inside, key=lambda track: track.box[1])
+
         for track in inside:
             left, _, right, bottom = track.box
             x = min(max((left + right) / 2, blob.left), blob.right)
@@ -163,7 +174,10 @@ class Tracker:
             self._seen(track, Sighting(t, (x, bottom), box))
 
     def _assign(self, t: float, blobs: list[Blob]) -> list[Blob]:
-        """One blob a track at the least total cost (Kuhn 1955); returns the blobs nobody took."""
+        """Assign one blob to each track at the least total cost (Kuhn 1955).
+
+        Returns the blobs left over.
+        """
         waiting = [track for track in self.active if track.last.t < t]
         if not waiting or not blobs:
             return blobs
@@ -176,8 +190,9 @@ class Tracker:
         return [blob for j, blob in enumerate(blobs) if j not in taken]
 
     def _costs(self, track: Track, blobs: list[Blob]) -> list[float]:
-        """For each blob the distance of head and foot in gates; a tentative track yields to a
-        confirmed one.
+        """Return for each blob the distance of head and foot in gates.
+
+        Tentative tracks have a higher cost, so that they yield to confirmed ones.
         """
         head_x, head_y, foot_x, foot_y = track.kalman.position
         scale = max(track.height, self.stature.height(foot_y) or 0.0)
@@ -185,11 +200,11 @@ class Tracker:
         height_min = PIECE_HEIGHT_MIN * track.height if track.confirmed else 0.0
         leftmost = min(head_x, foot_x, track.last.box[0]) - gate
         rightmost = max(head_x, foot_x, track.last.box[2]) + gate
+
         costs = [_NEVER] * len(blobs)
         for j, blob in enumerate(blobs):
-            if (
-                blob.right < leftmost or rightmost < blob.left
-            ):  # most of them: neither near nor overlapping
+            # Most blobs are neither near nor overlapping.
+            if blob.right < leftmost or rightmost < blob.left:
                 continue
             head = hypot((blob.left + blob.right) / 2 - head_x, blob.top - head_y)
             foot = hypot(blob.foot_x - foot_x, blob.bottom - foot_y)
@@ -201,15 +216,19 @@ class Tracker:
         return costs
 
     def _update_single(self, t: float, track: Track, blob: Blob) -> None:
+        """Update a track by the blob assigned to it."""
         measured = (*blob.head, *blob.foot)
         if self._touches(blob.box) or self._touches(track.last.box) or not track.confirmed:
-            # It is coming into sight or going out of it.
+            # Entering or leaving the view: its size may only grow.
             track.height, track.width = max(track.height, blob.height), max(track.width, blob.width)
         else:
             track.height += _SIZE_RATE * (blob.height - track.height)
             track.width += _SIZE_RATE * (blob.width - track.width)
+
         track.kalman.update(measured, track.height)
         self._seen(track, Sighting(t, blob.foot, blob.box))
+
+        # Measure the height of whole people, once per distance walked.
         step = hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1])
         if (
             track.confirmed
@@ -220,6 +239,7 @@ class Tracker:
             self.stature.add(track.number, blob.bottom, blob.height)
 
     def _seen(self, track: Track, sighting: Sighting) -> None:
+        """Record a sighting."""
         track.last = sighting
         track.history.append(sighting)
         track.sightings += 1
@@ -232,6 +252,7 @@ class Tracker:
         track.reach = max(track.reach, head, foot)
 
     def _cover(self, t: float, blobs: list[Blob]) -> None:
+        """Mark confirmed tracks that are hidden behind a blob."""
         for track in self.active:
             if track.last.t < t and track.confirmed:
                 box = track.box
@@ -240,6 +261,7 @@ class Tracker:
     # -- births and deaths ------------------------------
 
     def _give_birth(self, t: float, blob: Blob) -> None:
+        """Begin a tentative track, unless the blob is too small or a fragment of an object."""
         if len(self.active) >= self._settings.tracks_max:
             return
         expected = self.stature.height(blob.bottom)
@@ -248,7 +270,8 @@ class Tracker:
             return
         others = [track for track in self.active if track.confirmed]
         if any(track.last.t == t and _holds(track.last.box, blob.box) for track in others):
-            return  # a fragment of somebody who is seen already
+            return  # a fragment of an object that is seen already
+
         sighting = Sighting(t, blob.foot, blob.box)
         measured = (*blob.head, *blob.foot)
         beside = any(_gap(track.box, blob.box) < 0.3 * track.height for track in others)
@@ -270,7 +293,7 @@ class Tracker:
         self.active.append(track)
 
     def _confirm(self, t: float) -> list[Track]:
-        """Tracks that have just become objects and continue no broken one."""
+        """Confirm tracks that have become objects; return those that continue no broken track."""
         appeared = []
         for track in self.active:
             if (
@@ -287,10 +310,12 @@ class Tracker:
         return appeared
 
     def _stitch(self, t: float, track: Track) -> bool:
-        """Continue the nearest passage that broke in mid-view, if there is one within reach."""
+        """Continue the nearest passage that broke in mid-view; False if none is within reach."""
         missing = [
             other for other in self.active if other.confirmed and other.last.t < track.first.t
         ]
+
+        # Nearest by distance over reach.
         best, best_score = None, 1.0
         for other in [*self.broken, *missing]:
             if other is track or (other.last.t < t and self._at_edge(other)):
@@ -306,13 +331,14 @@ class Tracker:
             ratio = track.height / other.height
             if distance < reach * best_score and 0.4 < ratio < 2.5:
                 best, best_score = other, distance / reach
+
         if best is None:
             return False
         self._absorb(track, best)
         return True
 
     def _absorb(self, track: Track, earlier: Track) -> None:
-        """``track`` is the passage ``earlier``: it takes over its number and how it began."""
+        """Make ``track`` continue the passage ``earlier``, with its number and beginning."""
         self.stitched += 1
         track.number, track.first, track.entered = earlier.number, earlier.first, earlier.entered
         track.from_start, track.beside_others = earlier.from_start, earlier.beside_others
@@ -320,8 +346,10 @@ class Tracker:
         self.active = [other for other in self.active if other is not earlier]
 
     def _hand_over(self, t: float, appeared: list[Track]) -> list[Track]:
-        """Where somebody took another's place at the border, the other has left; adds the new one
-        to ``appeared``."""
+        """Split tracks where one person replaced another at the border.
+
+        Returns the people who left and adds the new ones to ``appeared``.
+        """
         left = []
         for track in self.active:
             if not track.confirmed or track.last.t < t or track in appeared:
@@ -335,8 +363,10 @@ class Tracker:
         return left
 
     def _split(self, track: Track, turn: int) -> Track:
-        """The part of ``track`` up to sighting ``turn``, which keeps the number; the rest becomes a
-        new object."""
+        """Split ``track`` at sighting ``turn``; return the part before it, which keeps the number.
+
+        The rest becomes a new object.
+        """
         past = list(track.history)
         earlier = replace(
             track, last=past[turn], history=deque(past[: turn + 1], maxlen=HISTORY_SIGHTINGS)
@@ -350,7 +380,10 @@ class Tracker:
         return earlier
 
     def _retire(self, t: float, appeared: list[Track], left: list[Track]) -> Changes:
+        """End tracks that are out of sight for longer than the patience."""
         kept = []
+
+        # Patience depends on how the object was last seen.
         for track in self.active:
             patience = (
                 self._settings.patience_seconds if track.confirmed else TENTATIVE_PATIENCE_SECONDS
@@ -366,18 +399,22 @@ class Tracker:
             elif track.confirmed:
                 self.broken.append(track)
         self.active = kept
+
+        # Broken tracks that nobody continued have vanished.
         deadline = t - self._settings.stitch_seconds
         vanished = [track for track in self.broken if track.last.t < deadline]
         self.broken = [track for track in self.broken if track.last.t >= deadline]
         return Changes(appeared, left, vanished)
 
     def drop(self, track: Track) -> None:
-        """Forget ``track`` without a trace: it was none."""
+        """Remove ``track`` without an event, because it is not an object."""
         self.active = [other for other in self.active if other is not track]
 
     def _interrupt(self, t: float) -> list[Track]:
-        """There were no pictures for a while: all are out of sight, and who is in view now was so
-        all along."""
+        """End or break all tracks after a pause in the frames; return those that were at an edge.
+
+        Objects that are in view now count as having been there all along.
+        """
         self._start = t
         objects, self.active = [track for track in self.active if track.confirmed], []
         for track in [*objects, *self.broken]:
@@ -386,15 +423,18 @@ class Tracker:
         return [track for track in objects if self._at_edge(track)]
 
     def restart(self) -> None:
-        """The picture changed as a whole: forget everybody; who is in view next was there from the
-        start.
+        """Forget all tracks, because the whole picture has changed.
+
+        Objects seen next count as having been there from the start.
         """
         self.active, self.broken = [], []
         self._t = self._start = None
 
     def finish(self, t: float) -> list[Track]:
-        """The recording ends at ``t``: objects out of sight at an edge have left; the others are
-        still in view."""
+        """Return the objects that have left when the recording ends at ``t``.
+
+        These are the ones out of sight at an edge; the others are still in view.
+        """
         unseen = TENTATIVE_PATIENCE_SECONDS
         left = [
             x
@@ -406,7 +446,7 @@ class Tracker:
 
 
 def _holds(outer: Box, inner: Box) -> bool:
-    """Whether the middle of ``inner`` is in ``outer``."""
+    """Return True if the middle of ``inner`` is in ``outer``."""
     x, y = _middle(inner)
     return outer[0] <= x <= outer[2] and outer[1] <= y <= outer[3]
 
@@ -416,7 +456,7 @@ def _middle(box: Box) -> tuple[float, float]:
 
 
 def _overlap(a: Box, b: Box) -> float:
-    """Common area as a share of the smaller box."""
+    """Return the common area as a share of the smaller box."""
     if a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]:
         return 0.0
     width = min(a[2], b[2]) - max(a[0], b[0])
@@ -426,7 +466,7 @@ def _overlap(a: Box, b: Box) -> float:
 
 
 def _gap(a: Box, b: Box) -> float:
-    """Pixels between two boxes, 0 where they overlap."""
+    """Return the distance between two boxes in pixels, 0 where they overlap."""
     x = max(0.0, max(a[0], b[0]) - min(a[2], b[2]))
     y = max(0.0, max(a[1], b[1]) - min(a[3], b[3]))
     return hypot(x, y)
