@@ -1,6 +1,7 @@
-"""Local rates: how often arrivals come at a zone around a moment, whatever the reason.
+"""Local rates of arrivals: the null model, in which arrivals do not depend on departures.
 
-A null with a constant rate takes a common rhythm (day and night) for links; a local one does not.
+With a constant rate, a rhythm common to all zones (day and night) would look like links; with a
+local rate it does not.
 """
 
 from __future__ import annotations
@@ -12,23 +13,23 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Singles, rows_of
 
-"""Of numbers of events, which are exact in it."""
-
 RATE_HALF_WINDOW_SECONDS = 600.0
+"""Arrivals this long before and after an arrival make up its local rate."""
 RATE_PRIOR_EVENTS = 2.0
-"""The mean rate of the zone counts as much as this many events."""
+"""Weight, in events, of a zone's mean rate in its local rate."""
 CHANCE_BIN_SECONDS = 300.0
+"""Width of the time bins in which `Chance` counts departures and arrivals."""
 TABLE_ZONES_MAX = 2000
-"""Of so many zones the rates of all pairs are worked out at once (32 MB); of more, those asked for
-...
-"""
+"""Up to this many zones, `Chance` computes the rates of all pairs at once (32 MB)."""
 PAIRS_AT_ONCE = 500
-"""... so many at a time."""
+"""Pairs whose rates are computed together where there are more than `TABLE_ZONES_MAX` zones."""
 
 
 def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
-    """Rate (1/s) at each arrival's own zone within ten minutes of it, itself left out; ``t`` (n,)
-    ascending, in s.
+    """Return the rate (n,) of other arrivals (1/s) at each arrival's zone around its time.
+
+    t (n,): times of arrivals in seconds, ascending.
+    zone (n,): their zones, from 0 to ``zones`` - 1.
     """
     rates = np.zeros(len(t))
     if len(t) == 0:
@@ -37,9 +38,13 @@ def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
     for here in rows_of(zone, zones):
         if len(here) == 0:
             continue
+
+        # Count the other arrivals within the window.
         own = t[here]
         low, high = own - RATE_HALF_WINDOW_SECONDS, own + RATE_HALF_WINDOW_SECONDS
         others = np.searchsorted(own, high, "right") - np.searchsorted(own, low, "left") - 1
+
+        # Divide by the part of the window that is within the data.
         span = np.minimum(high, last) - np.maximum(low, first)
         mean = len(own) / max(last - first, 1.0)
         rates[here] = (others + RATE_PRIOR_EVENTS) / (span + RATE_PRIOR_EVENTS / mean)
@@ -47,11 +52,14 @@ def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
 
 
 class Chance:
-    """Arrivals per second at a zone around a departure from another if they have nothing to do with
-    each other.
+    """Null model of zone pairs: arrivals per second at one zone around departures from another.
 
-    Both are counted in bins of some minutes, so a rhythm common to all zones is part of chance.
-    Times (n,) ascend, are in seconds and are not none.
+    Departures and arrivals are counted in time bins, and the rate of arrivals is averaged over the
+    bins of the departures and their neighbours. So a rhythm common to all zones is part of it.
+
+    left_t, left_zone (n,): times of departures (seconds, ascending, at least one), and their zones.
+    came_t, came_zone (m,): the same of arrivals.
+    zones: number of zones.
     """
 
     def __init__(
@@ -62,10 +70,13 @@ class Chance:
         came_zone: NDArray[np.int32],
         zones: int,
     ) -> None:
+        # Count departures and arrivals (zones, bins).
         first = min(left_t[0], came_t[0])
         n = int((max(left_t[-1], came_t[-1]) - first) // CHANCE_BIN_SECONDS) + 1
         self._left = _per_bin(left_t, left_zone, first, n, zones)
         came = _per_bin(came_t, came_zone, first, n, zones)
+
+        # Arrivals in each bin and its two neighbours, and the seconds these have.
         self._around = np.copy(came)
         self._around[:, 1:] += came[:, :-1]
         self._around[:, :-1] += came[:, 1:]
@@ -73,6 +84,8 @@ class Chance:
         bins[0] -= 1.0
         bins[-1] -= 1.0
         self._seconds = CHANCE_BIN_SECONDS * np.maximum(bins, 1.0)
+
+        # Mean rate of arrivals over the departures, for all pairs of zones.
         self._number = np.maximum(self._left.sum(axis=1, dtype=float), 1.0)
         self._table = None
         if zones <= TABLE_ZONES_MAX:
@@ -82,7 +95,10 @@ class Chance:
     def of(
         self, source: NDArray[np.signedinteger[Any]], target: NDArray[np.signedinteger[Any]]
     ) -> Floats:
-        """Rates (P,) in 1/s at zones ``target`` (P,) around departures from ``source`` (P,)."""
+        """Return the rate of arrivals (P,), 1/s, at ``target`` around departures of ``source``.
+
+        source, target (P,): zones.
+        """
         if self._table is not None:
             known: Floats = self._table[source, target]
             return known
@@ -99,7 +115,7 @@ class Chance:
 
 
 def _per_bin(t: Floats, zone: NDArray[np.int32], first: float, n: int, zones: int) -> Singles:
-    """Events in each of ``n`` bins of time from ``first`` on, (zones, n)."""
+    """Return the number of events (zones, n) of each zone in ``n`` time bins from ``first`` on."""
     when = ((t - first) // CHANCE_BIN_SECONDS).astype(np.int64)
     events = np.zeros(zones * n, np.float32)
     np.add.at(events, zone.astype(np.int64) * n + when, 1.0)

@@ -1,6 +1,4 @@
-"""Departures and arrivals: the window's exits and entries as columns, the input of the joint
-fit.
-"""
+"""Departures and arrivals: exits and entries of the window as columns, the input of the fits."""
 
 from __future__ import annotations
 
@@ -13,11 +11,18 @@ from camtopod.arrays import Floats, Indices, Ints
 
 
 class Departures(NamedTuple):
-    """Objects leaving, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, ``since`` when the
-    passage began (-inf: unknown), its log slowness (nan: unknown), the arrival that began it (-1:
-    unknown), and the block of the image where it left (-1: no position). Where there are delayed
-    copies (see `long_ways`), ``of`` is the row of each departure's original, for an original its
-    own: together they have at most one arrival.
+    """Departures sorted by time; each column has shape (n,).
+
+    t: time in seconds.
+    zone, camera: index of the zone and of the camera.
+    since: time in seconds when the passage that ends began; -inf if unknown.
+    slow: log slowness of that passage (`speed`); nan if unknown.
+    own: row of the arrival that began it; -1 if unknown.
+    block: block of the image where the object left (`camtopod.topology.blocks_of`); -1 if it has no
+        position.
+    of: row of the departure that this one is a delayed copy of, or its own row
+        (`camtopod.learn.long_paths`); a departure and its copies together have at most one arrival.
+        None if there are no copies.
     """
 
     t: Floats
@@ -30,10 +35,13 @@ class Departures(NamedTuple):
     of: Indices | None = None
 
     def take(self, kept: NDArray[np.bool_], arrivals: NDArray[np.bool_]) -> Departures:
-        """The departures ``kept`` when of the arrivals only those of the mask ``arrivals`` are."""
-        number = np.append(np.where(arrivals, np.cumsum(arrivals) - 1, -1), -1).astype(
-            np.int32
-        )  # -1 looks at the last
+        """Return some departures; must not have delayed copies.
+
+        kept (n,): mask of the departures.
+        arrivals (m,): mask of the arrivals that are kept, by which ``own`` is renumbered.
+        """
+        # The new row of each arrival; the last element is for -1.
+        number = np.append(np.where(arrivals, np.cumsum(arrivals) - 1, -1), -1).astype(np.int32)
         own = number[self.own[kept]]
         return Departures(
             self.t[kept],
@@ -47,14 +55,18 @@ class Departures(NamedTuple):
 
     @staticmethod
     def untold(t: Floats, zone: Ints, camera: Ints, since: Floats, slow: Floats) -> Departures:
-        """Departures of which nothing is known of the arrival and the block."""
+        """Return departures without information about their arrivals and blocks."""
         unknown = np.full(len(t), -1, np.int32)
         return Departures(t, zone, camera, since, slow, unknown, unknown)
 
 
 class Arrivals(NamedTuple):
-    """Objects appearing, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, the local rate of
-    arrivals there (1/s), and the log slowness of the passage that begins (nan: unknown).
+    """Arrivals sorted by time; each column has shape (n,).
+
+    t: time in seconds.
+    zone, camera: index of the zone and of the camera.
+    rate: local rate of arrivals at the zone, 1/s (`background_rate.local_rates`).
+    slow: log slowness of the passage that begins (`speed`); nan if unknown.
     """
 
     t: Floats
@@ -64,7 +76,7 @@ class Arrivals(NamedTuple):
     slow: Floats
 
     def take(self, kept: NDArray[Any]) -> Arrivals:
-        """The arrivals ``kept``: a mask, or rows."""
+        """Return the arrivals ``kept``, given as a mask or as rows."""
         return Arrivals(
             self.t[kept], self.zone[kept], self.camera[kept], self.rate[kept], self.slow[kept]
         )
