@@ -1,4 +1,12 @@
-"""links"""
+"""Links between zones: their figures, the evidence for them, and which of them are published.
+
+Reading order: `link_table` collects the figures of every pair of zones, with `transit_time` (mode,
+mean, quantiles), `significance` (evidence and false discovery rate), and the thesis's `monte_carlo`
+observations and `mahalanobis` test. `visible_links` does the same for the passages through one
+view. Then come the corrections: `cross_validation` (evidence from held-out events),
+`missed_detections` (links that are only an effect of missed passages) and `shortfall` (what a weak
+link lacks).
+"""
 
 from __future__ import annotations
 

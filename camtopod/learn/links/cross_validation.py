@@ -1,18 +1,22 @@
-"""Evidence that was not fitted to itself: each part of the time judged by what other parts taught.
+"""Held-out evidence for links: each part of the window is judged by a fit of other parts.
 
-A flexible fit finds something in any data; how well it explains the data it was fitted to says
-little. So the window is cut into stretches of time dealt out to eight parts. The links are fitted
-on the first part alone, from nothing, and asked how much better they predict the arrivals of the
-second with a pair of zones than without; then fitted on the first two and asked about the third,
-and so on. Where zones have nothing to do with each other, each likelihood ratio is 1 at most in the
-mean, whatever shape the fit could have taken, and so is their product, as each bets on what the
-bets before it have not seen (a test martingale; Shafer and others, Statistical Science 26(1), 2011;
-Wasserman, Ramdas and Balakrishnan 2020). The same is done from the last part backwards, and with
-bets that are partly spread over all lags (`EVEN_SHARES`). The mean of the products is an e-value:
-it exceeds ``exp(x)`` with a probability of at most ``exp(-x)``, and false discovery rates may be
-made of such without knowing how they depend on each other (Wang and Ramdas 2022). The bound is
-approximate, as the likelihood approximates the competition for departures and the rates of the null
-model; on simulated networks without links there are far fewer false links than it allows.
+A flexible fit finds structure in any data, so how well it explains the data it was fitted to says
+little. The window is therefore cut into stretches of time, assigned in turn to eight parts. The
+links are fitted from scratch on the first part, and judged on the second: how much better are its
+arrivals predicted with a pair of zones than without? Then the links are fitted on the first two
+parts and judged on the third, and so on (`BETS`).
+
+If zones are unrelated, each likelihood ratio has a mean of at most 1, whatever the shape of the
+fit, and so has the product, as each bet is on data that the bets before it have not used (a test
+martingale; Shafer and others, Statistical Science 26(1), 2011; Wasserman, Ramdas and Balakrishnan
+2020). The same is done from the last part backwards, and with hazards that are partly spread over
+all lags (`EVEN_SHARES`). The mean of the products is an e-value: it exceeds ``exp(x)`` with a
+probability of at most ``exp(-x)``, and false discovery rates can be computed from e-values without
+knowing how they depend on each other (Wang and Ramdas 2022).
+
+The bound is approximate, as the likelihood approximates the competition for departures and the
+rates of the null model. On simulated networks without links there are far fewer false links than it
+allows.
 """
 
 from __future__ import annotations
@@ -26,29 +30,34 @@ from camtopod.learn.traffic import Arrivals, Chance, Departures
 from camtopod.topology import LagBins
 
 PARTS = 8
+"""Number of parts of the window."""
 BETS = ((1, 2), (2, 3), (3, 5), (5, 8))
-"""(fitted on the parts before this one, asked about these up to that one)."""
+"""Pairs (a, b): fit on the parts before ``a``, judge on the parts from ``a`` to before ``b``."""
 STRETCHES = 32
-"""The window is cut into about this many stretches, dealt out to the parts in turn ..."""
+"""Approximate number of stretches that the window is cut into."""
 STRETCH_SECONDS_MAX = 3600.0
+"""Longest stretch, seconds."""
 STRETCH_LAGS_MIN = 4.0
-"""... but none shorter than this many times the longest transit, unless the window is too short for
-that.
-"""
+"""Shortest stretch, in multiples of the longest transit time, unless the window is too short."""
 BET_SPARSITY = 0.5
-"""Transitions that the sparse prior takes off each pair before the bet: fewer than in the fit, as a
-part has few.
+"""Transitions that the sparse prior takes off each pair of zones before a bet.
+
+They are fewer than in the fit of the whole window, as a part has few.
 """
 EVEN_SHARES = (0.0, 0.3)
-"""Shares of a hazard that are spread evenly over all lags before a bet: a bet on a sharp hazard
-alone loses much on each arrival outside its peak. The mean of the products over these shares is an
-e-value, too.
+"""Shares of a hazard that are spread evenly over all lags before a bet.
+
+A bet on a sharp hazard alone loses much on each arrival outside its peak. The mean of the products
+over these shares is an e-value, too.
 """
 SWEEPS = 3
+"""Sweeps of the E step when the hazards are given."""
 ROUNDS = 1
-"""Rounds of each fit before the last."""
+"""Rounds of each fit before the one with the sparse prior."""
 RESPONSIBILITY_MAX = 1.0 - 1e-7
+"""Responsibilities are clipped to this before log(1 - r) is taken."""
 FLAT_MAX = 1e6
+"""Largest ratio of a hazard without a transit time to the hazard of the fit."""
 
 
 def cross_evidence(
@@ -60,12 +69,12 @@ def cross_evidence(
     first: float,
     until: float,
 ) -> Floats:
-    """Log likelihood ratio (P,) in nats of each pair of zones of ``fit`` over the window from
-    ``first`` to ``until``.
+    """Return the held-out log likelihood ratio (P,) in nats of each pair of zones of ``fit``.
 
-    Against two nulls, the stronger counts: the zones have nothing to do with each other; or
-    arrivals at one follow departures from the other at no particular lag, as when both follow a
-    rhythm.
+    The stronger of two null models counts (the smaller ratio): the zones are unrelated; or arrivals
+    at one follow departures from the other at no particular lag, as when both follow a rhythm.
+
+    first, until (seconds): beginning and end of the window.
     """
     parts = Parts(departures, arrivals, fit, bins, zones, first, until)
     numbers = np.arange(PARTS)
@@ -75,7 +84,10 @@ def cross_evidence(
 
 
 def _products(parts: Parts, order: Longs) -> list[Floats]:
-    """Evidence (P,) in nats by each of the `EVEN_SHARES`, the parts taken in this order."""
+    """Return the evidence (P,) in nats against the stronger null model, for each of `EVEN_SHARES`.
+
+    order: the parts, in the order in which they are used.
+    """
     evidence = np.zeros((len(EVEN_SHARES), 2, len(parts.fit.candidates.source)))
     for known, upto in BETS:
         rest, judged = parts.take(order[:known]), parts.take(order[known:upto])
@@ -86,9 +98,7 @@ def _products(parts: Parts, order: Longs) -> list[Floats]:
 
 
 class Parts:
-    """The window in parts: which has which departures and arrivals, and what could have been seen
-    in it.
-    """
+    """The window in parts: the departures and arrivals of each, and its exposure."""
 
     def __init__(
         self,
@@ -102,18 +112,23 @@ class Parts:
     ) -> None:
         self.departures, self.arrivals, self.fit = departures, arrivals, fit
         self.bins, self.zones, self.first, self.until = bins, zones, first, until
+
+        # Length of the stretches, seconds.
         span = max(until - first, 1.0)
         self.stretch = min(
             max(span / STRETCHES, STRETCH_LAGS_MIN * bins.lag_max),
             STRETCH_SECONDS_MAX,
             span / PARTS,
         )
+
+        # Part of each event, exposure of each part, and the speed-adjusted candidates.
         self._left, self._came = self._of(departures.t), self._of(arrivals.t)
         self._exposure = self._exposures()
         self._adjusted = adjust(fit.candidates, departures, arrivals, fit.persistence, bins)
 
     def take(self, numbers: Longs) -> PartFitter:
-        """A fit of what came in these parts, pairs numbered as in the fit."""
+        """Return a fitter of the arrivals in these parts; pairs are numbered as in the fit."""
+        # Keep the candidates whose arrivals lie in these parts.
         left, came = np.isin(self._left, numbers), np.isin(self._came, numbers)
         c = self.fit.candidates
         kept, arrival = np.flatnonzero(came[c.arrival]), (np.cumsum(came) - 1).astype(np.int32)
@@ -125,6 +140,7 @@ class Parts:
             c.source,
             c.target,
         )
+
         fitter = PartFitter(
             self.departures,
             self.arrivals.take(came),
@@ -139,16 +155,15 @@ class Parts:
         return fitter
 
     def _of(self, t: Floats) -> Longs:
-        """Part of each time."""
+        """Return the part (n,) of each time in seconds."""
         part: Longs = np.floor((t - self.first) / self.stretch).astype(np.int64) % PARTS
         return part
 
     def _exposures(self) -> Floats:
-        """Departures of each zone whose lag bin lies in the part and could have been seen: (PARTS,
-        zones, bins).
+        """Return the departures of each zone whose lag bin lies in a part and was exposed.
 
-        Without this, a long lag would be seen less often than a short one, which often ends in the
-        stretch it began in, and short lags would look like links.
+        Returns (PARTS, zones, bins). Without this, a long lag would be seen less often than a short
+        one, which often ends in the stretch it began in, and short lags would look like links.
         """
         d, bins = self.departures, self.bins
         result = np.zeros((PARTS, self.zones, bins.size))
@@ -165,19 +180,21 @@ class Parts:
 
 
 class PartFitter(JointFitter):
-    """A fit of the arrivals of some parts to all departures."""
+    """A joint fit of the arrivals of some parts to all departures."""
 
     near: NDArray[np.bool_]
-    """(n,) departures in the same parts, for the rates of chance; all if there are none."""
+    """(n,) departures in the same parts, for the rates of the null model; all if there are none."""
 
     def _chance(self) -> Chance:
+        """Return the null model of departures and arrivals of the same parts."""
         left, came = self.departures, self.arrivals
         return Chance(left.t[self.near], left.zone[self.near], came.t, came.zone, self.zones)
 
 
 def _fitted(fitter: JointFitter) -> Singles:
-    """Hazards (P, bins) from one part of the time alone and from nothing; the sparse prior comes in
-    at the end.
+    """Return hazards (P, bins) fitted from scratch.
+
+    The sparse prior applies in the last run only.
     """
     fitter.sparsity = 0.0
     hazard = fitter.start()
@@ -188,14 +205,22 @@ def _fitted(fitter: JointFitter) -> Singles:
 
 
 def _evidence(fitter: JointFitter, hazard: Singles, outside: Floats) -> tuple[Floats, Floats]:
-    """Log likelihood ratios (P,) of each pair against no link and against a link without a transit
-    time.
+    """Return log likelihood ratios (P,) in nats against each of the two null models.
+
+    The first is against no link, the second against a link without a transit time.
+
+    outside (zones,): share of the local rate of arrivals that no departure explains.
     """
+    # Responsibilities of the held-out candidates under the given hazards.
     fitter.outside = outside
     share = np.minimum(fitter.expect_afresh(hazard, SWEEPS), RESPONSIBILITY_MAX)
     c = fitter.candidates
+
+    # Point-process likelihood ratio against no link: arrivals explained, less arrivals expected.
     expected: Floats = (hazard * fitter.exposure[c.source] * fitter.bins.widths).sum(axis=1)
     unrelated: Floats = np.bincount(c.pair, -np.log1p(-share), minlength=fitter.pairs) - expected
+
+    # Likelihood ratio against the same number of transitions spread evenly over all lags.
     flat = np.minimum(fitter.flatness(hazard), FLAT_MAX)
     untimed: Floats = np.bincount(
         c.pair, -np.log1p(share * (flat - 1.0)), minlength=fitter.pairs

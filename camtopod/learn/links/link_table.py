@@ -1,7 +1,7 @@
-"""Links between zones: every figure of every pair of zones, and which of them are published.
+"""Table of links: the figures of every pair of zones, and the rules for publishing them.
 
-The joint fit says which departures and arrivals belong together; from those the transit times, the
-Monte Carlo observations and the thesis's tests are taken, pair by pair.
+The joint fit gives the responsibility of each departure and arrival. From those, transit times,
+evidence, Monte Carlo observations and the thesis's tests are computed pair by pair.
 """
 
 from __future__ import annotations
@@ -21,28 +21,34 @@ from camtopod.learn.traffic import Arrivals, Departures, combined
 from camtopod.topology import LagBins, smooth
 
 TRANSITIONS_MIN = 2.0
-"""A published link rests on at least this many expected transitions."""
+"""Least expected transitions of a published link."""
 WEAK_TRANSITIONS_MIN = 0.2
-"""A weak link has at least so many."""
+"""Least expected transitions of a weak link."""
 WEAK_LINKS_PER_ZONE_MAX = 24
+"""Largest number of weak links from one zone."""
 LEFT_OVER_MIN = 0.05
+"""Least share of a source that published links leave over in the posterior: no division by 0."""
 MONTE_CARLO_SEED = 2011
+"""Seed of the Monte Carlo observations, fixed so that versions are reproducible."""
 
 
 class Transitions(NamedTuple):
-    """Joined departures and arrivals, (M,) each: zones, lag in seconds, the probability that they
-    are one object, and the hazard over the lag's own of a link without a transit time.
-    """
+    """Departures and arrivals that may be of one object, (M,) each."""
 
     source: Ints
+    """Zone of departure."""
     target: Ints
+    """Zone of arrival."""
     lag: Floats
+    """Seconds from departure to arrival."""
     weight: Floats
+    """Responsibility."""
     flat: Floats
+    """Hazard of a link of the same size without a transit time, over the hazard at the lag."""
 
 
 def join(parts: list[Transitions]) -> Transitions:
-    """Several lists of transitions as one."""
+    """Return several tables of transitions as one."""
     none = Transitions(
         np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0), np.zeros(0)
     )
@@ -50,7 +56,10 @@ def join(parts: list[Transitions]) -> Transitions:
 
 
 def transitions_of(fit: Fit, least: float = 0.0) -> Transitions:
-    """The candidates of a joint fit, of pairs of zones with at least so many transitions."""
+    """Return the candidates of a joint fit as transitions.
+
+    least: pairs of zones with fewer expected transitions are left out.
+    """
     c = fit.candidates
     enough = np.bincount(c.pair, fit.responsibility, minlength=len(c.source)) >= least
     rows = np.flatnonzero(enough[c.pair])
@@ -61,34 +70,39 @@ def transitions_of(fit: Fit, least: float = 0.0) -> Transitions:
 
 
 def leaving(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:
-    """Departures of each zone that would have been seen to arrive by ``until`` (seconds) if they
-    took so long: (zones, bins). Who has just left may still be on the way, and says nothing yet of
-    how many take it.
+    """Return the departures of each zone that could have been seen to arrive: (zones, bins).
+
+    For lags before the exit these are all departures. Objects that have just left may still be
+    under way, and do not count for longer lags.
+
+    until (seconds): end of the window.
     """
     every = np.bincount(departures.zone, minlength=zones)[:, None]
     return np.where(bins.edges[1:] > 0, exposures(departures, bins, zones, until), every)
 
 
 class Pace(NamedTuple):
-    """How fast the objects of transitions were."""
+    """Slowness of the objects behind transitions."""
 
     slow: Floats
-    """(M,) by what power of e slower than usual, as far as that bears on lags; nan where
-    unknown.
-    """
+    """(M,) slowness (natural log), as far as it affects lags; nan if unknown."""
     left: Floats
-    """(zones,) standard error of what is usual among those that leave there."""
+    """(zones,) standard error of the usual log dwell time before exits there, scaled likewise."""
     came: Floats
-    """(zones,) the same among those that come there."""
+    """(zones,) standard error of the usual log dwell time after entries there, scaled likewise."""
 
 
 def pace_of(fit: Fit, departures: Departures, arrivals: Arrivals, zones: int) -> Pace | None:
-    """Of the candidates of a joint fit; None where speeds tell nothing."""
+    """Return the slowness behind the candidates of a joint fit; None if it does not affect lags."""
     scaling, _, sd = fit.persistence
     if scaling <= 0:
         return None
+
+    # Slowness of each candidate, scaled to its effect on lags.
     c = fit.candidates
     slow = scaling * combined(departures.slow[c.departure], arrivals.slow[c.arrival])
+
+    # Standard error of a median, from the number of events with a known slowness.
     number = (
         np.bincount(ends.zone[np.isfinite(ends.slow)], minlength=zones)
         for ends in (departures, arrivals)
@@ -98,23 +112,29 @@ def pace_of(fit: Fit, departures: Departures, arrivals: Arrivals, zones: int) ->
 
 
 class LinkTable(NamedTuple):
-    """Figures of P pairs of zones, (P,) each; ``counts`` are expected transitions per lag bin, (P,
-    bins).
-    """
+    """Figures of P pairs of zones, (P,) each."""
 
     source: Ints
+    """Zone of departure."""
     target: Ints
+    """Zone of arrival."""
     probability: Floats
+    """Share of the departures at ``source`` that appear next at ``target``."""
     ratio: Floats
+    """Evidence, nats."""
     q: Floats
+    """False discovery rate at which the pair would be published."""
     transit: TransitFigures
+    """Transit times."""
     variance: Floats
+    """The thesis's Var(d) (table 4.3)."""
     counts: Floats
+    """(P, bins) expected transitions per lag bin."""
     delay: Floats
-    """Seconds to add to the lags of ``counts`` (see `long_ways`)."""
+    """Seconds to add to the lags of ``counts`` on long paths (see `camtopod.learn.long_paths`)."""
 
     def rows(self, keep: NDArray[np.intp]) -> LinkTable:
-        """The rows ``keep``, in that order."""
+        """Return the given rows, in that order."""
         return LinkTable(
             self.source[keep],
             self.target[keep],
@@ -128,12 +148,14 @@ class LinkTable(NamedTuple):
         )
 
     def without_counts(self) -> LinkTable:
-        """The same without the transitions per lag bin, which take most of the memory."""
+        """Return the table without the transitions per lag bin, which take most of the memory."""
         return self._replace(counts=np.zeros((len(self.source), 0)))
 
     def with_evidence(self, ratio: Floats, tests: int) -> LinkTable:
-        """The same with evidence (P,) in nats from elsewhere, and the false discovery rates among
-        ``tests`` pairs looked at.
+        """Return the table with other evidence and the false discovery rates that follow from it.
+
+        ratio (P,): evidence, nats.
+        tests: number of pairs of zones that were tested.
         """
         return self._replace(ratio=ratio, q=q_values(ratio, tests))
 
@@ -146,10 +168,14 @@ def tabulate(
     pace: Pace | None = None,
     delay: Floats | None = None,
 ) -> LinkTable:
-    """Figures of every pair of zones that has a transition. ``left`` (zones, bins): how many could
-    have taken one and been seen to; (zones, 1) where that does not depend on the lag. ``delay``
-    (zones,): seconds that transit times from a zone are longer than lags.
+    """Return the figures of every pair of zones that has a transition.
+
+    left (zones, bins): departures that could have been seen to arrive after each lag; (zones, 1) if
+        that does not depend on the lag.
+    pace: slowness behind the transitions.
+    delay (zones,): seconds that transit times from a zone are longer than lags.
     """
+    # Number the pairs of zones that occur.
     key = transitions.source.astype(np.int64) * zones + transitions.target
     present, pair = np.unique(key, return_inverse=True)
     pair = pair.astype(np.int32)
@@ -158,6 +184,8 @@ def tabulate(
         (present // max(zones, 1)).astype(np.int32),
         (present % max(zones, 1)).astype(np.int32),
     )
+
+    # Expected transitions per lag bin, and their smoothed density per second.
     at = bins.index(transitions.lag)
     inside = at >= 0
     flat = np.bincount(
@@ -168,6 +196,8 @@ def tabulate(
     counts: Floats = flat.astype(float, copy=False).reshape(pairs, bins.size)
     density = smooth(counts)[0]
     density /= bins.widths
+
+    # Transit times, corrected for slowness and delay.
     slow, error = (
         (None, None)
         if pace is None
@@ -178,6 +208,8 @@ def tabulate(
         pair, transitions.lag + later[pair], transitions.weight, density, bins, slow, error
     )
     transit = transit._replace(mode=transit.mode + later)
+
+    # Evidence, Var(d) and transition probability.
     ratio = log_likelihood_ratio(pair, transitions.weight, transitions.flat, pairs)
     variance = np.nan_to_num(transit.sd) ** 2 / mahalanobis.chance_variance(
         bins.lag_min, bins.lag_max
@@ -201,8 +233,9 @@ def tabulate(
 
 
 def refresh_monte_carlo(table: LinkTable, bins: LagBins) -> LinkTable:
-    """The table with ``Var(d)`` from Monte Carlo observations (thesis 4.3) in place of the few that
-    were seen.
+    """Return the table with ``Var(d)`` computed from Monte Carlo observations (thesis 4.3).
+
+    They take the place of the observed transit times, which are few.
     """
     density = smooth(table.counts)[0] / bins.widths
     samples = monte_carlo.observe(density, np.nan_to_num(table.transit.sd), bins, MONTE_CARLO_SEED)
@@ -211,7 +244,7 @@ def refresh_monte_carlo(table: LinkTable, bins: LagBins) -> LinkTable:
 
 
 def significant(table: LinkTable, settings: Settings) -> NDArray[np.bool_]:
-    """Pairs (P,) whose evidence meets the rule for publishing."""
+    """Return a mask (P,) of the pairs that meet the rule for publishing."""
     return (
         (table.q <= settings.publish_q_max)
         & (table.probability >= settings.publish_probability_min)
@@ -221,17 +254,19 @@ def significant(table: LinkTable, settings: Settings) -> NDArray[np.bool_]:
 
 
 def joined_by(table: LinkTable) -> set[tuple[int, int]]:
-    """The pairs of zones of the table."""
+    """Return the pairs of zones of the table."""
     return set(zip(table.source.tolist(), table.target.tolist(), strict=True))
 
 
 def beside(likely: LinkTable, published: LinkTable, zones: int) -> LinkTable:
-    """Weak links for prediction: rows of the posterior that are not published, the likeliest few of
-    each source.
+    """Return the weak links: unpublished pairs of the posterior, the likeliest of each source.
 
-    What the published links leave over of each source is shared among them and leaving as the
-    posterior shares it.
+    The share of a source that published links leave over is divided among its weak links and
+    leaving the site, in the proportions of the posterior.
+
+    likely: table of the posterior.
     """
+    # Scale the posterior of each source to what its published links leave over.
     key, done = (
         table.source.astype(np.int64) * zones + table.target for table in (likely, published)
     )
@@ -240,6 +275,8 @@ def beside(likely: LinkTable, published: LinkTable, zones: int) -> LinkTable:
     before = np.bincount(likely.source[known], likely.probability[known], minlength=zones)
     scale = np.maximum(1.0 - taken, 0.0) / np.maximum(1.0 - before, LEFT_OVER_MIN)
     likely = likely._replace(probability=np.minimum(likely.probability * scale[likely.source], 1.0))
+
+    # Order the unpublished pairs by source and probability, and keep the first of each source.
     rows = np.flatnonzero(~known & (likely.transit.total >= WEAK_TRANSITIONS_MIN))
     rows = rows[np.lexsort((likely.target[rows], -likely.probability[rows], likely.source[rows]))]
     source = likely.source[rows]

@@ -1,10 +1,9 @@
-"""What a weak link still lacks until it is published: passages, and the time they take at this
-traffic.
+"""Shortfall of weak links: the passages each lacks until it is published, and how long they take.
 
 The rule for publishing asks for a certain evidence (`significance`), and each further passage adds
-about as much as the earlier ones did. Held-out evidence (`crossfit`) counts for the rule. It starts
-late, as a link has to be learned before it can predict anything, so the evidence per passage is
-estimated from the fit.
+about as much as the earlier ones did. Held-out evidence (`cross_validation`) counts for the rule.
+It starts late, as a link has to be learned before it can predict anything, so the evidence per
+passage is estimated from the fit.
 """
 
 from __future__ import annotations
@@ -19,16 +18,16 @@ from camtopod.learn.links.significance import ratio_needed
 from camtopod.learn.settings import Settings
 
 PASSAGES_MIN = 1.0
-"""Fewest passages that an unpublished link is said to lack."""
+"""Least number of passages that an unpublished link lacks."""
 
 
 class Lacking(NamedTuple):
-    """Of each weak link, (L,): further passages, and seconds until they have been. NaN where
-    waiting does not help.
-    """
+    """Shortfall of weak links, (L,) each; nan where waiting does not help."""
 
     passages: Floats
+    """Further passages needed."""
     seconds: Floats
+    """Time until they have happened, at the present traffic."""
 
 
 def lacking(
@@ -39,23 +38,24 @@ def lacking(
     seconds: float,
     settings: Settings,
 ) -> Lacking:
-    """What each of the ``weak`` links (L,) lacks.
+    """Return the shortfall of each weak link.
 
-    Args:
-        weak: the weak links, with the evidence in the fit.
-        between: pairs of zones with the held-out evidence; a weak link that is not among them has none.
-        published: the number of links that meet the rule already.
-        zones: the number of zones.
-        seconds: how long the events of the window took.
+    weak: the weak links (L,), with the evidence in the fit.
+    between: pairs of zones with the held-out evidence; weak links that are not among them have
+        none.
+    published: number of links that meet the rule already.
+    zones: number of zones.
+    seconds: duration of the window.
     """
+    # Evidence needed for the next link, and held-out evidence so far.
     needed = ratio_needed(published + 1, zones * zones, settings.publish_q_max)
     key, known = (table.source.astype(np.int64) * zones + table.target for table in (weak, between))
     at, tested = rows_at(known, key)
     held_out = np.zeros(len(key))
     held_out[tested] = between.ratio[at[tested]]
 
-    # A passage brings as much evidence as those so far; a share that is too small stays so, however
-    # many come.
+    # Each passage is taken to add the mean evidence of those so far. A share below the limit for
+    # publishing stays so with any number of passages.
     transitions = weak.transit.total
     each = weak.ratio / np.maximum(transitions, 1e-9)
     helps = (each > 0) & (weak.probability >= settings.publish_probability_min)

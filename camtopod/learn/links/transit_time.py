@@ -1,14 +1,13 @@
-"""Transit times of the links: the histogram's peak (thesis 4.5), mean, spread and quantiles, and
-how sure they are.
+"""Transit times of links: mode (thesis 4.5), mean, spread, quantiles and standard errors.
 
-The thesis takes the most popular bin of the histogram. Bins here are wider for longer lags, so the
-peak is that of the density per second, on a smoothed histogram, placed between bins by a parabola
-through the three highest.
+The thesis takes the most popular bin of the histogram as the mode. Bins here are wider for longer
+lags, so the mode is the peak of the density per second, on a smoothed histogram, placed between
+bins by a parabola through the peak and its neighbours.
 
-The median rests on two estimates, each counting as it is sure. One is the median of the lags. The
-other is that of the lags as objects of usual speed would have had them: speeds vary far more
-between objects than within one, and how fast an object was is known from the views it came from and
-went to, where many more have been seen than on this way.
+The median combines two estimates by their standard errors. One is the median of the lags. The other
+is the median of the lags that objects of usual speed would have had: speed varies far more between
+objects than within one, and an object's slowness is known from the views before and after, where
+many more objects have been seen than on this link.
 """
 
 from __future__ import annotations
@@ -22,44 +21,57 @@ from camtopod.arrays import Floats
 from camtopod.topology import LagBins
 
 QUANTILES = (0.1, 0.5, 0.9)
+"""Quantiles of the transit time that are published."""
 QUARTILES = (0.25, 0.5, 0.75)
+"""Quartiles, from which the spread is estimated."""
 WEIGHT_MIN = 1e-3
-"""Transitions less likely than this do not count for the quantiles, where there are others."""
+"""Transitions of at most this responsibility do not count for quantiles, if the pair has others."""
 NORMAL_QUARTILES = 1.349
-"""Distance of the quartiles of a normal distribution, in standard deviations."""
+"""Distance between the quartiles of a normal distribution, in standard deviations."""
 MEDIAN_ERROR = 1.2533
-"""Standard error of the median of n normal values over sd / sqrt(n)."""
+"""Standard error of the median of n normal values, over sd / sqrt(n)."""
 FAR_SD = 4.5
-"""Lags further from the median than this are chance and do not count for mean and sd."""
-SPREAD_MIN_SECONDS = 0.2
-"""Entries and exits are not seen more exactly than this."""
-LAG_ERROR = 0.01
-PACE_ERROR = 0.02
-MEAN_ERROR = 0.015
-"""What does not become surer with numbers (false transitions, speeds that are only nearly kept), as
-a share: of the median of the lags as they are, of the median of those at usual speed, of the mean.
-Found on made-up networks.
+"""Largest distance from the median, in standard deviations, of lags that count for mean and sd.
+
+Lags further away are spurious.
 """
+SPREAD_MIN_SECONDS = 0.2
+"""Smallest spread of lags, seconds; entries and exits are not detected more exactly."""
+LAG_ERROR = 0.01
+"""Relative error of the median of the lags that does not shrink with their number.
+
+It comes from spurious transitions. Found on simulated networks, like `PACE_ERROR` and `MEAN_ERROR`.
+"""
+PACE_ERROR = 0.02
+"""Relative error of the median of the lags at usual speed that does not shrink with their number.
+
+It comes from spurious transitions, and from speeds that objects only nearly keep.
+"""
+MEAN_ERROR = 0.015
+"""Relative error of the mean that does not shrink with the number of lags."""
 ERRORS_CORRELATION = 0.7
-"""Of the two estimates, which are from the same transitions."""
+"""Correlation of the errors of the two medians, which are from the same transitions."""
 
 
 class TransitFigures(NamedTuple):
-    """Per pair (P,), seconds; nan where there are no transitions."""
+    """Transit times of each pair of zones, (P,) each, in seconds; nan without transitions."""
 
     total: Floats
+    """Expected number of transitions."""
     mode: Floats
+    """Peak of the transit density."""
     mean: Floats
+    """Mean, without lags far from the median."""
     sd: Floats
+    """Standard deviation, without lags far from the median."""
     quantiles: Floats
     """(P, 3): q10, q50, q90."""
     ahead: Floats
-    """Share of the transitions with a negative lag: the object was seen there before it left
-    here.
-    """
+    """Share of the transitions with a negative lag: seen there before the object left here."""
     median_error: Floats
     """Standard error of the median."""
     mean_error: Floats
+    """Standard error of the mean."""
 
 
 def transit_figures(
@@ -71,17 +83,24 @@ def transit_figures(
     slow: Floats | None = None,
     slow_error: Floats | None = None,
 ) -> TransitFigures:
-    """Figures per pair from weighted lags (M,), and the peak of ``density`` (P, bins) per second.
+    """Return the transit times of each pair from weighted lags.
 
-    ``slow`` (M,): by what power of e the object was slower than usual; nan: unknown. ``slow_error``
-    (P,): the standard error of what is usual.
+    pair (M,): pair of zones of each transition.
+    lag (M, seconds): from departure to arrival.
+    weight (M,): responsibility.
+    density (P, bins): smoothed density per second, for the mode.
+    slow (M,): slowness of the object (natural log), as far as it affects lags; nan if unknown.
+    slow_error (P,): standard error of the usual log dwell times behind ``slow``.
     """
+    # Quantiles and the first estimate of the median.
     pairs = len(density)
     total: Floats = np.bincount(pair, weight, minlength=pairs).astype(float)
     quantiles, quartiles = np.hsplit(
         weighted_quantiles(pair, lag, weight, pairs, QUANTILES + QUARTILES), 2
     )
     median, error, spread = _median(quartiles, total)
+
+    # Mean and sd of the lags near the median.
     near = np.abs(lag - median[pair]) <= FAR_SD * spread[pair]
     with np.errstate(invalid="ignore", divide="ignore"):
         ahead = np.bincount(pair, weight * (lag < 0), minlength=pairs) / total
@@ -89,12 +108,16 @@ def transit_figures(
         number = np.bincount(pair, inner, minlength=pairs)
         mean = np.bincount(pair, inner * lag, minlength=pairs) / number
         sd = np.sqrt(np.bincount(pair, inner * (lag - mean[pair]) ** 2, minlength=pairs) / number)
+
+        # Standard errors, with the part that does not shrink.
         sure = np.bincount(pair, inner * weight, minlength=pairs)
         few = np.sqrt(number / np.maximum(number - 1.0, 0.5))
         mean_error = np.hypot(
             np.maximum(sd, SPREAD_MIN_SECONDS) * few / np.sqrt(sure), MEAN_ERROR * mean
         )
         error = np.hypot(error, LAG_ERROR * median)
+
+        # The second estimate of the median, at usual speed; the quantiles move with the median.
         if slow is not None and slow_error is not None:
             usual = np.isfinite(slow)
             known = np.bincount(pair[usual], weight[usual], minlength=pairs).astype(float)
@@ -110,7 +133,11 @@ def transit_figures(
 
 
 def _median(quartiles: Floats, total: Floats) -> tuple[Floats, Floats, Floats]:
-    """Median, its standard error and the spread (as an sd) of the lags of each pair, (P,) each."""
+    """Return median, its standard error, and spread (as an sd) of the lags of each pair, (P,) each.
+
+    quartiles (P, 3).
+    total (P,): number of transitions.
+    """
     low, middle, high = quartiles.T
     spread = np.maximum((high - low) / NORMAL_QUARTILES, SPREAD_MIN_SECONDS)
     return middle, MEDIAN_ERROR * spread / np.sqrt(total), spread
@@ -119,9 +146,11 @@ def _median(quartiles: Floats, total: Floats) -> tuple[Floats, Floats, Floats]:
 def _weighed(
     one: Floats, one_error: Floats, other: Floats, other_error: Floats
 ) -> tuple[Floats, Floats]:
-    """Mean (P,) of two estimates, the surer counting more, and its standard error; the first where
-    it is alone.
+    """Return the mean (P,) of two estimates by inverse variance, and its standard error.
+
+    Where the second is missing (nan), it is the first.
     """
+    # Weights by variance; the error takes into account that the two are correlated.
     share = one_error**2 / (one_error**2 + other_error**2)
     a, b = (1.0 - share) * one_error, share * other_error
     error = np.sqrt(a * a + b * b + 2.0 * ERRORS_CORRELATION * a * b)
@@ -136,15 +165,21 @@ def weighted_quantiles(
     pairs: int,
     shares: tuple[float, ...] = QUANTILES,
 ) -> Floats:
-    """Quantiles of the lags of each pair, (P, shares): the first lag at which the share of the
-    weight is reached.
+    """Return quantiles of the lags of each pair, (P, shares).
+
+    A quantile is the first lag at which its share of the weight is reached.
+
+    pairs: number of pairs, P.
     """
+    # Leave out improbable transitions, unless a pair has no others.
     likely = weight > WEIGHT_MIN
     some_likely = np.bincount(pair[likely], minlength=pairs) > 0
     kept = likely | ((weight > 0.0) & ~some_likely[pair])
     pair, lag, weight = pair[kept], lag[kept], weight[kept]
     if len(pair) == 0:
         return np.full((pairs, len(shares)), np.nan)
+
+    # Cumulative weights of the lags in order, pair by pair.
     order = np.lexsort((lag, pair))
     pair, lag, reached = pair[order], lag[order], np.cumsum(weight[order])
     result = np.full((pairs, len(shares)), np.nan)
@@ -158,13 +193,16 @@ def weighted_quantiles(
 
 
 def peak(density: Floats, bins: LagBins) -> Floats:
-    """Lag (seconds) at the peak of each row of ``density`` (P, bins); nan for an empty row."""
+    """Return the lag (P, seconds) at the peak of each row of ``density`` (P, bins); nan without."""
+    # The highest bin and its neighbours.
     rows = np.arange(len(density))
     top = np.argmax(density, axis=1) if density.size else np.zeros(0, int)
     last = density.shape[1] - 1
     here = density[rows, top]
     left = np.where(top > 0, density[rows, np.maximum(top - 1, 0)], 0.0)
     right = np.where(top < last, density[rows, np.minimum(top + 1, last)], 0.0)
+
+    # Vertex of the parabola through the three, within half a bin of the highest.
     curve = left - 2.0 * here + right
     shift = np.where(curve < 0, 0.5 * (left - right) / np.where(curve < 0, curve, -1.0), 0.0)
     at = bins.scale * np.sinh(bins.step * (bins.first + top + 0.5 + np.clip(shift, -0.5, 0.5)))

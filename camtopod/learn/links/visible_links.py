@@ -1,8 +1,7 @@
-"""Visible links: the passages through one camera's view, from the zone of entry to the zone of
-exit.
+"""Visible links: passages through the view of one camera, from zone of entry to zone of exit.
 
-Where tracks tie an exit to its entry, they are counted. Where they do not, entries and exits of one
-camera are joined by the same fit as departures and arrivals of different ones.
+Where tracks tie an exit to its entry, passages are counted. Otherwise the entries and exits of a
+camera are associated by the same joint fit as departures and arrivals of different cameras.
 """
 
 from __future__ import annotations
@@ -26,9 +25,11 @@ from camtopod.topology import LagBins
 
 
 def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Transitions:
-    """Transitions through every camera's view; lags are the seconds a passage lasts. Cameras
-    without tracks have ``candidates_max`` candidates together.
+    """Return the transitions through every camera's view; lags are dwell times in seconds.
+
+    candidates_max: candidates that the cameras without tracks may have together.
     """
+    # Cameras with tracks: count the passages.
     camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
     tracked = (
         scene.tracked[camera_of[scene.passages.source]]
@@ -47,6 +48,7 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
         )
     ]
 
+    # Cameras without tracks: fit, with a fair share of the candidates for each.
     views = [_view(scene, int(camera)) for camera in np.flatnonzero(~scene.tracked)]
     reach = [in_reach(view.starts.t, view.ends.t, bins) for view in views]
     most = fair_share(
@@ -57,8 +59,10 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
 
 
 def in_view(stay: Floats, entry: Longs, bins: LagBins, zones: int) -> Floats:
-    """Passages by zone of ``entry`` (n,) that last until a lag bin begins, counted from the entry:
-    (zones, bins).
+    """Return the passages from each zone of entry that last until a lag bin begins, (zones, bins).
+
+    stay (n, seconds): dwell times.
+    entry (n,): zone of entry.
     """
     result = np.zeros((zones, bins.size))
     for zone, mine in enumerate(rows_of(entry, zones)):
@@ -68,16 +72,21 @@ def in_view(stay: Floats, entry: Longs, bins: LagBins, zones: int) -> Floats:
 
 
 def with_usual_stays(departures: Departures, through: LinkTable) -> Departures:
-    """Departures whose passage is unknown get the time at which it has begun with 90 % probability,
-    by zone of exit.
+    """Return the departures with an estimated beginning where their passage is unknown.
 
-    Without it every object would seem to have been in view for ever, and what it did before would
-    look like an overlap.
+    It is the time at which 90 % of the passages that leave at this zone have begun. Without it
+    every object would seem to have been in view forever, and its earlier appearances elsewhere
+    would look like an overlap.
+
+    through: figures of the visible links.
     """
+    # Mean of the links' 90 % dwell times by zone of exit, weighted by their transitions.
     stay, weight = np.nan_to_num(through.transit.quantiles[:, -1]), through.transit.total
     size = max(int(departures.zone.max(initial=0)), int(through.target.max(initial=0))) + 1
     total = np.bincount(through.target, weight, minlength=size)
     usual = np.bincount(through.target, weight * stay, minlength=size) / np.maximum(total, 1e-300)
+
+    # Use it where the zone has enough transitions.
     known = np.isfinite(departures.since) | (total[departures.zone] < TRANSITIONS_MIN)
     return departures._replace(
         since=np.where(known, departures.since, departures.t - usual[departures.zone])
@@ -85,8 +94,9 @@ def with_usual_stays(departures: Departures, through: LinkTable) -> Departures:
 
 
 class _View(NamedTuple):
-    """Entries and exits of a camera as departures and arrivals. Zones are counted from the camera's
-    ``first``: what others there are does not matter here.
+    """Entries and exits of one camera, as departures and arrivals for the joint fit.
+
+    Zones are numbered from the camera's ``first``, as no others matter here.
     """
 
     starts: Departures
@@ -96,6 +106,7 @@ class _View(NamedTuple):
 
 
 def _view(scene: Scene, camera: int) -> _View:
+    """Return the entries and exits of one camera, with entries as departures."""
     came = scene.arrivals.camera == camera
     left = scene.departures.camera == camera
     of_camera = [index for index, zone in enumerate(scene.zones) if zone.camera == camera]
@@ -107,6 +118,7 @@ def _view(scene: Scene, camera: int) -> _View:
         scene.arrivals.t[came],
         scene.arrivals.slow[came],
     )
+
     t, zone = scene.departures.t[left], scene.departures.zone[left] - np.int32(first)
     ends = Arrivals(
         t,
@@ -119,7 +131,7 @@ def _view(scene: Scene, camera: int) -> _View:
 
 
 def _joined(view: _View, bins: LagBins, candidates_max: int, until: float) -> Transitions:
-    """Passages through one camera without tracks, by the joint fit of its entries and exits."""
+    """Return the passages through a camera without tracks, by a joint fit of entries and exits."""
     starts, ends = newest(view.starts, view.ends, bins, candidates_max)
     if len(starts.t) == 0 or len(ends.t) == 0:
         return join([])
