@@ -677,8 +677,8 @@ def test_what_nobody_takes_for_its_size_is_said_once(
         bus.ask("topology")
     said = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
     assert [line.partition(",")[0] for line in said] == [
-        "part/1 has 1500 bytes",
-        "topology has 2003 bytes",
+        "a message on part/1 has 1500 bytes",
+        "a message on topology has 2003 bytes",
     ]
 
 

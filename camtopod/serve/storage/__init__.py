@@ -1,4 +1,12 @@
-"""storage"""
+"""Durable state of a program: SQLite files that survive power cuts, and the daemon's journal.
+
+Read from the bottom up. `sqlite_file` opens, checks and sets aside databases, with the help of
+`wal_check` (is the write-ahead log complete) and `open_files` (are the open files still in place).
+`journal` stores entries, versions and snapshots in one of them; `journal_schema` has its tables,
+`witness` notices a journal that was restored from an older copy, `corrections` are entries that
+revise what was learned, and `packed_version` is a topology on its way into the journal.
+`journal_writer` is the daemon's storing thread; `inspect_state` reads databases for diagnosis.
+"""
 
 from __future__ import annotations
 

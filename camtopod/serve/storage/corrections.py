@@ -1,11 +1,11 @@
-"""Entries of the journal that correct what had been learned. Each begins an epoch, and is replayed
-like an event.
+"""Journal entries that correct what was learned, each the beginning of an epoch.
 
-A *rewind*: a wrong clock had taken event time along; what is later than a moment is dropped,
-everything else stays. A *leave-out*: the learner had failed again and again; what one camera has
-sent since the last snapshot is left out, everything else stays. Where memory had run out, so is
-what the snapshot has of that camera: it is the one that has sent most. As the learner cannot come
-to such an entry before it has passed those events, it is looked for ahead of the replay.
+They are replayed like events. A *rewind* follows after a wrong clock has advanced event time:
+everything later than a given time is dropped. A *leave-out* follows after the learner has failed
+repeatedly: the events that one camera has sent since the last snapshot are left out. If memory has
+run out, the camera's events in the snapshot are left out, too, as it is the camera that has sent
+most. The learner cannot reach such an entry before it has passed those events, so corrections are
+read before the replay.
 """
 
 from __future__ import annotations
@@ -22,12 +22,16 @@ from camtopod.serve.storage.journal import Entry, Journal
 log = logging.getLogger(__name__)
 
 LEAVE_OUTS_MAX = 8
-"""Cameras left out behind one snapshot; if the learner goes on failing, the cause is another."""
+"""Most cameras left out after one snapshot; if the learner still fails, the cause is another."""
 
 
 class _Content(Struct):
-    """``before``: the epoch that ends; ``to``: of a rewind, Unix seconds; ``forget``: of a
-    leave-out, whether what the snapshot has of the camera is left out, too.
+    """The content of a correction's entry.
+
+    before: the epoch that ends.
+    epoch: the epoch that begins.
+    to (Unix seconds): of a rewind, the time after which everything is dropped.
+    forget: of a leave-out, True if the camera's events in the snapshot are left out, too.
     """
 
     before: str
@@ -37,9 +41,11 @@ class _Content(Struct):
 
 
 class Corrections(NamedTuple):
-    """What the journal has behind a snapshot. ``epoch``: that of the versions that follow from the
-    snapshot, None if it is the journal's; ``left_out``: by camera the entry up to which its events
-    are left out; ``forgotten``: cameras of which what the snapshot has is, too.
+    """The corrections after a snapshot.
+
+    epoch: epoch of the versions that follow from the snapshot; None if it is the journal's.
+    left_out: by camera, the entry up to which its events are left out.
+    forgotten: cameras whose events in the snapshot are left out, too.
     """
 
     epoch: str | None
@@ -48,14 +54,15 @@ class Corrections(NamedTuple):
 
 
 def rewind(to: float, before: str, epoch: str) -> tuple[Entry, Rewind]:
-    """The entry for a rewind to ``to`` (Unix seconds), and what it teaches."""
+    """Return the entry for a rewind to ``to`` (Unix seconds), and the learner's input for it."""
     content = _Content(before, epoch, to)
     return Entry("rewind", "", None, None, codec.to_json(content)), Rewind(to, epoch)
 
 
 def read_rewind(entry: Entry, stored: Callable[[str], dict[int, str]]) -> Rewind:
-    """What a rewind teaches; ``stored`` gives the digests of an epoch's versions. Raises
-    `codec.Rejected`.
+    """Return the learner's input for the entry of a rewind. Raises `codec.Rejected`.
+
+    stored: returns the digests of an epoch's versions.
     """
     content = codec.read(_Content, entry.raw)
     if content.to is None:
@@ -64,8 +71,9 @@ def read_rewind(entry: Entry, stored: Callable[[str], dict[int, str]]) -> Rewind
 
 
 def leave_out(camera: str, before: str, epoch: str, forget: bool) -> Entry:
-    """The entry for leaving out what ``camera`` has sent since the snapshot; ``forget``: and
-    before.
+    """Return the entry for leaving out what ``camera`` has sent since the snapshot.
+
+    forget: leave out its events in the snapshot, too.
     """
     return Entry(
         "leave-out", camera, None, None, codec.to_json(_Content(before, epoch, forget=forget))
@@ -73,8 +81,9 @@ def leave_out(camera: str, before: str, epoch: str, forget: bool) -> Entry:
 
 
 def corrections(journal: Journal, after: int, epoch: str) -> Corrections:
-    """Those behind the entry ``after``; ``epoch`` is the journal's. Raises `sqlite3.Error`,
-    `codec.Rejected`.
+    """Return the corrections after the entry ``after``; ``epoch`` is the journal's.
+
+    Raises `sqlite3.Error` and `codec.Rejected`.
     """
     found = [
         (number, entry, codec.read(_Content, entry.raw))
@@ -87,21 +96,31 @@ def corrections(journal: Journal, after: int, epoch: str) -> Corrections:
 
 
 def offender(journal: Journal, after: int, failed_at: int, most: bool) -> str | None:
-    """Whose events to leave out of those behind the entry ``after``, as the learner fails at the
-    entry ``failed_at``: those of that entry's camera or, when it is left out already or if the one
-    that has sent ``most`` is asked for, of that one. None if there is none, or too many were left
-    out. Raises `sqlite3.Error`.
+    """Return the camera whose events after the entry ``after`` to leave out; None if there is none.
+
+    failed_at: the entry at which the learner fails.
+    most: True asks for the camera that has sent most, if none was left out yet.
+
+    By default it is the camera of the entry ``failed_at`` or, when the events of that one are left
+    out already, the camera that has sent most. Returns None after `LEAVE_OUTS_MAX` cameras, too.
+    Raises `sqlite3.Error`.
     """
+
     before = [
         (number, entry.camera)
         for number, entry in journal.corrections(after)
         if entry.kind == "leave-out"
     ]
+
     if len(before) >= LEAVE_OUTS_MAX:
         return None
+
+    # Count each camera's events that are not left out yet.
     sent = journal.senders(after, failed_at)
     for number, camera in before:
         sent[camera] = journal.senders(number, failed_at).get(camera, 0)
+
+    # Take the camera of the failing entry, or the one with most events.
     [sender] = [
         entry.camera for _, entry in journal.entries(failed_at - 1, failed_at) if entry is not None
     ] or [""]
@@ -112,8 +131,11 @@ def offender(journal: Journal, after: int, failed_at: int, most: bool) -> str | 
 
 
 class Rewind(Struct, frozen=True):
-    """Event time had been taken along by a wrong clock: what is later than ``to`` (seconds) is
-    dropped, and ``epoch`` begins. ``stored``: digests of its versions that may have been published.
+    """The learner's input for a rewind.
+
+    to (Unix seconds): everything later is dropped.
+    epoch: the epoch that begins.
+    stored: digests of its versions that may have been published, by version.
     """
 
     to: float

@@ -1,8 +1,7 @@
-"""What is in the databases of a state directory, for somebody who looks for a fault; nothing is
-written or locked.
+"""Read figures from the databases of a state directory, for diagnosis; writes and locks nothing.
 
-A file is read as it stood at its last checkpoint, at most a mebibyte of log ago, even while a
-program has it open.
+A file is read as of its last checkpoint, that is without the write-ahead log (at most 1 MiB), even
+while a program has it open.
 """
 
 from __future__ import annotations
@@ -31,14 +30,15 @@ _SPOOL = {
 
 
 def journal(path: Path) -> dict[str, int | None]:
-    """Counts of a daemon's journal; none of them takes longer for a larger one. Raises
-    `StateError`.
+    """Return figures of a daemon's journal, at a cost that barely depends on its size.
+
+    Raises `StateError`.
     """
     return _answers(path, _JOURNAL)
 
 
 def spool(path: Path) -> dict[str, int | None]:
-    """Counts of a grabber's spool. Raises `StateError`."""
+    """Return figures of a grabber's spool. Raises `StateError`."""
     return _answers(path, _SPOOL)
 
 

@@ -1,8 +1,8 @@
-"""The check that open files are still the ones at their paths, unchanged by other programs.
+"""Check that open files are still the ones at their paths, and unchanged by other programs.
 
 A process can go on writing to a file that was removed, moved or replaced, and SQLite to one that
-was cut off. Neither reports an error, and after a restart the transactions are not there. So each
-transaction is preceded and followed by this check, which takes some microseconds.
+was truncated. Neither reports an error, and after a restart the transactions are missing. So this
+check precedes and follows each transaction; it takes some microseconds.
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ from pathlib import Path
 from camtopod.serve.storage import wal_check
 
 _HEAD_BYTES = 100
-"""The header of a database: it counts the changes of the file, and its free pages."""
+"""Size of a database's header, which counts the changes of the file and its free pages."""
 _MOVE_BACK = "move the file back, or restart the program, which goes on with the files it finds"
 _RESTART = "restart the program, which goes on with what can be read of it"
 
 
 class Displaced(sqlite3.OperationalError):
-    """An open file is not the one at its path, or another program changed it; ``str()`` says which,
-    and what to do.
+    """An open file is not the one at its path, or another program has changed it.
+
+    ``str()`` says which file, and what to do.
     """
 
 
 class Identity:
-    """The file that a descriptor is open on, and its path."""
+    """A path, and the identity (device, inode) of the file that was opened there."""
 
     def __init__(self, path: str | Path, fd: int) -> None:
         self.path = path
@@ -51,11 +52,10 @@ class Identity:
 
 
 class OpenFiles:
-    """A database in WAL mode, its log and the index of the log, as descriptors that are open for
-    reading.
+    """Descriptors of a database in WAL mode, of its log and of the log's index, open for reading.
 
-    The database is at ``path``. It is used between transactions only, and the descriptors are
-    closed after SQLite has closed the database.
+    The database is at ``path``. Use this between transactions only, and close the descriptors after
+    SQLite has closed the database.
     """
 
     def __init__(self, path: Path, database: int, log: int, index: int) -> None:
@@ -65,19 +65,22 @@ class OpenFiles:
         self._head, self._indexed = self._read()
 
     def check(self) -> None:
-        """Raise `Displaced` if one of the files is not the one that is open, or was changed by
-        another program.
-        """
+        """Raise `Displaced` if a file is not the open one, or was changed by another program."""
+
+        # Is the same file at each path?
         size, log_size = (place.check() for place in self._places)
+
+        # Read the headers.
         try:
             head, indexed = self._read()
             log_is_whole = wal_check.is_whole(self._log, log_size, indexed)
         except OSError as error:
             raise Displaced(f"{self._path} cannot be read any more: {error.strerror}") from None
 
+        # Was a file truncated or overwritten?
         if size < self._bytes:
             raise Displaced(f"{self._path} was cut to {size} bytes while it is in use: {_RESTART}")
-        if head != self._head and indexed == self._indexed:  # no checkpoint since
+        if head != self._head and indexed == self._indexed:  # without a checkpoint
             raise Displaced(f"{self._path} was overwritten while it is in use: {_RESTART}")
         if not log_is_whole:
             raise Displaced(

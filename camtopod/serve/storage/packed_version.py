@@ -1,5 +1,6 @@
-"""A version of the topology as the daemon has it: packed, and what it says of it. Read, it is four
-times as large.
+"""A version of the topology as the daemon keeps it: packed, beside the few fields it needs itself.
+
+Unpacked, a version takes four times the memory.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from camtopod.cooperative import Pause, no_pause
 from camtopod.records import Alarm, SelfScore, Topology
 
 _NOT_FOR_PREDICTION = ("links", "weak_links", "pairs", "chain", "alarms")
-"""Where there is a posterior; else links are."""
+"""Fields that predictions do not need if the version has a posterior; otherwise they need links."""
 
 
 class Head(Struct, frozen=True):
-    """What of a version is said in the daemon's status, and how many there are of what it lists."""
+    """The fields of a version that the daemon's status shows, and the lengths of its lists."""
 
     epoch: str
     version: int
@@ -31,7 +32,7 @@ class Head(Struct, frozen=True):
 
 
 class _Lists(Struct):
-    """The fields of a `Topology` that a head needs; lists unread."""
+    """The fields of a `Topology` that a head is made from; items of lists stay undecoded."""
 
     epoch: str
     version: int
@@ -45,14 +46,14 @@ class _Lists(Struct):
 
 
 class Newest(NamedTuple):
-    """The version that holds: packed, unless somebody else has it as such anyway."""
+    """The current version: packed, or as a `Topology` if that is in memory anyway."""
 
     head: Head
     whole: Topology | bytes
 
     @property
     def topology(self) -> Topology:
-        """Read, in one go."""
+        """The version, decoded at once."""
         return (
             codec.read(Topology, self.whole, pack=True)
             if isinstance(self.whole, bytes)
@@ -61,14 +62,17 @@ class Newest(NamedTuple):
 
     @property
     def raw(self) -> Topology | Raw:
-        """What comes out as it is as MessagePack."""
+        """An object that encodes to the version's MessagePack."""
         return Raw(self.whole) if isinstance(self.whole, bytes) else self.whole
 
 
 class Version(NamedTuple):
-    """A new version on its way into the journal and then onto the bus: itself, as JSON and as
-    MessagePack; what has changed, as MessagePack, unless it is the first; and of a shard what the
-    others are told.
+    """A new version on its way to the journal and then to the bus.
+
+    content: the version as JSON.
+    packed: the version as MessagePack.
+    delta: the changes since the last version as MessagePack; None for the first.
+    told: of a shard, its part for the other shards.
     """
 
     head: Head
@@ -79,17 +83,17 @@ class Version(NamedTuple):
 
     @classmethod
     def of(cls, topology: Topology, delta: bytes | None = None) -> Version:
-        """Of one that is not packed yet."""
+        """Pack a version."""
         return cls(head_of(topology), codec.to_json(topology), codec.to_pack(topology), delta)
 
     @property
     def newest(self) -> Newest:
-        """As it is held when it is published."""
+        """The version as it is kept once it is published."""
         return Newest(self.head, self.packed)
 
 
 def head_of(topology: Topology | bytes) -> Head:
-    """Of a version, as such or as MessagePack."""
+    """Return the head of a version, given as a `Topology` or as MessagePack."""
     one = codec.read(_Lists, topology, pack=True) if isinstance(topology, bytes) else topology
     return Head(
         one.epoch,
@@ -105,7 +109,7 @@ def head_of(topology: Topology | bytes) -> Head:
 
 
 def for_prediction(packed: bytes, pause: Pause = no_pause) -> Topology:
-    """What predictions need of a version."""
+    """Return a version with the fields that predictions need."""
     topology: Topology = codec.read_in_parts(Topology, packed, pause, left_out=_NOT_FOR_PREDICTION)
     if topology.model is None or topology.model.onward is None:
         topology = codec.read_in_parts(Topology, packed, pause)

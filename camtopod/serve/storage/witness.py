@@ -1,8 +1,7 @@
-"""The numbers of the newest rows of a journal, kept in a file beside it: they show if the journal
-comes back older.
+"""A record of the journal's newest row numbers beside it, which shows that a journal was set back.
 
 The line is written after each transaction and never synced, so it is never ahead of the journal.
-After a power cut it may be older or unreadable; it then shows nothing.
+After a power cut it may be older or unreadable; then it shows nothing.
 """
 
 from __future__ import annotations
@@ -17,13 +16,17 @@ from camtopod.serve.storage.sqlite_file import Lock
 log = logging.getLogger(__name__)
 
 _LINE_BYTES = 105
+"""Length of the line, in bytes."""
 _CRC_BYTES = 9
-"""At the end of the line, with the line break."""
+"""Length of the checksum at the end of the line, with the line break, in bytes."""
 
 
 class Known(NamedTuple):
-    """``entries``, ``versions``: the numbers of the newest ones. ``epoch``: the newest that was
-    begun. ``name``: how other daemons know this one.
+    """How far a journal has come.
+
+    entries, versions: the numbers of the newest ones.
+    epoch: the newest epoch that has begun.
+    name: the name by which other daemons know this one.
     """
 
     entries: int = 0
@@ -41,19 +44,17 @@ class Known(NamedTuple):
 
 
 class Witness:
-    """Keep one line in the lock file, which is written by its holder only."""
+    """The record, one line in the journal's lock file, which only the holder of the lock writes."""
 
     def __init__(self, lock: Lock) -> None:
         self._lock = lock
         self.known = Known()
-        """As it was read or written last; the default where no line could be read."""
+        """The record as it was read or written last; the default if it could not be read."""
         with contextlib.suppress(OSError):
             self.known = _decode(lock.read(_LINE_BYTES))
 
     def note(self, known: Known) -> None:
-        """Write how far the journal has come, if that has changed. A line that cannot be written is
-        left out.
-        """
+        """Write how far the journal has come, if that has changed. Errors are ignored."""
         if known == self.known:
             return
         self.known = known
