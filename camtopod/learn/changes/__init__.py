@@ -1,4 +1,9 @@
-"""changes"""
+"""Changes of the site, found in the window, and the alarms that report them.
+
+Reading order: `alarms` reports each change once, in the first version that shows it.
+`change_points` finds links that opened, closed or changed their share. `silence` finds cameras that
+report nothing for too long. `camera_moved` finds cameras that were turned.
+"""
 
 from __future__ import annotations
 

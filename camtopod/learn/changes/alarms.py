@@ -1,8 +1,7 @@
-"""Alarms: what has changed in the building or its cameras, said once each, in the version that
-first knows it.
+"""Alarms: changes of the site, each raised once, in the first version that shows it.
 
-Finding something for the first time is no change: a link is only said to have opened when its own
-past shows that it was closed (`change`), so that an installation that starts says nothing.
+A first finding is not a change: a link is reported as opened only if its own past shows that it was
+closed (`change_points`), so that a new installation raises no alarms.
 """
 
 from __future__ import annotations
@@ -22,77 +21,86 @@ from camtopod.topology import ALARMS_KEPT_MAX
 SUBJECTS_MAX = 10_000
 """Links and zones whose last report is remembered; beyond, the oldest is forgotten."""
 SHARE_CHANGE_MIN = 0.1
-"""A link that stays open is reported when its share has changed by this; smaller changes are
-followed silently.
-"""
+"""Least change in the share of an open link that is reported; smaller ones are followed only."""
 STARTING_SECONDS = 1800.0
-"""Nothing is reported to have changed so soon after the first event: people who were about have yet
-to be seen.
+"""Time after the first event, seconds, in which no change is reported.
+
+Objects that were in the building before have yet to be seen.
 """
 SILENCE_SLACK_SECONDS = 900.0
-"""Links that change so near to where a camera falls silent, or is back, are taken for its work: who
-passed through it unseen seems to have gone straight on.
+"""Time around either end of a camera's silence in which no link change is reported, seconds.
+
+Such changes are an effect of the silence: objects that pass the silent camera seem to go straight
+on.
 """
 CLOCK_CHANGE_SECONDS_MIN = 0.5
+"""Least change of a clock offset that is reported, seconds."""
 CLOCK_CHANGE_SD = 4.0
-"""A clock is reported when it has moved by both, the second in standard deviations."""
+"""Least change of a clock offset that is reported, in standard deviations."""
 GONE_RATIO = 0.05
-"""A zone is gone, or new, when its share of the camera's events is, or was, at most this much of
-what it was, or is.
+"""Largest ratio of a zone's shares of its camera's events for the zone to be new or gone.
+
+The ratio is that of the smaller share to the larger, before and after the change.
 """
 ZONE_SHARE_MAX = 0.99
+"""Responsibility given to each event of a zone: the evidence of one event is limited."""
 
 
 class AlarmState(Struct):
-    """What an `AlarmLog` knows."""
+    """State of an `AlarmLog`, as saved."""
 
     newest: list[Alarm]
+    """Alarms, oldest first."""
     said: dict[str, float]
+    """Subject -> time of its last report, seconds."""
     joined: list[str]
+    """Links that were published and not reported as closed."""
     silent: list[str]
+    """Cameras reported as silent and not yet back."""
     clock: dict[str, tuple[float, float]]
+    """Camera -> clock offset and its standard deviation (seconds) to measure changes from."""
 
 
 class AlarmLog:
-    """What has been reported, so that nothing is reported twice."""
+    """The alarms raised so far, and what is needed to raise each only once."""
 
     def __init__(self) -> None:
         self.newest: list[Alarm] = []
-        """The newest `ALARMS_KEPT_MAX`, oldest first."""
-        self._said: dict[
-            str, float
-        ] = {}  # subject -> when last reported; for what can change again
-        self._joined: set[str] = (
-            set()
-        )  # links that have been published and not been said to have closed
+        """The newest alarms, at most `ALARMS_KEPT_MAX`, oldest first."""
+
+        # The other fields are described at `AlarmState`.
+        self._said: dict[str, float] = {}
+        self._joined: set[str] = set()
         self._silent: set[str] = set()
-        self._clock: dict[
-            str, tuple[float, float]
-        ] = {}  # offset in seconds and its sd that changes are held against
+        self._clock: dict[str, tuple[float, float]] = {}
 
     def save(self) -> AlarmState:
-        """Everything `load` needs to go on from here."""
+        """Return the state that `load` needs to continue."""
         return AlarmState(
             self.newest, self._said, sorted(self._joined), sorted(self._silent), self._clock
         )
 
     def load(self, state: AlarmState) -> None:
-        """Go on from there."""
+        """Continue from a saved state."""
         self.newest, self._said, self._clock = state.newest, state.said, state.clock
         self._joined, self._silent = set(state.joined), set(state.silent)
 
     def forget(self, names: Set[str]) -> None:
-        """Forget which of these cameras are silent, and their clocks."""
+        """Forget whether these cameras are silent, and their clock offsets."""
         self._silent -= names
         for name in names & self._clock.keys():
             del self._clock[name]
 
     def join(self, zones: list[str], links: set[tuple[int, int]]) -> None:
-        """Links that were there without having been published. ``zones``: ids."""
+        """Note links that existed without having been published, so that their closing is reported.
+
+        zones: ids of all zones.
+        links: pairs of zone indices.
+        """
         self._joined |= {f"{zones[source]}->{zones[target]}" for source, target in links}
 
     def add(self, version: int, t: float, kind: str, subject: str, detail: str) -> None:
-        """Report something found outside this module."""
+        """Raise an alarm for a change that was found elsewhere."""
         self.newest = [*self.newest, Alarm(version, t, kind, subject, detail)][-ALARMS_KEPT_MAX:]
 
     def report(
@@ -107,14 +115,21 @@ class AlarmLog:
         published: set[tuple[int, int]],
         share_min: float,
     ) -> None:
-        """Everything that this version shows. ``zones``, ``cameras``: their ids; ``published``: the
-        pairs of zones its links join; ``share_min``: a smaller share makes no link.
+        """Raise the alarms for all changes that this version shows.
+
+        t (seconds): event time of the version.
+        zones, cameras: their ids.
+        published: pairs of zones that the links of this version join.
+        share_min: a pair of zones with a smaller share is no link.
         """
+        # Cameras and zones.
         begun = scene.first + STARTING_SECONDS
         self.cameras(version, t, silences, cameras, begun)
         for index, change in zone_changes(scene).items():
             if change[2] >= begun:
                 self.zone(version, t, zones[index], *change)
+
+        # Links, without the changes near the beginning or end of a silence.
         edges = np.array(
             [edge for silence in silences for interval in silence.intervals for edge in interval]
         )
@@ -134,10 +149,13 @@ class AlarmLog:
         published: set[tuple[int, int]],
         share_min: float,
     ) -> None:
-        """Links that opened, closed or changed. ``published``: the zones joined by the links of
-        this version.
+        """Raise the alarms for links that opened, closed or changed.
+
+        published: pairs of zones that the links of this version join.
         """
         for change in changes:
+            # Classify the change; skip slight ones, and pairs of zones that are no link or were
+            # none.
             closed = change.after < share_min
             opened = not closed and change.before < share_min
             slight = not opened and abs(change.after - change.before) < SHARE_CHANGE_MIN
@@ -146,18 +164,26 @@ class AlarmLog:
             is_none = not closed and (change.source, change.target) not in published
             if (slight and not closed) or was_none or is_none:
                 continue
+
+            # Report it.
             kind = "link_closed" if closed else "link_opened" if opened else "link_changed"
             detail = f"share {change.before:.2f} until {change.since:.0f}, {change.after:.2f} since"
             self._once(version, t, kind, subject, detail, change.since)
             if closed:
                 self._joined.discard(subject)
+
+        # Remember which links are open.
         links = {f"{zones[source]}->{zones[target]}" for source, target in published}
         self._joined = links if len(self._joined) > SUBJECTS_MAX else self._joined | links
 
     def zone(
         self, version: int, t: float, subject: str, before: float, after: float, since: float
     ) -> None:
-        """A zone that came into use or fell out of it."""
+        """Raise the alarm for a zone that came into use or fell out of it.
+
+        before, after: its share of the camera's entries or exits.
+        since (seconds): time of the change.
+        """
         kind = "zone_new" if after > before else "zone_gone"
         detail = (
             f"{before:.2f} of the camera's entries or exits until {since:.0f}, {after:.2f} since"
@@ -167,7 +193,7 @@ class AlarmLog:
     def cameras(
         self, version: int, t: float, silences: list[Silences], cameras: list[str], begun: float
     ) -> None:
-        """Cameras that fell silent after ``begun`` (seconds), and those that are back."""
+        """Raise the alarms for cameras that fell silent after ``begun`` (seconds) or are back."""
         for name, silence in zip(cameras, silences, strict=True):
             ongoing = bool(silence.intervals) and silence.intervals[-1][1] == np.inf
             if silence.lasts and name not in self._silent and silence.intervals[-1][0] >= begun:
@@ -184,8 +210,11 @@ class AlarmLog:
                 self.add(version, t, "camera_back", name, "events again")
 
     def clocks(self, version: int, t: float, cameras: list[Camera]) -> None:
-        """Cameras whose clock has moved against the others. What is known for the first time is no
-        change.
+        """Raise the alarms for cameras whose clock has moved against the others.
+
+        A clock offset that is estimated for the first time is no change. The offset that later ones
+        are compared with is replaced when a change is reported, or when the new estimate is more
+        than twice as exact.
         """
         for camera in cameras:
             now, sd = camera.clock_offset, camera.clock_offset_sd
@@ -210,9 +239,7 @@ class AlarmLog:
     def _once(
         self, version: int, t: float, kind: str, subject: str, detail: str, since: float
     ) -> None:
-        """Report a change unless what is known of the subject was known when it was last
-        reported.
-        """
+        """Raise an alarm unless the change happened before the last report on its subject."""
         if since <= self._said.get(subject, -np.inf):
             return
         self._said.pop(subject, None)
@@ -223,18 +250,21 @@ class AlarmLog:
 
 
 def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
-    """Zones whose share of their camera's events began or ended: zone -> share before, after, since
-    when (seconds).
+    """Return the zones whose share of their camera's events began or ended.
 
-    Of entries or of exits, whichever the zone has more of: as a scene fills there are entries
-    first, in the end exits.
+    Maps zone -> share before, share after, time of the change (seconds). Entries or exits are
+    judged, whichever the zone has more of; judging both together would mistake a scene that fills
+    (entries first) or empties (exits last) for a change.
     """
+    # Rows of the events of each camera and of each zone.
     threshold = threshold_nats(len(scene.zones), len(scene.departures.t) + len(scene.arrivals.t))
     found = {}
     cameras = max((ref.camera for ref in scene.zones), default=-1) + 1
     ends = scene.departures, scene.arrivals
     of_camera = [rows_of(events.camera, cameras) for events in ends]
     of_zone = [rows_of(events.zone, len(scene.zones)) for events in ends]
+
+    # Test each zone's share of its camera's events, unless it has all of them.
     for index, ref in enumerate(scene.zones):
         side = 0 if scene.exits[index] > scene.entries[index] else 1
         seen, own = (

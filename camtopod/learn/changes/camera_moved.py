@@ -1,15 +1,16 @@
-"""Has a camera been turned? From some event on its events come from other places, and its zones are
-silent.
+"""Turned cameras: their events come from new places, and their known zones are silent.
 
-A shift of traffic between known zones is no move, whatever its size; nor is a door that opens, nor
-one that closes. So two things are asked of the newest events of a camera, for several lengths of
-"newest":
+A shift of traffic between known zones is no move, whatever its size; nor is a door that opens or
+closes. Two conditions must therefore hold for the newest events of a camera, for one of several
+numbers of "newest":
 
-1. *The known zones are silent*: of the shares of the traffic they had, little is left to them.
-2. *Other places explain them better.* Against the places known (each zone and the clutter distribute their events as
-   they did before; how many fall to each is free, and taken as it suits best) stands a kernel density in which every
-   event is foretold by the newest events before it. As it never sees the event it foretells, the likelihood ratio
-   exceeds r with a probability of at most 1 / r as long as nothing has changed (Ville's inequality), for each length.
+* *The known zones are silent*: they have kept little of their share of the traffic.
+* *Other places explain the events better.* The null model is that of the known places: each zone
+  and the clutter distribute their events as before, in proportions that are free and fitted to the
+  newest events. The alternative is a kernel density in which each event is predicted from those
+  before it among the newest. As it never sees the event that it predicts, the likelihood ratio
+  exceeds r with a probability of at most 1 / r if nothing has changed (Ville's inequality), for
+  each number of events.
 """
 
 from __future__ import annotations
@@ -24,25 +25,29 @@ from camtopod.learn.zones import kernel_1d
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 FALSE_ALARM = 1e-9
-"""Chance of a likelihood ratio like that in one look at one camera that stands still, if zones were
-known exactly.
-"""
+"""Probability of a false alarm in one test of one camera, if zones were known exactly."""
 LENGTHS = (60, 90, 135, 200, 300)
-"""Newest events looked at."""
+"""Numbers of newest events that are tested."""
 BEFORE_MIN = 100
-"""Events before them that tell the known places."""
+"""Least number of events before the newest ones, from which the known places are learned."""
 LEFT_MAX = 0.35
-"""At most so much of their shares of the traffic is left to the known zones, chance allowed for
-(two standard deviations); what one has gained does not count."""
+"""Largest share of their traffic that the known zones may have kept.
+
+Two standard deviations are added to the estimate.
+
+Traffic that a place has gained does not count.
+"""
 LEFT_SURE = 0.5
-"""With so much left to them by the very newest events there is no need to look further."""
+"""If the zones have kept more than this in the shortest test, the longer ones are skipped."""
 KNOWN_CONTRAST = 2.5
-"""A zone is known when it was so many times as dense as the rest of the image; the map may have
-newer ones.
+"""Least density of a known zone before the newest events, over that of the rest of the image.
+
+The map may have zones that only the newest events made.
 """
 _WIDTH = 1.0
+"""Width of the kernels, grid cells."""
 _EVENTS_EVEN = 2.0
-"""The kernel density begins as an even spread that weighs as much as this many events."""
+"""Weight, in events, of the even spread that the kernel density begins with."""
 _ROWS, _COLUMNS = kernel_1d(GRID_ROWS, _WIDTH), kernel_1d(GRID_COLUMNS, _WIDTH)
 _ROWS, _COLUMNS = (
     _ROWS / _ROWS.sum(axis=1, keepdims=True),
@@ -52,24 +57,32 @@ _CELLS = GRID_ROWS * GRID_COLUMNS
 
 
 class Move(NamedTuple):
-    """The events from index ``first`` on come from other places. ``outside``: share of them outside
-    the known zones; ``log_ratio``: of their likelihoods; ``left``: how much of its share of the
-    traffic the known zones have kept."""
+    """The move of a camera."""
 
     first: int
+    """Index of the first event that comes from other places."""
     events: int
+    """Number of events since."""
     outside: float
+    """Share of them outside the known zones."""
     log_ratio: float
+    """Log likelihood ratio of the alternative, nats."""
     left: float
+    """Share of their traffic that the known zones have kept."""
 
 
 def find_move(cell: NDArray[np.int64], zones: NDArray[np.int16]) -> Move | None:
-    """The move of a camera, None if there is none. ``cell``: flat grid cell of its events, oldest
-    first; ``zones`` (rows, columns): its map (`ZoneMap.cells`)."""
+    """Return the move of a camera; None if there is none.
+
+    cell (n,): flat grid cell of each of its events, oldest first.
+    zones (rows, columns): its map of zones (`ZoneMap.cells`).
+    """
     best: Move | None = None
     for length in LENGTHS:
         if len(cell) - length < BEFORE_MIN:
             break
+
+        # Condition 1: the known zones are silent.
         part = _known_zones(np.bincount(cell[:-length], minlength=_CELLS), zones.ravel())
         if not part.any():
             continue
@@ -78,6 +91,8 @@ def find_move(cell: NDArray[np.int64], zones: NDArray[np.int16]) -> Move | None:
             if length == LENGTHS[0] and left > LEFT_SURE:
                 return None
             continue
+
+        # Condition 2: other places explain the events better.
         move = _moved(cell[:-length], cell[-length:], part, left)
         if move and (best is None or move.log_ratio > best.log_ratio):
             best = move
@@ -85,7 +100,7 @@ def find_move(cell: NDArray[np.int64], zones: NDArray[np.int16]) -> Move | None:
 
 
 def _left(before: NDArray[np.int64], newest: NDArray[np.int64], part: NDArray[np.int64]) -> float:
-    """How much of its share of the traffic the known zones have kept, place by place."""
+    """Return the share of its traffic that the known zones have kept, compared cell by cell."""
     had, has = (
         _smooth(np.bincount(cell, minlength=_CELLS))[part > 0] / len(cell)
         for cell in (before, newest)
@@ -96,9 +111,12 @@ def _left(before: NDArray[np.int64], newest: NDArray[np.int64], part: NDArray[np
 def _moved(
     before: NDArray[np.int64], newest: NDArray[np.int64], part: NDArray[np.int64], left: float
 ) -> Move | None:
-    """Whether other places explain ``newest`` better than those of ``before``; ``part``: each
-    cell's known zone.
+    """Return the move if other places explain ``newest`` better than the known ones do.
+
+    part (cells,): known zone of each cell, from 1; 0 outside.
+    left: share of their traffic that the known zones have kept.
     """
+    # Log likelihood ratio of the kernel density over the known places.
     smooth = _smooth(np.bincount(before, minlength=_CELLS))
     parts = int(part.max()) + 1
     had, has = (np.bincount(part[cell], minlength=parts) / len(cell) for cell in (before, newest))
@@ -106,6 +124,8 @@ def _moved(
     log_ratio = float((_foretold(newest, earlier=True) - within - np.log(has[part[newest]])).sum())
     if log_ratio < -np.log(FALSE_ALARM):
         return None
+
+    # The move begins where the events from there on speak most for other places.
     change = (
         _foretold(newest, earlier=False)
         - within
@@ -117,8 +137,9 @@ def _moved(
 
 
 def _known_zones(count: NDArray[np.int64], zones: NDArray[np.int16]) -> NDArray[np.int64]:
-    """The zone of each cell counted from 1, 0 outside; zones that are not denser than the rest are
-    outside, too.
+    """Return the known zone of each cell, counted from 1; 0 outside.
+
+    Zones that are not denser than the rest of the image are outside, too.
     """
     part = zones.astype(np.int64) + 1
     had, size = (
@@ -133,15 +154,16 @@ def _known_zones(count: NDArray[np.int64], zones: NDArray[np.int16]) -> NDArray[
 
 
 def _smooth(count: NDArray[np.int64]) -> Floats:
-    """Counts (cells,) spread over their surroundings; nowhere zero."""
+    """Return event counts (cells,) smoothed over the grid; nowhere zero."""
     return np.asarray(
         (_ROWS.T @ (count + 1 / _CELLS).reshape(GRID_ROWS, GRID_COLUMNS) @ _COLUMNS).ravel()
     )
 
 
 def _foretold(cell: NDArray[np.int64], earlier: bool) -> Floats:
-    """Log density of each event in a kernel density over the events before it, or over all
-    others.
+    """Return the log density (n,) of each event under a kernel density of other events.
+
+    earlier: use the events before it; otherwise all others.
     """
     row, column = np.divmod(cell, GRID_COLUMNS)
     near = _ROWS[np.ix_(row, row)] * _COLUMNS[np.ix_(column, column)]

@@ -1,18 +1,23 @@
-"""Has a way opened or closed? Since when the present share of each pair of zones holds.
+"""Change points of links: links that opened or closed, and since when their present share holds.
 
-The joint fit gives one share to each pair of zones for the whole window, so a path that was closed
-lives on in it and one that was opened is thinned out. Here every pair the fit follows is asked
-whether its share of the *departures* was another before some moment: traffic that swells and ebbs
-changes the departures and the transitions alike and is no change.
+The joint fit gives one share to each pair of zones for the whole window, so it still shows a path
+that was closed, and shows one that was opened too weakly. Here each pair of the fit is tested for a
+moment before which its share of the *departures* was different. Traffic that rises and falls
+changes departures and transitions alike, and is no change.
 
-An arrival that the fit ascribes to the pair with probability ``r`` has, were the share ``f`` times
-as large, a likelihood ``1 - r + f r`` times as large, and a departure takes the way ``f`` times as
-often; so the log likelihood of ``f`` over a stretch of time is ``sum log(1 - r + f r) - (f - 1) *
-expected``, in which an arrival that may well have come from elsewhere says little. The change is
-where two factors, one before and one after, exceed one for all by most. It counts when that ratio,
-over the overdispersion that remains (people in groups, shares that follow the hour), exceeds what
-chance reaches at any split of any pair in less than `FALSE_ALARM` of the windows: a union bound
-over Wilks' law. Related: Killick, Fearnhead and Eckley (2012); ruptures' cost functions.
+Let the fit ascribe an arrival to the pair with responsibility ``r``. If the share were ``f`` times
+as large, the arrival would be ``1 - r + f r`` times as likely, and departures would take the path
+``f`` times as often. The log likelihood of ``f`` over a stretch of time is therefore
+
+``sum log(1 - r + f r) - (f - 1) * expected``,
+
+in which an arrival that may well have come from elsewhere has little weight.
+
+The change is where two factors, one before and one after, exceed a single one by most. It counts if
+this ratio, divided by the overdispersion that remains (groups of people, shares that follow the
+hour), exceeds what the null model reaches at any split of any pair in less than `FALSE_ALARM` of
+the windows: a union bound over Wilks' theorem. Related: Killick, Fearnhead and Eckley (2012); cost
+functions of the ruptures package.
 """
 
 from __future__ import annotations
@@ -30,95 +35,112 @@ from camtopod.learn.links import LinkTable, log_likelihood_ratio
 from camtopod.learn.traffic import Arrivals, Departures
 
 FALSE_ALARM = 5e-3
-"""Probability by theory that chance makes a change anywhere in one window; what is doubtful varies
-less than theory has it, so that in measurement it is far less.
+"""Theoretical probability of any false change in one window.
+
+The measured probability is far smaller, as uncertain arrivals vary less than the theory assumes.
 """
 FACTORS = np.concatenate(([0.0], np.geomspace(0.03, 100.0, 25)))
-"""Shares after over shares on the whole that are tried."""
+"""Ratios of the share in a stretch to the share over the whole window that are tried."""
 SPLIT_DEPARTURES_MIN = 4
-"""Departures on either side of a change, at least."""
+"""Least number of departures on either side of a change."""
 SPLIT_RATIO = 1.15
-"""Splits are tried at moments since which there were 4, 4.6, 5.3, ... departures: as finely as a
-change is old.
+"""Ratio between the numbers of departures since successive splits.
+
+Splits are tried with 4, 4.6, 5.3, ... departures since, so that the resolution is proportional to
+the age of a change.
 """
 BLOCKS = 16
-"""Stretches of a window whose counts say how much more than by chance they vary."""
+"""Number of blocks of the window from whose counts the overdispersion is estimated."""
 CHANGES_MAX = 4
-"""Changes of one pair within a window that are unrolled."""
+"""Largest number of changes of one pair within a window that are followed."""
 RESPONSIBILITY_MIN = 1e-3
+"""Candidates with a smaller responsibility are left out."""
 RESPONSIBILITY_MAX = 0.99
-"""However sure, one arrival does not prove a way open."""
+"""Largest responsibility of an arrival, so that a single one does not prove that a path is open."""
 TRANSITIONS_MIN = 2.0
-"""Pairs with fewer expected transitions are not asked."""
+"""Least expected transitions of a pair that is tested."""
 
 
 Silence = tuple[float, float]
-"""From when to when a camera reported nothing, seconds."""
+"""Beginning and end of an interval in which a camera reported nothing, seconds."""
 
 
 class Change(NamedTuple):
-    """The share of the departures at zone ``source`` that appear next at ``target``: ``after``
-    since ``since`` (seconds), ``before`` until then; ``nats`` of evidence for that. ``linked``:
-    evidence since then that they are joined at all, by transits of a certain time.
-    """
+    """The latest change of a pair of zones."""
 
     source: int
+    """Zone of departure."""
     target: int
+    """Zone of arrival."""
     since: float
+    """Time of the change, seconds."""
     before: float
+    """Share of the departures at ``source`` that appeared next at ``target`` until then."""
     after: float
+    """The same share since then."""
     nats: float
+    """Evidence for the change."""
     linked: float = 0.0
+    """Evidence since then (nats) that the zones are linked, by transitions with a transit time."""
 
 
 class Trials(NamedTuple):
-    """Departures of one zone, by time (n,), with what each counts; and the transitions of one pair,
-    by time (J,).
-    """
+    """Departures of one zone (n,), and transitions of one pair of zones (J,), both by time."""
 
     t: Floats
+    """(n,) times of departure, seconds."""
     weight: Floats
+    """(n,) weight of each departure, 0 during silences of the target's camera."""
     moved: Floats
+    """(J,) time of departure of each transition, seconds."""
     share: Floats
+    """(J,) responsibility of each transition."""
 
 
 def find_changes(
     fit: Fit, departures: Departures, arrivals: Arrivals, over: float, silences: list[list[Silence]]
 ) -> list[Change]:
-    """The latest change of every pair of the fit that has one, by pair.
+    """Return the latest change of each pair of the fit that has one, by pair.
 
-    ``over``: what left later (seconds) may still arrive and does not count. ``silences``: for each
-    camera the intervals in which it reported nothing at all; nobody could be seen to arrive there,
-    so what left in them does not count.
+    over (seconds): later departures may still arrive and do not count.
+    silences: of each camera, the intervals in which it reported nothing. No arrival could be seen
+        there, so departures in them do not count.
     """
+    # Pairs to test, and the departures of each zone that count.
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     threshold = threshold_nats(len(pairs), len(departures.t))
     camera_of = dict(zip(arrivals.zone.tolist(), arrivals.camera.tolist(), strict=True))
     done = departures.t[: np.searchsorted(departures.t, over, side="right")]
     left = rows_of(departures.zone[: len(done)], int(fit.candidates.source.max(initial=-1)) + 1)
+
     found = []
     for pair, moved, share in transitions_by_pair(fit, departures, arrivals, pairs):
+        # Departures and transitions of the pair.
         source, target = int(fit.candidates.source[pair]), int(fit.candidates.target[pair])
         t = done[left[source]]
         weight = np.ones(len(t))
         for begin, end in silences[camera_of[target]]:
             weight[(t >= begin) & (t < end)] = 0.0
         counts = moved <= over
+
+        # Test it.
         change = latest_change(Trials(t, weight, moved[counts], share[counts]), threshold)
         if change is None:
             continue
         since, before, after, _ = change
         linked = _linked(fit, departures, pair, since, after * weight.sum() / share[counts].sum())
-        # More arrivals than before are a way that opened only if they come at a certain time after
-        # the departures.
+
+        # A higher share is a path that opened only if its transitions have a transit time.
         if after < before or linked >= threshold:
             found.append(Change(source, target, *change, linked=linked))
     return found
 
 
 def _linked(fit: Fit, departures: Departures, pair: int, since: float, factor: float) -> float:
-    """Evidence in nats that a pair of zones is joined, from what left ``since`` (seconds) with
-    ``factor`` times the hazard of the fit.
+    """Return the evidence in nats that a pair of zones is linked, since a change.
+
+    since (seconds): time of the change.
+    factor: share since then, over the share in the fit.
     """
     rows = np.flatnonzero(fit.candidates.pair == pair)
     rows = rows[departures.t[fit.candidates.departure[rows]] >= since]
@@ -129,11 +151,13 @@ def _linked(fit: Fit, departures: Departures, pair: int, since: float, factor: f
 
 
 def threshold_nats(series: int, trials: int) -> float:
-    """Evidence that chance reaches in less than `FALSE_ALARM` of the windows, at any split of any
-    of so many series.
+    """Return the evidence that any false change exceeds in less than `FALSE_ALARM` of the windows.
 
-    Splits since which there were less than twice as many departures tell nearly the same, so they
-    count as one.
+    Splits count as one test if one has less than twice the departures of the other since, as they
+    are nearly the same.
+
+    series: number of series that are tested.
+    trials: number of departures.
     """
     splits = max(math.log2(max(trials, 1) / SPLIT_DEPARTURES_MIN), 1.0)
     return float(chdtri(1.0, FALSE_ALARM / (max(series, 1) * splits))) / 2.0
@@ -142,13 +166,19 @@ def threshold_nats(series: int, trials: int) -> float:
 def transitions_by_pair(
     fit: Fit, departures: Departures, arrivals: Arrivals, pairs: NDArray[np.intp]
 ) -> list[tuple[int, Floats, Floats]]:
-    """For each pair: when its transitions left (J,), by time, and the probability (J,) of each. One
-    for each arrival: departures that compete for one arrival are its one transition.
+    """Return the transitions of each pair: pair, times of departure (J,), responsibilities (J,).
+
+    There is one for each arrival, by time: departures that compete for one arrival are merged.
+
+    pairs (n,): the pairs, ascending.
     """
+    # Candidates of these pairs.
     c = fit.candidates
     asked = np.zeros(len(c.source), bool)
     asked[pairs] = True
     kept = np.flatnonzero(asked[c.pair] & (fit.responsibility >= RESPONSIBILITY_MIN))
+
+    # Merge those of one pair and one arrival: sum of responsibilities, mean time of departure.
     key = c.pair[kept].astype(np.int64) * len(arrivals.t) + c.arrival[kept]
     present, number = np.unique(key, return_inverse=True)
     weight = fit.responsibility[kept]
@@ -157,6 +187,8 @@ def transitions_by_pair(
         np.bincount(number, weight * departures.t[c.departure[kept]], minlength=len(present))
         / share
     )
+
+    # Order by pair and time, and split by pair.
     pair = present // max(len(arrivals.t), 1)
     order = np.lexsort((moved, pair))
     starts = np.searchsorted(pair[order], pairs)
@@ -168,22 +200,24 @@ def transitions_by_pair(
 
 
 def latest_change(trials: Trials, threshold: float) -> tuple[float, float, float, float] | None:
-    """``since``, share before and after, evidence in nats; None when the share has been the same
-    all the time.
-    """
+    """Return time, share before, share after and evidence (nats) of the latest change, if any."""
     n = len(trials.t)
     if n < 2 * SPLIT_DEPARTURES_MIN or trials.weight.sum() == 0 or trials.share.sum() == 0:
         return None
+
+    # The latest change: look for another one after each that is found.
     table = _Table(trials)
     start, split, nats = 0, 0, 0.0
-    for _ in range(CHANGES_MAX):  # later and later
+    for _ in range(CHANGES_MAX):
         later, more = table.change(split, n, threshold)
         if later is None:
             break
         start, split, nats = split, later, more
     if split == 0:
         return None
-    for _ in range(CHANGES_MAX):  # what held just before need not have held long
+
+    # The share before: it need not have held for long, so look for the change before.
+    for _ in range(CHANGES_MAX):
         begun, _ = table.change(start, split, threshold)
         if begun is None:
             break
@@ -192,23 +226,24 @@ def latest_change(trials: Trials, threshold: float) -> tuple[float, float, float
 
 
 class _Table:
-    """Cumulative log likelihoods of one pair, so that any stretch of its departures is judged by a
-    subtraction.
-    """
+    """Cumulative log likelihoods of one pair; that of a stretch is a difference of two columns."""
 
     def __init__(self, trials: Trials) -> None:
         self.weight = np.concatenate(([0.0], np.cumsum(trials.weight)))
         self.rate = float(trials.share.sum()) / self.weight[-1]
-        """Share of the departures on the whole."""
+        """Share over the whole window."""
         self.at = np.append(np.searchsorted(trials.moved, trials.t), len(trials.moved))
-        """(n + 1,) transitions before each departure, and in all."""
+        """(n + 1,) number of transitions before each departure, and in all."""
         log = np.log1p((FACTORS[:, None] - 1.0) * trials.share)
         self.log = np.concatenate((np.zeros((len(FACTORS), 1)), np.cumsum(log, axis=1)), axis=1)
         self.shares = trials.share
         self.possible = FACTORS * self.rate <= max(1.0, self.rate)
 
     def likelihood(self, begin: Longs, end: Longs) -> Floats:
-        """Log likelihood of every factor (factors, S) for departures ``begin`` (S,) to ``end``."""
+        """Return the log likelihood (factors, S) of every factor over stretches of departures.
+
+        begin, end (S,): first departure of each stretch, and one past the last.
+        """
         expected = self.rate * (self.weight[end] - self.weight[begin])
         log: Floats = self.log[:, self.at[end]] - self.log[:, self.at[begin]]
         log -= (FACTORS[:, None] - 1.0) * expected
@@ -216,9 +251,11 @@ class _Table:
         return log
 
     def change(self, begin: int, end: int, threshold: float) -> tuple[int | None, float]:
-        """Departure from which on another factor holds, and the evidence in nats; None if that is
-        too little.
+        """Return the first departure of a new factor in a stretch, and the evidence (nats).
+
+        Returns None and 0 if the evidence is too little.
         """
+        # Best split on the coarse grid, then among all between its neighbours.
         splits = _splits(begin, end)
         if len(splits) == 0 or self.weight[end] == self.weight[begin]:
             return None, 0.0
@@ -226,13 +263,15 @@ class _Table:
         near = np.arange(splits[min(best + 1, len(splits) - 1)], splits[max(best - 1, 0)] + 1)
         gain = self._gain(begin, near, end)
         split = int(near[np.argmax(gain)])
+
+        # Evidence, corrected for overdispersion.
         if gain.max() <= threshold:
             return None, 0.0
         nats = float(gain.max()) / self.overdispersion(begin, split, end)
         return (split, nats) if nats > threshold else (None, 0.0)
 
     def _gain(self, begin: int, splits: Longs, end: int) -> Floats:
-        """Nats (S,) by which two factors explain more than one."""
+        """Return the nats (S,) by which two factors explain a stretch better than one, by split."""
         first, last = np.full_like(splits, begin), np.full_like(splits, end)
         apart = self.likelihood(first, splits).max(axis=0) + self.likelihood(splits, last).max(
             axis=0
@@ -242,20 +281,24 @@ class _Table:
         return gain
 
     def factor(self, begin: int, end: int) -> float:
-        """The likeliest factor for a stretch."""
+        """Return the likeliest factor for a stretch."""
         return float(FACTORS[np.argmax(self.likelihood(np.array([begin]), np.array([end])))])
 
     def share(self, begin: int, end: int) -> float:
-        """The likeliest share for a stretch: one EM step from the best on the grid."""
+        """Return the likeliest share in a stretch: one EM step from the best factor on the grid."""
         trials = max(float(self.weight[end] - self.weight[begin]), 1e-9)
         return min(float(self._moved(begin, end, self.factor(begin, end)).sum()) / trials, 1.0)
 
     def overdispersion(self, begin: int, split: int, end: int) -> float:
-        """Variance of the counts of stretches over what chance would give, at least 1, the change
-        being taken out.
+        """Return the variance of block counts over that of the null model, at least 1.
+
+        The change at ``split`` is taken out.
         """
+        # Blocks, cut at the change, too.
         edges = np.unique(np.linspace(begin, end, BLOCKS + 1).astype(np.int64))
         edges = np.unique(np.append(edges, split))
+
+        # Squared deviations from a constant share on either side, and their expectation.
         square = chance = 0.0
         for low, high in ((begin, split), (split, end)):
             inside = edges[(edges >= low) & (edges <= high)]
@@ -268,12 +311,13 @@ class _Table:
         return max(1.0, square / max(chance, 1e-9)) if chance > 0 else 1.0
 
     def _moved(self, begin: int, end: int, factor: float) -> Floats:
+        """Return the responsibilities of a stretch, were the share ``factor`` times as large."""
         share = self.shares[self.at[begin] : self.at[end]]
         return factor * share / (1.0 - share + factor * share)
 
 
 def _splits(begin: int, end: int) -> Longs:
-    """Splits of departures ``begin`` to ``end``, latest first."""
+    """Return the splits of the stretch ``begin`` to ``end`` that are tried, latest first."""
     n = end - begin
     if n < 2 * SPLIT_DEPARTURES_MIN:
         return np.zeros(0, np.int64)
@@ -285,15 +329,18 @@ def _splits(begin: int, end: int) -> Longs:
 
 
 def present(table: LinkTable, changes: list[Change], zones: int, share_min: float) -> LinkTable:
-    """The table with the shares that hold now; pairs whose share is now below ``share_min`` are
-    left out.
+    """Return the table with present shares, without changed pairs that are below ``share_min`` now.
 
-    What has opened is told from chance by its own past and by what has come since. Shares that make
-    more than 1 with a new one beside them give way to it.
+    Evidence for a pair that opened comes from its own past and from the transitions since. Other
+    shares of a source are scaled down where they would add up to more than 1 with a changed one.
+
+    changes: the latest change of each pair that has one.
     """
     latest = {(change.source, change.target): change for change in changes}
     if not latest:
         return table
+
+    # Shares and evidence of the pairs that changed.
     probability, ratio, kept = (
         table.probability.copy(),
         table.ratio.copy(),
@@ -307,6 +354,8 @@ def present(table: LinkTable, changes: list[Change], zones: int, share_min: floa
         new[k], kept[k], probability[k] = True, change.after >= share_min, change.after
         if change.after > change.before:
             ratio[k] = max(ratio[k], min(change.nats, change.linked))
+
+    # Scale the other pairs of their sources to the room that is left.
     taken, others = (
         np.bincount(table.source, probability * rows, minlength=zones)
         for rows in (new & kept, ~new)
