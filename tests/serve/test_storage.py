@@ -434,7 +434,7 @@ def test_a_disk_that_damages_every_file_is_not_filled_up(tmp_path: Path) -> None
         path.write_bytes(b"rubbish " * 1000)
         Spool(path, "b", events_max=10).close()
     path.write_bytes(b"rubbish " * 1000)
-    with pytest.raises(StateError, match="see to the disk"):
+    with pytest.raises(StateError, match="check the disk"):
         Spool(path, "b", events_max=10)
     assert path.read_bytes() == b"rubbish " * 1000
     assert [one.name for one in sqlite_file.damaged_files(path)] == [

@@ -35,8 +35,8 @@ class Identity:
         self._file = opened.st_dev, opened.st_ino
 
     def check(self) -> int:
-        """Return the size in bytes of the file at the path. Raises `Displaced` unless it is this
-        one.
+        """Return the size of the file at the path (bytes). Raises `Displaced` unless it is the
+        same.
         """
         try:
             found = os.stat(self.path)

@@ -1,10 +1,9 @@
-"""A SQLite file that keeps what it has committed, through kill -9 and a power cut on a disk that
-flushes.
+"""A SQLite file that keeps its committed transactions through kill -9 and power cuts.
 
-A damaged file is set aside, never deleted, and a new one is begun. SQLite itself notices little
-damage: a torn log reads as a shorter one, a flipped bit in a value as another value. So the log is
-looked at before (`wal`), every row carries a `crc`, and a grabber remembers what was acknowledged
-(`camtopod.serve.outbox.spool`).
+The disk must honour flushes. A damaged file is set aside, never deleted, and a new one is begun.
+SQLite itself notices little damage: a torn log reads as a shorter one, a flipped bit in a value as
+another value. So the log is checked before SQLite opens it (`wal_check`), every row carries a
+`crc`, and a grabber remembers what was acknowledged (`camtopod.serve.outbox.spool`).
 """
 
 from __future__ import annotations
@@ -31,16 +30,16 @@ from camtopod.serve.storage.open_files import Identity, OpenFiles
 log = logging.getLogger(__name__)
 
 DAMAGED_FILES_MAX = 8
-"""Set aside beside one file; with more the disk is to be seen to before anything is begun anew."""
+"""Most damaged files set aside beside one database; with more, no new one is begun."""
 SCAN_BYTES_MAX = 64 * 2**20
-"""Larger files are not scanned on opening, which may take a second for this much, unless they have
-shown damage.
-"""
+"""Larger files are scanned on opening only if they have shown damage; this size takes about 1 s."""
 
 _AUTOCHECKPOINT_PAGES = 200
+"""Length of the write-ahead log, in pages, at which SQLite copies it into the database."""
 _LOG_BYTES_MAX = 2**20
-"""What the write-ahead log shrinks to after a transaction that made it larger."""
+"""Size to which SQLite truncates a write-ahead log that has become larger, in bytes."""
 _BUSY_SECONDS = 2.0
+"""Longest wait for another connection's lock on the database, in seconds."""
 _SIDE_FILES = ("-wal", "-journal")
 _SHAPE = """
 SELECT m.type, m.name, m.tbl_name, x.name, x.type, x."notnull", x.pk
@@ -51,15 +50,15 @@ _encode = msgspec.msgpack.Encoder().encode
 
 
 class StateError(OSError):
-    """The state directory cannot be written or is in use; ``str()`` says which and what to do."""
+    """The state directory cannot be written or is in use; ``str()`` says which, and what to do."""
 
 
 class Damaged(StateError):
-    """The file is not what it was when it was written."""
+    """A file's content is not what was written."""
 
 
 class Lock:
-    """Exclusive hold on a path, until closed or the process ends."""
+    """Exclusive lock on a path, until it is closed or the process ends."""
 
     def __init__(self, path: Path) -> None:
         try:
@@ -75,19 +74,18 @@ class Lock:
         except OSError:
             os.close(self._fd)
             raise StateError(
-                f"{path} is held by another camtopod process; stop that one or use another state directory"
+                f"{path} is held by another camtopod process; "
+                f"stop that one or use another state directory"
             ) from None
 
         self._place = Identity(path, self._fd)
 
     def check(self) -> None:
-        """Raise `Displaced` if the path leads to another file by now, which another process could
-        hold.
-        """
+        """Raise `Displaced` if the path leads to another file, which another process could lock."""
         self._place.check()
 
     def read(self, size: int) -> bytes:
-        """The first ``size`` bytes of the file. Raises `OSError`."""
+        """Return the first ``size`` bytes of the file. Raises `OSError`."""
         return os.pread(self._fd, size, 0)
 
     def write(self, data: bytes) -> None:
@@ -95,16 +93,14 @@ class Lock:
         os.pwrite(self._fd, data, 0)
 
     def close(self) -> None:
-        """Let go; may be called twice."""
+        """Release the lock; may be called twice."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
 
 def held_by(path: Path) -> str:
-    """Why the database at ``path`` cannot be had at the moment, as another process has it; "" if it
-    can.
-    """
+    """Return why the database at ``path`` cannot be opened (another process has it), or ""."""
     lock = path.with_suffix(".lock")
     if lock.exists():
         try:
@@ -115,12 +111,15 @@ def held_by(path: Path) -> str:
 
 
 def crc(*columns: int | float | str | bytes | None) -> int:
-    """The checksum of a row: over all of its other columns."""
+    """Return the checksum of a row, over all of its other columns."""
     return zlib.crc32(_encode(columns))
 
 
 class Connection(sqlite3.Connection):
-    """Closes with itself, and not before, the descriptors of its files (see `wal.open_index`)."""
+    """A connection that closes the descriptors of its files after the database, and not before.
+
+    The reason is in `wal_check.open_index`.
+    """
 
     def __init__(self, *given: Any, **more: Any) -> None:
         super().__init__(*given, **more)
@@ -128,15 +127,16 @@ class Connection(sqlite3.Connection):
         self._files: OpenFiles | None = None
 
     def keep(self, fd: int) -> int:
-        """Close ``fd`` after the database; returns it."""
+        """Return ``fd``, and close it after the database."""
         self._kept.append(fd)
         return fd
 
     def watch(self, path: Path, index: int | None) -> None:
-        """Make `check` look at the files of ``path``; ``index``: as of `wal.open_index`, kept.
-        Raises `OSError`.
+        """Make `check` check the files of ``path``. Raises `OSError`.
+
+        index: the descriptor of `wal_check.open_index`, kept already, or None.
         """
-        self.execute("PRAGMA page_count").fetchall()  # now SQLite has opened the log
+        self.execute("PRAGMA page_count").fetchall()  # makes SQLite open the log
         database, log = (
             self.keep(os.open(f"{path}{suffix}", os.O_RDONLY | os.O_CLOEXEC))
             for suffix in ("", "-wal")
@@ -147,9 +147,7 @@ class Connection(sqlite3.Connection):
             self._files = OpenFiles(path, database, log, index)
 
     def check(self) -> None:
-        """Raise `Displaced` if a file of the database is not in place. Only outside of
-        transactions.
-        """
+        """Raise `Displaced` if a file of the database is not in place. Not within transactions."""
         if self._files is not None:
             self._files.check()
 
@@ -161,7 +159,7 @@ class Connection(sqlite3.Connection):
             os.close(self._kept.pop())
 
     def __del__(self) -> None:
-        """Say that nobody has closed it, as Python's own do since 3.13."""
+        """Warn if the connection was not closed, as Python's own connections do since 3.13."""
         with contextlib.suppress(sqlite3.ProgrammingError):  # it is closed
             what = f"unclosed {self!r}, {self.total_changes} changes"
             warnings.warn(what, ResourceWarning, stacklevel=2, source=self)
@@ -172,20 +170,24 @@ def connect(
 ) -> Connection:
     """Open, or create with ``schema``, a database in WAL mode under synchronous=FULL.
 
-    ``prepare`` sees the file before the schema and in the same transaction, to migrate it or to
-    raise `StateError`. Created under EXTRA, then switched: created under FULL, power cuts lost the
-    table in half of the cases measured. Transactions are explicit (``isolation_level=None``).
-    Raises `StateError`, `Damaged`.
+    prepare: called before the schema is created, in the same transaction, to migrate the file or to
+        raise `StateError`.
+
+    The file is created under synchronous=EXTRA, then switched: created under FULL, power cuts lost
+    the table in half of the cases measured. Transactions are explicit (``isolation_level=None``).
+    Raises `StateError` and `Damaged`.
     """
     try:
+        # Look at the log before SQLite does.
         _make_private(path)
         written = wal_check.read(path)
-        if (
-            written.frames or written.headless
-        ) and path.stat().st_size == 0:  # SQLite would delete the log
+        if (written.frames or written.headless) and path.stat().st_size == 0:
+            # SQLite would delete the log.
             raise Damaged(
                 f"{path} is damaged: it is empty or was missing, and its log is still there"
             )
+
+        # Open the database, check it, and report what was lost.
         database = sqlite3.connect(
             path,
             timeout=_BUSY_SECONDS,
@@ -201,11 +203,14 @@ def connect(
             if (index := wal_check.open_index(path)) is not None:
                 database.keep(index)
             _report_lost(path, written, index)
+
+            # Migrate or create the tables.
             with transaction(database):
                 if prepare is not None:
                     prepare(database)
                 _create(database, schema)
             _check_shape(database, schema, path)
+
             _switch_to_wal(database, path)
             database.watch(path, index)
             undo.pop_all()
@@ -226,8 +231,9 @@ def connect(
 def connect_or_begin_anew(
     path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None
 ) -> tuple[Connection, Path | None]:
-    """`connect`; if the file is damaged, it is set aside and another begun. Returns also where it
-    is now.
+    """Open as `connect` does; set a damaged file aside and begin a new one.
+
+    Returns the connection and the new path of the damaged file, if any.
     """
     try:
         return connect(path, schema, prepare), None
@@ -238,9 +244,9 @@ def connect_or_begin_anew(
 
 
 def move(path: Path, new: Path) -> None:
-    """Give a database and its log, which no process has open, another place. Raises `StateError`.
+    """Move a database and its log, which no process has open. Raises `StateError`.
 
-    The log first: a move that is broken off is finished by the next call.
+    The log is moved first, so that an interrupted move is completed by the next call.
     """
     try:
         _make_directory(new.parent)
@@ -255,10 +261,10 @@ def move(path: Path, new: Path) -> None:
 
 
 def set_aside(path: Path) -> Path:
-    """Rename a database and its log; returns the new name. Raises `StateError` if there are too
-    many already.
+    """Rename a damaged database and its log; return the new path.
 
-    The log first: should the power go in between, an old log must not be taken for the new file's.
+    The log is renamed first: after a power cut in between, an old log must not be taken for the new
+    file's. Raises `StateError` if there are `DAMAGED_FILES_MAX` such files already.
     """
     aside = _name_aside(path)
     try:
@@ -273,8 +279,9 @@ def set_aside(path: Path) -> Path:
 
 
 def damaged_files(path: Path) -> list[Path]:
-    """What was set aside of ``path`` and is still there, the newest last; of a log if its path is
-    given.
+    """Return the files that were set aside of ``path`` and still exist, the newest last.
+
+    Give the path of a write-ahead log for those of the log.
     """
     start = f"{path.name}.damaged-"
     names = (one.name.removeprefix(start) for one in path.parent.glob(f"{start}*"))
@@ -286,8 +293,9 @@ def damaged_files(path: Path) -> list[Path]:
 
 @contextlib.contextmanager
 def damage_noticed(path: Path) -> Iterator[None]:
-    """Raises `Damaged` if the block finds that ``path`` is; at the next start it is then scanned,
-    however large.
+    """Raise `Damaged` if the block finds ``path`` damaged, and have it scanned at the next start.
+
+    It is then scanned however large it is.
     """
     try:
         yield
@@ -300,19 +308,18 @@ def damage_noticed(path: Path) -> Iterator[None]:
 
 
 def is_damage(error: sqlite3.Error, path: Path) -> bool:
-    """Whether ``error`` says that the content of ``path`` is wrong, not that the disk is full or
-    the file busy.
-    """
+    """Return True if ``error`` means wrong content of ``path``, not a full disk or a busy file."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-    if code == sqlite3.SQLITE_READONLY:  # as a header that asks for a newer SQLite reads
+    if code == sqlite3.SQLITE_READONLY:  # SQLite's answer to a header that asks for a newer SQLite
         return os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
     return code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
 @contextlib.contextmanager
 def transaction(database: sqlite3.Connection) -> Iterator[None]:
-    """All of the block or nothing. A commit can raise although it is durable: repeat only what may
-    be.
+    """Run the block in a transaction: commit it at the end, or roll it back after an error.
+
+    A commit can raise although it is durable, so repeat only what may be stored twice.
     """
     database.execute("BEGIN IMMEDIATE")
     try:
@@ -324,21 +331,28 @@ def transaction(database: sqlite3.Connection) -> Iterator[None]:
 
 
 def _name_aside(path: Path) -> Path:
-    """What is set aside next is called so. Raises `StateError` if there are too many."""
+    """Return the path for the next file to set aside. Raises `StateError` if there are too many."""
     before = damaged_files(path)
     if len(before) >= DAMAGED_FILES_MAX:
         raise StateError(
-            f"{path} is damaged, and {len(before)} times before: see to the disk, and move those files away"
+            f"{path} is damaged, as it was {len(before)} times before: "
+            f"check the disk, and move the damaged files away"
         )
     number = int(before[-1].name.rpartition("-")[2]) + 1 if before else 1
     return path.with_name(f"{path.name}.damaged-{number}")
 
 
 def _copy_aside(path: Path) -> Path:
-    """Once, however often it is opened before it is written to again; whole or not at all."""
+    """Copy a damaged file, all or nothing, and return the copy's path.
+
+    If the newest copy is equal, that one is returned: the file may be opened again before it is
+    written to.
+    """
     for aside in damaged_files(path)[-1:]:
         if filecmp.cmp(path, aside, shallow=False):
             return aside
+
+    # Write and sync a copy; remove it after an error.
     aside = _name_aside(path)
     with contextlib.ExitStack() as undo, path.open("rb") as source:
         fd = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
@@ -353,7 +367,7 @@ def _copy_aside(path: Path) -> Path:
 
 
 def _make_directory(directory: Path) -> None:
-    """So that nobody else can read it, and so that it is still there after a power cut."""
+    """Create a directory that only its owner can read and that survives a power cut."""
     if not directory.is_dir():
         _make_directory(directory.parent)
         directory.mkdir(mode=0o700, exist_ok=True)
@@ -369,14 +383,18 @@ def _sync_directory(directory: Path) -> None:
 
 
 def _text(raw: bytes) -> str:
-    """A flipped bit can make any text no UTF-8: that row then has a wrong CRC, and its neighbours
-    can be read.
+    """Decode a text column. A flipped bit can make it invalid UTF-8.
+
+    The row then has a wrong CRC, and the rows beside it can still be read.
     """
     return raw.decode("utf-8", "replace")
 
 
 def _make_private(path: Path) -> None:
-    """SQLite gives the log and the shared memory the mode of the file."""
+    """Create the file if it is missing, and let only its owner read it.
+
+    SQLite gives the log and the shared memory the mode of the file.
+    """
     os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
     for suffix in ("", "-wal", "-shm"):
         with contextlib.suppress(FileNotFoundError):
@@ -384,11 +402,13 @@ def _make_private(path: Path) -> None:
 
 
 def _create(database: sqlite3.Connection, schema: str) -> None:
+    """Execute each statement of ``schema``."""
     for statement in schema.split(";"):
         database.execute(statement)
 
 
 def _switch_to_wal(database: sqlite3.Connection, path: Path) -> None:
+    """Switch to WAL mode under synchronous=FULL. Raises `StateError` if that is impossible."""
     database.execute("PRAGMA journal_mode=WAL")
     database.execute("PRAGMA synchronous=FULL")
     database.execute(f"PRAGMA wal_autocheckpoint={_AUTOCHECKPOINT_PAGES}")
@@ -403,7 +423,7 @@ def _switch_to_wal(database: sqlite3.Connection, path: Path) -> None:
 
 
 def _scan(database: sqlite3.Connection, path: Path) -> None:
-    """Raises `Damaged` if pages, rows and indices do not hang together."""
+    """Raise `Damaged` if pages, rows and indices disagree; scans large files on suspicion only."""
     pages = database.execute("PRAGMA page_count").fetchone()[0]
     small = pages * database.execute("PRAGMA page_size").fetchone()[0] <= SCAN_BYTES_MAX
     if small or _suspicion(path).exists():
@@ -414,21 +434,20 @@ def _scan(database: sqlite3.Connection, path: Path) -> None:
 
 
 def _suspicion(path: Path) -> Path:
-    """Is there when reading or writing ``path`` has shown damage."""
+    """Return the path of the marker file that exists once ``path`` has shown damage."""
     return path.with_name(f"{path.name}.suspect")
 
 
 def _report_lost(path: Path, written: wal_check.Log, index: int | None) -> None:
-    """Say what SQLite left out of the log, and keep a copy of a log that was damaged."""
+    """Log what SQLite has ignored of the log, and keep a copy of a damaged log."""
     lost = wal_check.lost(path, written, index)
     if lost.damaged:
         try:
             copy = f"a copy is {_copy_aside(Path(f'{path}-wal'))}"
         except StateError:
             raise
-        except (
-            OSError
-        ) as error:  # SQLite throws the log away on closing, so that giving up would not save it
+        except OSError as error:
+            # Giving up would not save the log: SQLite deletes it on closing.
             copy = f"there is no copy: {error.strerror}"
         log.error(
             "the log of %s is damaged: %s cannot be read; %s",
@@ -438,14 +457,14 @@ def _report_lost(path: Path, written: wal_check.Log, index: int | None) -> None:
         )
     elif lost.frames:
         log.warning(
-            "the last transaction in the log of %s is not whole and left out: "
+            "the last transaction in the log of %s is incomplete and ignored: "
             "it was being written when the program ended, or is damaged",
             path,
         )
 
 
 def _check_shape(database: sqlite3.Connection, schema: str, path: Path) -> None:
-    """Raises `Damaged` if a table or an index is not as in ``schema``."""
+    """Raise `Damaged` if a table or an index is not as in ``schema``."""
     if not _shape_of(schema) <= set(database.execute(_SHAPE)):
         raise Damaged(
             f"{path} is damaged: its tables are not those of this program; it is left as it is"
@@ -454,6 +473,7 @@ def _check_shape(database: sqlite3.Connection, schema: str, path: Path) -> None:
 
 @functools.cache
 def _shape_of(schema: str) -> frozenset[tuple[object, ...]]:
+    """Return the tables, columns and indices that ``schema`` creates."""
     with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as wanted:
         _create(wanted, schema)
         return frozenset(wanted.execute(_SHAPE))
@@ -462,14 +482,13 @@ def _shape_of(schema: str) -> frozenset[tuple[object, ...]]:
 def readable(
     path: Path, table: str, key: str
 ) -> Iterator[tuple[int | float | str | bytes | None, ...]]:
-    """The rows of ``table`` that can still be read from a damaged file, which is not changed; some
-    of them twice.
+    """Yield the rows of ``table`` that can still be read from a damaged file, some of them twice.
 
-    By rising ``key`` up to the first damaged page, then from the other end. Only a row's CRC says
-    whether it is good.
+    They come by rising ``key`` up to the first damaged page, then from the other end. Only a row's
+    CRC tells whether it is good. The file is not changed.
     """
     if path.stat().st_size == 0:
-        return  # there are no rows, and SQLite would delete the log beside it
+        return  # it has no rows, and SQLite would delete the log beside it
     try:
         with contextlib.closing(
             sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
