@@ -1,10 +1,10 @@
-"""How often something arrives at one place so and so long after something left another: a coarse
-look, far and wide.
+"""Correlograms: numbers of arrivals with one label by their lag after departures with another.
 
-The joint fit looks for transit times within minutes and believes the clocks. This looks at lags of
-up to a quarter of an hour either way, in bins of a second, for which counting is enough: with few
-events difference by difference, with many by Fourier transform. Counts are integers, so both ways
-give the same.
+Labels are zones or cameras. The joint fit estimates transit times of up to a few minutes and needs
+correct clocks. A correlogram only counts, so it reaches much further: `LAGS` bins either way, about
+a quarter of an hour with bins of a second, negative lags included. Few pairs of events are counted
+one by one (`ByDifference`), many by Fourier transform (`ByTransform`). Counts are integers, so both
+give the same result.
 """
 
 from __future__ import annotations
@@ -22,47 +22,54 @@ Counts = NDArray[np.float32]
 Spectra = NDArray[np.complex64]
 
 LAGS = 1000
-"""Lags are looked at up to this many bins either way."""
+"""Largest lag, in bins, either way."""
 BLOCK = 2048
-"""Bins of one Fourier block; arrivals are taken from half a block before to half a block after
-it.
+"""Bins of departures in one Fourier block; arrivals are taken from half a block before to half a
+block after it.
 """
 SPECTRA_MAX = 4096
-"""At most this many blocks over all labels; beyond, the newest stretch of time is looked at."""
+"""Limit of the blocks of all labels together; beyond, only the newest stretch of time counts."""
 SPECTRA_KEPT = 2048
-"""Transforms of blocks that are kept, of what left and of what came (16 MB a thousand); others are
-made again when they are asked for.
+"""Transforms of blocks kept in memory, departures and arrivals together (16 MB a thousand).
+
+Others are computed again when they are needed.
 """
 DIFFERENCES_MAX = 4_000_000
-"""Up to this many differences are counted one by one."""
+"""Up to this many pairs of events within the lags are counted one by one."""
 DIFFERENCES_AT_ONCE = 500_000
+"""Pairs of events processed together."""
 ROWS_AT_ONCE = 256
-"""Correlograms that are looked at together."""
+"""Correlograms processed together."""
 CHANCE_BINS = (301, 101)
-"""Chance is the mean over this many bins around, taken twice: local, so that a common rhythm is
-part of it.
+"""Widths, in bins, of the two moving averages that make the null model.
+
+It is local, so that a rhythm common to all zones is part of it.
 """
 CHANCE_MIN = 0.02
+"""Least count per bin under the null model."""
 SCALES_BINS = (1.5, 4.0, 10.0)
-"""Peaks are looked for at these widths, as some transit times are kept closely, others not."""
+"""Standard deviations, in bins, of the peaks to look for: transit times vary little or much."""
 NOISE_SD = 2.5
-"""What is below this many standard deviations of chance counts as nothing."""
+"""Standard deviations of the null model subtracted from every peak; lower ones count as none."""
 HIGHEST_LAGS, HIGHEST_WIDTH = 400, 5
-"""Bins either way that the quick look has, and width of its peaks."""
+"""Largest lag of `highest`, in bins either way, and the width of its peaks."""
 NEAR_BINS = 100.0
-"""Longer lags than this are the less likely the longer they are."""
+"""Lag in bins beyond which peaks weigh less the longer it is."""
 
 
 def correlograms(
     left: tuple[Floats, Ints], came: tuple[Floats, Ints], labels: int, bin_seconds: float
 ) -> ByDifference | ByTransform:
-    """Everything that left and came, ready to be counted by lag, a few pairs at a time: all would
-    be a lot of memory. It is quickest where those asked for one after the other have at most
-    ``at_once`` labels (`side_by_side`).
+    """Prepare departures and arrivals for correlograms, which are then computed for some pairs.
 
-    ``left``, ``came``: times (n,) ascending in seconds, and labels (zones or cameras) below
-    ``labels``; not empty.
+    left, came: times (n,) in seconds, ascending, and labels (n,) of the departures and of the
+        arrivals; neither is empty.
+    labels: number of labels; they are counted from 0.
+
+    The correlograms of all pairs would need a lot of memory. They are computed fastest if those
+    asked for in succession have at most ``at_once`` labels (`side_by_side`).
     """
+    # Bin the newest stretch of time.
     blocks = max(SPECTRA_MAX // labels, 1)
     last = max(left[0][-1], came[0][-1])
     first = max(min(left[0][0], came[0][0]), last - blocks * BLOCK * bin_seconds)
@@ -71,6 +78,8 @@ def correlograms(
         kept = slice(int(np.searchsorted(t, first)), None)
         bins.append(((t[kept] - first) / bin_seconds).astype(np.int64))
         names.append(label[kept].astype(np.int64))
+
+    # The arrivals within the lags of each departure.
     low = np.searchsorted(bins[1], bins[0] - LAGS, side="left")
     n = np.searchsorted(bins[1], bins[0] + LAGS, side="right") - low
     if int(n.sum()) <= DIFFERENCES_MAX:
@@ -79,16 +88,20 @@ def correlograms(
 
 
 def side_by_side(a: NDArray[Any], b: NDArray[Any], at_once: int) -> NDArray[np.intp]:
-    """An order of pairs (P,) in which those that come one after the other have few labels, for long
-    at most ``at_once``: tile by tile of the matrix of all pairs.
+    """Return an order of pairs (P,) in which long runs have at most ``at_once`` labels.
+
+    a, b (P,): labels of the pairs. The matrix of all pairs is passed through tile by tile.
     """
     side = max(at_once // 2, 1)
     return np.lexsort((b, a, b // side, a // side))
 
 
 class ByDifference:
-    """Counts difference by difference. ``low``, ``n``: the first arrival within the lags of each
-    departure, and how many there are.
+    """Correlograms by counting pairs of events one by one.
+
+    bins, names: time bins and labels of the departures and of the arrivals.
+    labels: number of labels.
+    low, n: for each departure the first arrival within the lags, and the number of them.
     """
 
     def __init__(
@@ -96,23 +109,29 @@ class ByDifference:
     ) -> None:
         self._labels = self.at_once = labels
         reached = np.cumsum(n)
-        # Each difference as (source, target, lag) in one number.
+
+        # Each pair of events as (source, target, lag) in one number, sorted.
         self._cells = np.empty(int(n.sum()), np.int64)
         for k in range(0, len(self._cells), DIFFERENCES_AT_ONCE):
             few = slice(*np.searchsorted(reached, (k, k + DIFFERENCES_AT_ONCE), side="right"))
-            if few.start == few.stop:  # one departure that has more
+            if few.start == few.stop:  # inside of one departure, which a later part has
                 continue
+
+            # Rows of the departure and of the arrival of each pair.
             leaving = np.repeat(np.arange(few.start, few.stop), n[few])
             begun = reached[few] - n[few]
             coming = np.arange(len(leaving)) + np.repeat(low[few] - (begun - begun[0]), n[few])
+
+            # Their labels and lags.
             pair = names[0].take(leaving) * labels + names[1].take(coming)
             lag = bins[1].take(coming) - bins[0].take(leaving) + LAGS
             self._cells[begun[0] : begun[0] + len(leaving)] = pair * (2 * LAGS + 1) + lag
         self._cells.sort()
 
     def of(self, source: Ints, target: Ints) -> Counts:
-        """Arrivals at ``target`` (P,) around departures from ``source`` (P,) by lag, (P, 2 LAGS +
-        1).
+        """Return the correlograms (P, 2 LAGS + 1), from lag -LAGS to LAGS.
+
+        source, target (P,): labels of the departures and of the arrivals.
         """
         counts = np.zeros((len(source), 2 * LAGS + 1), np.float32)
         first = (source.astype(np.int64) * self._labels + target) * counts.shape[1]
@@ -125,7 +144,7 @@ class ByDifference:
 
 
 class ByTransform:
-    """Counts by Fourier transform."""
+    """Correlograms by Fourier transform; the arguments are as for `ByDifference`."""
 
     def __init__(self, bins: list[Longs], names: list[Longs], labels: int) -> None:
         self._blocks = int(max(b.max(initial=0) for b in bins)) // BLOCK + 1
@@ -134,11 +153,12 @@ class ByTransform:
             for some, name in zip(bins, names, strict=True)
         ]
         self.at_once = max(SPECTRA_KEPT // (2 * self._blocks), 2)
-        """Labels of which the transforms are kept."""
-        self._spectra: dict[tuple[int, int], Spectra] = {}  # those asked for last
+        """Number of labels whose transforms are kept."""
+        # Transforms by (side, label), those used last at the end.
+        self._spectra: dict[tuple[int, int], Spectra] = {}
 
     def of(self, source: Ints, target: Ints) -> Counts:
-        """As `ByDifference.of`."""
+        """Return the correlograms, as `ByDifference.of` does."""
         product = np.empty((len(source), BLOCK + 1), np.complex64)
         for row, u, v in zip(product, source.tolist(), target.tolist(), strict=True):
             np.einsum("bf,bf->f", self._of_label(0, u), self._of_label(1, v), out=row)
@@ -147,11 +167,14 @@ class ByTransform:
         return counts
 
     def _of_label(self, side: int, label: int) -> Spectra:
-        """(blocks, frequencies) of what left in each block, conjugate (``side`` 0), or of what came
-        from half a block before it to half a block after it (1).
+        """Return the transforms (blocks, frequencies) of one label.
+
+        side: 0 for departures in each block, conjugate; 1 for arrivals from half a block before to
+            half a block after it.
         """
         known = self._spectra.pop((side, label), None)
         if known is None:
+            # Count the events by block and bin.
             bins = self._bins[side][label]
             present = np.zeros((self._blocks, 2 * BLOCK), np.float32)
             for shift in ((0,), (-1, 0, 1))[side]:
@@ -159,9 +182,13 @@ class ByTransform:
                 at = bins - block * BLOCK + BLOCK // 2
                 inside = (block >= 0) & (block < self._blocks) & (at >= 0) & (at < 2 * BLOCK)
                 np.add.at(present, (block[inside], at[inside]), 1.0)
+
+            # Transform.
             known = scipy.fft.rfft(present, overwrite_x=True)
             if side == 0:
                 np.conj(known, out=known)
+
+        # Keep the transforms used last.
         self._spectra[side, label] = known
         if len(self._spectra) > 2 * self.at_once:
             del self._spectra[next(iter(self._spectra))]
@@ -169,9 +196,7 @@ class ByTransform:
 
 
 def chance(counts: Counts) -> Counts:
-    """What each bin of the correlograms (P, lags) would have if there were nothing but local
-    rates.
-    """
+    """Return the expected correlograms (P, lags) under the null model of local rates only."""
     smooth = counts
     for width in CHANCE_BINS:
         smooth = uniform_filter1d(smooth, width, axis=1, mode="nearest")
@@ -180,8 +205,12 @@ def chance(counts: Counts) -> Counts:
 
 
 def standing_out(counts: Counts, usual: Counts) -> Counts:
-    """What stands out of chance in the correlograms (P, lags), in its standard deviations; most of
-    it is zero.
+    """Return the peaks of correlograms above the null model; most of the result is zero.
+
+    counts, usual (P, lags): correlograms, and their expectations (`chance`).
+
+    The unit is standard deviations of the null model. Peaks are smoothed at each of `SCALES_BINS`,
+    and lags longer than `NEAR_BINS` weigh less.
     """
     above = (counts - usual) / np.sqrt(usual)
     best: Counts = np.zeros_like(above)
@@ -194,8 +223,9 @@ def standing_out(counts: Counts, usual: Counts) -> Counts:
 
 
 def highest(counts: Counts) -> Floats:
-    """How far the highest peak stands out of chance in each correlogram (P, lags), (P,): quick, and
-    at one width.
+    """Return the height (P,) of the highest peak of each correlogram (P, lags): fast, one width.
+
+    The unit is standard deviations of one bin under the null model.
     """
     rows = counts[:, LAGS - HIGHEST_LAGS : LAGS + HIGHEST_LAGS + 1]
     usual = chance(rows)

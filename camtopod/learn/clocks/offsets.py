@@ -1,13 +1,14 @@
-"""Clocks: by how much each camera's is ahead, from traffic alone.
+"""Clock offsets of the cameras, estimated from traffic alone.
 
-Every way that is walked in both directions says how two clocks differ (see `twoway`). These
-differences are brought together over the whole network, robustly, under two assumptions: ways there
-and back take about as long (how nearly so is learned from how well the differences agree), and most
-clocks are right. A clock is only called wrong on clear evidence. Where all traffic goes one way,
-nothing tells a wrong clock from a long way: the clock counts as right and is marked as
-unidentified; and so it is between cameras without positions, where all ways are one. In a part of
-the network that hangs together by two cameras only, the clock of the one with more events counts as
-right.
+Every path that is walked in both directions shows the difference of two clocks (`two_way_paths`).
+The offsets are a robust fit to all differences of the network, under two assumptions: a path takes
+about as long in both directions (how nearly is estimated from how well the differences agree), and
+most clocks are right. A clock counts as wrong on clear evidence only.
+
+If all traffic goes in one direction, a wrong clock cannot be told from a long path: the clock
+counts as right and is marked as unidentified. So do those of cameras without positions, where all
+paths between two cameras are one. In a part of the network that consists of two cameras only, the
+clock of the camera with more events counts as right.
 """
 
 from __future__ import annotations
@@ -26,61 +27,73 @@ from camtopod.learn.clocks.two_way_paths import two_ways
 from camtopod.learn.traffic import Arrivals, Departures, Scene
 
 BIN_SECONDS = 1.0
+"""Width of the bins of the correlograms of zone pairs."""
 SCREENING_BIN_SECONDS = 4.0
+"""Width of the bins of the correlograms of camera pairs, by which large networks are screened."""
 ZONE_PAIRS_MAX = 6_000
-"""Ordered pairs of zones that are looked at closely; of larger networks, those of the most
-promising cameras.
-"""
+"""Limit of the ordered zone pairs tested; of more, those of the most promising camera pairs."""
 SPAN_MIN_SECONDS = 1800.0
-"""With less than this nothing is said: what stands out of chance cannot be told before chance is
-known.
-"""
+"""Least duration of the data; with less, the null model is not known well enough to find peaks."""
 CAMERAS_MAX = 250
-"""The clocks of the busiest cameras up to this many are looked at."""
+"""Limit of the cameras whose clocks are estimated; the busiest count."""
 ASYMMETRIES = (0.01, 0.02, 0.04, 0.08, 0.16)
-"""How unequal ways there and back may be, on average: half their difference, as a share of the way.
-Which it is at a site is learned ...
+"""Candidates for the asymmetry of the paths of a site, of which the likeliest is used.
+
+Asymmetry is half the difference of the transit times in both directions, as a share of the transit
+time, on average over paths.
 """
 ASYMMETRY_PRIOR = 0.04
-"""... and is about this where too few ways say."""
+"""Prior asymmetry, which decides if there are too few paths for an estimate."""
 SD_MIN_SECONDS = 0.05
+"""Least standard deviation of a difference of two clocks."""
 TURNING_SHARE = 0.2
-"""Objects commonly leave where they entered when more than this share of those who leave there
-do.
+"""Objects commonly turn around at a zone if more than this share of its exits are of objects that
+entered there.
 """
 SPREAD_SHARE_MAX = 0.75
-"""Transit times that vary by more than this share of the way are of several ways, which need not be
-the same back.
+"""Largest standard deviation of transit times, as a share of the transit time.
+
+Beyond, there are several paths, which need not be used equally in both directions.
 """
 SHORT_SECONDS = 2.0
-"""Shorter ways count as this long there."""
+"""Shorter transit times count as this long for `SPREAD_SHARE_MAX`."""
 RIGHT_WEIGHT = 0.01
-"""A second of offset of one clock weighs as much as this many standard deviations of disagreement
-of one way.
-"""
+"""Cost of a second of offset, in standard deviations of disagreement of one difference."""
 STAYS_RIGHT = 0.5
-"""How much more a clock is trusted that was right before."""
+"""Additional trust in a clock that was right before; the trust in a clock is otherwise 1 to 2."""
 OUTLIER_SD = 3.0
+"""Disagreement, in standard deviations, at which a difference weighs half; also the degrees of
+freedom of Student's t in `_with_asymmetry`.
+"""
 ROUNDS = 20
+"""Iterations of the robust least squares."""
 CLEAR_SD = 4.0
-"""A clock is wrong when its offset exceeds this many of its standard deviations ..."""
+"""A clock is wrong if its offset exceeds this many of its standard deviations (and
+`OFFSET_MIN_SECONDS`).
+"""
 OFFSET_MIN_SECONDS = 0.25
-"""... and this."""
+"""A clock is wrong if its offset exceeds this (and `CLEAR_SD` standard deviations)."""
 MOVE_SD = 2.0
-"""A known offset stays until the evidence is off by this many standard deviations ..."""
+"""A known offset is replaced if a new estimate differs by this many standard deviations (and
+`MOVE_MIN_SECONDS`).
+"""
 MOVE_MIN_SECONDS = 0.1
-"""... and by this."""
+"""A known offset is replaced if a new estimate differs by this (and `MOVE_SD` standard deviations).
+"""
 RELEARN_SECONDS = 0.5
-"""When an offset moves by more than this, what was known of lags is out of date."""
+"""Change of an offset beyond which lags must be learned anew."""
 REFRESH_SHARE = 0.2
-"""Clocks are looked at again when this share of the events is new."""
+"""Share of the events that must be new for a new estimate."""
 DECIMALS = 3
-"""Offsets are rounded to milliseconds: the last bits differ between processors."""
+"""Offsets are rounded to milliseconds, as the last bits differ between processors."""
 
 
 class Clocks(NamedTuple):
-    """Per camera (C,): how far its clock is ahead and the standard deviation of that (seconds; inf
-    where unknown), and whether any way in both directions tells.
+    """The clocks of the cameras; each column has shape (cameras,).
+
+    offset: clock offset in seconds, positive if the clock is fast.
+    sd: standard deviation of the offset in seconds, inf if unknown.
+    identified: True if there is a two-way path to another camera.
     """
 
     offset: Floats
@@ -89,8 +102,12 @@ class Clocks(NamedTuple):
 
 
 class Difference(NamedTuple):
-    """How far the clock of camera ``b`` is ahead of that of ``a`` if the way between them takes as
-    long there as back: ``transit``. All in seconds.
+    """Difference of two clocks from one two-way path.
+
+    a, b: indices of the cameras.
+    ahead, sd: offset of the clock of ``b`` relative to that of ``a`` in seconds, if the path takes
+        as long in both directions, and its standard deviation.
+    transit: transit time in seconds.
     """
 
     a: int
@@ -101,7 +118,7 @@ class Difference(NamedTuple):
 
 
 class ClockState(Struct):
-    """What a `ClockKeeper` knows."""
+    """The saved state of a `ClockKeeper`."""
 
     offset: Floats
     sd: Floats
@@ -110,38 +127,42 @@ class ClockState(Struct):
 
 
 def right_clocks(cameras: int) -> Clocks:
-    """Nothing is known."""
+    """Return clocks of which nothing is known, so that all count as right."""
     return Clocks(np.zeros(cameras), np.full(cameras, np.inf), np.zeros(cameras, bool))
 
 
 class ClockKeeper:
-    """What is known of the clocks, looked at again from time to time."""
+    """The latest estimate of the clocks, updated once enough events are new."""
 
     def __init__(self) -> None:
         self.clocks = right_clocks(0)
         self._looked = 0
 
     def save(self) -> ClockState:
-        """Everything `load` needs to go on from here."""
+        """Return the state from which `load` continues."""
         return ClockState(*self.clocks, self._looked)
 
     def load(self, state: ClockState) -> None:
-        """Go on from there."""
+        """Continue from a saved state."""
         self.clocks, self._looked = Clocks(state.offset, state.sd, state.identified), state.looked
 
     def keep(self, kept: Bools) -> None:
-        """Forget all cameras but those that are ``kept`` (cameras,), which are numbered anew."""
+        """Forget all cameras but those of the mask ``kept`` (cameras,), and renumber these."""
         offset, sd, identified = self.clocks
-        known = kept[: len(offset)]  # cameras that have come since the last look are not among them
+        # Cameras added since the last estimate are not among them.
+        known = kept[: len(offset)]
         self.clocks = Clocks(offset[known], sd[known], identified[known])
 
     def look(self, scene: Scene, cameras: int, learned: int) -> bool:
-        """Look again if there is enough new: ``scene`` by the cameras' own clocks, ``learned``
-        events up to now.
+        """Estimate the clocks again if there are new cameras or enough new events.
 
-        Returns whether a clock turns out to be off by so much from what was known that lags must be
-        learned anew.
+        scene: the events with uncorrected times.
+        cameras: number of cameras.
+        learned: number of events learned so far.
+
+        Return True if an offset changes so much that lags must be learned anew (`RELEARN_SECONDS`).
         """
+        # New cameras have right clocks so far.
         known = self.clocks
         if cameras > len(known.offset):
             more = right_clocks(cameras - len(known.offset))
@@ -150,13 +171,17 @@ class ClockKeeper:
             len(scene.departures.t) + len(scene.arrivals.t)
         ):
             return False
+
+        # Change only what clearly differs.
         self.clocks, self._looked = held(known, estimate_clocks(scene, cameras, known)), learned
         return bool((np.abs(self.clocks.offset - known.offset) > RELEARN_SECONDS).any())
 
 
 def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:
-    """Offsets of all clocks from what left and came, by those clocks; ``known`` from an earlier
-    look.
+    """Estimate the offsets of all clocks.
+
+    scene: the events with uncorrected times.
+    known: an earlier estimate.
     """
     departures, arrivals = scene.departures, scene.arrivals
     if (
@@ -165,6 +190,8 @@ def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:
         or scene.last - scene.first < SPAN_MIN_SECONDS
     ):
         return right_clocks(cameras)
+
+    # Solve for the offsets from the differences of pairs of clocks.
     weight = np.bincount(departures.camera, minlength=cameras) + np.bincount(
         arrivals.camera, minlength=cameras
     )
@@ -175,8 +202,9 @@ def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:
 
 
 def turning(scene: Scene) -> Bools:
-    """(zones,) where objects leave the view that entered it there: a camera's only zone, and what
-    its tracks say.
+    """Return True for zones (zones,) at which objects commonly turn around.
+
+    These are the only zones of their cameras, and those where tracks show it (`TURNING_SHARE`).
     """
     camera_of = np.array([zone.camera for zone in scene.zones], np.int64)
     zones, p = len(scene.zones), scene.passages
@@ -192,7 +220,13 @@ def differences(
     turning: Bools,
     weight: NDArray[np.int64],
 ) -> list[Difference]:
-    """What every way walked in both directions says. ``weight`` (cameras,): how busy they are."""
+    """Find all two-way paths, and return the difference of clocks that each shows.
+
+    camera_of (zones,): camera of each zone.
+    turning (zones,): True where objects commonly turn around.
+    weight (cameras,): number of events of each camera.
+    """
+    # The pairs of the busiest cameras; if too many, the most promising ones.
     zones_of = [np.flatnonzero(camera_of == camera) for camera in range(len(weight))]
     busiest = np.sort(np.argsort(-weight, kind="stable")[:CAMERAS_MAX])
     pairs = [(int(a), int(b)) for k, a in enumerate(busiest) for b in busiest[k + 1 :]]
@@ -201,6 +235,8 @@ def differences(
         pairs = _promising(departures, arrivals, pairs, zones_of)
     if not pairs:
         return []
+
+    # Correlograms of all pairs of zones of each pair of cameras.
     left, came = (departures.t, departures.zone), (arrivals.t, arrivals.zone)
     seen = correlograms(left, came, len(camera_of), BIN_SECONDS)
     found = []
@@ -211,10 +247,13 @@ def differences(
             ends.ravel().astype(np.int32)
             for ends in np.meshgrid(zones_of[a], zones_of[b], indexing="ij")
         )
+
+        # Their two-way paths.
         for k, way in two_ways(seen.of(u, v), seen.of(v, u)):
             if way.spread > SPREAD_SHARE_MAX * max(abs(way.transit), SHORT_SECONDS / BIN_SECONDS):
                 continue
-            # One walk from u to v then also shows as a way from v to u that ends before it begins.
+            # If objects turn around at both zones, one walk from u to v also looks like one from v
+            # to u with a negative transit time.
             if turning[u[k]] and turning[v[k]]:
                 continue
             sd = max(way.sd * BIN_SECONDS, SD_MIN_SECONDS)
@@ -228,9 +267,11 @@ def _promising(
     pairs: list[tuple[int, int]],
     zones_of: list[NDArray[np.intp]],
 ) -> list[tuple[int, int]]:
-    """The pairs of cameras that have most in common both ways, up to the limit of pairs of
-    zones.
+    """Return the camera pairs with the highest peaks, up to `ZONE_PAIRS_MAX` pairs of zones.
+
+    The lower peak of the two directions counts.
     """
+    # Highest peak of each pair of cameras.
     a, b = (np.array([pair[k] for pair in pairs], np.int32) for k in range(2))
     left, came = (departures.t, departures.camera), (arrivals.t, arrivals.camera)
     seen = correlograms(left, came, len(zones_of), SCREENING_BIN_SECONDS)
@@ -240,22 +281,28 @@ def _promising(
         peak[some] = np.minimum(
             highest(seen.of(a[some], b[some])), highest(seen.of(b[some], a[some]))
         )
+
+    # The best ones within the limit.
     order = np.argsort(-peak, kind="stable")
     size = np.cumsum([2 * len(zones_of[a[k]]) * len(zones_of[b[k]]) for k in order])
     return [pairs[k] for k in np.sort(order[(size <= ZONE_PAIRS_MAX)])]
 
 
 def solve(found: list[Difference], weight: NDArray[np.int64], known: Clocks) -> Clocks:
-    """Offsets of all clocks (C,) from differences between them; ``weight`` (C,): how busy the
-    cameras are.
+    """Estimate the offsets of all clocks from differences between them.
 
-    Only differences can be known: as many clocks as possible are right, rather those that were so
-    far (``known``), then the busier.
+    weight (cameras,): number of events of each camera.
+    known: an earlier estimate.
+
+    Differences do not determine the offsets alone: as many clocks as possible are right, first
+    those that were right in ``known``, then those of busier cameras.
     """
     cameras = len(weight)
     clocks = right_clocks(cameras)
     if not found:
         return clocks
+
+    # A robust first estimate, in which most offsets are zero.
     a, b = np.array([d.a for d in found]), np.array([d.b for d in found])
     ahead = np.array([d.ahead for d in found])
     trust = (
@@ -266,6 +313,8 @@ def solve(found: list[Difference], weight: NDArray[np.int64], known: Clocks) -> 
     sd = _with_asymmetry(found, trust)
     clocks.identified[a] = clocks.identified[b] = True
     offset = _least_disagreement(a, b, ahead, sd, trust)
+
+    # Least squares over the wrong clocks; the least clear one counts as right, until all are clear.
     wrong = clocks.identified & (np.abs(offset) > 1e-6)
     while True:
         offset, error = _least_squares(a, b, ahead, sd, wrong, offset)
@@ -281,24 +330,27 @@ def solve(found: list[Difference], weight: NDArray[np.int64], known: Clocks) -> 
 
 
 def _with_asymmetry(found: list[Difference], trust: Floats) -> Floats:
-    """Standard deviation of each difference (D,) with what ways there and back differ by at this
-    site: the likeliest given how well the differences agree.
+    """Return the standard deviation of each difference, including the asymmetry of paths.
+
+    The asymmetry (`ASYMMETRIES`) is the likeliest given how well the differences agree.
     """
     a, b = np.array([d.a for d in found]), np.array([d.b for d in found])
     ahead, own, way = (
         np.array([getattr(d, name) for d in found]) for name in ("ahead", "sd", "transit")
     )
+
+    # Degrees of freedom left beside the offsets, as a share of the differences.
     told = np.unique(np.concatenate((a, b)))
-    more = max(len(found) - len(told) + 1, 0) / len(
-        found
-    )  # what is left of the differences beside the offsets
+    more = max(len(found) - len(told) + 1, 0) / len(found)
+
+    # Compare the posterior of the candidates.
     best, best_score = own, -np.inf
     for asymmetry in ASYMMETRIES:
         sd = np.hypot(own, asymmetry * way)
         offset = _least_disagreement(a, b, ahead, sd, trust)
         squared = ((ahead - offset[b] + offset[a]) / sd) ** 2
-        # Student's t with OUTLIER_SD degrees of freedom or so: a way there by another route than
-        # back is an outlier.
+        # Student's t with OUTLIER_SD degrees of freedom: a path that differs from the path back is
+        # an outlier.
         likelihood = more * float(
             np.sum(-np.log(sd)) - 2.0 * np.sum(np.log1p(squared / max(more, 1e-9) / OUTLIER_SD))
         )
@@ -311,15 +363,18 @@ def _with_asymmetry(found: list[Difference], trust: Floats) -> Floats:
 def _least_disagreement(
     a: NDArray[np.intp], b: NDArray[np.intp], ahead: Floats, sd: Floats, trust: Floats
 ) -> Floats:
-    """Offsets (C,) with the least sum of absolute disagreements, most of them zero: a linear
-    programme.
+    """Return the offsets (cameras,) with the least sum of absolute disagreements.
 
-    ``trust`` (C,): how much each clock is held to be right.
+    a, b, ahead, sd (differences,): as in `Difference`.
+    trust (cameras,): cost factor of an offset of each clock, so that most offsets are zero.
     """
     n, cameras = len(a), len(trust)
-    # Variables: offsets, their absolute values, and the disagreement of each difference (in
-    # standard deviations).
+
+    # A linear programme. Variables: the offsets, their absolute values, and the disagreement of
+    # each difference in standard deviations.
     cost = np.concatenate((np.zeros(cameras), RIGHT_WEIGHT * trust, np.ones(n)))
+
+    # Constraints: disagreements and absolute values are at least either sign of their argument.
     k, c = np.arange(n), np.arange(cameras)
     above, below, left, right = k, n + k, 2 * n + c, 2 * n + cameras + c
     rows = np.concatenate((above, above, above, below, below, below, left, left, right, right))
@@ -334,10 +389,12 @@ def _least_disagreement(
         (values, (rows, columns)), shape=(2 * n + 2 * cameras, 2 * cameras + n)
     ).tocsr()
     limit = np.concatenate((ahead / sd, -ahead / sd, np.zeros(2 * cameras)))
+
+    # Solve.
     bounds = [(None, None)] * cameras + [(0, None)] * (cameras + n)
     result = linprog(cost, A_ub=matrix, b_ub=limit, bounds=bounds, method="highs-ds")
     if not result.success:
-        raise ArithmeticError(f"offsets of clocks: {result.message}")
+        raise ArithmeticError(f"cannot estimate the clock offsets: {result.message}")
     offset: Floats = result.x[:cameras]
     return offset
 
@@ -350,9 +407,16 @@ def _least_squares(
     wrong: Bools,
     offset: Floats,
 ) -> tuple[Floats, Floats]:
-    """Offsets (C,) of the wrong clocks, the others being right, and standard deviations (C,) of
-    all: least squares in which differences that disagree with the rest count little.
+    """Estimate the offsets of the wrong clocks by robust least squares.
+
+    a, b, ahead, sd (differences,): as in `Difference`.
+    wrong (cameras,): True for clocks that may have an offset.
+    offset (cameras,): first estimate.
+
+    Return the offsets and the standard deviations, (cameras,) each. Differences that disagree with
+    the others have little weight (`OUTLIER_SD`).
     """
+    # Iteratively reweighted least squares.
     cameras = len(wrong)
     offset = np.where(wrong, offset, 0.0)
     free = np.flatnonzero(wrong)
@@ -367,6 +431,8 @@ def _least_squares(
         if len(free) == 0:
             break
         offset[free] = np.linalg.lstsq(normal[np.ix_(free, free)], pull[free])[0]
+
+    # Standard deviations: of a right clock from its own differences, of the wrong ones together.
     error = np.full(cameras, np.inf)
     told = np.diag(normal) > 0
     error[told] = 1.0 / np.sqrt(np.diag(normal)[told])
@@ -378,10 +444,9 @@ def _least_squares(
 
 
 def held(known: Clocks, found: Clocks) -> Clocks:
-    """What is known of the clocks after a new look: offsets stay as they are unless the evidence
-    against is clear.
+    """Return the known clocks with those offsets replaced that clearly differ in a new estimate.
 
-    Where there is no evidence any more, clocks count as right again.
+    Clocks that are no longer identified count as right again.
     """
     away = np.abs(found.offset - known.offset)
     moves = ~found.identified | (away > np.maximum(MOVE_SD * found.sd, MOVE_MIN_SECONDS))

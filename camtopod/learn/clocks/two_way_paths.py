@@ -1,9 +1,9 @@
-"""Ways that are walked in both directions, seen by two clocks.
+"""Two-way paths: paths walked in both directions, which show the difference of two clocks.
 
-Where the way from zone u to zone v takes as long as the way back, the lags from u to v are later by
-how much the clock at v is ahead, and those from v to u earlier by the same. So the correlogram one
-way is that of the other shifted by twice the difference of the clocks, for unseen paths,
-overlapping views and ways over other cameras alike.
+If a path takes as long from zone u to zone v as back, the lags from u to v appear longer by the
+offset of v's clock relative to u's, and those from v to u shorter by the same. So the correlogram
+of one direction is that of the other shifted by twice the offset. This holds for unseen paths,
+overlapping views and paths through the views of other cameras alike.
 """
 
 from __future__ import annotations
@@ -18,30 +18,38 @@ from camtopod.arrays import Floats
 from camtopod.learn.clocks.correlogram import LAGS, Counts, chance, standing_out
 
 SHIFT_SMOOTHING_BINS = 3.0
+"""Standard deviation of the smoothing over shifts, bins."""
 TRANSFORM = 4 * 1024
-"""Length of the transforms; holds shifts of up to 2 LAGS."""
+"""Length of the Fourier transforms, enough for shifts of up to 2 `LAGS`."""
 PEAK_MIN = 3.0
+"""Least match (`best_shift`) of the best shift."""
 PEAK_WIDTH_BINS = 60
+"""Shifts at most this far from the best one belong to the same peak."""
 RUNNER_UP_MAX = 0.2
-"""A shift is found when no other (further off than the peak's width) explains more than this share
-as much.
-"""
+"""Largest match of any shift outside the peak of the best one, as a share of the best match."""
 SHARE_MIN = 0.02
-"""Pairs of zones count that have at least this share of what the best shift explains."""
+"""Least match of a pair of zones at the best shift, as a share of the best match."""
 WIDTHS_BINS = (3.0, 60.0)
+"""Limits of the width (standard deviation) of the window around a peak."""
 FIRST_WIDTH_BINS = 10.0
+"""Width (standard deviation) of the first window."""
 ROUNDS = 12
+"""Iterations of the mean shift."""
 WIDE, WIDE_ROUNDS = 2.0, 4
-"""In a window wider by this the answer must be much the same."""
+"""Factor of a wider window that checks the result, and the iterations in it."""
 WITHIN_MIN = 0.3
-"""Least variance of a peak (bins squared): that of counting in bins and a little more."""
+"""Least variance of a peak, bins squared: a little more than that of counting in bins."""
 EVENTS_MIN = 8.0
-"""More than chance, in each direction."""
+"""Least events above the null model within the window, in each direction."""
 
 
 class TwoWay(NamedTuple):
-    """A way walked in both directions: how far the second clock is ahead of the first, its standard
-    deviation, and the transit time in right time and its spread; all in bins.
+    """A path walked in both directions; all values are in bins.
+
+    ahead, sd: offset of the second clock relative to the first (positive if fast), and its standard
+        deviation.
+    transit, spread: mean transit time in corrected time, and the standard deviation of transit
+        times.
     """
 
     ahead: float
@@ -51,10 +59,14 @@ class TwoWay(NamedTuple):
 
 
 def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
-    """By how many bins the correlograms ``forth`` (K, lags) are later than those ``back`` (K,
-    lags), both as `standing_out` has them, and how much of them that explains; 0.0 when it is not
-    clear.
+    """Return the shift in bins of one direction against the other that matches best, and the match.
+
+    forth, back (K, lags): peaks of the correlograms of K pairs of zones (`standing_out`).
+
+    The shift is positive if lags are longer in ``forth``. The match is the sum of products of the
+    peaks; 0.0 if it is too small or not clearly better than that of any other shift.
     """
+    # Match of every shift, summed over the pairs of zones.
     product = (scipy.fft.rfft(forth, TRANSFORM) * np.conj(scipy.fft.rfft(back, TRANSFORM))).sum(
         axis=0
     )
@@ -62,6 +74,8 @@ def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
     match = gaussian_filter1d(
         np.concatenate((match[-2 * LAGS :], match[: 2 * LAGS + 1])), SHIFT_SMOOTHING_BINS
     )
+
+    # The best shift must be clearly better than those outside its peak.
     at = int(np.argmax(match))
     peak = float(match[at])
     match[max(at - PEAK_WIDTH_BINS, 0) : at + PEAK_WIDTH_BINS + 1] = 0.0
@@ -70,20 +84,26 @@ def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
 
 
 def two_ways(forth: Counts, back: Counts) -> list[tuple[int, TwoWay]]:
-    """Ways between two cameras from the correlograms of K pairs of zones, there and back: (pair,
-    way).
+    """Find the two-way paths between two cameras; return them as (pair of zones, path).
+
+    forth, back (K, lags): correlograms of K pairs of zones in both directions.
     """
+    # The shift that all pairs of zones of the two cameras have in common.
     usual = chance(forth), chance(back)
     clear = standing_out(forth, usual[0]), standing_out(back, usual[1])
     shift, peak = best_shift(*clear)
     if peak <= 0.0:
         return []
+
+    # Peaks that both directions have at this shift.
     aligned = np.zeros_like(clear[0])
     size = aligned.shape[1]
     aligned[:, max(-shift, 0) : size - max(shift, 0)] = clear[0][
         :, max(shift, 0) : size - max(-shift, 0)
     ]
     together = gaussian_filter1d(aligned * clear[1], SHIFT_SMOOTHING_BINS, axis=1, mode="constant")
+
+    # Refine those of each pair of zones that are high enough.
     found = []
     for k in np.flatnonzero(together.max(axis=1) >= SHARE_MIN * peak):
         there = int(np.argmax(together[k])) - LAGS
@@ -98,9 +118,14 @@ def two_ways(forth: Counts, back: Counts) -> list[tuple[int, TwoWay]]:
 def _centred(
     counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], forth: float, back: float
 ) -> TwoWay | None:
-    """The way whose peaks are near these lags (bins), by mean shift in a normal window one and a
-    half times as wide as the peaks; None when there is no peak.
+    """Return the two-way path with peaks near the lags ``forth`` and ``back`` (bins), if any.
+
+    counts, usual: correlogram of each direction, and its expectation under the null model.
+
+    The centres of the peaks are found by mean shift in a normal window 1.5 times as wide as the
+    peaks.
     """
+    # Mean shift, adapting the width of the window to that of the peaks.
     centres, width, within, error, spread = np.array([forth, back]), FIRST_WIDTH_BINS, 0.0, 0.0, 0.0
     for _ in range(ROUNDS):
         step = _step(counts, usual, centres, width)
@@ -108,17 +133,20 @@ def _centred(
             return None
         centres, within, error = step
         within = min(max(within, WITHIN_MIN), 0.9 * width**2)
-        spread = float(
-            1.0 / np.sqrt(1.0 / within - 1.0 / width**2)
-        )  # the window makes a normal peak narrower by this
+        # The width of a normal peak that the window has made narrower.
+        spread = float(1.0 / np.sqrt(1.0 / within - 1.0 / width**2))
         last, width = width, float(np.clip(1.5 * spread, *WIDTHS_BINS))
+
+    # Half the difference of the two lags is the offset.
     ahead = 0.5 * float(centres[0] - centres[1])
     sd = 0.5 * error / (1.0 - within / last**2)
+
+    # Crowds of two speeds have two peaks, of which each direction may find another one. Then the
+    # result differs in a wider window, by which the standard deviation is enlarged.
     wide = centres
     for _ in range(WIDE_ROUNDS):
         step = _step(counts, usual, wide, WIDE * width)
         wide = centres if step is None else step[0]
-    # Crowds of two speeds have two peaks; there and back it may be another one that is found.
     other = abs(0.5 * float(wide[0] - wide[1]) - ahead)
     sd = float(np.hypot(sd, other)) if other > WIDE * sd else sd
     return TwoWay(ahead, sd, 0.5 * float(centres[0] + centres[1]), spread)
@@ -127,8 +155,13 @@ def _centred(
 def _step(
     counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], centres: Floats, width: float
 ) -> tuple[Floats, float, float] | None:
-    """What is in windows around the centres (2,): its centres (2,), its variance around the old
-    ones, and the standard error of the difference of the new; None when there is too little.
+    """Do one step of the mean shift; return None if there are too few events.
+
+    centres (2,): centre of the window in each direction, bins.
+    width: standard deviation of the windows, bins.
+
+    Return the new centres (2,), the variance of the events in the windows around the old centres,
+    and the standard error of the difference of the new centres.
     """
     lag = np.arange(-LAGS, LAGS + 1)
     number, moment, centre, error = np.zeros(2), np.zeros(2), np.zeros(2), 0.0
