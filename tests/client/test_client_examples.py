@@ -1,5 +1,5 @@
-"""The examples of the client library as their readers run them, against a real daemon; README shows
-the same.
+"""The examples of the client library as their readers run them, against a real daemon; the pages
+show the same.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_bus_daemon import NOW, Hub, a_hub, learned, put, running
-from paths import EXAMPLES, ROOT
+from pages import blocks
+from paths import DEPLOY, EXAMPLES, ROOT
 from serving import T0, closing_event, free_endpoint, numbered, small_config, wait_for
 
 from camtopod.codec import to_json
@@ -25,6 +26,8 @@ from camtopod.records import Event
 from camtopod.serve.bus.session import dial
 
 README = (ROOT / "README.md").read_text()
+PROTOCOL = (DEPLOY / "protocol.md").read_text()
+INTEGRATIONS = (DEPLOY / "integrations.md").read_text()
 LINES_MAX = 10
 """Without imports."""
 
@@ -161,17 +164,8 @@ def test_as_it_comes(hub: Hub) -> None:
     assert re.match(r"version \d+: \d pairs of cameras", lines[0])
 
 
-def test_the_bus_itself_as_readme_shows_it(hub: Hub) -> None:
-    """The lines without camtopod, word for word but for where the daemon is."""
-    [shown] = re.findall(
-        r"^```python\n(import json, msgspec, zenoh\n.*?)^```$", README, re.DOTALL | re.MULTILINE
-    )
-    assert (
-        len([line for line in shown.splitlines() if line and not line.startswith("import ")])
-        <= LINES_MAX
-    )
-    assert shown.count('"tcp/127.0.0.1:7447"') == 1
-    block = shown.replace("tcp/127.0.0.1:7447", hub.daemon.endpoint)
+def printed_until_a_prediction(hub: Hub, block: str, lines_min: int) -> list[str]:
+    """Run a block of Python while objects pass, until it has printed so many lines."""
     with subprocess.Popen(
         [sys.executable, "-u", "-c", block], stdout=subprocess.PIPE, text=True
     ) as running:
@@ -180,21 +174,43 @@ def test_the_bus_itself_as_readme_shows_it(hub: Hub) -> None:
         reader = threading.Thread(target=lines.extend, args=(running.stdout,), daemon=True)
         reader.start()
 
-        def prediction_quality() -> bool:
+        def enough() -> bool:
             hub.walks(1, 15)
-            return len(lines) > 1
+            return len(lines) >= lines_min
 
         try:
-            wait_for(prediction_quality, "a prediction")
+            wait_for(enough, "a prediction")
         finally:
             running.kill()
         reader.join()
+    return lines
+
+
+def test_the_bus_itself_as_the_page_shows_it(hub: Hub) -> None:
+    """The lines without camtopod, word for word but for where the daemon is."""
+    [shown] = blocks(PROTOCOL, "python")
+    assert (
+        len([line for line in shown.splitlines() if line and not line.startswith("import ")])
+        <= LINES_MAX
+    )
+    assert shown.count('"tcp/127.0.0.1:7447"') == 1
+    lines = printed_until_a_prediction(
+        hub, shown.replace("tcp/127.0.0.1:7447", hub.daemon.endpoint), 2
+    )
     assert [pair["cameras"] for pair in ast.literal_eval(lines[0])] == [["a", "b"], ["a", "c"]]
     prediction = ast.literal_eval(lines[1])
     assert prediction["camera"] in "abc"
     assert prediction["leave"] + sum(
         one["probability"] for one in prediction["next"]
     ) == pytest.approx(1.0)
+
+
+def test_the_client_as_readme_shows_it(hub: Hub) -> None:
+    [shown] = blocks(README, "python")
+    assert shown.count("Topology.connect()") == 1
+    here = shown.replace("connect()", f"connect(connect={hub.daemon.endpoint!r})")
+    lines = printed_until_a_prediction(hub, here, 1)
+    assert re.fullmatch(r"[abc] -> [abc] \d+% in -?\d+ to \d+ s\n", lines[0])
 
 
 @pytest.mark.parametrize("name", ["next_camera.py", "gating.py", "handing_over.py"])
@@ -207,9 +223,8 @@ def test_it_takes_ten_lines(name: str) -> None:
     assert len(lines) <= LINES_MAX
 
 
-def test_readme_has_the_tested_lines() -> None:
-    section = README.split("\n## For trackers\n")[1].split("\n## ")[0]
-    assert f"```python\n{code('gating.py')}```" in section
+def test_the_page_has_the_tested_lines() -> None:
+    assert code("gating.py") in blocks(INTEGRATIONS, "python")
 
 
 def code(name: str) -> str:

@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from pages import FENCED, invocations
+from pages import blocks, invocations
 from paths import DEPLOY
 
 from camtopod.cli.cameras.status_reporter import CLOSE_SECONDS
@@ -36,7 +36,8 @@ DEVICE = [
 """What lets a camera of this machine in."""
 EXPOSURE_MAX = 2.0
 """Of ten, as `systemd-analyze security` counts; what is left is the network."""
-README = (DEPLOY / "README.md").read_text()
+OPERATIONS = (DEPLOY / "operations.md").read_text()
+SECURITY = (DEPLOY / "security.md").read_text()
 
 
 def directives(path: Path) -> dict[str, list[str]]:
@@ -50,7 +51,7 @@ def directives(path: Path) -> dict[str, list[str]]:
 def test_what_the_configuration_names_is_handed_to_the_service() -> None:
     daemons, boxes = (
         re.findall(r'"\$CREDENTIALS_DIRECTORY/([^"]+)"', part.split("END\n```")[0])
-        for part in README.split("The daemon's machine:")[1].split("Each box, here")
+        for part in SECURITY.split("The daemon's machine:")[1].split("Each box, here")
     )
     for file, named in zip(UNITS, (daemons, boxes), strict=True):
         drop_ins = [directives(path) for path in (DEPLOY / f"{file}.d").iterdir()]
@@ -67,7 +68,7 @@ def test_a_camera_s_file_is_called_as_the_service_is_handed_it() -> None:
     [handed] = directives(DEPLOY / "camtopod-grab@.service.d" / "source.conf")["LoadCredential"]
     name, _, path = handed.partition(":")
     assert (name, Path(path).name) == ("%i", "%i")
-    assert f"export CREDENTIALS_DIRECTORY={Path(path).parent}\n" in README
+    assert f"export CREDENTIALS_DIRECTORY={Path(path).parent}\n" in OPERATIONS
     text = written(Config(), {"lobby": "0"}, {"lobby": []}, ["lobby"], handed=True)
     assert 'source_file = "$CREDENTIALS_DIRECTORY/lobby"' in text
     assert Path(path).parent == Path("/etc/camtopod") / SECRETS
@@ -112,7 +113,7 @@ def test_the_page_begins_with_what_services_can_read() -> None:
     """Their users own nothing in /etc and are in no group of it: `init --credentials` writes no
     password there.
     """
-    first, then = README.split("```")[1:4:2]
+    first, then = blocks(OPERATIONS, "sh")[:2]
     assert first.endswith(" -\n"), "what is pasted behind it would be read as cameras"
     parser, _ = parser_of(COMMANDS)
     [init] = [words for line in first.splitlines() for words in invocations(line)]
@@ -137,7 +138,7 @@ def test_the_page_s_service_is_shown_the_pictures_that_init_keeps() -> None:
     parser, _ = parser_of(COMMANDS)
     args = parser.parse_args(command.split()[1:])
     assert args.pictures == Path("/var/lib") / folder
-    assert f"init --credentials --pictures {args.pictures} " in README
+    assert f"init --credentials --pictures {args.pictures} " in OPERATIONS
     assert unit["StateDirectoryMode"] == ["0750"]
 
 
@@ -219,59 +220,6 @@ def assert_taken(unit: Path) -> None:
     security = ["systemd-analyze", "security", "--offline=true", "--no-pager", threshold, str(unit)]
     done = subprocess.run(security, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
-
-
-# --- the pages ------------------------------------------------------------------------------------
-
-
-def in_pages() -> list[tuple[str, str]]:
-    """(page, line) wherever a page shows a command: in a block, or between backquotes with more
-    than its name.
-    """
-    found = []
-    for page in sorted(DEPLOY.glob("*.md")):
-        text = page.read_text()
-        shown = "".join(
-            block for language, block in FENCED.findall(text) if language in ("", "ini")
-        )
-        lines = re.sub(r"<<'END'\n.*?^END$", "", shown, flags=re.DOTALL | re.MULTILINE).splitlines()
-        lines += re.findall(r"`(camtopod \w+ [^`]+)`", text)
-        found += [(page.name, line) for line in lines]
-    return found
-
-
-def test_every_command_of_the_pages_exists() -> None:
-    parser, _ = parser_of(COMMANDS)
-    seen = set()
-    for page, line in in_pages():
-        for arguments in invocations(line):
-            try:
-                parsed = parser.parse_args(
-                    [argument.replace("I/N", "0/8") for argument in arguments]
-                )
-            except SystemExit:
-                pytest.fail(f"{page}: {line}")
-            seen.add((page, parsed.command))
-    assert {page for page, _ in seen} == {path.name for path in DEPLOY.glob("*.md")}
-    assert {command for _, command in seen} >= {
-        "bridge",
-        "check",
-        "grab",
-        "init",
-        "keys",
-        "run",
-        "watch",
-        "web",
-    } - {"grab"}
-
-
-def test_every_file_of_the_pages_exists() -> None:
-    for page in DEPLOY.glob("*.md"):
-        for name in re.findall(r"deploy/([\w@.-]+)", page.read_text()):
-            assert name.startswith(("site", "*")) or list(DEPLOY.glob(f"{name}*")), (
-                page.name,
-                name,
-            )
 
 
 def test_the_commands_of_the_units_exist() -> None:

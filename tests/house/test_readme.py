@@ -1,5 +1,7 @@
-"""What README shows is there: its commands, its lines of Python, the tests, files and extras it
-names.
+"""What the pages show is there: commands, benches, lines of Python, tests, files and extras.
+
+Of the lines of Python those of the client and of the bus are in `test_client_examples`; what is
+special to the pages of deploy/ is in `test_deploy`.
 """
 
 from __future__ import annotations
@@ -9,9 +11,10 @@ import importlib
 import re
 import shlex
 import tomllib
+from pathlib import Path
 
 import pytest
-from pages import FENCED, invocations
+from pages import FENCED, PAGES, blocks, invocations, links, shown
 from paths import ROOT
 from serving import numbered, walkers
 
@@ -20,55 +23,105 @@ from camtopod.codec import event_from_json
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
 
-README = (ROOT / "README.md").read_text()
+LINES_MAX, COLUMNS_MAX = 200, 100
+"""Of README.md: what somebody reads in five minutes, as wide as the code."""
+TEXTS = {str(page.relative_to(ROOT)): page.read_text() for page in PAGES}
+README = TEXTS["README.md"]
+ALL = "\n".join(TEXTS.values())
 PLACEHOLDERS = {
     "camtopod COMMAND --help": "camtopod learn events.jsonl",
     "camtopod completion SHELL": "camtopod completion zsh",
-    "camtopod export TOPOLOGY.json --format F": "camtopod export TOPOLOGY.json --format dot",
+    "--format F": "--format dot",
     "camtopod ingest FORMAT [FILE]": "camtopod ingest jsonl FILE",
     "camtopod keys init\\|camera NAME\\|list": "camtopod keys init; camtopod keys camera NAME; camtopod keys list",
     "$(($(date +%s) - 3600))": "1700000000",
+    "--shard I/N": "--shard 0/8",
 }
-"""What stands for something else, and something that it stands for."""
-BLOCKS = [block for language, block in FENCED.findall(README) if language == "python"]
-
-
-def lines() -> list[str]:
-    """Every line that is set as code, and every command between backquotes that has more than its
-    name.
-    """
-    prose = FENCED.sub("", README)
-    shown = [line.strip() for line in prose.splitlines() if line.startswith("    ")]
-    quoted = [" ".join(text.split()) for text in re.findall(r"`([^`]+)`", prose)]
-    return shown + [text for text in quoted if re.match(r"camtopod\s+\S+\s", text)]
+"""A placeholder, and an example of what it stands for."""
+PYTHON = [(page, block) for page, text in TEXTS.items() for block in blocks(text, "python")]
 
 
 def block_with(text: str) -> str:
-    [found] = [block for block in BLOCKS if text in block]
+    [found] = [block for _, block in PYTHON if text in block]
     return found
+
+
+def ids(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+# --- form -----------------------------------------------------------------------------------------
+
+
+def test_readme_is_short() -> None:
+    lines = README.splitlines()
+    assert len(lines) <= LINES_MAX
+    assert [line for line in lines if len(line) > COLUMNS_MAX] == []
+
+
+def test_every_page_is_listed() -> None:
+    found = {
+        path
+        for folder in ("bench", "camtopod", "deploy", "tests")
+        for path in (ROOT / folder).rglob("*.md")
+    }
+    assert found | {ROOT / "README.md"} == set(PAGES)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids)
+def test_every_link_leads_to_a_file(page: Path) -> None:
+    for target in links(page.read_text()):
+        path, _, heading = target.partition("#")
+        file = (page.parent / path) if path else page
+        assert file.exists(), target
+        if heading:
+            headings = re.findall(r"^#+ (.*)$", FENCED.sub("", file.read_text()), re.MULTILINE)
+            anchors = [re.sub(r"[^\w -]", "", one.lower()).replace(" ", "-") for one in headings]
+            assert heading in anchors, target
+
+
+def test_every_page_can_be_reached_from_readme() -> None:
+    reached, waiting = set(), [ROOT / "README.md"]
+    while waiting:
+        page = waiting.pop()
+        reached.add(page)
+        targets = (page.parent / target.partition("#")[0] for target in links(page.read_text()))
+        pages = (target.resolve() for target in targets if target.suffix == ".md")
+        waiting += [target for target in pages if target not in reached]
+    assert reached >= set(PAGES)
+
+
+# --- commands -------------------------------------------------------------------------------------
 
 
 def test_every_command_exists() -> None:
     parser, _ = parser_of(COMMANDS)
-    seen, stood_for = set(), set()
-    for line in lines():
-        meant = line
-        for placeholder, one in PLACEHOLDERS.items():
-            if placeholder in meant:
-                meant = meant.replace(placeholder, one)
-                stood_for.add(placeholder)
-        for arguments in invocations(meant):
-            try:
-                seen.add(parser.parse_args(arguments).command)
-            except SystemExit:
-                pytest.fail(line)
-    assert stood_for == set(PLACEHOLDERS)
-    assert set(COMMANDS) - seen == {"doctor"}, (
-        "named without an argument, as are those in the table"
-    )
-    named = set(re.findall(r"`camtopod (\w+)`", README))
-    assert named <= set(COMMANDS)
-    assert seen | named == set(COMMANDS)
+    seen, replaced = set(), set()
+    for page, text in TEXTS.items():
+        for line in shown(text):
+            meant = line
+            for placeholder, example in PLACEHOLDERS.items():
+                if placeholder in meant:
+                    meant = meant.replace(placeholder, example)
+                    replaced.add(placeholder)
+            if "camtopod" not in meant or re.fullmatch(r"\S*camtopod\S*( \w+)?", meant):
+                continue
+            for arguments in invocations(meant):
+                if not arguments or not {*arguments} & {*COMMANDS}:
+                    continue
+                try:
+                    seen.add(parser.parse_args(arguments).command)
+                except SystemExit:
+                    pytest.fail(f"{page}: {line}")
+    assert replaced == set(PLACEHOLDERS)
+    assert seen == set(COMMANDS)
+
+
+def test_every_command_is_in_both_tables() -> None:
+    for page in ("README.md", "deploy/commands.md"):
+        rows = re.findall(r"^\| `camtopod (\w+)", TEXTS[page], re.MULTILINE)
+        assert sorted(rows) == sorted(COMMANDS), page
+    assert set(re.findall(r"`camtopod (\w+)`", ALL)) <= set(COMMANDS)
 
 
 def test_every_bench_takes_what_it_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,46 +136,67 @@ def test_every_bench_takes_what_it_is_given(monkeypatch: pytest.MonkeyPatch) -> 
 
     parse = argparse.ArgumentParser.parse_args
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", read_only)
-    shown = set(re.findall(r"`(?:python -m )?bench (\w+)([^`]*)`", README))
-    assert len(shown) > 10
-    for part, options in shown:
+    lines = [" ".join(line.split()) for line in shown(ALL)]
+    benches = {found for line in lines for found in re.findall(r"\bbench (\w+)([^`]*)", line)}
+    assert len(benches) > 15
+    for part, options in benches:
         main = importlib.import_module(f"bench.{part}").main
-        if options:
+        given = options.split(" #")[0].replace("{hall,crowd,walkway,road}", "hall")
+        if given.strip():
             with pytest.raises(Read):
-                main(shlex.split(options))
+                main(shlex.split(given))
 
 
-def test_every_test_file_and_extra_exists() -> None:
+# --- names ----------------------------------------------------------------------------------------
+
+
+def test_every_test_exists() -> None:
     tests = {path.stem for path in ROOT.glob("tests/**/test_*.py")}
-    named = set(re.findall(r"\b(test_\w+)", README))
-    assert len(named) > 15
-    assert named - tests == set()
-    for path in re.findall(r"\b((?:tests|deploy|bench)/[\w./-]*\w)", README):
-        assert (ROOT / path).exists(), path
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
-        "optional-dependencies"
-    ]
-    asked = {extra for some in re.findall(r"'\.\[([\w,]+)\]'", README) for extra in some.split(",")}
-    assert asked == {"test", "web", "keys", "bench"}
-    assert asked <= set(extras)
-    assert set(
-        re.findall(r"`\[(\w+)\]`", README.split("\n## Packages\n")[1].split("\n## ")[0])
-    ) == set(extras)
+    named = set(re.findall(r"\b(test_\w+?)(?:\.py)?\b(?!\()", ALL))
+    assert len(named) > 25
+    functions = {
+        name
+        for path in ROOT.glob("tests/**/test_*.py")
+        for name in re.findall(r"^def (test_\w+)", path.read_text(), re.MULTILINE)
+    }
+    assert named - tests - functions == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids)
+def test_every_file_exists(page: Path) -> None:
+    """A path below the checkout, and a module's file in a page that lies beside it."""
+    text = page.read_text()
+    for path in re.findall(r"(?<![\w/.-])((?:tests|deploy|bench|camtopod)/[\w./@-]*\w)", text):
+        if not path.startswith("deploy/site"):
+            assert list(ROOT.glob(f"{path}*")), path
+
+
+def test_every_extra_exists() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = set(project["optional-dependencies"])
+    asked = {extra for some in re.findall(r"'\.\[([\w,]+)\]'", ALL) for extra in some.split(",")}
+    assert {"test", "web", "keys", "bench", "dev", "examples", "metrics", "mqtt"} <= asked
+    assert asked <= extras
+    for page in ("README.md", "deploy/commands.md"):
+        packages = TEXTS[page].split("\n## Packages\n")[1].split("\n## ")[0]
+        assert set(re.findall(r"`\[(\w+)\]`", packages)) == extras
+        if page == "README.md":
+            needed = {re.split(r"[<>=]", one)[0] for one in project["dependencies"]}
+            assert needed == set(re.findall(r"`([\w-]+)`", packages)) - {"camtopod"}
+
+
+# --- lines of Python and JSON ---------------------------------------------------------------------
 
 
 def test_the_line_that_is_all_of_a_camera() -> None:
-    [line] = [block for language, block in FENCED.findall(README) if language == "json"]
+    [line] = blocks(README, "json")
     assert event_from_json(line) == Event("lobby", "entry", 1700000000.25, 0.31, 0.88, "17")
 
 
-# --- the lines of Python: those of the client and of the bus are in test_client_examples
-# ---------------
-
-
-def test_there_are_four_blocks() -> None:
-    for block in BLOCKS:
-        compile(block, "README.md", "exec")
-    assert len(BLOCKS) == 4
+def test_every_block_of_python_compiles_and_is_run_by_some_test() -> None:
+    for page, block in PYTHON:
+        compile(block, page, "exec")
+    assert len(PYTHON) == 5
 
 
 def test_a_tracker_s_boxes_become_event_lines(capsys: pytest.CaptureFixture[str]) -> None:

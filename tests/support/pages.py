@@ -1,4 +1,4 @@
-"""What pages show: the commands among their lines."""
+"""The pages of the repository, and what they show: commands, blocks, links."""
 
 from __future__ import annotations
 
@@ -7,8 +7,48 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
+from paths import DEPLOY, ROOT, TESTS
+
+PAGES = (
+    ROOT / "README.md",
+    *sorted(DEPLOY.glob("*.md")),
+    ROOT / "bench" / "README.md",
+    TESTS / "README.md",
+    TESTS / "examples" / "README.md",
+    TESTS / "faults" / "README.md",
+    ROOT / "camtopod" / "ARCHITECTURE.md",
+    ROOT / "camtopod" / "learn" / "METHOD.md",
+)
+"""Every page, the one that people read first in front."""
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 """A block's language and its lines."""
+SHELL = ("", "sh", "ini")
+"""Languages of blocks whose lines may be commands."""
+_HERE_DOCUMENT = re.compile(r"<<'END'\n.*?^END$", re.DOTALL | re.MULTILINE)
+_QUOTED = re.compile(r"`([^`]+)`")
+_LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """Return the blocks of one language in a page."""
+    return [block for found, block in FENCED.findall(text) if found == language]
+
+
+def shown(text: str) -> list[str]:
+    """Return every line of a page's shell blocks, every indented line, and every text between
+    backquotes.
+    """
+    shell = "".join(block for language, block in FENCED.findall(text) if language in SHELL)
+    prose = FENCED.sub("", text)
+    indented = [line.strip() for line in prose.splitlines() if line.startswith("    ")]
+    quoted = [" ".join(found.split()) for found in _QUOTED.findall(prose)]
+    return [*_HERE_DOCUMENT.sub("", shell).splitlines(), *indented, *quoted]
+
+
+def links(text: str) -> list[str]:
+    """Return the targets of a page's links and pictures that are not addresses of other sites."""
+    found = _LINK.findall(FENCED.sub("", text))
+    return [target for target in found if not re.match(r"[a-z]+:", target)]
 
 
 def invocations(line: str) -> Iterator[list[str]]:
