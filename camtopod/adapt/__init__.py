@@ -1,7 +1,8 @@
-"""Other programs' output -> entry and exit events. One module a format; no I/O, no clock, no
-threads.
+"""Convert the output of other programs into entry and exit events. Pure: no I/O, clock or threads.
 
-`tracks.TrackEvents` is what they share: tracks, frame by frame, in; events out.
+Read `adapter` first: the interface that all formats implement. `tracks.TrackEvents` turns the
+tracks of any tracker into events; it is public, through `camtopod.client`. One module per format:
+`frigate`, `mot`, `scenescape`. `box_linking` makes tracks of boxes without identity.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""What the formats share: how an adapter is spoken to, sizes of pictures, what may be quoted of a
-line.
-"""
+"""Common part of the formats: the adapter interface, picture sizes, redaction of quoted lines."""
 
 from __future__ import annotations
 
@@ -13,49 +11,54 @@ from camtopod.codec import Rejected
 from camtopod.records import Event
 
 LINE_BYTES_MAX = 1024 * 1024
-"""Longer lines are refused. Frigate's grow with the path of an object."""
+"""Longest accepted line, bytes. Frigate's lines grow with the path of an object."""
 ANY_CAMERA = ""
-"""The key in `Sizes` of the size of all cameras that are not named."""
+"""Key in `Sizes` for all cameras that are not named."""
 
 Size = tuple[int, int]
+"""Width and height of a picture, pixels."""
 Sizes = Mapping[str, Size]
-"""Width and height in pixels, by camera."""
+"""Width and height of the pictures in pixels, by camera."""
 
 _STRING = re.compile(rb'("(?:[^"\\]|\\.)*(?:"|$))(\s*:)?')
+"""A JSON string, and the colon after it if it is a key."""
 
 
 class Adapter(Protocol):
-    """Reads one format, line by line. Raises `Rejected` for a line that changes nothing."""
+    """Converter of one format, line by line."""
 
     topic: str
     """MQTT topic of these lines below the program's prefix; empty if they do not come by MQTT."""
 
     def receive(self, line: bytes) -> list[Event]:
-        """The events that a line makes sure."""
+        """Return the events that a line makes certain. Raises `Rejected` for an unusable line."""
 
     def close(self) -> list[Event]:
-        """The events that are sure when nothing more comes."""
+        """Return the events that are certain once no more lines come."""
 
 
 def size_of(camera: str, sizes: Sizes) -> Size:
-    """The size of the pictures of ``camera``. Raises `Rejected`."""
+    """Return the size of the pictures of ``camera``. Raises `Rejected` if it is unknown."""
     size = sizes.get(camera) or sizes.get(ANY_CAMERA)
     if size is None:
         raise Rejected(
-            "no-size", f"the size of the pictures is not known: give --size {camera}=WIDTHxHEIGHT"
+            "no-size", f"the size of the pictures is unknown: give --size {camera}=WIDTHxHEIGHT"
         )
     return size
 
 
 def payload(line: bytes, topic: str) -> bytes:
-    """The message in a line of `mosquitto_sub`, with ``-v`` or without. Raises `Rejected` for
-    another topic's.
+    """Return the message in a line of `mosquitto_sub`, with or without ``-v`` (topic in front).
+
+    Raises `Rejected` if the topic is another one.
     """
     if line.startswith(b"{"):
         return line
     name, blank, message = line.partition(b" ")
     if not blank:
         raise Rejected("malformed", "is neither JSON nor a topic and JSON")
+
+    # The topic must end with the wanted levels, where "+" stands for any.
     levels = name.decode("utf-8", "replace").split("/")
     wanted = topic.split("/")
     tail = levels[-len(wanted) :]
@@ -67,14 +70,18 @@ def payload(line: bytes, topic: str) -> bytes:
 
 
 def checked(events: Iterable[Event]) -> list[Event]:
-    """The events as if they had come by themselves: what is in them is the other program's. Raises
-    `Rejected`.
+    """Validate events made from another program's data as if they had been received.
+
+    Raises `Rejected`.
     """
     return [codec.event_from_json(codec.to_json(event)) for event in events]
 
 
 def quotable(line: bytes) -> bytes:
-    """The form of a line without the text in it: what other programs say may name people."""
+    """Return a line without its strings, which may contain names of people.
+
+    What remains shows its form.
+    """
     if line.startswith(b"{"):
         return _STRING.sub(lambda found: found[0] if found[2] else b'"..."', line)
     word, blank, _ = line.partition(b" ")

@@ -1,6 +1,4 @@
-"""Boxes without identity -> tracks: a box continues the track that was going to be nearest, if it
-is near enough.
-"""
+"""Link boxes without identity into tracks, by nearest predicted position."""
 
 from __future__ import annotations
 
@@ -12,13 +10,11 @@ from msgspec import Struct
 from camtopod.adapt.tracks import LOST_SECONDS, TRACKS_MAX
 
 REACH = 0.75
-"""How far the middle of a box may be from where it was going to be, in larger sides of the smaller
-box.
-"""
+"""Largest distance of a box from a predicted middle, in larger sides of the smaller box."""
 COAST_SECONDS = 0.5
-"""A track not seen is taken to go on as before for this long, and then to wait."""
+"""Time for which a track that is not seen is predicted to move on; then it waits."""
 _NEW_SHARE = 0.5
-"""Share of the newest step in a track's velocity."""
+"""Weight of the newest step in a track's velocity."""
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom, pixels."""
@@ -29,16 +25,16 @@ class _Track(Struct):
     box: Box
     t: float
     velocity: Point = (0.0, 0.0)
-    """Of the box's middle, pixels a second."""
+    """Velocity of the box's middle, pixels per second."""
 
     def at(self, t: float) -> Point:
-        """Where the middle is going to be."""
+        """Return the predicted middle of the box at ``t``."""
         x, y = _middle(self.box)
         ahead = min(max(t - self.t, 0.0), COAST_SECONDS)
         return x + ahead * self.velocity[0], y + ahead * self.velocity[1]
 
     def move(self, box: Box, t: float) -> None:
-        """It was seen there."""
+        """Record that the track was seen there."""
         if t > self.t:
             steps = zip(_middle(self.box), _middle(box), self.velocity, strict=True)
             x, y = (v + _NEW_SHARE * ((new - old) / (t - self.t) - v) for old, new, v in steps)
@@ -47,12 +43,11 @@ class _Track(Struct):
 
 
 class Joiner:
-    """Follows boxes of one kind in one camera. The nearest pair is joined first; tracks are
-    numbered from 1.
+    """Links the boxes of one kind in one camera into tracks, numbered from 1. Deterministic.
 
-    Two who meet and turn back may take each other's number: the entries and exits are the same,
-    only which belong together is not. Deterministic; at most ``TRACKS_MAX`` tracks, those not seen
-    for `LOST_SECONDS` are forgotten.
+    The nearest pair of box and track is linked first. Two people who meet and turn back may
+    exchange numbers: entries and exits stay the same, only their pairing into passages does not. At
+    most `TRACKS_MAX` tracks are kept; tracks not seen for `LOST_SECONDS` are forgotten.
     """
 
     def __init__(self) -> None:
@@ -60,7 +55,7 @@ class Joiner:
         self._count = 0
 
     def ids(self, boxes: Sequence[Box], t: float) -> list[int | None]:
-        """For each box of the frame at ``t`` its track's number; None where there are too many."""
+        """Return the track number of each box of the frame at ``t``; None beyond the limit."""
         self._tracks = {
             n: track for n, track in self._tracks.items() if abs(t - track.t) <= LOST_SECONDS
         }
@@ -74,6 +69,7 @@ class Joiner:
         return [found.get(index) or self._begin(box, t) for index, box in enumerate(boxes)]
 
     def _begin(self, box: Box, t: float) -> int | None:
+        """Begin a track and return its number; None if there are too many."""
         if len(self._tracks) >= TRACKS_MAX:
             return None
         self._count += 1
@@ -81,7 +77,7 @@ class Joiner:
         return self._count
 
     def _pairs(self, boxes: Sequence[Box], t: float) -> list[tuple[float, int, int]]:
-        """(distance, track, index of the box) of all that are near enough to be the same."""
+        """Return (distance, track, index of the box) of all pairs near enough to be one object."""
         pairs = []
         for number, track in self._tracks.items():
             there = track.at(t)

@@ -1,12 +1,12 @@
-"""Frigate's ``frigate/events`` -> events: one message for each change of a tracked object.
+"""Events from Frigate's ``frigate/events``: one message for each change of a tracked object.
 
-Only what is named in `_Seen` is read: labels of recognised faces, plates and the like are never in
-memory.
+Only the fields of `_Seen` are read: labels of recognised faces, licence plates and the like never
+enter memory.
 
-An object is told of as ``new`` when Frigate is sure of it; ``before`` then holds its first
-sighting. Objects that stand where they are found again and again (a parked car) have not come in,
-and one that is lost while it stands has not left. What was there before we listened has not come in
-either.
+Frigate announces an object as ``new`` once it is sure of it; ``before`` then holds the first
+sighting. Objects that are repeatedly found standing (a parked car) have not entered, and an object
+that is lost while it stands has not left. Objects that were present before the first message have
+not entered either.
 """
 
 from __future__ import annotations
@@ -22,30 +22,35 @@ from camtopod.codec import Rejected
 from camtopod.records import CameraId, Event, Kind
 
 ENTRY_SECONDS_MAX = 5.0
-"""Who began to move later than this after the first sighting stood there before."""
+"""Time after the first sighting within which an object must move for its entry to count.
+
+An object that begins to move later was standing there before.
+"""
 OBJECTS_MAX = 10_000
-"""Objects remembered, those of which was heard last: what is told twice counts once."""
+"""Objects remembered, the latest heard of, so that a repeated message counts once."""
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom, pixels of the picture that Frigate detects in."""
 Point = tuple[tuple[float, float], float]
-"""Foot point in fractions of the picture, and its time."""
+"""Foot point (fractions of the picture) and its time."""
 
 
 class _Seen(Struct, frozen=True):
-    """State of an object. ``frame_time``: when it was seen last. ``stationary``: it has not moved
-    for ten seconds; ``position_changes``: how often it began to move.
-    """
+    """State of an object in a message."""
 
     id: Annotated[str, Meta(min_length=1, max_length=codec.TRACK_CHARACTERS_MAX)]
     camera: CameraId
     frame_time: float
+    """Time of the latest sighting."""
     box: Box
     label: str = ""
     false_positive: bool = False
     stationary: bool = False
+    """It has not moved for ten seconds."""
     position_changes: int | None = None
+    """How often it began to move."""
     path_data: list[Point] | None = None
+    """Path of its foot point so far."""
 
 
 class _Message(Struct, frozen=True):
@@ -55,37 +60,39 @@ class _Message(Struct, frozen=True):
 
 
 class _Object(Struct):
-    """What is known of an object: its ``entry`` as long as it is not sure to be one."""
+    """State of an object: its ``entry`` until that is certain, and whether it has ended."""
 
     entry: Event | None
     ended: bool = False
 
 
 class Frigate:
-    """Reads messages of ``frigate/events``, one JSON object a line, with the topic in front or
-    without.
+    """Adapter for ``frigate/events``: one JSON object a line, with or without the topic in front.
 
-    ``sizes``: of the pictures that Frigate detects in (``detect: width, height``); a Frigate that
-    sends ``path_data`` can do without, less exactly. ``labels``: the kinds of objects that count;
-    empty: all.
+    sizes: sizes of the pictures that Frigate detects in (``detect: width, height``). Not needed if
+        Frigate sends ``path_data``, which is less exact.
+    labels: kinds of objects that count; empty for all.
     """
 
     topic = "events"
 
     def __init__(self, sizes: Sizes, labels: Collection[str] = ()) -> None:
         self._sizes, self._labels = sizes, frozenset(labels)
-        self._objects: dict[str, _Object] = {}  # the one heard last is last
+        self._objects: dict[str, _Object] = {}  # in order of the latest message
 
     def receive(self, line: bytes) -> list[Event]:
-        """The entry or the exit (or both) that a message makes sure. Raises `Rejected`."""
+        """Return the entry or exit (or both) that a message makes certain. Raises `Rejected`."""
         message = codec.read(_Message, payload(line, self.topic))
         if message.type not in ("new", "update", "end"):
             raise Rejected("bad-value", "type is not new, update or end - at `$.type`")
+
         now = message.after
         if not all(codec.T_MIN <= seen.frame_time < codec.T_MAX for seen in (message.before, now)):
             raise Rejected("bad-value", "frame_time is not between 1970 and 3000")
         if now.false_positive or (self._labels and now.label not in self._labels):
             return []
+
+        # Update the object, keeping the latest objects only.
         known = self._objects.get(now.id) or self._met(message)
         events = self._changed(known, message)
         self._objects.pop(now.id, None)
@@ -95,11 +102,11 @@ class Frigate:
         return events
 
     def close(self) -> list[Event]:
-        """Nothing: who has not ended is still in view."""
+        """Return no events: objects that have not ended are still in view."""
         return []
 
     def _met(self, message: _Message) -> _Object:
-        """An object of which nothing was heard before; it comes in if it is new."""
+        """Return the state of an object not heard of before; it enters if it is new."""
         if message.type != "new":
             return _Object(None)
         first, now = message.before, message.after
@@ -112,10 +119,13 @@ class Frigate:
         return _Object(entry)
 
     def _changed(self, known: _Object, message: _Message) -> list[Event]:
+        """Return the events that a message makes certain, and update the object."""
         if known.ended:
             return []
         now = message.after
         moved = now.position_changes is None or now.position_changes > 0
+
+        # An entry is certain once the object has moved soon enough after it.
         events = []
         if (
             known.entry is not None
@@ -126,6 +136,8 @@ class Frigate:
         if known.entry is not None and moved and not now.stationary:
             events.append(known.entry)
             known.entry = None
+
+        # An exit, unless the object was standing.
         if message.type == "end":
             if moved and not now.stationary:
                 events.append(self._event("exit", now))
@@ -136,8 +148,9 @@ class Frigate:
         return camera in self._sizes or ANY_CAMERA in self._sizes
 
     def _event(self, kind: Kind, seen: _Seen) -> Event:
-        """At the foot of the box, or without the picture's size at the end of the path. Raises
-        `Rejected`.
+        """Return an event at the foot of the box, or at the end of the path if the size is unknown.
+
+        Raises `Rejected`.
         """
         if seen.path_data and not self._knows_size(seen.camera):
             return _at_point(kind, seen, (seen.path_data[-1][0], seen.frame_time))

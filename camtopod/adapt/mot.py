@@ -1,6 +1,4 @@
-"""MOTChallenge text files -> events: a line for each box,
-``frame,id,left,top,width,height,confidence,...``.
-"""
+"""Events from MOTChallenge text files: a line per box, ``frame,id,left,top,width,height,...``."""
 
 from __future__ import annotations
 
@@ -16,33 +14,36 @@ from camtopod.codec import Rejected
 from camtopod.records import Event
 
 ROWS_MAX = 5_000_000
-"""Boxes of a file, 48 bytes each; further ones are refused."""
+"""Boxes accepted from a file, 48 bytes each."""
 _FIELDS_MIN = 6
+"""Fields that a line must have."""
 _CONFIDENCE = 6
+"""Index of the confidence among the fields."""
 
 
 class Mot:
-    """Reads one camera's file; the events come with `close`, by time: ground truth is sorted by
-    track, not by frame.
+    """Adapter for the file of one camera.
 
-    Frame 1 is at ``start``, Unix seconds. A confidence of exactly 0 marks what does not count in
-    ground truth; boxes with a negative id belong to no track. Neither is an error, nor an event.
+    All events come from `close`, ordered by time, because ground truth files are sorted by track
+    rather than by frame. Frame 1 is at ``start`` (seconds since the epoch). Boxes with a confidence
+    of exactly 0, which ground truth marks as not counting, and boxes with a negative id, which
+    belong to no track, are ignored without an error.
     """
 
     topic = ""
 
     def __init__(self, camera: str, size: Size, fps: float, start: float) -> None:
-        """``fps``: frames a second. Raises `ValueError` where one of these makes no sense."""
+        """Prepare for a file of ``fps`` frames per second. Raises `ValueError`."""
         if not 0 < fps < math.inf:
-            raise ValueError("the frames a second are a number above 0")
+            raise ValueError("the frames per second must be a number above 0")
         if not math.isfinite(start):
-            raise ValueError("the start is a number of seconds")
+            raise ValueError("the start must be a finite number of seconds")
         self._tracks = TrackEvents(camera, size)
         self._fps, self._start = fps, start
         self._rows = array("d")
 
     def receive(self, line: bytes) -> list[Event]:
-        """Keep a box. Raises `Rejected`."""
+        """Store a box. Raises `Rejected`."""
         fields = line.replace(b",", b" ").split()
         if len(fields) < _FIELDS_MIN:
             raise Rejected(
@@ -54,21 +55,25 @@ class Mot:
             raise Rejected(
                 "malformed", "not a number among frame,id,left,top,width,height,confidence"
             ) from None
+
+        # Validate.
         frame, track, left, top, width, height = numbers[:_FIELDS_MIN]
         if not all(map(math.isfinite, numbers)) or frame < 0 or width < 0 or height < 0:
             raise Rejected(
                 "bad-value", "a frame, a width or a height below 0, or not a finite number"
             )
         if not codec.T_MIN <= self._time(frame) < codec.T_MAX:
-            raise Rejected("bad-value", f"frame {frame:g} is at no time between 1970 and 3000")
+            raise Rejected("bad-value", f"the time of frame {frame:g} is not between 1970 and 3000")
         if len(self._rows) >= ROWS_MAX * _FIELDS_MIN:
             raise Rejected("too-many", f"more than {ROWS_MAX} boxes")
+
+        # Store, unless ignored.
         if track >= 0 and numbers[_CONFIDENCE:] != [0.0]:
             self._rows.extend((frame, track, left, top, left + width, top + height))
         return []
 
     def close(self) -> list[Event]:
-        """The events of the whole file."""
+        """Return the events of the whole file."""
         rows = np.frombuffer(self._rows).reshape(-1, _FIELDS_MIN)
         rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
         frames, starts = np.unique(rows[:, 0], return_index=True)

@@ -1,10 +1,10 @@
-"""SceneScape's ``scenescape/data/camera/{id}`` -> events: one message a frame, with what was
-detected in it.
+"""Events from SceneScape's ``scenescape/data/camera/{id}``: one message per frame of detections.
 
-By its schema a detection's ``id`` need not be the same in the next frame, and often it only counts;
-boxes are therefore joined here (`joining`) unless it is said that the pipeline tracks (DL
-Streamer's gvatrack). Only boxes in pixels can be placed: ``bounding_box`` is in units of the lens,
-whose data is not in the message. Attributes (age, plates, embeddings) are not read.
+By SceneScape's schema a detection's ``id`` need not be the same in the next frame, and often it is
+only a counter. Boxes are therefore linked here (`box_linking`), unless the caller declares that the
+pipeline tracks objects (DL Streamer's gvatrack). Only boxes in pixels can be placed:
+``bounding_box`` is in units of the lens, whose parameters are not in the message. Attributes (age,
+licence plates, embeddings) are not read.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from camtopod.records import CameraId, Event
 CAMERAS_MAX = 1000
 """Cameras followed; messages of further ones are refused."""
 OBJECTS_MAX = 1000
-"""Objects of a frame."""
+"""Objects accepted in a frame."""
 KINDS_MAX = 100
-"""Kinds of objects followed in a camera; what is of further ones is left out."""
+"""Kinds of objects followed in a camera; objects of further kinds are ignored."""
 
 
 class _Pixels(Struct, frozen=True):
@@ -49,14 +49,14 @@ class _Message(Struct, frozen=True):
 
 
 class _Camera:
-    """One camera's tracks, and for each kind of objects who joins its boxes."""
+    """Tracks of one camera, and the linker of boxes of each kind."""
 
     def __init__(self, camera: str, size: tuple[int, int]) -> None:
         self.tracks = TrackEvents(camera, size)
         self._joiners: dict[str, Joiner] = {}
 
     def names(self, kind: str, boxes: Sequence[Box], t: float) -> list[str | None]:
-        """A name for the track of each box, joined to those of before."""
+        """Link boxes of a kind to earlier ones; return the name of each box's track."""
         joiner = self._joiners.get(kind)
         if joiner is None:
             if len(self._joiners) >= KINDS_MAX:
@@ -66,10 +66,11 @@ class _Camera:
 
 
 class SceneScape:
-    """Reads detections of cameras, one JSON object a line, with the topic in front or without.
+    """Adapter for camera detections: one JSON object a line, with or without the topic in front.
 
-    ``sizes``: of the cameras' pictures. ``labels``: the kinds of objects (``person``) that count;
-    empty: all. ``tracked``: the ids are a tracker's, the same object has the same in each frame.
+    sizes: sizes of the cameras' pictures.
+    labels: kinds of objects (``person``) that count; empty for all.
+    tracked: ids come from a tracker, so an object has the same id in each frame.
     """
 
     topic = "data/camera/+"
@@ -79,22 +80,24 @@ class SceneScape:
         self._cameras: dict[str, _Camera] = {}
 
     def receive(self, line: bytes) -> list[Event]:
-        """The events that a frame makes sure. Raises `Rejected`."""
+        """Return the events that a frame makes certain. Raises `Rejected`."""
         message = codec.read(_Message, payload(line, self.topic))
         t = message.timestamp
         seconds = (t if t.tzinfo else t.replace(tzinfo=UTC)).timestamp()
         if not codec.T_MIN <= seconds < codec.T_MAX:
             raise Rejected("bad-value", "timestamp is not between 1970 and 3000 - at `$.timestamp`")
+
         if sum(map(len, message.objects.values())) > OBJECTS_MAX:
             raise Rejected("too-many", f"more than {OBJECTS_MAX} objects in a frame")
+
         camera = self._camera(message.id)
-        if camera.tracks.is_late(seconds):  # before its boxes are joined to those of later ones
+        if camera.tracks.is_late(seconds):  # before its boxes are linked to those of later frames
             raise Rejected("out-of-order", "a later frame of this camera came before")
         names, boxes = self._followed(camera, message, seconds)
         return checked(camera.tracks.update(names, boxes, seconds))
 
     def close(self) -> list[Event]:
-        """Those out of sight have left; who was in a camera's last frame is still in view."""
+        """Return the exits of objects out of sight. Those in a camera's last frame are in view."""
         return checked(
             event for camera in self._cameras.values() for event in camera.tracks.close()
         )
@@ -102,19 +105,22 @@ class SceneScape:
     def _followed(
         self, camera: _Camera, message: _Message, t: float
     ) -> tuple[list[str | None], list[Box]]:
-        """The objects of a frame that count: a name for each one's track, and its box. Raises
-        `Rejected`.
-        """
+        """Return track names and boxes of the objects of a frame that count. Raises `Rejected`."""
         names: list[str | None] = []
         boxes: list[Box] = []
         unplaced = 0
+
         for kind, detections in message.objects.items():
             if self._labels and kind not in self._labels:
                 continue
+
+            # Boxes in pixels.
             placed = [
                 (x.id, _box(x.bounding_box_px)) for x in detections if x.bounding_box_px is not None
             ]
             unplaced += len(detections) - len(placed)
+
+            # Names by the tracker's ids, or by linking.
             here = [box for _, box in placed]
             boxes += here
             if self._tracked:
@@ -126,6 +132,7 @@ class SceneScape:
         return names, boxes
 
     def _camera(self, name: str) -> _Camera:
+        """Return the state of a camera, new or known. Raises `Rejected`."""
         camera = self._cameras.get(name)
         if camera is None:
             if len(self._cameras) >= CAMERAS_MAX:

@@ -1,4 +1,4 @@
-"""Any tracker's output -> events: an entry where a track begins, an exit where it ends."""
+"""Events from any tracker's output: an entry where a track begins, an exit where it ends."""
 
 from __future__ import annotations
 
@@ -14,23 +14,26 @@ from camtopod.codec import TRACK_CHARACTERS_MAX
 from camtopod.records import CAMERA_PATTERN, Event, Kind
 
 LIFE_SECONDS = 0.5
-"""A track that did not live for this long was none."""
+"""Shortest track that counts as an object, seconds."""
 LOST_SECONDS = 2.0
-"""A track that was not seen for longer than this has ended. With the first it has to stay below the
-lateness (`learn.lateness_seconds`, 5 s): events are reported by so much after their time.
+"""Time without a sighting after which a track has ended.
+
+It delays exits, as `LIFE_SECONDS` delays entries, and must stay below the lateness
+(`learn.lateness_seconds`, 5 s).
 """
 START_SECONDS = 1.0
-"""Who begins within this of the first frame was there before: trackers need a moment to be sure of
-anybody.
+"""Time from the first frame within which a track counts as present before, so without entry.
+
+Trackers need a moment to confirm an object.
 """
 BOOT_CHARACTERS_MAX = 64
-"""As in `camtopod.records.Event`."""
+"""Longest ``boot``, as in `camtopod.records.Event`."""
 TRACKS_MAX = 1000
-"""Tracks followed at a time; further ones are counted, until others have ended."""
+"""Tracks followed at a time; boxes of further ones are counted as refused."""
 
 
 class _Place(Struct, frozen=True):
-    """Where a track was when; fractions of the picture."""
+    """A track's position (fractions of the picture) at a time."""
 
     t: float
     x: float
@@ -38,6 +41,8 @@ class _Place(Struct, frozen=True):
 
 
 class _Track(Struct):
+    """Beginning and latest position of a track; ``lived`` once it counts as an object."""
+
     first: _Place
     last: _Place
     from_start: bool
@@ -45,19 +50,23 @@ class _Track(Struct):
 
 
 class TrackEvents:
-    """Turns what a tracker says about the frames of one camera into entry and exit events.
+    """Converts the tracks of one camera, frame by frame, into entry and exit events.
 
-    `update` takes each frame's tracks, in the order of time; frames without any may be left out,
-    but for the first. A track's entry is at its first position, reported once it has lived for
-    ``life_seconds``; its exit is at its last one, reported when it has not been seen for more than
-    ``lost_seconds``, both by the time that is given, so the same frames give the same events. Who
-    is in view at the start (`START_SECONDS`) was there before: no entry.
+    Pass each frame's tracks to `update`, in order of time. Frames without tracks may be omitted,
+    except the first. A track's entry is at its first position and is returned once the track has
+    lived for ``life_seconds``; its exit is at its last position and is returned once it has not
+    been seen for more than ``lost_seconds``. Only the given times count, so the same frames give
+    the same events. Objects in view at the start (`START_SECONDS`) have no entry.
 
-    ``camera``: its id, ``[A-Za-z0-9_.-]{1,64}``. ``size``: width and height of the picture that the
-    boxes are of, in pixels; (1, 1) for boxes that are fractions. ``boot``: a name for this run that
-    no other run of this camera had; with it the events are numbered (``seq`` from 0), and one that
-    is delivered twice counts once. At most ``tracks_max`` tracks are followed at a time. Raises
-    `ValueError` where one of these makes no sense.
+    camera: id of the camera, ``[A-Za-z0-9_.-]{1,64}``.
+    size (pixels): width and height of the picture; (1, 1) if boxes are fractions of it.
+    boot: a name of this run, unique among the camera's runs. With it events are numbered (``seq``
+        from 0), so that one that is delivered twice counts once.
+    life_seconds: shortest track that counts as an object.
+    lost_seconds: time without a sighting after which a track has ended.
+    tracks_max: tracks followed at a time.
+
+    Raises `ValueError` for an invalid argument.
 
     >>> tracks = TrackEvents("lobby", (640, 480), boot="monday")
     >>> tracks.update([], [], 0.0)  # nobody there, at 0 s
@@ -98,26 +107,30 @@ class TrackEvents:
         self.entries = 0
         self.exits = 0
         self.untracked = 0
-        """Boxes without an id: None or negative, as trackers mark what they do not follow (yet)."""
+        """Boxes without an id (None or negative): objects that the tracker does not follow (yet).
+        """
         self.unusable = 0
         """Boxes that are not four finite numbers."""
         self.refused = 0
         """Boxes of tracks beyond ``tracks_max``."""
         self.late = 0
-        """Frames left out because a later one came before them."""
+        """Frames ignored because a later one came before them."""
 
     def update(
         self, ids: Sequence[Any] | Any | None, boxes: Sequence[Any] | Any, t: float
     ) -> list[Event]:
-        """One frame's tracks; returns the events that are sure now.
+        """Process one frame; return the events that are now certain.
 
-        ``ids``: n numbers or strings; None where a box has no track, or for all (supervision's
-        ``tracker_id`` while nothing is tracked). ``boxes``: n times left, top, right, bottom in
-        pixels, shape (n, 4) or (n, 2, 2); a list or an array. ``t``: the frame's time of capture,
-        seconds. A frame up to ``lost_seconds`` earlier than one before is counted (``late``) and
-        left out; one further back means that the clock was set: everything begins anew. Raises
-        `ValueError` if ids and boxes do not match or ``t`` is no time.
+        ids (n): numbers or strings. None for a box without a track, or for all boxes (supervision's
+            ``tracker_id`` while nothing is tracked).
+        boxes ((n, 4) or (n, 2, 2), pixels): left, top, right, bottom; a list or an array.
+        t (seconds): capture time of the frame.
+
+        A frame up to ``lost_seconds`` earlier than a previous one is ignored and counted
+        (``late``). One further back means that the clock was set: tracking restarts. Raises
+        `ValueError` if ids and boxes do not match or ``t`` is not finite.
         """
+        # Check and normalise the arguments.
         labels = _labels(ids)
         corners = np.asarray(boxes, dtype=float)
         if ids is None:
@@ -129,6 +142,8 @@ class TrackEvents:
         t = round(float(t), 6)
         if not math.isfinite(t):
             raise ValueError("t is not a finite number of seconds")
+
+        # Frames out of order.
         if self.is_late(t):
             self.late += 1
             return []
@@ -137,18 +152,21 @@ class TrackEvents:
         if self._t == -math.inf:
             self._start = t
         self._t = t
+
+        # Tracks that have ended, then those of this frame.
         events = self._ended(t)
         for label, corner in zip(labels, corners.reshape(-1, 4).tolist(), strict=True):
             events += self._seen(label, corner, t)
         return events
 
     def is_late(self, t: float) -> bool:
-        """Whether `update` would leave a frame of this time out, as a later one has come."""
+        """Return True if `update` would ignore a frame of this time as out of order."""
         return 0 < self._t - t <= self._lost
 
     def close(self) -> list[Event]:
-        """The recording ends: tracks out of sight in its last frame have left, the others are still
-        in view.
+        """End the recording; return the exits of tracks that were out of sight in its last frame.
+
+        The others are still in view.
         """
         left = [
             label
@@ -160,7 +178,7 @@ class TrackEvents:
         return events
 
     def statistics(self) -> dict[str, int]:
-        """Counters, and how many tracks are followed."""
+        """Return the counters and the number of tracks followed."""
         return {
             "tracks": len(self._tracks),
             "entries": self.entries,
@@ -175,6 +193,10 @@ class TrackEvents:
         self._tracks, self._t = {}, -math.inf
 
     def _ended(self, t: float) -> list[Event]:
+        """Remove tracks not seen for too long; return their exits.
+
+        Tracks are in the order of their latest sighting.
+        """
         events = []
         while self._tracks:
             label, track = next(iter(self._tracks.items()))
@@ -186,12 +208,15 @@ class TrackEvents:
         return events
 
     def _seen(self, label: str | None, corners: list[float], t: float) -> list[Event]:
+        """Record a box; return the entry if its track now counts as an object."""
         if label is None:
             self.untracked += 1
             return []
         if not all(map(math.isfinite, corners)):
             self.unusable += 1
             return []
+
+        # Begin the track or update it.
         place = self._foot(corners, t)
         track = self._tracks.pop(label, None)
         if track is None:
@@ -201,13 +226,15 @@ class TrackEvents:
             track = _Track(place, place, from_start=t - self._start <= START_SECONDS)
         track.last = place
         self._tracks[label] = track
+
+        # The entry is certain once the track has lived long enough.
         if track.lived or t - track.first.t < self._life:
             return []
         track.lived = True
         return [] if track.from_start else [self._event("entry", label, track.first)]
 
     def _foot(self, corners: list[float], t: float) -> _Place:
-        """Bottom centre of the box, within the picture."""
+        """Return the bottom centre of the box, clipped to the picture."""
         left, _, right, bottom = corners
         x, y = (left + right) / 2 / self.size[0], bottom / self.size[1]
         return _Place(t, round(min(max(x, 0.0), 1.0), 4), round(min(max(y, 0.0), 1.0), 4))
@@ -225,7 +252,7 @@ class TrackEvents:
 
 
 def _labels(ids: Any) -> list[str | None]:
-    """The ids as events name them; None for what is not tracked."""
+    """Return the ids as strings; None for boxes that are not tracked."""
     if ids is None:
         return []
     values = ids.tolist() if hasattr(ids, "tolist") else ids
@@ -233,6 +260,6 @@ def _labels(ids: Any) -> list[str | None]:
 
 
 def _label(value: Any) -> str | None:
-    if isinstance(value, int | float | np.number):  # some trackers keep ids in an array of floats
+    if isinstance(value, int | float | np.number):  # some trackers return ids as floats
         value = int(value) if 0 <= value < math.inf else None
     return None if value is None else str(value)[:TRACK_CHARACTERS_MAX]

@@ -1,4 +1,9 @@
-"""A topology in the formats of other programs."""
+"""Topologies in formats of other programs.
+
+`graph` reduces a topology to directed edges between cameras, which the drawing and graph formats
+share: `dot` (Graphviz), `graphml`, `nodelink` (JSON of D3 and networkx), `svg`. `aicity` writes
+the AI City challenge's camera link model, `homeassistant` the MQTT messages for Home Assistant.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +25,6 @@ FORMATS: dict[str, Callable[[Topology], str]] = {
     "json": to_nodelink,
     "aicity": to_aicity,
 }
-"""Name on the command line -> topology to text."""
+"""Function that converts a topology to text, by the format's name on the command line."""
 
 __all__ = ["FORMATS", "Edge", "camera_numbers", "edges", "homeassistant"]

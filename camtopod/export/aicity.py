@@ -1,11 +1,10 @@
-"""The AI City challenge's camera link model: ``camera_transitions.txt`` of the UWIPL team's code
-(2019).
+"""Camera link model of the AI City challenge: ``camera_transitions.txt`` of UWIPL's code (2019).
 
-One line a transition, eight fields with a space between: camera and zone lists of the one side,
-those of the other, the two zones between which the time counts, and the smallest and largest time
-in frames. Cameras and zones are integers; the lower camera number comes first and times run from
-there, so objects that go the other way have negative times. A zone list is the zones of one
-passage, ``3-1``; semicolons part alternatives.
+A line per transition has eight fields, separated by spaces: camera and zone lists of one side,
+camera and zone lists of the other, the two zones between which the time counts, and the smallest
+and largest time in frames. Cameras and zones are integers. The lower camera number comes first and
+times run from there, so objects that go the other way have negative times. A zone list is the zones
+of one passage, ``3-1``; semicolons separate alternatives.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ import re
 from camtopod.records import Link, Topology
 
 FRAMES_PER_SECOND = 10.0
-"""The challenge's videos."""
+"""Frame rate of the challenge's videos."""
 
 
 def to_aicity(topology: Topology) -> str:
-    """Links between cameras as transition lines; the time window is the learned q10 to q90."""
+    """Return the links between cameras as transition lines; the time window is q10 to q90."""
     numbers = camera_numbers(topology)
     camera = {zone.id: zone.camera for zone in topology.zones}
     through = [link for link in topology.links if link.relation == "visible"]
@@ -28,12 +27,16 @@ def to_aicity(topology: Topology) -> str:
     for link in topology.links:
         if link.relation == "visible" or camera[link.from_] == camera[link.to]:
             continue
+
+        # Both sides, with the zones of their passages.
         leaving = (
             numbers[camera[link.from_]],
             _passages(through, link.from_, leaves=True),
             link.from_,
         )
         coming = (numbers[camera[link.to]], _passages(through, link.to, leaves=False), link.to)
+
+        # The lower camera number comes first.
         low, high = link.transit.q10, link.transit.q90
         if leaving[0] > coming[0]:
             leaving, coming, low, high = coming, leaving, -high, -low
@@ -52,8 +55,9 @@ def to_aicity(topology: Topology) -> str:
 
 
 def camera_numbers(topology: Topology) -> dict[str, int]:
-    """Integers for the cameras: the digits in their names where these differ, else their rank from
-    1.
+    """Return an integer for each camera: the last number in its name, if all differ, else its rank.
+
+    Ranks count from 1 in the order of names.
     """
     names = [camera.id for camera in topology.cameras]
     digits = [int(found[-1]) if (found := re.findall(r"[0-9]+", name)) else -1 for name in names]
@@ -63,8 +67,9 @@ def camera_numbers(topology: Topology) -> dict[str, int]:
 
 
 def _passages(through: list[Link], zone: str, leaves: bool) -> str:
-    """The zone lists of the passages that end (or begin) at a zone; the zone alone where none is
-    known.
+    """Return the zone lists of the passages that end (or begin) at a zone.
+
+    If there are none, the zone alone.
     """
     found = [
         f"{_number(link.from_)}-{_number(link.to)}"
@@ -75,4 +80,5 @@ def _passages(through: list[Link], zone: str, leaves: bool) -> str:
 
 
 def _number(zone: str) -> int:
+    """Return the number of a zone within its camera."""
     return int(zone.rpartition("/")[2])

@@ -1,4 +1,4 @@
-"""Graphviz."""
+"""Graphviz (DOT)."""
 
 from __future__ import annotations
 
@@ -8,25 +8,31 @@ from camtopod.visible import visible
 
 
 def to_dot(topology: Topology) -> str:
-    """A directed graph of cameras: black edges overlap, grey are unseen paths, labels are transit
-    times.
+    """Return a directed graph of cameras, labelled with transit times.
+
+    Edges between overlapping views are black, unseen paths grey.
     """
     lines = [
         "digraph camtopod {",
         f"  label={_quoted(f'{topology.site}, version {topology.version}')};",
         "  node [shape=box, style=rounded];",
     ]
+
+    # Nodes.
     for camera in topology.cameras:
         count = len(camera.zones)
         label = f"{_escaped(camera.id)}\\n{count} {'zone' if count == 1 else 'zones'}"
         lines.append(f'  {_quoted(camera.id)} [label="{label}"];')
+
+    # Edges.
     for edge in edges(topology):
         attributes = {
             "color": edge.colour,
             "label": seconds(edge.transit.mode),
             "weight": str(round(100 * edge.probability)),
             "penwidth": f"{1 + 3 * edge.probability:.2f}",
-            "tooltip": f"{edge.transit.q10:.1f} to {edge.transit.q90:.1f} s, {100 * edge.probability:.0f} %",
+            "tooltip": f"{edge.transit.q10:.1f} to {edge.transit.q90:.1f} s, "
+            f"{100 * edge.probability:.0f} %",
         }
         shown = ", ".join(f"{name}={_quoted(value)}" for name, value in attributes.items())
         lines.append(f"  {_quoted(edge.from_)} -> {_quoted(edge.to)} [{shown}];")

@@ -1,4 +1,4 @@
-"""The network at the level of cameras: what every format draws."""
+"""Camera-level graph of a topology, from which all graph formats are made."""
 
 from __future__ import annotations
 
@@ -7,40 +7,43 @@ from msgspec import Struct
 from camtopod.records import Link, Topology, Transit
 
 BLACK, GREY = "black", "gray60"
-"""The thesis's colours (4.6): overlapping views, and paths that nobody sees."""
+"""Colours of the thesis (4.6): overlapping views, and paths that no camera sees."""
 
 
 class Edge(Struct, frozen=True):
-    """From one camera to the next. The times are those of the most walked link, of an overlapped
-    one if any.
-
-    ``probability``: of all objects that leave ``from_``'s view, the share that appears next in
-    ``to``'s.
-    """
+    """Directed edge between two cameras."""
 
     from_: str
     to: str
     overlapped: bool
+    """True if one of its links joins overlapping views."""
     transit: Transit
+    """Transit time of the link with most transitions, among overlapped ones if there are any."""
     probability: float
+    """Share of all objects leaving the view of ``from_`` that appear next in the view of ``to``."""
     transitions: float
+    """Expected number of transitions of all its links."""
 
     @property
     def colour(self) -> str:
-        """As the thesis draws it: `BLACK` or `GREY`."""
+        """Colour in the thesis: `BLACK` or `GREY`."""
         return BLACK if self.overlapped else GREY
 
 
 def edges(topology: Topology) -> list[Edge]:
-    """Directed edges between cameras, by their links; sorted by camera ids."""
+    """Return the directed edges between cameras, sorted by camera ids."""
     camera = {zone.id: zone.camera for zone in topology.zones}
     exits: dict[str, int] = {}
     for zone in topology.zones:
         exits[zone.camera] = exits.get(zone.camera, 0) + zone.exits
+
+    # Links between different cameras, by pair of cameras.
     grouped: dict[tuple[str, str], list[Link]] = {}
     for link in topology.links:
         if link.relation != "visible" and camera[link.from_] != camera[link.to]:
             grouped.setdefault((camera[link.from_], camera[link.to]), []).append(link)
+
+    # One edge per pair, with the times of its main link.
     result = []
     for (a, b), links in sorted(grouped.items()):
         transitions = sum(link.transitions for link in links)
@@ -60,5 +63,5 @@ def edges(topology: Topology) -> list[Edge]:
 
 
 def seconds(value: float) -> str:
-    """A time for a label: at most a tenth of a second, as nobody reads more."""
+    """Return a time for a label, with a tenth of a second at most."""
     return f"{value:.1f} s" if abs(value) < 10 else f"{value:.0f} s"

@@ -1,4 +1,4 @@
-"""GraphML, as Gephi, yEd, Cytoscape and networkx read it."""
+"""GraphML, for Gephi, yEd, Cytoscape and networkx."""
 
 from __future__ import annotations
 
@@ -25,16 +25,22 @@ _EDGE = {
 
 
 def to_graphml(topology: Topology) -> str:
-    """A directed graph of cameras; an edge's weight is its most popular transit time in seconds."""
+    """Return a directed graph of cameras; edge weights are modes of transit times, seconds."""
     root = ElementTree.Element("graphml", xmlns=NAMESPACE)
+
+    # Declare the attributes.
     for target, keys in (("node", _NODE), ("edge", _EDGE)):
         for name, kind in keys.items():
             key = {"id": f"{target}_{name}", "for": target, "attr.name": name, "attr.type": kind}
             ElementTree.SubElement(root, "key", key)
+
+    # Nodes.
     graph = ElementTree.SubElement(root, "graph", id=visible(topology.site), edgedefault="directed")
     for camera in topology.cameras:
         node = ElementTree.SubElement(graph, "node", id=visible(camera.id))
         _data(node, "node", {"zones": len(camera.zones), "clock_offset": camera.clock_offset})
+
+    # Edges.
     for edge in edges(topology):
         element = ElementTree.SubElement(
             graph, "edge", source=visible(edge.from_), target=visible(edge.to)

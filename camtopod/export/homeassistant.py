@@ -1,8 +1,6 @@
-"""A site as Home Assistant knows it by MQTT discovery: a device for the daemon and one for each
-camera.
+"""Home Assistant by MQTT discovery: a device for the daemon and one for each camera.
 
-Pure: what is known of the site in, retained messages (topic -> text) out. `camtopod bridge`
-publishes them.
+Pure: state of the site in, retained messages (topic -> text) out. `camtopod bridge` publishes them.
 """
 
 from __future__ import annotations
@@ -18,33 +16,34 @@ from camtopod import __version__, codec
 from camtopod.records import Alarm, CameraId, Prediction, Topology
 
 DISCOVERY = "homeassistant"
-"""Where Home Assistant looks for devices, unless it is told otherwise."""
+"""Home Assistant's default topic prefix for discovery."""
 PREFIX = "camtopod"
-"""The first level of the topics for what is going on."""
+"""Default first level of the state topics."""
 STATE_CHARACTERS_MAX = 255
-"""Home Assistant refuses longer states."""
+"""Longest state that Home Assistant accepts."""
 NOBODY = "leaves"
-"""In place of a camera: the object is probably not seen again."""
+"""State in place of a camera if the object probably leaves the site."""
 
 Messages = dict[str, str]
+"""Payload by topic."""
 
 
 class Said(Struct, frozen=True):
-    """What a camera's process says of itself in ``status/{camera}``."""
+    """Status that a camera's grabber publishes in ``status/{camera}``."""
 
     state: str = ""
     reason: str = ""
 
 
 class Counted(Struct, frozen=True):
-    """What the daemon says of a camera."""
+    """A camera in the daemon's status."""
 
     events: int = 0
     alive: bool = False
 
 
 class SiteSaid(Struct, frozen=True):
-    """What the daemon says in ``status/daemon``."""
+    """Status that the daemon publishes in ``status/daemon``."""
 
     state: str = ""
     reason: str = ""
@@ -52,14 +51,14 @@ class SiteSaid(Struct, frozen=True):
 
 
 class Entity(Struct, frozen=True):
-    """One figure of a device: ``field`` of the JSON on the ``topic`` below the device's own."""
+    """One figure of a device: ``field`` of the JSON on ``topic`` below the device's own topic."""
 
     field: str
     name: str
     topic: str = "state"
     component: str = "sensor"
     more: dict[str, Any] = {}
-    """What else Home Assistant is told of it."""
+    """Further settings of the entity for Home Assistant."""
 
 
 _DIAGNOSTIC = {"entity_category": "diagnostic"}
@@ -83,7 +82,7 @@ CAMERA_ENTITIES = (
 
 
 class Topics(Struct, frozen=True):
-    """Where the messages of one site go."""
+    """Topics of one site."""
 
     site: str
     prefix: str = PREFIX
@@ -91,22 +90,22 @@ class Topics(Struct, frozen=True):
 
     @property
     def bridge(self) -> str:
-        """Says whether the messages are kept up to date."""
+        """Availability of the bridge, so whether the messages are kept up to date."""
         return f"{self.prefix}/{self.site}/availability"
 
     @property
     def daemon(self) -> str:
-        """Says whether the daemon is there."""
+        """Availability of the daemon."""
         return f"{self.prefix}/{self.site}/daemon/availability"
 
     def of(self, camera: str, topic: str) -> str:
-        """What is going on at a camera, or ("") at the site."""
+        """Return a topic of a camera, or of the site for ""."""
         device = f"camera/{camera}" if camera else "daemon"
         return f"{self.prefix}/{self.site}/{device}/{topic}"
 
 
 def discovery(topics: Topics, cameras: Iterable[str]) -> Messages:
-    """What Home Assistant needs to know of the site and of these cameras."""
+    """Return the discovery messages of the site and of the given cameras."""
     messages = dict(_announced(topics, "", entity) for entity in SITE_ENTITIES)
     for camera in cameras:
         messages |= dict(_announced(topics, camera, entity) for entity in CAMERA_ENTITIES)
@@ -114,13 +113,17 @@ def discovery(topics: Topics, cameras: Iterable[str]) -> Messages:
 
 
 def site_state(topics: Topics, alive: bool, said: SiteSaid, topology: Topology | None) -> Messages:
-    """``alive``: whether the daemon is there; ``said``: by it last."""
+    """Return the messages with the state of the site.
+
+    alive: True if the daemon is running.
+    said: its latest status.
+    """
     running = alive and said.state == "running"
     score = None if topology is None else topology.score
     alarms = [] if topology is None else topology.alarms or []
     state = {
         "problem": "OFF" if running else "ON",
-        "reason": said.reason if alive else "the daemon is not there",
+        "reason": said.reason if alive else "the daemon is not running",
         "version": None if topology is None else topology.version,
         "cameras": None if topology is None else len(topology.cameras),
         "links": None if topology is None else len(topology.links),
@@ -137,7 +140,10 @@ def site_state(topics: Topics, alive: bool, said: SiteSaid, topology: Topology |
 def camera_state(
     topics: Topics, camera: str, counted: Counted, said: Said | None, zones: int
 ) -> Messages:
-    """``said``: by the camera's own process; those of another program's events do not speak."""
+    """Return the messages with the state of a camera.
+
+    said: status of the camera's grabber; None if its events come from another program.
+    """
     online = counted.alive and (said is None or said.state == "running")
     told = said or Said()
     state = {
@@ -151,14 +157,18 @@ def camera_state(
 
 
 def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
-    """The likeliest next camera of the last exit; ``from`` and ``until``: ten and ninety per cent
-    are there by then.
+    """Return the message with the most likely next camera after the latest exit.
+
+    ``from`` and ``until`` are the times by which 10 and 90 percent of the objects have arrived.
     """
     shares = {NOBODY: prediction.leave}
     for one in prediction.next_:
         shares[one.camera] = shares.get(one.camera, 0.0) + one.probability
+
+    # The camera, or leaving the site, with the largest share.
     camera, probability = max(shares.items(), key=lambda item: item[1])
     place = next((one for one in prediction.next_ if one.camera == camera), None)
+
     state = {
         "next": camera,
         "probability": round(probability, 3),
@@ -171,6 +181,7 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
 
 
 def _announced(topics: Topics, camera: str, entity: Entity) -> tuple[str, str]:
+    """Return topic and payload of the discovery message of an entity."""
     state = topics.of(camera, entity.topic)
     available = [topics.bridge] if entity.field == "problem" else [topics.bridge, topics.daemon]
     config = {
@@ -212,12 +223,12 @@ def _alarm(alarm: Alarm) -> dict[str, Any]:
 
 
 def _escaped(name: str) -> str:
-    """Home Assistant takes no dot in a topic; two names never become the same."""
+    """Return the name without dots, which Home Assistant refuses in a topic; unambiguous."""
     return name.replace("_", "__").replace(".", "_-")
 
 
 def _iso(t: float) -> str | None:
-    """A time that anybody may have made up."""
+    """Return a time as text; None for an implausible time, as events come from other programs."""
     if not codec.T_MIN <= t < codec.T_MAX:
         return None
     return datetime.datetime.fromtimestamp(t, datetime.UTC).isoformat(timespec="seconds")

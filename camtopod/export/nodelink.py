@@ -1,4 +1,4 @@
-"""Node-link JSON, as D3 and networkx read it. (The topology itself is JSON already: contract 3.)"""
+"""Node-link JSON, for D3 and networkx. (A topology is JSON already: see `camtopod.records`.)"""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from camtopod.records import Topology
 
 
 def to_nodelink(topology: Topology) -> str:
-    """A directed graph of cameras with their zones; weights are the most popular transit times,
-    seconds.
+    """Return a directed graph of cameras with their zones.
+
+    Edge weights are modes of transit times, seconds.
     """
     zones = {zone.id: zone for zone in topology.zones}
     graph: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""A drawing of the camera network that any browser shows."""
+"""Drawing of the camera network as SVG, for any browser."""
 
 from __future__ import annotations
 
@@ -12,29 +12,39 @@ from camtopod.records import Topology
 from camtopod.visible import visible
 
 NODE_WIDTH, NODE_HEIGHT = 110.0, 40.0
+"""Size of a camera's box, in units of the drawing."""
 PART_ROWS = 64
-"""Cameras laid out in one go."""
+"""Cameras whose repulsion is computed at a time, to limit memory."""
 DISTANCE_MIN = 1e-4
+"""Smallest distance of two cameras in the layout (share of its width); avoids division by 0."""
 STROKE = {True: "#111111", False: "#9a9a9a"}
-"""By whether the views overlap: the thesis's black and grey."""
+"""Line colour, by whether the views overlap: black and grey in the thesis."""
 
 
 def to_svg(topology: Topology) -> str:
-    """Cameras as boxes, black edges overlap, grey are unseen paths; labels are transit times each
-    way.
+    """Return the drawing: cameras as boxes, overlaps as black edges, unseen paths as grey ones.
+
+    Labels are the modes of the transit times in both directions.
     """
     names = [camera.id for camera in topology.cameras]
     found = edges(topology)
+
+    # One line for both directions of a pair.
     both: dict[tuple[str, str], list[Edge]] = {}
     for edge in found:
         both.setdefault((min(edge.from_, edge.to), max(edge.from_, edge.to)), []).append(edge)
+
+    # Positions.
     size = 230.0 * max(1.5, len(names) ** 0.5)
     at = spring_layout(names, sorted(both)) * size
     place = {name: (float(x) + 90, float(y) + 70) for name, (x, y) in zip(names, at, strict=True)}
     width, height = size + 180, size + 130
+
+    # Frame, edges, then nodes on top.
     title = f"{topology.site}, version {topology.version}, {topology.events} events"
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" viewBox="0 0 {width:.0f} {height:.0f}">',
+        '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif"'
+        f' viewBox="0 0 {width:.0f} {height:.0f}">',
         f"<title>{_shown(title)}</title>",
         f'<rect width="{width:.0f}" height="{height:.0f}" fill="#ffffff"/>',
         f'<text x="16" y="24" font-size="14" fill="#333333">{_shown(title)}</text>',
@@ -49,14 +59,18 @@ def to_svg(topology: Topology) -> str:
 
 
 def _shown(text: str) -> str:
-    """Text of others, as XML takes it."""
+    """Return text of foreign origin, escaped for XML."""
     return escape(visible(text))
 
 
 def spring_layout(
     names: list[str], joined: list[tuple[str, str]], rounds: int = 200
 ) -> NDArray[np.float64]:
-    """Places in the unit square, (n, 2): edges pull, all push (Fruchterman & Reingold 1991)."""
+    """Return positions (n, 2) in the unit square: edges pull, all cameras repel each other.
+
+    Fruchterman & Reingold 1991.
+    """
+    # Start on a circle.
     n = len(names)
     angle = 2 * np.pi * np.arange(n) / max(n, 1)
     at = (
@@ -64,6 +78,8 @@ def spring_layout(
         + 0.5 * np.column_stack([np.cos(angle), np.sin(angle)])
         + 0.01 * np.sin(7.0 * angle + 1)[:, None]
     )
+
+    # Move by the forces, with steps that shrink.
     index = {name: k for k, name in enumerate(names)}
     ends = np.array([(index[a], index[b]) for a, b in joined], np.intp).reshape(-1, 2)
     one, other = np.concatenate([ends, ends[:, ::-1]]).T
@@ -73,6 +89,8 @@ def spring_layout(
         apart = at[one] - at[other]
         np.subtract.at(move, one, apart * np.linalg.norm(apart, axis=1, keepdims=True) / ideal)
         at += move * np.minimum(1.0, step / np.maximum(np.linalg.norm(move, axis=1), 1e-9))[:, None]
+
+    # Scale to the unit square.
     span = np.ptp(at, axis=0) if n else np.ones(2)
     result: NDArray[np.float64] = (
         (at - at.min(0, initial=np.inf)) / np.maximum(span, 1e-9) if n > 1 else at
@@ -81,7 +99,7 @@ def spring_layout(
 
 
 def _pushes(at: NDArray[np.float64], ideal: float) -> NDArray[np.float64]:
-    """The sum (n, 2) of how all others push each; a part at a time, as there are n x n of them."""
+    """Return the sum of repulsions on each camera, (n, 2), computed in parts of `PART_ROWS`."""
     total = np.empty_like(at)
     for first in range(0, len(at), PART_ROWS):
         rows = slice(first, first + PART_ROWS)
@@ -92,6 +110,7 @@ def _pushes(at: NDArray[np.float64], ideal: float) -> NDArray[np.float64]:
 
 
 def _node(name: str, zones: int, at: tuple[float, float]) -> str:
+    """Return the box of a camera."""
     x, y = at
     corner = f'x="{x - NODE_WIDTH / 2:.1f}" y="{y - NODE_HEIGHT / 2:.1f}"'
     size = f'width="{NODE_WIDTH:.0f}" height="{NODE_HEIGHT:.0f}"'
@@ -106,6 +125,7 @@ def _node(name: str, zones: int, at: tuple[float, float]) -> str:
 
 
 def _edge(a: tuple[float, float], b: tuple[float, float], ways: list[Edge]) -> str:
+    """Return the line between two cameras, with the transit times of both directions."""
     overlapped = any(edge.overlapped for edge in ways)
     thick = 1.5 + 3 * max(edge.probability for edge in ways)
     label = " / ".join(f"{edge.from_} → {edge.to} {seconds(edge.transit.mode)}" for edge in ways)
@@ -121,10 +141,13 @@ def _edge(a: tuple[float, float], b: tuple[float, float], ways: list[Edge]) -> s
 
 
 def _legend(height: float) -> str:
+    """Return the legend."""
     y = height - 18
     return (
         f'<g font-size="11" fill="#333333"><line x1="16" y1="{y:.0f}" x2="44" y2="{y:.0f}"'
-        f' stroke="{STROKE[True]}" stroke-width="3"/><text x="50" y="{y + 4:.0f}">views overlap</text>'
-        f'<line x1="140" y1="{y:.0f}" x2="168" y2="{y:.0f}" stroke="{STROKE[False]}" stroke-width="3"/>'
-        f'<text x="174" y="{y + 4:.0f}">unseen path; most popular transit time</text></g>'
+        f' stroke="{STROKE[True]}" stroke-width="3"/>'
+        f'<text x="50" y="{y + 4:.0f}">views overlap</text>'
+        f'<line x1="140" y1="{y:.0f}" x2="168" y2="{y:.0f}"'
+        f' stroke="{STROKE[False]}" stroke-width="3"/>'
+        f'<text x="174" y="{y + 4:.0f}">unseen path; most frequent transit time</text></g>'
     )
