@@ -513,7 +513,7 @@ def test_a_journal_that_turns_out_to_be_damaged_ends_the_work_and_holds_up_no_en
         bench.work()
     assert bench.bus.seen == []
     bench.receiver.storing.last_words(Snapshot(0, "E", b"state"))
-    assert "what was learned last is not stored: the journal is damaged" in caplog.text
+    assert "the last versions and snapshot could not be stored: the journal is damaged" in caplog.text
 
 
 def test_what_waits_is_no_larger_than_an_event_may_be(bench: Bench) -> None:

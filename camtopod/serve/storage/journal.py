@@ -1,11 +1,10 @@
-"""The daemon's journal: what was received, in the order it was learned, the versions it led to, and
-snapshots of the learner.
+"""The daemon's journal: received events in the order of learning, versions and snapshots.
 
-One SQLite database, so that no two ledgers can disagree. An entry is the bytes as received; a
-snapshot and the entries after its position, in order through the learner, give the same versions
+It is one SQLite database, so that its parts cannot disagree. An entry holds the bytes as received;
+a snapshot and the entries after its position, in order through the learner, give the same versions
 with the same digests as an uninterrupted run. An event is acknowledged only after its transaction
-is committed; a version is published only after it is stored. What is older than the retention and
-than both snapshots is forgotten.
+is committed; a version is published only after it is stored. Entries before both snapshots are
+deleted when they exceed the retention.
 """
 
 from __future__ import annotations
@@ -35,35 +34,42 @@ from camtopod.serve.storage.witness import Witness
 log = logging.getLogger(__name__)
 
 SNAPSHOTS_KEPT = 2
-"""Should the newest be damaged there is another."""
+"""Snapshots kept, the newest ones; the second is for the case that the newest is damaged."""
 BOOTS_KEPT_MAX = 16
-"""Of each camera; of the publisher's older incarnations nothing is expected any more."""
+"""Most boots of each camera whose stored seq is kept; older ones send nothing any more."""
 STREAMS_KEPT_MAX = 100_000
-"""Of all cameras: names can be made up."""
+"""Most (camera, boot) whose stored seq is kept, over all cameras, as anyone can invent names."""
 PRUNED_ROWS_MAX = 5_000
-"""At most this many entries are forgotten at a time, so that a transaction stays short."""
+"""Most entries deleted at a time, so that a transaction stays short."""
 USUAL_STAMPS = 1_000
-"""More than half of these would have to be stored while the clock is wrong, for it to be
-believed.
+"""Number of newest entries whose median storing time is used.
+
+More than half of them would have to be stored under a wrong clock for it to be trusted.
 """
 CHUNK_ENTRIES = 1_000
-"""Read at a time; a read that went on for long would keep the log from being folded in."""
+"""Entries read at a time; a long read would keep SQLite from checkpointing the log."""
 DAY_SECONDS = 86_400
+"""Seconds in a day."""
 _COMPRESSION = 3
+"""Level of zlib's compression of versions."""
 _ROWS_AT_ONCE = (1_000, 100, 10, 1)
-"""Other threads get their turn after each statement, and it may be long before this one has its
-again: so few.
+"""Rows inserted by one statement, the largest number that fits.
+
+After each statement other threads can run, and it may take long until this one continues, so there
+should be few statements.
 """
 
 EntryKind = Literal["event", "future", "refused", "advance", "rewind", "leave-out"]
-"""``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not
-learned. ``advance``: event time went on without an event; ``raw`` is the time as decimal text.
-``rewind``, ``leave-out``: what had been learned is corrected, in a new epoch; see
-`camtopod.serve.storage.corrections`."""
+"""Kinds of entries.
+
+``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not learned.
+``advance``: event time advanced without an event; ``raw`` is the time as decimal text. ``rewind``,
+``leave-out``: a correction that begins an epoch, see `camtopod.serve.storage.corrections`.
+"""
 
 
 class Entry(Struct, frozen=True, gc=False):
-    """One row: what happened next."""
+    """One row of the journal: the event as received in ``raw``, its number in ``boot``, ``seq``."""
 
     kind: EntryKind
     camera: str
@@ -73,7 +79,7 @@ class Entry(Struct, frozen=True, gc=False):
 
 
 class StoredVersion(NamedTuple):
-    """A version of the topology; ``content`` as JSON, empty if only the digest is known."""
+    """A version of the topology; ``content`` is JSON, empty if only the digest is known."""
 
     epoch: str
     version: int
@@ -90,8 +96,10 @@ class Snapshot(NamedTuple):
 
 
 class Journal:
-    """Any thread may call; one at a time is served. Raises `database.StateError` if the directory
-    cannot be used, and `database.Damaged` as soon as damage shows.
+    """The journal in a state directory. Thread-safe; one call at a time is served.
+
+    Raises `sqlite_file.StateError` if the directory cannot be used, and `sqlite_file.Damaged` as
+    soon as damage shows.
     """
 
     def __init__(self, directory: Path, keep: KeepSettings | None = None) -> None:
@@ -100,15 +108,14 @@ class Journal:
         self._lock = sqlite_file.Lock(directory / "journal.lock")
         self._witness = Witness(self._lock)
         self._path = directory / "journal.db"
-        self._followed: set[tuple[str, str | None]] = (
-            set()
-        )  # (camera, boot) that had entries since the start
+        # (camera, boot) that had entries since the start.
+        self._followed: set[tuple[str, str | None]] = set()
         self._seen: dict[str, Any] = {}
         self._sure = True  # False after a transaction that raised an error
         self.set_aside: Path | None = None
-        """Where a journal that was damaged is now; this one has begun anew."""
+        """Path of a damaged journal that was set aside on opening; this one was begun anew."""
         self.missing = 0
-        """Entries that were lost before the journal was opened, as far as that is known."""
+        """Number of entries known to have been lost before the journal was opened."""
         with contextlib.ExitStack() as undo:
             undo.callback(self._lock.close)
             self._db, self.set_aside = sqlite_file.connect_or_begin_anew(
@@ -126,11 +133,12 @@ class Journal:
                     f"cannot read {self._path}: {error}; it is left as it is"
                 ) from None
             undo.pop_all()
-        self.status()  # so that there are numbers from the start
+        self.status()  # fills self._seen
 
     def _rescue(self) -> None:
-        """Into a journal that is empty; the one before it may have been set aside in an earlier
-        try.
+        """Read entries out of the newest damaged journal into this one, which is empty.
+
+        The damaged journal may have been set aside in an earlier attempt.
         """
         for aside in sqlite_file.damaged_files(self._path)[-1:]:
             with sqlite_file.transaction(self._db):
@@ -138,13 +146,13 @@ class Journal:
             log.error("%d entries were read out of the damaged journal %s", rescued, aside)
 
     def _compare(self) -> None:
-        """Begin a new epoch, and say so, if the journal is older than it was."""
+        """Log an error and begin a new epoch if the journal is an older copy of itself."""
         known, found = self._witness.known, journal_schema.how_far(self._db)
         self.missing = max(0, known.entries - found.entries)
         if found.is_older_than(known):
             log.error(
-                "%s has come back older than it was: it had %d entries and has %d; the others are filled in as far as "
-                "the cameras' spools still have them, and a new epoch begins",
+                "%s has come back older than it was: it had %d entries and has %d; the others are "
+                "filled in as far as the cameras' spools still have them, and a new epoch begins",
                 self._path,
                 found.entries + self.missing,
                 found.entries,
@@ -154,12 +162,12 @@ class Journal:
         self._witness.note(journal_schema.how_far(self._db))
 
     def meta(self, key: str) -> str | None:
-        """A value kept by `set_meta`; None also if it is damaged."""
+        """Return a value stored by `set_meta`; None if there is none or it is damaged."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             return journal_schema.read_meta(self._db, key)
 
     def set_meta(self, key: str, value: str) -> None:
-        """Keep a value. Raises `sqlite3.Error`."""
+        """Store a value under ``key``. Raises `sqlite3.Error`."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             self._check()
             journal_schema.write_meta(self._db, key, value)
@@ -173,17 +181,21 @@ class Journal:
         snapshot: Snapshot | None = None,
         now: float = 0.0,
     ) -> None:
-        """Store all of it in one transaction, or none; ``now``: Unix seconds. Raises
-        `sqlite3.Error`; the same call may be repeated.
+        """Store everything in one transaction, or nothing.
 
-        A commit can fail although its rows are durable; so a repetition first asks the file.
-        Without anything to store the files are checked all the same (`Displaced`), which is cheap.
+        entries: appended in this order.
+        now (Unix seconds): when they are stored.
+
+        Raises `sqlite3.Error`; then the same call may be repeated. A commit can fail although its
+        rows are durable, so a repeated call first looks whether they are there. Without anything to
+        store the files are checked all the same (`Displaced`), which is cheap.
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
             self._check()
             if not entries and not versions and snapshot is None:
                 return
 
+            # Write, unless an earlier attempt did.
             streams: Iterable[tuple[str, str | None]] = ()
             if not entries or not self._has(len(entries)):
                 self._sure = False  # an error leaves open whether the rows are there
@@ -197,6 +209,7 @@ class Journal:
             self._sure = True
             self._last += len(entries)
 
+            # Record how far the journal has come.
             known = self._witness.known
             newest = journal_schema.last_version(self._db) if versions else known.versions
             self._witness.note(known._replace(entries=self._last, versions=newest))
@@ -205,9 +218,10 @@ class Journal:
             self._followed.update(streams)
 
     def usual_stamp(self) -> float | None:
-        """When the newest entries (or versions, if there are no entries) were stored, Unix seconds:
-        the median, for a clock may have been wrong for a few. None: there are neither. Raises
-        `sqlite3.Error`.
+        """Return when the newest entries (or else versions) were stored, in Unix seconds.
+
+        It is the median, as a clock may have been wrong for a few. Returns None if there are
+        neither. Raises `sqlite3.Error`.
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
             for table in ("entry", "version"):
@@ -217,11 +231,17 @@ class Journal:
         return None
 
     def prune(self, now: float) -> bool:
-        """Forget some of what is older than is to be kept (``now``: Unix seconds); to be called now
-        and then, and again if there is more. Raises `sqlite3.Error`.
+        """Delete some of what is older than the retention; return True if there is more to delete.
+
+        now (Unix seconds): the time from which ages are counted.
+
+        Call it from time to time, and again if it returns True. Raises `sqlite3.Error`.
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
             self._check()
+
+            # Find the entries to delete: those before both snapshots that are too old, or all of
+            # those if the journal is too large.
             keep, oldest = self._keep, self._oldest_snapshot()
             size, free, pages = (
                 self._pragma(name) for name in ("page_size", "freelist_count", "page_count")
@@ -230,12 +250,15 @@ class Journal:
             first = self._db.execute("SELECT COALESCE(MIN(id), 0) FROM entry").fetchone()[0]
             until = min(first + PRUNED_ROWS_MAX, oldest + 1)
             kept_from = math.inf if too_large else now - keep.journal_days * DAY_SECONDS
+
+            # Delete entries, streams and versions.
             with sqlite_file.transaction(self._db):
                 gone = self._db.execute(
                     "DELETE FROM entry WHERE id < ? AND stored < ?", (until, kept_from)
                 ).rowcount
                 self._db.execute(
-                    "DELETE FROM stream WHERE entry <= (SELECT entry FROM stream ORDER BY entry DESC LIMIT 1 OFFSET ?)",
+                    "DELETE FROM stream WHERE entry <="
+                    " (SELECT entry FROM stream ORDER BY entry DESC LIMIT 1 OFFSET ?)",
                     (STREAMS_KEPT_MAX,),
                 )
                 self._db.execute(
@@ -251,12 +274,13 @@ class Journal:
     def entries(
         self, after: int = 0, up_to: int | None = None
     ) -> Iterator[tuple[int, Entry | None]]:
-        """The entries behind ``after`` in order as (id, entry); None in place of a damaged one,
-        which is left where it is, and of one that is missing. Read in chunks, so that more may be
-        stored meanwhile.
+        """Yield the entries after ``after``, up to ``up_to``, in order as (id, entry).
+
+        The entry is None if it is damaged (it then stays in the file) or missing. They are read in
+        chunks, so that more can be stored meanwhile.
         """
         last = len(self) if up_to is None else up_to
-        after = max(after, self.first() - 1)  # what is older has been forgotten
+        after = max(after, self.first() - 1)  # older entries were deleted
         while after < last:
             with self._mutex, sqlite_file.damage_noticed(self._path):
                 rows = self._db.execute(
@@ -271,7 +295,7 @@ class Journal:
                 yield row[0], Entry(*row[2:7]) if crc(*row[:7]) == row[7] else None
 
     def corrections(self, after: int) -> list[tuple[int, Entry]]:
-        """The corrections behind the entry ``after``, as (id, entry). Raises `sqlite3.Error`."""
+        """Return the corrections after an entry as (id, entry). Raises `sqlite3.Error`."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             rows = self._db.execute(
                 "SELECT * FROM entry WHERE id > ? AND kind IN ('rewind', 'leave-out') ORDER BY id",
@@ -280,16 +304,21 @@ class Journal:
         return [(row[0], Entry(*row[2:7])) for row in rows if crc(*row[:7]) == row[7]]
 
     def senders(self, after: int, up_to: int) -> dict[str, int]:
-        """How many events each camera has among the entries behind ``after``. Raises
-        `sqlite3.Error`.
+        """Return the number of events of each camera after ``after`` up to ``up_to``.
+
+        Raises `sqlite3.Error`.
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
-            counted = "SELECT camera, COUNT(*) FROM entry WHERE id > ? AND id <= ? AND kind = 'event' GROUP BY camera"
+            counted = (
+                "SELECT camera, COUNT(*) FROM entry"
+                " WHERE id > ? AND id <= ? AND kind = 'event' GROUP BY camera"
+            )
             return dict(self._db.execute(counted, (after, up_to)).fetchall())
 
     def numbered(self, camera: str, boot: str, seq: int) -> Entry | None:
-        """The entry with this number; None if it is not kept any more, or damaged. Raises
-        `sqlite3.Error`.
+        """Return the entry with this number; None if it was deleted or is damaged.
+
+        Raises `sqlite3.Error`.
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
             numbered = "SELECT * FROM entry WHERE camera = ? AND boot = ? AND seq = ?"
@@ -297,10 +326,10 @@ class Journal:
         return Entry(*row[2:7]) if row is not None and crc(*row[:7]) == row[7] else None
 
     def streams(self) -> dict[tuple[str, str], int]:
-        """The highest stored seq of each (camera, boot), those that stored last at the end.
+        """Return the highest stored seq of each (camera, boot), in the order of their last entries.
 
-        A damaged row is left out: its publisher's events come again, as far as it has them, and
-        count once.
+        Damaged rows are left out: the publisher sends those events again, as far as it has them,
+        and they count once.
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
             rows = self._db.execute(
@@ -309,12 +338,14 @@ class Journal:
         damaged = sum(crc(*row[:4]) != row[4] for row in rows)
         if damaged:
             log.error(
-                "%d damaged rows say how far publishers have come; they are not used", damaged
+                "the journal has %d damaged rows of stored sequence numbers: they are ignored, "
+                "and those cameras' events are asked for again",
+                damaged,
             )
         return {(row[0], row[1]): row[2] for row in rows if crc(*row[:4]) == row[4]}
 
     def versions(self, epoch: str) -> dict[int, str]:
-        """Version -> digest of the newest versions of an epoch that may have been published."""
+        """Return version -> digest for the versions of an epoch, which may have been published."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             return dict(
                 self._db.execute(
@@ -323,9 +354,7 @@ class Journal:
             )
 
     def version(self, epoch: str, version: int | None = None) -> bytes | None:
-        """The topology of a version, or of the newest, as JSON; None if it is not kept or
-        damaged.
-        """
+        """Return a version (default: the newest) as JSON; None if it is not kept or damaged."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             row = self._db.execute(
                 "SELECT * FROM version WHERE epoch = ? AND version = COALESCE(?, "
@@ -342,7 +371,7 @@ class Journal:
         return zlib.decompress(row[6])
 
     def newest_version(self) -> bytes | None:
-        """The topology stored last, of whatever epoch, as JSON; None if there is none."""
+        """Return the version that was stored last, of any epoch, as JSON; None if there is none."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             row = self._db.execute(
                 "SELECT epoch, version FROM version WHERE size > 0 ORDER BY id DESC"
@@ -350,7 +379,7 @@ class Journal:
         return None if row is None else self.version(*row)
 
     def snapshots(self) -> list[Snapshot]:
-        """Newest first; damaged ones are left out and reported."""
+        """Return the snapshots, the newest first. Damaged ones are logged and left out."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             rows = self._db.execute("SELECT * FROM snapshot ORDER BY position DESC").fetchall()
         for row in rows:
@@ -362,25 +391,26 @@ class Journal:
         return [Snapshot(row[0], row[1], row[3]) for row in rows if crc(*row[:4]) == row[4]]
 
     def first(self) -> int:
-        """The oldest entry that is kept; 0 if there is none."""
+        """Return the number of the oldest entry that is kept; 0 if there is none."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             return int(self._db.execute("SELECT COALESCE(MIN(id), 0) FROM entry").fetchone()[0])
 
     def __len__(self) -> int:
-        """The number of the newest entry: how many there have ever been."""
+        """Return the number of the newest entry, which is how many there have ever been."""
         return self._last
 
     def size(self) -> int:
-        """Bytes in use in the database."""
+        """Return the size of the used part of the database, in bytes."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             return self._pragma("page_size") * (
                 self._pragma("page_count") - self._pragma("freelist_count")
             )
 
     def status(self) -> dict[str, Any]:
-        """Entries, bytes and damaged files; of a disk that cannot be read the reason. Does not wait
-        for a transaction under way, which a disk can hold up for long: the numbers are then those
-        of before.
+        """Return the number of entries, bytes and damaged files, or why the disk cannot be read.
+
+        Does not wait for a transaction under way, which a slow disk can delay for long; then it
+        returns the figures of the previous call.
         """
         if self._mutex.acquire(blocking=False):
             try:
@@ -393,19 +423,15 @@ class Journal:
         return {"entries": len(self), "missing": self.missing, **self._seen}
 
     def damaged_files(self) -> list[Path]:
-        """What was set aside of the database and its log and is still there, for somebody to look
-        at.
-        """
+        """Return the files that were set aside of the database and its log and still exist."""
         return [*sqlite_file.damaged_files(self._path), *self.damaged_logs()]
 
     def damaged_logs(self) -> list[Path]:
-        """Of its log alone, the newest last: transactions that had been committed are not in the
-        database.
-        """
+        """Return the set-aside logs, newest last; they hold committed transactions that are lost."""
         return sqlite_file.damaged_files(self._path.with_name(f"{self._path.name}-wal"))
 
     def close(self) -> None:
-        """Close and let go of the directory; may be called twice."""
+        """Close the journal and release the directory; may be called twice."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             self._db.close()
             self._lock.close()
@@ -416,16 +442,19 @@ class Journal:
         self._lock.check()
 
     def _has(self, count: int) -> bool:
-        """Return True if the ``count`` entries to be stored are durable already, with their whole
-        transaction, which raised an error. Raises `Displaced` if the journal has entries of another
-        program.
+        """Return True if an attempt that raised an error did store its transaction completely.
+
+        count: number of its entries.
+
+        Raises `Displaced` if the journal has entries of another program.
         """
         last = last_entry(self._db)
         if last == self._last + count and not self._sure:
             return True
         if last != self._last:
             raise Displaced(
-                f"{self._path} was changed by another program, its last entry is {last} and was {self._last}: "
+                f"{self._path} was changed by another program, "
+                f"its last entry is {last} and was {self._last}: "
                 f"stop that program, and restart this one"
             )
         return False
@@ -433,19 +462,23 @@ class Journal:
     def _add_entries(
         self, entries: Sequence[Entry], stored: int
     ) -> Iterable[tuple[str, str | None]]:
-        """Returns the streams they belong to."""
+        """Insert entries, and return the streams they belong to."""
+
+        # Insert the entries.
         rows = [
             (number, stored, one.kind, one.camera, one.boot, one.seq, one.raw)
             for number, one in enumerate(entries, start=self._last + 1)
         ]
         self._insert("INSERT INTO entry", rows)
+
+        # Store the highest seq of each stream.
         newest = {
             (row[3], row[4]): (row[3], row[4], row[5], row[0]) for row in rows if row[4] is not None
         }
         self._insert("INSERT OR REPLACE INTO stream", [*newest.values()])
-        for camera in {
-            camera for camera, _ in newest.keys() - self._followed
-        }:  # which now have another boot
+
+        # Delete the oldest boots of cameras that have a new one.
+        for camera in {camera for camera, _ in newest.keys() - self._followed}:
             self._db.execute(
                 "DELETE FROM stream WHERE camera = ? AND boot NOT IN "
                 "(SELECT boot FROM stream WHERE camera = ? ORDER BY entry DESC LIMIT ?)",
@@ -454,7 +487,7 @@ class Journal:
         return newest.keys()
 
     def _insert(self, insert: str, rows: Sequence[tuple[Any, ...]]) -> None:
-        """Rows of equal length, each with its checksum."""
+        """Insert rows of equal length, each with its checksum."""
         start, variables_max = 0, self._db.getlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER)
         for size in _ROWS_AT_ONCE:
             while len(rows) - start >= size and size * (len(rows[0]) + 1) <= variables_max:
@@ -465,8 +498,10 @@ class Journal:
                 start += size
 
     def _insert_large(self, insert: str, row: tuple[Any, ...]) -> None:
-        """One row, with its checksum. Its statement is kept for the next, and with it a copy of
-        what it was given last: that is nothing.
+        """Insert one large row with its checksum, and keep no copy of it.
+
+        SQLite keeps the statement, with its last values, for the next row; so it is executed again
+        with NULLs, which inserts nothing.
         """
         for values in ((*row, crc(*row)), (None,) * (len(row) + 1)):
             self._db.execute(
@@ -474,6 +509,7 @@ class Journal:
             )
 
     def _add_version(self, version: StoredVersion, stored: int) -> None:
+        """Insert a version; ``stored``: Unix seconds."""
         number = journal_schema.last_version(self._db) + 1
         content = zlib.compress(version.content, _COMPRESSION) if version.content else b""
         row = (
@@ -488,26 +524,33 @@ class Journal:
         self._insert_large("INSERT OR IGNORE INTO version", row)
 
     def _add_snapshot(self, snapshot: Snapshot, stored: int) -> None:
+        """Insert a snapshot, and delete those before the newest `SNAPSHOTS_KEPT`."""
         row = (snapshot.position, snapshot.epoch, stored, snapshot.state)
         self._insert_large("INSERT OR REPLACE INTO snapshot", row)
         self._db.execute(
-            "DELETE FROM snapshot WHERE position NOT IN (SELECT position FROM snapshot ORDER BY position DESC LIMIT ?)",
+            "DELETE FROM snapshot WHERE position NOT IN"
+            " (SELECT position FROM snapshot ORDER BY position DESC LIMIT ?)",
             (SNAPSHOTS_KEPT,),
         )
 
     def _oldest_snapshot(self) -> int:
-        """Position of the older of two snapshots; 0 with fewer, as then all entries are needed."""
+        """Return the position of the older snapshot.
+
+        Returns 0 if there is only one, as then all entries are needed.
+        """
         found = self._db.execute("SELECT position FROM snapshot ORDER BY position DESC").fetchall()
         return int(found[SNAPSHOTS_KEPT - 1][0]) if len(found) >= SNAPSHOTS_KEPT else 0
 
     def _history_bytes(self) -> int:
+        """Return the size of all stored versions, in bytes."""
         return int(self._db.execute("SELECT COALESCE(SUM(size), 0) FROM version").fetchone()[0])
 
     def _forget_oldest_version(self) -> bool:
-        """False if there is only the newest left."""
+        """Delete the oldest version; return False if only the newest is left."""
         return bool(
             self._db.execute(
-                "DELETE FROM version WHERE id = (SELECT MIN(id) FROM version) AND id < (SELECT MAX(id) FROM version)"
+                "DELETE FROM version WHERE id = (SELECT MIN(id) FROM version)"
+                " AND id < (SELECT MAX(id) FROM version)"
             ).rowcount
         )
 
@@ -517,6 +560,6 @@ class Journal:
 
 @functools.cache
 def _values(insert: str, columns: int, rows: int) -> str:
-    """The statement that inserts so many rows of so many columns."""
+    """Return the statement that inserts ``rows`` rows of ``columns`` columns."""
     row = f"({', '.join('?' * columns)})"
     return f"{insert} VALUES {', '.join([row] * rows)}"

@@ -1,4 +1,4 @@
-"""The tables of the journal, and how those of an older program become them.
+"""The tables of the journal, and the migration of older ones.
 
 Every row ends with a checksum of its other columns, as SQLite does not notice a flipped bit in a
 value.
@@ -17,20 +17,21 @@ from camtopod.serve.storage.witness import Known
 log = logging.getLogger(__name__)
 
 FORMAT = 2
-"""Of the tables; an older one is migrated, a newer one refused."""
+"""Format of the tables; an older one is migrated, a newer one refused."""
 
 DAMAGED = -1
-"""No row's checksum: given to rows that were damaged already."""
+"""A value that no checksum has: given to rows that were damaged before the migration."""
 
 SCHEMA = """
-CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS meta (
+    key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS entry (
-    id INTEGER PRIMARY KEY, stored INTEGER NOT NULL, kind TEXT NOT NULL, camera TEXT NOT NULL, boot TEXT, seq INTEGER,
-    raw BLOB NOT NULL, crc INTEGER NOT NULL);
+    id INTEGER PRIMARY KEY, stored INTEGER NOT NULL, kind TEXT NOT NULL, camera TEXT NOT NULL,
+    boot TEXT, seq INTEGER, raw BLOB NOT NULL, crc INTEGER NOT NULL);
 CREATE INDEX IF NOT EXISTS entry_number ON entry (camera, boot, seq) WHERE boot IS NOT NULL;
 CREATE TABLE IF NOT EXISTS stream (
-    camera TEXT NOT NULL, boot TEXT NOT NULL, seq INTEGER NOT NULL, entry INTEGER NOT NULL, crc INTEGER NOT NULL,
-    PRIMARY KEY (camera, boot)) WITHOUT ROWID;
+    camera TEXT NOT NULL, boot TEXT NOT NULL, seq INTEGER NOT NULL, entry INTEGER NOT NULL,
+    crc INTEGER NOT NULL, PRIMARY KEY (camera, boot)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS version (
     id INTEGER PRIMARY KEY, epoch TEXT NOT NULL, version INTEGER NOT NULL, stored INTEGER NOT NULL,
     digest TEXT NOT NULL, size INTEGER NOT NULL, content BLOB NOT NULL, crc INTEGER NOT NULL);
@@ -39,14 +40,19 @@ CREATE TABLE IF NOT EXISTS snapshot (
     position INTEGER PRIMARY KEY, epoch TEXT NOT NULL, stored INTEGER NOT NULL, state BLOB NOT NULL,
     crc INTEGER NOT NULL)
 """
-"""``stored``: when, Unix seconds. ``stream``: the highest seq of each (camera, boot) and the entry
-it is in. ``content``: the topology, packed; empty if only its digest is known. ``position``: the
-last entry that the state of the learner has in it."""
+"""The tables.
+
+stored (Unix seconds): when the row was stored.
+stream: the highest seq of each (camera, boot), and the entry that has it.
+content: the topology, compressed; empty if only its digest is known.
+position: the last entry that a snapshot's state contains.
+"""
 
 
 def prepare(database: sqlite3.Connection) -> None:
-    """Make the tables, or bring those of an older program up to date. Raises `StateError` for those
-    of a newer one and `Damaged` if it cannot be told.
+    """Create the tables, or migrate those of an older program.
+
+    Raises `StateError` for those of a newer program, and `Damaged` if the format is unreadable.
     """
     tables = {
         name for (name,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")
@@ -66,25 +72,28 @@ def prepare(database: sqlite3.Connection) -> None:
 
 
 def create(database: sqlite3.Connection) -> None:
-    """The tables of a journal that begins, and its format, in one transaction of the caller's."""
+    """Create the tables and store their format, within the caller's transaction."""
     for statement in SCHEMA.split(";"):
         database.execute(statement)
     database.execute("INSERT INTO meta VALUES (?, ?, ?)", meta_row("format", str(FORMAT)))
 
 
 def rescue(database: sqlite3.Connection, aside: Path) -> int:
-    """Take over what can still be read of a journal set aside: entries, versions, snapshots;
-    returns how many entries.
+    """Copy what is undamaged in a journal that was set aside; return the number of entries.
 
-    The epoch is not gone on with, as the versions to come may be others than some that were
-    published. Nor is it taken over how far the publishers had come: what they still have comes
-    again, fills the holes, and counts once.
+    The epoch is not continued, as the next versions may differ from some that were published.
+    Stored sequence numbers are not copied: what the publishers still have is sent again, fills the
+    gaps, and counts once.
     """
+
+    # Keep the epoch as the one before.
     for row in readable(aside, "meta", "key"):
         if row[0] == "epoch" and row == meta_row("epoch", str(row[1])):
             database.execute(
                 "INSERT OR IGNORE INTO meta VALUES (?, ?, ?)", meta_row("epoch before", str(row[1]))
             )
+
+    # Copy rows with the right checksum.
     entries = 0
     for table, key, columns in (
         ("entry", "id", 8),
@@ -102,12 +111,12 @@ def rescue(database: sqlite3.Connection, aside: Path) -> int:
 
 
 def meta_row(key: str, value: str) -> tuple[str, str, int]:
-    """A row of ``meta``."""
+    """Return a row of the table ``meta``."""
     return key, value, crc(key, value)
 
 
 def read_meta(database: sqlite3.Connection, key: str) -> str | None:
-    """A value of ``meta``; None if there is none, or if it is damaged."""
+    """Return a value of ``meta``; None if there is none or it is damaged."""
     row = database.execute("SELECT key, value, crc FROM meta WHERE key = ?", (key,)).fetchone()
     if row is not None and row != meta_row(*row[:2]):
         log.error("the journal's %s is damaged and not used", key)
@@ -116,28 +125,31 @@ def read_meta(database: sqlite3.Connection, key: str) -> str | None:
 
 
 def write_meta(database: sqlite3.Connection, key: str, value: str) -> None:
-    """Keep a value in ``meta``."""
+    """Store a value in ``meta``."""
     database.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", meta_row(key, value))
 
 
 def last_entry(database: sqlite3.Connection) -> int:
-    """The number of the newest entry. Entries may all be forgotten, but never those behind the
-    newest snapshot.
+    """Return the number of the newest entry.
+
+    All entries may have been deleted, but never those after the newest snapshot, so its position
+    counts, too.
     """
     return int(
         database.execute(
-            "SELECT MAX((SELECT COALESCE(MAX(id), 0) FROM entry), (SELECT COALESCE(MAX(position), 0) FROM snapshot))"
+            "SELECT MAX((SELECT COALESCE(MAX(id), 0) FROM entry),"
+            " (SELECT COALESCE(MAX(position), 0) FROM snapshot))"
         ).fetchone()[0]
     )
 
 
 def last_version(database: sqlite3.Connection) -> int:
-    """The number of the newest version, counted over all epochs."""
+    """Return the number of the newest version, counted over all epochs."""
     return int(database.execute("SELECT COALESCE(MAX(id), 0) FROM version").fetchone()[0])
 
 
 def how_far(database: sqlite3.Connection) -> Known:
-    """How far the journal has come."""
+    """Return how far the journal has come."""
     epoch = max(read_meta(database, key) or "" for key in ("epoch", "epoch before"))
     return Known(
         last_entry(database), last_version(database), epoch, read_meta(database, "name") or ""
@@ -145,10 +157,10 @@ def how_far(database: sqlite3.Connection) -> Known:
 
 
 def begin_behind(database: sqlite3.Connection, known: Known) -> None:
-    """Make a journal that came back older ready for a new epoch, in a transaction of the caller's.
+    """Prepare a journal that was set back for a new epoch, within the caller's transaction.
 
-    Its own epoch has ended, as versions that were published may be missing; the next one sorts
-    behind it, and behind the newest that is known.
+    Its own epoch ends, as published versions may be missing; the next one sorts after it and after
+    the newest that is known.
     """
     found = how_far(database)
     database.execute("DELETE FROM meta WHERE key = 'epoch'")
@@ -158,16 +170,25 @@ def begin_behind(database: sqlite3.Connection, known: Known) -> None:
 
 
 def _from_1(database: sqlite3.Connection) -> None:
-    """Format 1 had no times, kept every entry, and of versions the digests of the current epoch."""
+    """Migrate format 1, which had no times, kept every entry, and only digests of versions.
+
+    Its digests are of the current epoch.
+    """
+
+    # Create the new tables beside the old ones.
     for table in ("meta", "entry", "version"):
         database.execute(f"ALTER TABLE {table} RENAME TO old_{table}")
     database.execute("DROP INDEX entry_stream")
     for statement in SCHEMA.split(";"):
         database.execute(statement)
+
+    # Copy the values, with checksums.
     meta = dict(database.execute("SELECT key, value FROM old_meta")) | {"format": str(FORMAT)}
     database.executemany(
         "INSERT INTO meta VALUES (?, ?, ?)", [meta_row(*item) for item in meta.items()]
     )
+
+    # Copy the entries; the time is 0, and damaged ones stay marked as damaged.
     entries = database.execute("SELECT * FROM old_entry ORDER BY id")
     database.executemany(
         "INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
@@ -181,12 +202,17 @@ def _from_1(database: sqlite3.Connection) -> None:
             for row in entries
         ),
     )
+
+    # Derive the streams.
     newest = database.execute(
-        "SELECT camera, boot, MAX(seq), MAX(id) FROM entry WHERE boot IS NOT NULL GROUP BY camera, boot"
+        "SELECT camera, boot, MAX(seq), MAX(id) FROM entry"
+        " WHERE boot IS NOT NULL GROUP BY camera, boot"
     ).fetchall()
     database.executemany(
         "INSERT INTO stream VALUES (?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in newest]
     )
+
+    # Copy the digests of versions.
     digests = database.execute(
         "SELECT version, digest FROM old_version ORDER BY version"
     ).fetchall()
@@ -197,5 +223,7 @@ def _from_1(database: sqlite3.Connection) -> None:
     database.executemany(
         "INSERT INTO version VALUES (?, ?, ?, ?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in rows]
     )
+
+    # Delete the old tables.
     for table in ("meta", "entry", "version"):
         database.execute(f"DROP TABLE old_{table}")

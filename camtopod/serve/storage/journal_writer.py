@@ -1,8 +1,8 @@
-"""Into the journal: what is ready, versions and snapshots, all in one transaction; what follows
-from it comes after.
+"""Store entries, versions and snapshots in the journal, and publish versions once they are stored.
 
-Nothing is acknowledged, learned or published before it is stored, so a disk that cannot be written
-is tried again and again. One thread stores; the learner's hands over versions and snapshots.
+Nothing is acknowledged, learned or published before it is stored, so a transaction that fails is
+retried until it succeeds. One thread stores; the learner's thread hands over versions and
+snapshots.
 """
 
 from __future__ import annotations
@@ -23,18 +23,26 @@ from camtopod.serve.storage.sqlite_file import StateError
 log = logging.getLogger(__name__)
 
 _RETRY_SECONDS = 0.5
+"""Time between two attempts to store, in seconds."""
 SLOW_SECONDS = 5.0
-"""A transaction that takes longer shows in the status; on a slow card one can take seconds."""
+"""A transaction that takes longer than this (seconds) shows in the status.
+
+On a slow memory card one can take several seconds.
+"""
 BELIEVED_SECONDS = 86_400.0
-"""A wall clock that has run evenly for so long is right; until then it makes nothing older by more
-than that.
+"""A wall clock that has run evenly for this many seconds is trusted.
+
+Until then it ages the rows of the journal by at most this much.
 """
 EVEN_SECONDS = 60.0
-"""Further apart from the steady clock than before, the wall clock has stepped."""
+"""Change of the wall clock's offset from the steady clock that counts as a step, in seconds."""
 
 
 class Storing:
-    """``publish``: called with each version after it is stored. Raises `sqlite3.Error`."""
+    """The storing end of the daemon. ``publish`` is called with each version after it is stored.
+
+    Raises `sqlite3.Error`.
+    """
 
     def __init__(
         self, journal: Journal, clock: Clock, steady: Clock, publish: Callable[[Version], None]
@@ -42,53 +50,58 @@ class Storing:
         self._journal, self._clock, self._steady, self._publish = journal, clock, steady, publish
         wall, now = clock(), steady()
         usual = journal.usual_stamp()
-        self._believed = (wall if usual is None else usual, now)  # wall and steady clock
-        self._even = (
-            wall - now,
-            now,
-        )  # by how much the wall clock is ahead, and since when (steady)
+        # Trusted time: (wall clock, steady clock).
+        self._believed = (wall if usual is None else usual, now)
+        # (offset of the wall clock from the steady clock, steady clock since when).
+        self._even = (wall - now, now)
         self._versions: collections.deque[Version] = collections.deque()
         self._snapshots: collections.deque[Snapshot] = collections.deque(maxlen=1)
-        self._too_much = False  # whether the journal may have more than is to be kept
+        # True if the journal may hold more than its retention.
+        self._too_much = False
         self._failure = ""
-        self._began: float | None = None  # the transaction under way (monotonic clock)
+        # Start of the transaction under way, on the monotonic clock.
+        self._began: float | None = None
 
     @property
     def reason(self) -> str:
-        """The reason why nothing is stored at the moment; "" if all is well. Never waits for the
-        disk.
-        """
+        """Reason why nothing is stored at the moment, or "". Never waits for the disk."""
         began = self._began
         seconds = 0.0 if began is None else time.monotonic() - began
         if seconds > SLOW_SECONDS:
-            return f"the disk of the journal does not answer: a transaction has taken {seconds:.0f} s so far"
+            return (
+                "the disk of the journal does not answer: "
+                f"a transaction has taken {seconds:.0f} s so far"
+            )
         return self._failure
 
     def on_version(self, version: Version) -> None:
-        """A version from the learner, to be stored and then published. Never blocks."""
+        """Accept a version from the learner, to be stored and then published. Never blocks."""
         self._versions.append(version)
 
     def on_snapshot(self, snapshot: Snapshot) -> None:
-        """The learner's state, to be stored no earlier than the versions handed over before. Never
-        blocks.
+        """Accept the learner's state, to be stored together with or after the versions before it.
+
+        Never blocks.
         """
         self._snapshots.append(snapshot)
 
     def store(
         self, entries: Sequence[Entry], stopping: threading.Event, beat: Beat = no_beat
     ) -> bool:
-        """Commit, however often it takes, and publish. Gives up, and returns False, only when the
-        daemon stops: nothing may then be stored behind ``entries``. Raises `database.Damaged`, as
-        trying again would not help.
+        """Commit ``entries`` and what the learner handed over, retrying as needed; then publish.
+
+        Returns False only if the daemon stops before it succeeds; then nothing may be stored after
+        ``entries``. Raises `sqlite_file.Damaged`, where retrying would not help.
         """
-        snapshot = (
-            self._snapshots.popleft() if self._snapshots else None
-        )  # before the versions, which it must not pass
+        # Take the snapshot before the versions: it must not be stored before any of them.
+        snapshot = self._snapshots.popleft() if self._snapshots else None
         versions = [self._versions.popleft() for _ in range(len(self._versions))]
         stored = [
             StoredVersion(one.head.epoch, one.head.version, one.head.digest, one.content)
             for one in versions
         ]
+
+        # Retry until it succeeds, or until the daemon stops.
         while True:
             try:
                 with self._timed():
@@ -98,24 +111,23 @@ class Storing:
                 if not self._failure:
                     log.error("cannot write the journal, so nothing is acknowledged: %s", error)
                 self._failure = f"cannot write the journal: {error}"
-                beat()  # starting again would not help
+                beat()  # a restart would not help
                 if stopping.wait(_RETRY_SECONDS):
-                    self._versions.extendleft(
-                        reversed(versions)
-                    )  # the next snapshot has them in it
+                    # The next snapshot includes these versions, so they have to come before it.
+                    self._versions.extendleft(reversed(versions))
                     return False
         if self._failure:
             log.info("the journal can be written again")
             self._failure = ""
+
+        # Publish.
         for version in versions:
             self._publish(version)
         self._too_much = self._too_much or snapshot is not None
         return True
 
     def forget_old(self) -> None:
-        """After a snapshot, a part of what the journal need not keep; the rest in the calls to
-        come.
-        """
+        """After a snapshot, delete some of what exceeds the retention, the rest in later calls."""
         if not self._too_much:
             return
         self._too_much = False
@@ -123,11 +135,11 @@ class Storing:
             with self._timed():
                 self._too_much = self._journal.prune(self._believable_time())
         except sqlite3.Error as error:
-            log.warning("cannot forget what is old in the journal: %s", error)
+            log.warning("cannot delete old entries of the journal: %s; trying again later", error)
 
     @contextlib.contextmanager
     def _timed(self) -> Iterator[None]:
-        """Note how long the block takes, for `reason`."""
+        """Note that a transaction is under way while the block runs, for `reason`."""
         self._began = time.monotonic()
         try:
             yield
@@ -135,9 +147,10 @@ class Storing:
             self._began = None
 
     def _believable_time(self) -> float:
-        """Unix seconds: the wall clock's unless that is far ahead of what was stored before and of
-        the time since. One wrong moment of a clock would otherwise make everything in the journal
-        too old to keep.
+        """Return Unix seconds: the wall clock, limited to what can be trusted.
+
+        It is limited to the trusted time plus the time since plus `BELIEVED_SECONDS`. Otherwise a
+        single wrong reading of the clock would make everything in the journal too old to keep.
         """
         wall, now = self._clock(), self._steady()
         apart, since = self._even
@@ -145,11 +158,12 @@ class Storing:
             self._even = (wall - now, now)
         elif now - since >= BELIEVED_SECONDS:
             self._believed, self._even = (wall, now), (wall - now, since)  # it may drift
+
         then, at = self._believed
         return min(wall, then + (now - at) + BELIEVED_SECONDS)
 
     def last_words(self, snapshot: Snapshot | None) -> None:
-        """Store what the learner has handed over to the end. Only after both threads have ended."""
+        """Store what the learner has handed over at the end, after both threads have ended."""
         if snapshot is not None:
             self.on_snapshot(snapshot)
         ended = threading.Event()
@@ -157,4 +171,4 @@ class Storing:
         try:
             self.store([], ended)
         except StateError as error:
-            log.error("what was learned last is not stored: %s", error)
+            log.error("the last versions and snapshot could not be stored: %s", error)

@@ -35,9 +35,7 @@ class Identity:
         self._file = opened.st_dev, opened.st_ino
 
     def check(self) -> int:
-        """Return the size of the file at the path (bytes). Raises `Displaced` unless it is the
-        same.
-        """
+        """Return the size in bytes of the file at the path; raise `Displaced` if it is another."""
         try:
             found = os.stat(self.path)
         except OSError as error:
