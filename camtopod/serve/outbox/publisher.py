@@ -1,6 +1,4 @@
-"""Events onto the bus so that none is lost: into the spool first, then the put; and answers to
-pulls.
-"""
+"""Publish events without losing any: store them in the spool, publish them, and answer queries."""
 
 from __future__ import annotations
 
@@ -20,21 +18,25 @@ from camtopod.serve.storage import StateError
 log = logging.getLogger(__name__)
 
 PENDING_EVENTS_MAX = 10_000
-"""Events kept in memory while the spool cannot be written (disk full); beyond it the newest are
-dropped.
+"""Most events kept in memory while the spool cannot be written (disk full).
+
+Beyond it the newest are dropped.
 """
 SEQ_MAX = 2**63 - 1
+"""Largest sequence number."""
 NAME_CHARACTERS_MAX = 64
-"""Of a daemon's name."""
+"""Longest part of a daemon's name that is used, in characters."""
 
 
 class Publisher:
-    """Publishes the events of some cameras. `publish` and `retry` from one thread; they raise
-    `database.Damaged`.
+    """Publish the events of some cameras. Call `publish` and `retry` from one thread.
 
-    Works without a bus: events then wait in the spool until `attach`. The spool belongs to the
-    caller, who closes the bus before it. ``on_ack``: called with each ack, from a thread of the
-    bus.
+    spool: belongs to the caller, who closes the bus before it.
+    limit_batch_events: most events stored in one transaction.
+    on_ack: called with each acknowledgement, from a thread of the bus.
+
+    Without a bus, events wait in the spool until `attach`. `publish` and `retry` raise
+    `sqlite_file.Damaged`.
     """
 
     def __init__(
@@ -49,23 +51,25 @@ class Publisher:
         self._acked = threading.Condition()
         self._unwritable = False
         self.rejects = Rejects()
-        """Acks and questions that do not fit."""
+        """Acknowledgements and queries that were rejected."""
         self.published = 0
-        """Events spooled (and put, if there is a bus) since the start."""
+        """Events stored in the spool (and published, if there is a bus) since the start."""
         self.dropped = 0
         """Events lost because the spool could not be written for too long."""
 
     def attach(self, bus: Bus, cameras: Sequence[str] = ()) -> None:
-        """From now on put on ``bus``, for these cameras, those in the spool, and those whose events
-        come.
+        """From now on publish on ``bus``, for these cameras and for those with events in the spool.
+
+        Further cameras are added with their first event.
         """
         for camera in {*cameras, *self._spool.cameras()}:
             self._introduce(bus, camera)
         self._bus = bus
 
     def publish(self, *events: Event) -> None:
-        """Spool and put. A spool that cannot be written is said once and tried again with the next
-        events.
+        """Store events in the spool and publish them.
+
+        A spool that cannot be written is logged once, and tried again with the next events.
         """
         room = PENDING_EVENTS_MAX - len(self._pending)
         self._pending.extend(events[:room])
@@ -73,9 +77,11 @@ class Publisher:
         self.retry()
 
     def retry(self) -> None:
-        """Try again what could not be spooled; cheap when there is nothing."""
+        """Store and publish the events that could not be stored yet; cheap if there are none."""
         while self._pending:
             batch = self._pending[: self._batch_max]
+
+            # Store a batch, or keep it in memory.
             try:
                 numbered = self._spool.append(batch)
             except sqlite3.Error as error:
@@ -86,6 +92,8 @@ class Publisher:
             if self._unwritable:
                 self._unwritable = False
                 log.info("the spool can be written again")
+
+            # Publish the batch.
             del self._pending[: self._batch_max]
             self.published += len(numbered)
             if self._bus is not None:
@@ -96,19 +104,17 @@ class Publisher:
                     )
 
     def drained(self, seconds: float, most: int = 0) -> bool:
-        """Wait until at most ``most`` events are unacknowledged; False if that takes over
-        ``seconds``.
-        """
+        """Wait until at most ``most`` events are unacknowledged; return False after ``seconds``."""
         with self._acked:
             return self._acked.wait_for(lambda: self.unacknowledged <= most, seconds)
 
     @property
     def unacknowledged(self) -> int:
-        """Events that are not known to be stored by a daemon."""
+        """Number of events that are not known to be stored by a daemon."""
         return len(self._spool) + len(self._pending)
 
     def statistics(self) -> dict[str, int]:
-        """Counters for the status."""
+        """Return counters for the status."""
         return {
             **self._spool.statistics(),
             "published": self.published,
@@ -118,7 +124,7 @@ class Publisher:
         }
 
     def _introduce(self, bus: Bus, camera: str) -> None:
-        """Answer for the camera's spool, obey its acks, be seen alive."""
+        """Answer for a camera's spool, receive its acknowledgements, and appear on the bus."""
         if camera not in self._introduced:
             self._introduced.add(camera)
             bus.answer(f"spool/{camera}", functools.partial(self._answer, bus.endpoint), "spool")
@@ -126,6 +132,7 @@ class Publisher:
             bus.appear("grabber", camera)
 
     def _answer(self, endpoint: str, key: str, parameters: dict[str, str]) -> SpoolBatch:
+        """Answer a query for events of a camera, from the seq ``from`` of the boot ``boot`` on."""
         try:
             start, most = int(parameters.get("from", "0")), int(parameters.get("max", "1000"))
         except ValueError:
@@ -142,10 +149,12 @@ class Publisher:
             raise QueryError(f"the spool cannot be read: {error}") from None
 
     def _refusal(self, key: str, parameters: dict[str, str], what: str) -> QueryError:
+        """Count a malformed query, and return the error to answer with."""
         self.rejects.add("bad-question", key, what, str(parameters))
         return QueryError(what)
 
     def _on_ack(self, endpoint: str, key: str, payload: bytes) -> None:
+        """Check an acknowledgement and pass it to the spool."""
         try:
             ack = codec.read(Ack, payload, pack=True)
             if ack.camera != key.removeprefix("ack/"):
@@ -154,7 +163,7 @@ class Publisher:
                 raise codec.Rejected("bad-value", "seq is not a sequence number")
             self._spool.asked_by(ack.daemon[:NAME_CHARACTERS_MAX], endpoint)
             if not self._spool.ack(ack.camera, ack.boot, ack.seq):
-                raise codec.Rejected("beyond", "seq is above all that this boot has given")
+                raise codec.Rejected("beyond", "seq is above the highest one of this boot")
             if self.on_ack is not None:
                 self.on_ack(ack)
         except codec.Rejected as error:

@@ -1,14 +1,13 @@
-"""The publisher's spool: every event is here, durably, from before it is put until it is
-acknowledged.
+"""A publisher's spool: every event is stored here before it is published, until it is acknowledged.
 
-What a put says is not believed; the daemon asks the spool for what it has not got. Each time a
-spool is opened a new ``boot`` begins, and each camera's events are counted within it: a file that
-comes back as it was some time ago (a restored image) never gives a number to a second event. An
-event that brings its own boot and seq keeps them.
+That a message was published does not tell whether it was received; the daemon queries the spool for
+events it has missed. Each time a spool is opened a new ``boot`` begins, and each camera's events
+are counted within it, so that a file restored from an older copy never gives the same number to a
+second event. An event that brings its own boot and seq keeps them.
 
 A spool belongs to one site. The newest acknowledged events stay for a while, for the daemon that
-acknowledged them, and what was acknowledged is told with every answer: a daemon whose journal came
-back shorter notices, and gets them again.
+acknowledged them, and each answer tells the highest acknowledged seq. So a daemon whose journal was
+set back notices, and gets the events again.
 """
 
 from __future__ import annotations
@@ -35,29 +34,27 @@ log = logging.getLogger(__name__)
 
 _DEFAULT = Limits()
 _DELETED_MAX = 5_000
-"""Events deleted at a time, for the log takes what a transaction changes; a spool that is full adds
-fewer.
-"""
+"""Most events deleted at a time, as the log grows with the transaction; a full spool adds fewer."""
 _INSERT = "INSERT OR IGNORE INTO event (camera, boot, seq, raw, crc) VALUES (?, ?, ?, ?, ?)"
 
 PROMISED = ("promised to", "promised at")
-"""In the table ``meta``: the name of the daemon that acknowledged last, and the endpoint at which
-it was.
-"""
+"""Keys of the table ``meta``: name and endpoint of the daemon that last acknowledged or asked."""
 
 Seq = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+"""A sequence number."""
 Stream = tuple[str, str]
 """(camera, boot)."""
 
 
 class SpoolBatch(Struct, frozen=True):
-    """Events of one (camera, boot), by rising seq; each as the bytes that were put.
+    """Events of one (camera, boot) by rising seq, each as the bytes that were published.
 
-    ``first`` is the lowest seq of this boot that the spool still has or will give next: what is
-    below it was acknowledged, or dropped because the spool was full (``dropped`` counts those, all
-    cameras together). ``more``: this boot has further ones. ``acked``: the highest seq of this boot
-    that a daemon acknowledged; one whose journal has less has lost it. None: nothing yet, or a
-    grabber that does not say.
+    first: the lowest seq of this boot that the spool has or will give next. Those below it were
+        acknowledged, or dropped because the spool was full.
+    dropped: number of events that were dropped, of all cameras together.
+    more: True if this boot has further events.
+    acked: the highest seq of this boot that a daemon has acknowledged; a daemon whose journal has
+        less has lost it. None: nothing yet, or the grabber does not tell.
     """
 
     camera: CameraId
@@ -70,12 +67,15 @@ class SpoolBatch(Struct, frozen=True):
 
 
 class Spool:
-    """A spool file, for one publishing process. Thread-safe. Raises `database.StateError` on
-    opening, and `database.Damaged` as soon as damage shows.
+    """A spool file, for one publishing process. Thread-safe.
 
-    At most ``events_max`` events and ``bytes_max`` bytes of file; of these at most
-    ``kept_events_max`` that are acknowledged. A damaged file is set aside, and what can be read of
-    it goes on in the new one.
+    boot: the name of the boot that begins.
+    events_max: most events.
+    bytes_max: largest size of the file, in bytes.
+    kept_events_max: most of the events that are acknowledged.
+
+    A damaged file is set aside, and its readable events are copied to the new one. Raises
+    `sqlite_file.StateError` on opening, and `sqlite_file.Damaged` as soon as damage shows.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Spool:
     ) -> None:
         self._mutex = threading.Lock()
         self.path = path
-        """The file."""
+        """Path of the file."""
         self._events_max, self._bytes_max, self._kept_max = events_max, bytes_max, kept_events_max
         self._lock = sqlite_file.Lock(path.with_suffix(".lock"))
         with contextlib.ExitStack() as undo:
@@ -106,9 +106,9 @@ class Spool:
                 ) from None
             undo.pop_all()
         self.boot = self._first_boot = boot
-        """This spool's incarnation."""
+        """Name of the current boot."""
         self.rescued = rescued
-        """Events read out of a damaged file on opening."""
+        """Number of events read out of a damaged file on opening."""
         self._seqs: dict[str, int] = {}
         self._boot_written = False
         self._boots_begun = 0
@@ -119,23 +119,27 @@ class Spool:
         self._asked_last = False
 
     def append(self, events: Sequence[Event]) -> list[Event]:
-        """Store in one transaction; returns the events with boot and seq. Raises `sqlite3.Error`.
+        """Store events in one transaction; return them with boot and seq. Raises `sqlite3.Error`.
 
         An event that is in the spool already (same camera, boot and seq) is stored once. After an
-        error the same call may be repeated: whether its events were durable after all is asked of
-        the file.
+        error the same call may be repeated: it looks in the file whether the events are stored
+        after all.
         """
         with self._mutex, sqlite_file.damage_noticed(self.path):
             if not self._sure:
                 self._ask_the_file(self._number(events)[0])
+
+            # Store the events, and delete others if there are too many.
             numbered, seqs = self._number(events)
-            self._sure = False  # should this raise, its rows may be there or not
+            self._sure = False  # after an error the rows may be there or not
             with sqlite_file.transaction(self._db):
                 self._write_down()
                 added = self._db.executemany(_INSERT, [_row(event) for event in numbered]).rowcount
                 for camera in seqs.keys() & {event.camera for event in numbered}:
                     spool_schema.set_row(self._db, "count", camera, seqs[camera])
                 forgotten, dropped = self._make_room(self._held + added)
+
+            # Update the counts.
             self._seqs, self._sure = seqs, True
             self._held += added - forgotten - dropped
             self._kept -= forgotten
@@ -154,12 +158,11 @@ class Spool:
             return numbered
 
     def asked_by(self, daemon: str, endpoint: str) -> None:
-        """The daemon of that name, reached at ``endpoint``, asks for events or acknowledges some.
-        Raises `sqlite3.Error`.
+        """Note that a daemon, reached at ``endpoint``, queries or acknowledges events.
 
-        What was acknowledged is kept for the daemon that has done so, or for its successor at the
-        same endpoint. When it is neither, the kept events are deleted: it would take them for its
-        own.
+        The acknowledged events are kept for the daemon that has acknowledged them, or its successor
+        at the same endpoint. They are deleted when another daemon at another endpoint comes: it
+        would take them for its own. Raises `sqlite3.Error`.
         """
         with self._mutex, sqlite_file.damage_noticed(self.path):
             if self._promised == (daemon, endpoint):
@@ -178,16 +181,18 @@ class Spool:
             self._acked = spool_schema.acked(self._db)
 
     def ack(self, camera: str, boot: str, seq: int) -> bool:
-        """Everything of (camera, boot) up to ``seq`` is safe elsewhere. Raises `sqlite3.Error`.
+        """Record that the events of (camera, boot) up to ``seq`` are stored by a daemon.
 
-        False for more than the present boot has given: another program has counted on under it, as
-        happens when this machine is set back to an earlier moment. Nothing is acknowledged then,
-        and a new boot begins.
+        Returns False if ``seq`` is above the highest one of the current boot: then another program
+        has used this boot, as happens when a machine is restored to an earlier moment. Nothing is
+        acknowledged then, and a new boot begins.
 
-        Of this spool's own boot it is written with the next events, or on closing. Should it be
-        lost before that, the daemon is told of these events once more, and acknowledges them again.
-        Of an older boot it is written at once: the daemon knows only a camera's newest boots again,
-        and there may be many after a time without it.
+        For the current boot this is written with the next events, or on closing. If it is lost
+        before, the daemon is sent these events once more, and acknowledges them again. For an older
+        boot it is written at once: a daemon recognises only the newest boots of a camera, and there
+        may be many after a time without a daemon.
+
+        Raises `sqlite3.Error`.
         """
         with self._mutex, sqlite_file.damage_noticed(self.path):
             before = self._acked.get((camera, boot), -1)
@@ -195,6 +200,8 @@ class Spool:
             if seq > given and boot == self.boot:
                 self._begin_boot()
                 return False
+
+            # Count what is newly acknowledged.
             seq = min(seq, given)
             newly = self._count(
                 "camera = ? AND boot = ? AND seq > ? AND seq <= ?", camera, boot, before, seq
@@ -204,16 +211,17 @@ class Spool:
                 self._acked[camera, boot] = seq
                 self._unwritten.add((camera, boot))
                 if boot != self.boot:
-                    with contextlib.suppress(
-                        sqlite3.OperationalError
-                    ):  # no room: then with the next events
+                    # Without room it is written with the next events.
+                    with contextlib.suppress(sqlite3.OperationalError):
                         self._write_acks()
             return True
 
     def batch(self, camera: str, boot: str | None, from_seq: int, events_max: int) -> SpoolBatch:
-        """Events of ``camera`` from ``from_seq`` of ``boot`` on, acknowledged or not; if there are
-        none, those not acknowledged of the oldest other boot. Should there be both, by turns. No
-        ``boot``: of the oldest.
+        """Return events of ``camera`` for a daemon, at most ``events_max``.
+
+        They are those of ``boot`` from ``from_seq`` on, acknowledged or not, or those of the oldest
+        other boot that are not acknowledged; by turns if there are both. Without ``boot`` they are
+        those of the oldest boot.
         """
         with self._mutex, sqlite_file.damage_noticed(self.path):
             chosen, start = self._choose(camera, boot, from_seq)
@@ -230,13 +238,13 @@ class Spool:
             )
 
     def cameras(self) -> list[str]:
-        """The cameras with events that are not acknowledged."""
+        """Return the cameras with events that are not acknowledged."""
         with self._mutex, sqlite_file.damage_noticed(self.path):
             cameras = self._db.execute("SELECT DISTINCT camera FROM event").fetchall()
             return [camera for (camera,) in cameras if self._waiting(camera)]
 
     def statistics(self) -> dict[str, int]:
-        """Counters for the status."""
+        """Return counters for the status."""
         with self._mutex, sqlite_file.damage_noticed(self.path):
             return {
                 "unacknowledged": self._held - self._kept,
@@ -248,12 +256,12 @@ class Spool:
             }
 
     def __len__(self) -> int:
-        """Events not acknowledged."""
+        """Return the number of events that are not acknowledged."""
         with self._mutex, sqlite_file.damage_noticed(self.path):
             return self._held - self._kept
 
     def close(self) -> None:
-        """Close the file; what is in it stays for the next time."""
+        """Close the file; its events stay for the next time."""
         with self._mutex, sqlite_file.damage_noticed(self.path):
             try:
                 with sqlite_file.transaction(self._db):
@@ -266,7 +274,7 @@ class Spool:
             self._lock.close()
 
     def _number(self, events: Sequence[Event]) -> tuple[list[Event], dict[str, int]]:
-        """The events with boot and seq; and the highest seq given, by camera."""
+        """Return the events with boot and seq, and the highest seq by camera."""
         seqs = dict(self._seqs)
         numbered = []
         for event in events:
@@ -277,14 +285,13 @@ class Spool:
         return numbered, seqs
 
     def _given(self, camera: str, boot: str) -> int:
-        """The highest seq of a boot that events here have, or of the present boot have had; -1:
-        none.
-        """
+        """Return the highest seq of a boot, stored or given in the current boot; -1 if none."""
         numbered = self._seqs.get(camera, 0) if boot == self.boot else -1
         newest = "SELECT COALESCE(MAX(seq), -1) FROM event WHERE camera = ? AND boot = ?"
         return max(numbered, int(self._db.execute(newest, (camera, boot)).fetchone()[0]))
 
     def _begin_boot(self) -> None:
+        """Begin a new boot, after events were acknowledged that the current one never had."""
         self._boots_begun += 1
         self.boot, self._seqs, self._boot_written = (
             f"{self._first_boot}.{self._boots_begun}",
@@ -292,30 +299,38 @@ class Spool:
             False,
         )
         log.error(
-            "more is acknowledged of the spool %s than it has given: it counts anew", self.path
+            "more events of the spool %s are acknowledged than this boot has had "
+            "(was this machine restored?): a new boot begins",
+            self.path,
         )
 
     def _write_down(self) -> None:
-        """Within a transaction: what is known and not in the file yet."""
+        """Write the boot and acknowledgements not in the file yet, within a transaction."""
         if not self._boot_written:
             spool_schema.write_boot(self._db, self.boot)
         for camera, boot in self._unwritten:
             spool_schema.set_row(self._db, "acked", camera, boot, self._acked[camera, boot])
 
     def _write_acks(self) -> None:
+        """Write them in a transaction of their own."""
         with sqlite_file.transaction(self._db):
             self._write_down()
         self._boot_written = True
         self._unwritten.clear()
 
     def _ask_the_file(self, again: list[Event]) -> None:
-        """After an error: what it did store, if it is not ``again`` the same, keeps its numbers."""
+        """After an error, look which events were stored after all, and keep their numbers.
+
+        again: the events to be stored next; if the stored ones are among them, they get the same
+            numbers again.
+        """
         given = {_row(event) for event in again}
         self._boot_written = spool_schema.meta(self._db, "boot") == self.boot
         stored = spool_schema.counts(self._db) if self._boot_written else {}
         for camera, last in stored.items():
             ahead = self._db.execute(
-                "SELECT camera, boot, seq, raw, crc FROM event WHERE camera = ? AND boot = ? AND seq > ?",
+                "SELECT camera, boot, seq, raw, crc FROM event"
+                " WHERE camera = ? AND boot = ? AND seq > ?",
                 (camera, self.boot, self._seqs.get(camera, 0)),
             )
             if not given.issuperset(ahead):
@@ -323,13 +338,20 @@ class Spool:
         self._recount()
 
     def _make_room(self, held: int) -> tuple[int, int]:
-        """Within a transaction; returns how many acknowledged and how many other events were
-        deleted.
+        """Delete surplus events, within a transaction.
+
+        Returns how many acknowledged and how many other events were deleted.
         """
+
+        # First acknowledged events beyond their limit, with some slack so that this is rare.
         surplus = 0 if self._kept <= self._kept_max * 9 // 8 else self._kept - self._kept_max
         forgotten = self._forget(min(surplus, _DELETED_MAX))
+
+        # Then acknowledged events, if there are too many events or bytes.
         surplus = min(self._surplus(held - forgotten), _DELETED_MAX)
         forgotten += self._forget(min(surplus, self._kept - forgotten))
+
+        # Then the oldest events of all.
         only_others = surplus > 0 and forgotten == self._kept
         dropped = min(self._surplus(held - forgotten), _DELETED_MAX) if only_others else 0
         if dropped:
@@ -341,11 +363,12 @@ class Spool:
         return forgotten, dropped
 
     def _forget(self, count: int) -> int:
-        """Delete the oldest acknowledged events, at most ``count``."""
+        """Delete the oldest acknowledged events, at most ``count``; return how many."""
         if count <= 0:
             return 0
         gone = self._db.execute(
-            "DELETE FROM event WHERE id IN (SELECT event.id FROM event JOIN acked USING (camera, boot)"
+            "DELETE FROM event WHERE id IN"
+            " (SELECT event.id FROM event JOIN acked USING (camera, boot)"
             " WHERE event.seq <= acked.seq ORDER BY event.id LIMIT ?)",
             (count,),
         ).rowcount
@@ -357,7 +380,7 @@ class Spool:
         return gone
 
     def _surplus(self, held: int) -> int:
-        """How many events there are too many, or so many that the file is too large."""
+        """Return the number of events to delete to keep to the limits of events and bytes."""
         pages, free, size = (
             self._db.execute(f"PRAGMA {name}").fetchone()[0]
             for name in ("page_count", "freelist_count", "page_size")
@@ -367,7 +390,7 @@ class Spool:
         return min(held, max(held - self._events_max, too_large, 0))
 
     def _choose(self, camera: str, boot: str | None, from_seq: int) -> tuple[str, int]:
-        """Which boot to answer from, and from which seq on."""
+        """Return the boot to answer from, and the first seq of it."""
         if boot is None:
             ages = [(self._oldest(camera, one, -1), one) for one in self._boots(camera)]
             return min(ages)[1] if ages else self.boot, -1
@@ -379,7 +402,7 @@ class Spool:
         return others[0], self._acked.get((camera, others[0]), -1) + 1
 
     def _waiting(self, camera: str) -> list[str]:
-        """The boots with events of ``camera`` that are not acknowledged, the oldest first."""
+        """Return the boots with unacknowledged events of ``camera``, the oldest first."""
         found = []
         for boot in self._boots(camera):
             oldest = self._oldest(camera, boot, self._acked.get((camera, boot), -1))
@@ -388,7 +411,7 @@ class Spool:
         return [boot for _, boot in sorted(found)]
 
     def _boots(self, camera: str) -> list[str]:
-        """Those with events of ``camera``; each found by a step in the index."""
+        """Return the boots with events of ``camera``; each takes one look-up in the index."""
         boots: list[str] = []
         following = "SELECT MIN(boot) FROM event WHERE camera = ? AND boot >= ''"
         while (
@@ -399,7 +422,7 @@ class Spool:
         return boots
 
     def _oldest(self, camera: str, boot: str, after_seq: int) -> int | None:
-        """The id of the first event after ``after_seq``."""
+        """Return the id of the first event after ``after_seq``; None if there is none."""
         row = self._db.execute(
             "SELECT id FROM event WHERE camera = ? AND boot = ? AND seq > ? ORDER BY seq LIMIT 1",
             (camera, boot, after_seq),
@@ -407,7 +430,7 @@ class Spool:
         return None if row is None else int(row[0])
 
     def _first(self, camera: str, boot: str, after_seq: int) -> int:
-        """The lowest seq after ``after_seq`` that is here or will be given next."""
+        """Return the lowest seq after ``after_seq`` that is stored or will be given next."""
         row = self._db.execute(
             "SELECT MIN(seq) FROM event WHERE camera = ? AND boot = ? AND seq > ?",
             (camera, boot, after_seq),
@@ -420,12 +443,11 @@ class Spool:
     def _good_rows(
         self, camera: str, boot: str, start: int, events_max: int
     ) -> tuple[list[tuple[int, bytes]], bool]:
-        """At most ``events_max`` events that are as they were stored; and whether there are
-        more.
-        """
+        """Return at most ``events_max`` undamaged events, and True if there are more."""
         rows: list[tuple[int, bytes]] = []
         for id_, *row in self._db.execute(
-            "SELECT id, camera, boot, seq, raw, crc FROM event WHERE camera = ? AND boot = ? AND seq >= ? ORDER BY seq",
+            "SELECT id, camera, boot, seq, raw, crc FROM event"
+            " WHERE camera = ? AND boot = ? AND seq >= ? ORDER BY seq",
             (camera, boot, start),
         ):
             if sqlite_file.crc(*row[:-1]) != row[-1]:
@@ -444,21 +466,24 @@ class Spool:
         return rows, False
 
     def _recount(self) -> None:
+        """Count the events in the file."""
         self._held = self._count("TRUE")
         self._kept = sum(
             self._count("camera = ? AND boot = ? AND seq <= ?", *stream, seq)
             for stream, seq in self._acked.items()
         )
         self.dropped = int(spool_schema.meta(self._db, "dropped") or 0)
-        """Events dropped because the spool was full, since its file was made."""
+        """Events dropped because the spool was full, since its file was created."""
 
     def _count(self, where: str, *parameters: str | int) -> int:
+        """Return the number of events that satisfy an SQL condition."""
         return int(
             self._db.execute(f"SELECT COUNT(*) FROM event WHERE {where}", parameters).fetchone()[0]
         )
 
 
 def _row(event: Event) -> tuple[str, str | None, int | None, bytes, int]:
+    """Return the row of the table ``event`` for an event."""
     raw = codec.to_pack(event)
     return (
         event.camera,
@@ -470,13 +495,15 @@ def _row(event: Event) -> tuple[str, str | None, int | None, bytes, int]:
 
 
 def spool_path(directory: Path, site: str, name: str) -> Path:
-    """Where the spool ``name`` of a site is below the state directory ``directory``."""
+    """Return the path of the spool ``name`` of a site, below the state directory ``directory``."""
     return directory / f"spools-of-{site}" / f"{name}.db"
 
 
 def open_spool(directory: Path, site: str, name: str, limits: Limits) -> Spool:
-    """The spool ``name`` of a publishing process for a site, with its limits, below the state
-    directory ``directory``. Raises `database.StateError`.
+    """Open the spool of a publishing process, below the state directory. Raises `StateError`.
+
+    name: name of the spool.
+    limits: the limits of events and bytes.
     """
     path = spool_path(directory, site, name)
     _adopt(directory / f"spool-{name}.db", path)

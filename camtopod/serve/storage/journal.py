@@ -427,7 +427,7 @@ class Journal:
         return [*sqlite_file.damaged_files(self._path), *self.damaged_logs()]
 
     def damaged_logs(self) -> list[Path]:
-        """Return the set-aside logs, newest last; they hold committed transactions that are lost."""
+        """Return the set-aside logs, newest last; they hold committed transactions, now lost."""
         return sqlite_file.damaged_files(self._path.with_name(f"{self._path.name}-wal"))
 
     def close(self) -> None:
