@@ -1,5 +1,6 @@
-"""Messages of an MQTT broker, and to one. The one home of paho-mqtt, which is an extra
-(``[mqtt]``).
+"""Subscribe to an MQTT broker, or publish to it. Only this module uses paho-mqtt.
+
+That package is an extra (``[mqtt]``).
 """
 
 from __future__ import annotations
@@ -23,35 +24,45 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 PORTS = {"mqtt": 1883, "mqtts": 8883}
-"""Usual port by the URL's scheme; mqtts is TLS."""
+"""Usual ports by the URL's scheme; mqtts is TLS."""
 MESSAGES_MAX = 10_000
+"""Most messages that wait to be read; further ones are dropped and counted."""
 WAITING_BYTES_MAX = 32 * 1024**2
-"""Messages, and bytes, that wait to be read; further messages are dropped and counted."""
+"""Most bytes of messages that wait to be read; further messages are dropped and counted."""
 PACKET_BYTES_MAX = 2 * 1024**2
-"""A broker that speaks MQTT 5 does not send larger packets; one that does all the same is
-disconnected. Lines of all formats are shorter.
+"""Largest packet, in bytes; lines of all formats are shorter.
+
+A broker that speaks MQTT 5 sends no larger ones. A broker that does is disconnected.
 """
 CONNECT_SECONDS = 10.0
-"""How long the first connection may take."""
+"""Longest time for the first connection, in seconds."""
 KEEPALIVE_SECONDS = 30
+"""Longest silence on a connection before a ping, in seconds."""
 RETRY_SECONDS_MAX = 60
-"""Largest wait before a lost connection is tried again; it begins with 1 s and doubles."""
+"""Longest wait before a lost connection is tried again, in seconds; the first is 1 s.
+
+The wait doubles with each attempt.
+"""
 LEAVE_SECONDS = 2.0
-"""For the last message."""
+"""Longest wait for the last message to be sent, in seconds."""
 ONLINE, OFFLINE = "online", "offline"
+"""Payloads of an availability topic."""
 UNSUPPORTED = "Unsupported protocol version"
-"""The answer to MQTT 5 of a broker that does not speak it."""
+"""Reason given by a broker that does not speak MQTT 5."""
 CLOSED = "the connection was closed"
+"""Reason used here if the broker closes the connection without an answer."""
 _TICK_SECONDS = 0.2
+"""Longest time in which `Messages.read` notices that it has to stop, in seconds."""
 
 
 class MqttError(Exception):
-    """The broker cannot be reached, or does not let us in; ``str()`` says why."""
+    """The broker cannot be reached or refuses the connection; ``str()`` says why."""
 
 
 class Broker(Struct, frozen=True):
-    """Where messages come from or go to. ``prefix``: the levels before a program's own topics,
-    without a slash at the end.
+    """The address of a broker, and how to log in.
+
+    prefix: the topic levels before a program's own topics, without a slash at the end.
     """
 
     host: str
@@ -61,16 +72,21 @@ class Broker(Struct, frozen=True):
     user: str | None = None
     password: str | None = None
     ca: str | None = None
-    """File with the authorities to trust; None: the system's."""
+    """Path of the certificate authorities to trust; None for the system's."""
 
 
 def broker(
     url: str, password: str | None = None, ca: str | None = None, prefix: str = ""
 ) -> Broker:
-    """From ``mqtt[s]://[USER@]HOST[:PORT]/PREFIX``; ``prefix`` stands for one that is left out.
+    """Return the broker of a URL ``mqtt[s]://[USER@]HOST[:PORT]/PREFIX``.
 
-    Raises `ValueError`, also for a password in it.
+    password: of the URL's user.
+    ca: path of the certificate authorities to trust; None for the system's.
+    prefix: used if the URL has none.
+
+    Raises `ValueError`, also if the URL contains a password.
     """
+
     remember(url)
     parts = urlsplit(url)
     if parts.scheme not in PORTS or not parts.hostname:
@@ -81,6 +97,8 @@ def broker(
         raise ValueError(
             "others on this machine can read a password on the command line: put it in a file"
         )
+
+    # Parse the prefix and the user.
     prefix = unquote(parts.path).strip("/") or prefix
     if not prefix or "+" in prefix or parts.query or "#" in url:
         raise ValueError(
@@ -91,6 +109,7 @@ def broker(
         if user is None:
             raise ValueError("a password needs a user: put the name and an @ before the host")
         remember(f"mqtt://{user}:{password}@")
+
     tls = parts.scheme == "mqtts"
     return Broker(
         parts.hostname, parts.port or PORTS[parts.scheme], tls, prefix, user, password, ca
@@ -98,14 +117,17 @@ def broker(
 
 
 def _bounded() -> type[Client]:
-    """paho's client, which would ask the system for a packet of any length, with a limit."""
+    """Return paho's client class with a limit on packets.
+
+    Paho itself allocates memory for a packet of any length.
+    """
     from paho.mqtt.client import Client
 
     class Bounded(Client):
         def _sock_recv(self, bufsize: int) -> bytes:
             if bufsize > PACKET_BYTES_MAX:
                 log.warning(
-                    "the broker sends a packet of %d bytes; at most %d are taken",
+                    "the broker sends a packet of %d bytes; at most %d are accepted",
                     bufsize,
                     PACKET_BYTES_MAX,
                 )
@@ -116,16 +138,15 @@ def _bounded() -> type[Client]:
 
 
 class _Connection:
-    """A client of the broker.
+    """A client of the broker, which reconnects as often as needed.
 
-    Raises `MqttError` if the first connection fails; a later one that is lost is made again, for as
-    long as it takes.
+    Raises `MqttError` if the first connection fails.
     """
 
     def __init__(self, at: Broker) -> None:
         self._at = at
         self._ready = threading.Event()
-        """Connected for the first time, or refused."""
+        """Set when the first connection is made or refused."""
         self._refused: str | None = None
         self._client: Client
 
@@ -136,7 +157,7 @@ class _Connection:
         self._client.loop_stop()
 
     def _connect(self) -> None:
-        """By MQTT 5, or by 3.1.1 where the broker does not speak 5."""
+        """Connect by MQTT 5, or by 3.1.1 if the broker does not speak 5."""
         from paho.mqtt.enums import MQTTProtocolVersion
 
         self._dial(MQTTProtocolVersion.MQTTv5)
@@ -151,7 +172,7 @@ class _Connection:
             raise MqttError(f"{self._at.host}:{self._at.port} refuses: {self._refused}")
 
     def _dial(self, protocol: MQTTProtocolVersion) -> None:
-        """Wait for an answer, for `CONNECT_SECONDS`."""
+        """Start a client, and wait for the broker's answer for `CONNECT_SECONDS`."""
         from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
@@ -160,6 +181,8 @@ class _Connection:
         if protocol == MQTTProtocolVersion.MQTTv5:
             properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
             properties.MaximumPacketSize = PACKET_BYTES_MAX
+
+        # Set up the client.
         self._ready.clear()
         self._refused = None
         self._client = client = _bounded()(CallbackAPIVersion.VERSION2, protocol=protocol)
@@ -169,6 +192,8 @@ class _Connection:
         if at.user is not None:
             client.username_pw_set(at.user, at.password)
         self._prepare(client)
+
+        # Connect.
         try:
             if at.tls:
                 client.tls_set(at.ca)
@@ -179,21 +204,22 @@ class _Connection:
         self._ready.wait(CONNECT_SECONDS)
 
     def _prepare(self, client: Client) -> None:
-        """What a client needs before it connects."""
+        """Set up a client before it connects."""
         raise NotImplementedError
 
     def _joined(self) -> None:
-        """Connected, for the first time or again."""
+        """React to a connection, the first one or a later one."""
         raise NotImplementedError
 
     def _on_connect(self, _: Client, __: Any, ___: Any, code: ReasonCode, ____: Any) -> None:
+        """React to the broker's answer. Called from paho's thread."""
         if code.is_failure:
             self._tell(str(code))
         else:
             self._joined()
 
     def _tell(self, refusal: str) -> None:
-        """At the start it ends the program; later on it is said, and tried again."""
+        """Report a refusal: to `_connect` at the start, later in the log (paho then tries again)."""
         if self._ready.is_set():
             log.warning("%s:%d refuses: %s", self._at.host, self._at.port, refusal)
             return
@@ -201,31 +227,32 @@ class _Connection:
         self._ready.set()
 
     def _on_disconnect(self, _: Client, __: Any, ___: Any, code: ReasonCode, ____: Any) -> None:
-        if (
-            not self._ready.is_set()
-        ):  # so some brokers answer to a version of MQTT that they do not speak
+        """React to a lost connection. Called from paho's thread."""
+        # Some brokers answer in this way to a version of MQTT that they do not speak.
+        if not self._ready.is_set():
             self._tell(CLOSED)
         elif self._refused is None:
             log.warning("lost %s:%d (%s); trying again", self._at.host, self._at.port, code)
 
 
 class Messages(_Connection):
-    """What comes under one topic below the broker's prefix, oldest first, until told to stop. What
-    was published while there was no connection is missing. Raises `MqttError`.
+    """The messages of one topic below the broker's prefix, oldest first.
+
+    Messages that are published while there is no connection are missing. Raises `MqttError`.
     """
 
     def __init__(self, source: Broker, topic: str, limit_messages: int = MESSAGES_MAX) -> None:
         super().__init__(source)
         self.topic = f"{source.prefix}/{topic}"
         self.dropped = 0
-        """Messages that found ``limit_messages`` others waiting."""
+        """Number of messages dropped because too many were waiting."""
         self._waiting: queue.Queue[bytes] = queue.Queue(limit_messages)
         self._mutex = threading.Lock()
         self._waiting_bytes = 0
         self._connect()
 
     def read(self, stop: threading.Event) -> Iterator[bytes]:
-        """The messages, until ``stop`` is set."""
+        """Yield the messages until ``stop`` is set."""
         while not stop.is_set():
             try:
                 message = self._waiting.get(timeout=_TICK_SECONDS)
@@ -236,7 +263,7 @@ class Messages(_Connection):
             yield message
 
     def close(self) -> None:
-        """Disconnect, and say what was dropped."""
+        """Disconnect, and log how many messages were dropped."""
         super().close()
         if self.dropped:
             log.warning("%d messages of %s were dropped", self.dropped, self.topic)
@@ -254,7 +281,7 @@ class Messages(_Connection):
         if failed:
             self._tell(f"{self.topic}: {failed[0]}")
             return
-        log.info("hearing %s at %s:%d", self.topic, self._at.host, self._at.port)
+        log.info("subscribed to %s at %s:%d", self.topic, self._at.host, self._at.port)
         self._ready.set()
 
     def _on_message(self, _: Client, __: Any, message: MQTTMessage) -> None:
@@ -275,11 +302,13 @@ class Messages(_Connection):
 
 
 class Board(_Connection):
-    """Retained messages, one a topic. ``availability`` is a topic that says ``online`` as long as
-    this program is there and the broker reaches it, and ``offline`` otherwise. Raises `MqttError`.
+    """Retained messages, one for each topic.
 
-    What is sent when the connection breaks may be lost, so everything is sent again with the next
-    one; a quality of service above 0 would then bring back what is out of date.
+    availability: a topic that is ``online`` while this program runs and the broker reaches it, and
+        ``offline`` otherwise.
+
+    Messages may be lost when the connection breaks, so all are sent again with the next one. A
+    quality of service above 0 would then bring back outdated ones. Raises `MqttError`.
     """
 
     def __init__(self, target: Broker, availability: str) -> None:
@@ -290,8 +319,9 @@ class Board(_Connection):
         self._connect()
 
     def show(self, messages: Mapping[str, str]) -> None:
-        """Publish what is not known to be there, by topic; what cannot be sent now is sent with the
-        next call.
+        """Publish the messages (text by topic) that differ from the published ones.
+
+        Messages that cannot be sent now are sent with the next call.
         """
         with self._mutex:
             for topic, text in messages.items():
@@ -300,7 +330,7 @@ class Board(_Connection):
                     self._said[topic] = text
 
     def close(self) -> None:
-        """Say so and disconnect."""
+        """Publish ``offline`` and disconnect."""
         if self._client.is_connected():
             told = self._client.publish(self._availability, OFFLINE, qos=1, retain=True)
             told.wait_for_publish(LEAVE_SECONDS)
@@ -310,7 +340,7 @@ class Board(_Connection):
         client.will_set(self._availability, OFFLINE, qos=1, retain=True)
 
     def _joined(self) -> None:
-        """Whatever the broker still has of before, it is told everything anew."""
+        """Appear as online, and have the next `show` publish everything, whatever the broker kept."""
         with self._mutex:
             self._said.clear()
         self._client.publish(self._availability, ONLINE, qos=1, retain=True)

@@ -55,7 +55,7 @@ class Ingest:
 
     def __enter__(self) -> Ingest:
         wait_for(
-            lambda: "hearing frigate/events" in self.said or self.process.poll() is not None,
+            lambda: "subscribed to frigate/events" in self.said or self.process.poll() is not None,
             "the subscription",
         )
         assert self.process.poll() is None, self.said
@@ -89,7 +89,7 @@ def test_events_come_while_objects_come_and_go_and_the_broker_may_be_away(tmp_pa
         wait_for(lambda: "lost 127.0.0.1" in ingest.said, "the loss to be noticed")
         assert broker.start()
         wait_for(
-            lambda: ingest.said.count("hearing frigate/events") == 2,
+            lambda: ingest.said.count("subscribed to frigate/events") == 2,
             "the subscription after the loss",
         )
         broker.publish(says.passage(2, T0))
@@ -365,7 +365,7 @@ def test_an_older_broker_that_sends_a_huge_message_is_disconnected(
     ):
         ingest.wait_for_lines(2)
         assert (
-            f"the broker sends a packet of {HUGE + 16} bytes; at most 2097152 are taken"
+            f"the broker sends a packet of {HUGE + 16} bytes; at most 2097152 are accepted"
             in ingest.said
         )
         assert ingest.said.count("hearing") == broker.subscribed == 2

@@ -1,9 +1,8 @@
-"""``GET /healthz``: does it get on? ``GET /readyz``: can it be relied on? Answered in JSON, 200 or
-503. What other pages there are is for the caller to say.
+"""Serve ``GET /healthz`` (does every loop make progress?) and ``GET /readyz`` (is it ready?).
 
-A client gets two seconds and four kilobytes for its request; a few are heard at a time, and whoever
-comes then waits until one of them is over. So a client that sends slowly, or nothing, holds nobody
-up for long.
+The answer is JSON with status 200 or 503. The caller can add further pages. A client has two
+seconds and four kilobytes for its request; a few requests are served at a time, and further clients
+wait until one of them ends. So a client that sends slowly or nothing delays others only briefly.
 """
 
 from __future__ import annotations
@@ -26,17 +25,21 @@ from typing import Any, NamedTuple
 log = logging.getLogger(__name__)
 
 HEAD_BYTES_MAX = 4096
+"""Largest request, in bytes."""
 CONNECTION_SECONDS_MAX = 2.0
+"""Longest time for a client to send its request, in seconds; also for taking the answer."""
 CONNECTIONS_MAX = 16
+"""Most requests served at a time."""
 REASONS_MAX = 20
+"""Most reasons in an answer."""
 
 
 class ListenError(OSError):
-    """It cannot listen there; ``str()`` says why."""
+    """The address cannot be listened on; ``str()`` says why."""
 
 
 Reasons = Callable[[], list[str]]
-"""Why not; empty if all is well."""
+"""Function that returns the reasons against "yes"; none if all is well."""
 
 
 class Page(NamedTuple):
@@ -48,23 +51,23 @@ class Page(NamedTuple):
 
 
 Pages = Mapping[str, Callable[[], Page]]
-"""By path."""
+"""Functions that make the pages, by path."""
 
 
 class _Handler(http.server.BaseHTTPRequestHandler):
-    """One request on a connection."""
+    """One request on one connection."""
 
     server: _Server
     server_version, sys_version = "camtopod", ""
 
     def setup(self) -> None:
-        """Read the whole head within its limits before anything looks at it."""
+        """Read the whole request within its limits before it is parsed."""
         super().setup()
         self.rfile.close()
         self.rfile = io.BytesIO(_head(self.connection))
 
     def do_GET(self) -> None:
-        """The pages there are, and nothing else."""
+        """Answer with the page at the path, or with 404."""
         asked = self.server.pages.get(self.path.partition("?")[0])
         if asked is None:
             self.send_error(HTTPStatus.NOT_FOUND)
@@ -81,11 +84,13 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     do_HEAD = do_GET
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nobody wants a line a second."""
+        """Log at level debug, as there may be a request every second."""
         log.debug(format, *args)
 
 
 class _Server(socketserver.ThreadingTCPServer):
+    """A server with one thread for each of at most `CONNECTIONS_MAX` requests."""
+
     allow_reuse_address = True
     daemon_threads = True
     block_on_close = False
@@ -99,19 +104,19 @@ class _Server(socketserver.ThreadingTCPServer):
         super().__init__((host, port), _Handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """In a thread of its own, as soon as there is one; each ends by its deadline."""
+        """Wait for a free slot, then serve the request in a new thread, which has a deadline."""
         self._free.acquire()
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """What the thread does."""
+        """Serve one request, in its thread."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that has gone is its own business; anything else is ours."""
+        """Log an error; at level debug if a client has disconnected."""
         error = sys.exception()
         log.log(
             logging.DEBUG if isinstance(error, OSError) else logging.ERROR,
@@ -122,8 +127,9 @@ class _Server(socketserver.ThreadingTCPServer):
 
 
 def _head(connection: socket.socket) -> bytes:
-    """What the client sends up to the empty line; nothing if that is over a limit, which ends the
-    connection.
+    """Return the bytes of the request up to the empty line; b"" if a limit is exceeded.
+
+    Then the connection is closed.
     """
     deadline = time.monotonic() + CONNECTION_SECONDS_MAX
     head = b""
@@ -144,6 +150,7 @@ def _head(connection: socket.socket) -> bytes:
 
 
 def _judgement(question: Reasons) -> Page:
+    """Return the page that answers a question with its reasons."""
     reasons = question()[:REASONS_MAX]
     body = (
         json.dumps({"status": "failing" if reasons else "ok", "reasons": reasons}).encode() + b"\n"
@@ -157,24 +164,33 @@ def _judgement(question: Reasons) -> Page:
 def serving(
     listen: str, healthy: Reasons, ready: Reasons, others: Pages = MappingProxyType({})
 ) -> Iterator[str]:
-    """Answer at ``listen`` (host:port, port 0: a free one) while the block runs; gives the address.
+    """Serve at ``listen`` while the block runs; yield the address.
 
-    ``listen`` "" means nowhere. ``others``: pages beside /healthz and /readyz. Raises
-    `ListenError`.
+    listen: host:port; port 0 stands for a free one, "" for not serving at all.
+    healthy: reasons against /healthz.
+    ready: reasons against /readyz.
+    others: further pages.
+
+    Raises `ListenError`.
     """
     if not listen:
         yield ""
         return
+
     host, _, port = listen.rpartition(":")
     pages = {
         "/healthz": lambda: _judgement(healthy),
         "/readyz": lambda: _judgement(ready),
         **others,
     }
+
+    # Listen.
     try:
         made = _Server(host.strip("[]"), int(port), pages)
     except (OSError, OverflowError) as error:
         raise ListenError(f"cannot listen at {listen} ([health] listen): {error}") from None
+
+    # Serve in a thread.
     with made as server:
         thread = threading.Thread(
             target=server.serve_forever, args=(0.1,), name="health", daemon=True

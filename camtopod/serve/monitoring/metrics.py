@@ -1,8 +1,8 @@
-"""``GET /metrics``: what the daemon counts anyway, for Prometheus. The one home of
-prometheus-client, an extra (``[metrics]``).
+"""``GET /metrics``: the daemon's counters for Prometheus. Only this module uses prometheus-client.
 
-Everything is read when it is asked for, from the daemon's status and, by a question on the bus,
-from those of the cameras' own processes; nothing is counted here. The only label is ``camera``.
+That package is an extra (``[metrics]``). Nothing is counted here: at each request the figures are
+read from the daemon's status and, by a query on the bus, from those of the grabbers. The only label
+is ``camera``.
 """
 
 from __future__ import annotations
@@ -24,15 +24,20 @@ if TYPE_CHECKING:
     from prometheus_client import Metric as Family
 
 PREFIX = "camtopod_"
+"""Beginning of every metric's name."""
 TEXT = "text/plain; charset=utf-8"
+"""Content type of plain text."""
 EXPOSITION = "text/plain; version=0.0.4; charset=utf-8"
-"""The format that every Prometheus reads."""
+"""Content type of the format that every Prometheus reads."""
 _MISSING = "/metrics needs the package prometheus-client: pip install 'camtopod[metrics]'\n"
 
 
 class Metric(NamedTuple):
-    """One metric: its name below `PREFIX` (a counter's ends in ``_total``, anything else is a
-    gauge), where its value is in a status (names joined by dots), and what it means.
+    """One metric.
+
+    name: its name after `PREFIX`; counters end in ``_total``, all others are gauges.
+    path: where its value is in a status, as names joined by dots.
+    help: its meaning.
     """
 
     name: str
@@ -41,9 +46,9 @@ class Metric(NamedTuple):
 
 
 SITE = (
-    Metric("events_received_total", "events.received", "Publications of events that came in"),
+    Metric("events_received_total", "events.received", "Publications of events received"),
     Metric("events_stored_total", "events.stored", "Events in the journal since the start"),
-    Metric("events_duplicate_total", "events.duplicate", "Events that had come before"),
+    Metric("events_duplicate_total", "events.duplicate", "Events received again"),
     Metric(
         "events_future_total",
         "events.future",
@@ -55,24 +60,24 @@ SITE = (
     Metric(
         "events_put_off_total",
         "events.held_full",
-        "Events too many of whose camera waited, to be pulled later",
+        "Events put off as too many of their camera were waiting; pulled later",
     ),
     Metric(
         "events_refilled_total",
         "events.refilled",
-        "Events filled in again from a spool after damage",
+        "Events restored from a spool after damage to the journal",
     ),
     Metric("events_lost_total", "events.lost", "Events that no spool had any more"),
     Metric(
         "events_unknown_total",
         "events.unknown",
-        "Events thrown away, as the spool they name has never had them",
+        "Events discarded because their spool has never had them",
     ),
     Metric("events_learned_total", "learner.learned", "Events learned in this epoch"),
     Metric(
         "events_late_total",
         "learner.late",
-        "Events later than the lateness, stored and not learned",
+        "Events later than the allowed lateness, stored and not learned",
     ),
     Metric(
         "events_not_learned_total",
@@ -83,7 +88,9 @@ SITE = (
     Metric("events_early", "events.early", "Events ahead of the clock that wait for their time"),
     Metric("events_merging", "events.merging", "Events of backlogs that wait for each other"),
     Metric(
-        "learner_held_events", "learner.held", "Events the learner holds until time has passed them"
+        "learner_held_events",
+        "learner.held",
+        "Events the learner holds until the watermark has passed them",
     ),
     Metric("learner_window_events", "learner.window", "Events in the window that is learned from"),
     Metric(
@@ -94,7 +101,7 @@ SITE = (
     Metric(
         "connections_refused_total",
         "refused.connections",
-        "Connections to the bus that were not let in",
+        "Connections to the bus that were refused",
     ),
     Metric("messages_denied_total", "refused.denied", "Messages that a certificate does not allow"),
     Metric("messages_oversized_total", "refused.too-large", "Messages dropped for their size"),
@@ -102,14 +109,14 @@ SITE = (
     Metric(
         "predictions_skipped_total",
         "predictions_skipped",
-        "Exits for whose prediction there was no time",
+        "Exits without a prediction because there was no time",
     ),
     Metric(
         "questions_refused_total",
         "questions_refused",
-        "Questions for a prediction that had no answer",
+        "Queries for a prediction that could not be answered",
     ),
-    Metric("pulls_total", "pulls", "Questions to the cameras' spools"),
+    Metric("pulls_total", "pulls", "Queries to the cameras' spools"),
     Metric("journal_entries_total", "journal.entries", "Entries the journal has ever had"),
     Metric("journal_bytes", "journal.bytes", "Size of the journal"),
     Metric("journal_damaged_entries", "journal.damaged", "Damaged entries that were left out"),
@@ -119,24 +126,25 @@ SITE = (
         "Entries the journal had lost when it was opened",
     ),
     Metric("journal_damaged_files", "journal.damaged_files", "Files set aside for damage"),
-    Metric("degraded", "degraded", "1 while the status gives a reason for not being well"),
+    Metric("degraded", "degraded", "1 while the status gives a reason for a degraded state"),
     Metric("topology_version", "version", "Newest version of the topology"),
     Metric("topology_timestamp_seconds", "topology.as_of", "Event time of the newest version"),
     Metric("topology_cameras", "topology.cameras", "Cameras in the topology"),
     Metric("topology_zones", "topology.zones", "Zones in the topology"),
     Metric("topology_links", "topology.links", "Links in the topology"),
     Metric("alarm_timestamp_seconds", "topology.alarm", "Event time of the newest alarm"),
-    Metric("score_exits", "score.exits", "Predictions that the score is over"),
+    Metric("score_exits", "score.exits", "Number of predictions that are scored"),
     Metric("score_top1", "score.top1", "Share of next cameras that were the likeliest"),
     Metric("score_top3", "score.top3", "Share of next cameras among the likeliest three"),
     Metric("score_log_loss", "score.log_loss", "Mean log loss of the predictions, nats"),
     Metric(
         "score_baseline_top1",
         "score.baseline_top1",
-        "The share of always naming the most frequent next camera",
+        "Top-1 score of a baseline that always names the most frequent next camera",
     ),
-    Metric("score_baseline_log_loss", "score.baseline_log_loss", "And its log loss, nats"),
+    Metric("score_baseline_log_loss", "score.baseline_log_loss", "Log loss of that baseline, nats"),
 )
+"""Metrics of the site, from the daemon's status."""
 REASONS = (
     "malformed",
     "bad-value",
@@ -153,46 +161,53 @@ REASONS = (
     "spool-refuses",
     "bad-batch",
 )
-"""Why something is rejected. Each is a metric of its own; a reason that is not among them is in the
-sum only.
-"""
+"""Reasons of rejection that have a metric of their own; others are in the sum only."""
 CAMERA = (
     Metric("events_total", "events", "Events taken from the camera since the start"),
     Metric("event_timestamp_seconds", "newest", "Time of the camera's newest event"),
     Metric(
         "clock_ahead_seconds",
         "ahead",
-        "How far the camera's last event was ahead of this machine's clock",
+        "Seconds by which the camera's last event was ahead of this machine's clock",
     ),
-    Metric("camera_alive", "alive", "1 while whoever publishes the camera's events is there"),
+    Metric("camera_alive", "alive", "1 while the publisher of the camera's events is on the bus"),
     Metric(
         "events_dropped_total",
         "dropped",
-        "Publications there was no room for; a spool still has them",
+        "Publications dropped for lack of room; a spool still has them",
     ),
 )
+"""Metrics of each camera, from the daemon's status."""
 GRABBER = (
-    Metric("grabber_running", "running", "1 while the camera gives pictures"),
-    Metric(
-        "grabber_restarts_total", "restarts", "How often the camera's process was started again"
-    ),
+    Metric("grabber_running", "running", "1 while the camera delivers frames"),
+    Metric("grabber_restarts_total", "restarts", "Restarts of the camera's process"),
     Metric("grabber_connections_total", "connections", "Connections to the camera"),
     Metric("grabber_failures_total", "failures", "Connections that failed or were lost"),
-    Metric("grabber_frames_total", "frames_grabbed", "Pictures that came"),
-    Metric("grabber_frames_dropped_total", "frames_dropped", "Pictures too old to be used"),
-    Metric("grabber_frames_analysed_total", "frames_analysed", "Pictures looked at"),
-    Metric("grabber_analysis_cpu_seconds_total", "analysis_cpu_seconds", "Processor time for that"),
-    Metric("grabber_entries_total", "entries", "Objects that came into view"),
-    Metric("grabber_exits_total", "exits", "Objects that left"),
-    Metric("grabber_frame_timestamp_seconds", "last_frame_t", "Capture time of the latest picture"),
+    Metric("grabber_frames_total", "frames_grabbed", "Frames received"),
+    Metric(
+        "grabber_frames_dropped_total", "frames_dropped", "Frames dropped because they were too old"
+    ),
+    Metric("grabber_frames_analysed_total", "frames_analysed", "Frames analysed"),
+    Metric(
+        "grabber_analysis_cpu_seconds_total",
+        "analysis_cpu_seconds",
+        "CPU time of the analysis, seconds",
+    ),
+    Metric("grabber_entries_total", "entries", "Entries of objects"),
+    Metric("grabber_exits_total", "exits", "Exits of objects"),
+    Metric("grabber_frame_timestamp_seconds", "last_frame_t", "Capture time of the latest frame"),
     Metric("spool_events", "unacknowledged", "Events that the daemon has not stored yet"),
     Metric("spool_dropped_total", "dropped", "Events lost because the spool was full"),
     Metric("spool_damaged_files", "damaged_files", "Files of the spool set aside for damage"),
 )
+"""Metrics of each camera, from its grabber's status."""
 
 
 def page(daemon: Daemon, cameras_max: int) -> Page:
-    """The answer to a scrape, with at most ``cameras_max`` cameras; 501 without the extra."""
+    """Return the answer to a request, with at most ``cameras_max`` cameras.
+
+    Without the extra its status is 501 and its text says how to install it.
+    """
     try:
         from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
     except ModuleNotFoundError:
@@ -206,44 +221,58 @@ def page(daemon: Daemon, cameras_max: int) -> Page:
 
 
 class _Scrape:
-    """What is known at one moment."""
+    """A collector that reads the figures of one moment."""
 
     def __init__(self, daemon: Daemon, cameras_max: int) -> None:
         self._daemon, self._cameras_max = daemon, cameras_max
 
     def collect(self) -> Iterator[Family]:
+        """Yield all metrics."""
+
+        # Liveness and readiness, also before the daemon has started.
         daemon = self._daemon
-        yield _family("healthy", "1 while all parts get on", {"": float(not daemon.failing())})
-        yield _family("ready", "1 while it can be relied on", {"": float(not daemon.unready())})
+        yield _family(
+            "healthy", "1 while all components make progress", {"": float(not daemon.failing())}
+        )
+        yield _family("ready", "1 while the daemon is ready", {"": float(not daemon.unready())})
         if not daemon.started:
             return
+
+        # The site.
         status = site_status(daemon)
         yield from (_family(one.name, one.help, _number({"": status}, one.path)) for one in SITE)
+
+        # Rejected input, by reason.
         rejects: dict[str, int] = status["rejects"]
-        yield _family("rejected_total", "What came in and did not fit", {"": sum(rejects.values())})
+        yield _family("rejected_total", "Inputs that were rejected", {"": sum(rejects.values())})
         for reason in REASONS:
             name = f"rejected_{reason.replace('-', '_')}_total"
-            yield _family(
-                name, f"Of these the ones counted as {reason}", {"": rejects.get(reason, 0)}
-            )
+            yield _family(name, f"Inputs rejected as {reason}", {"": rejects.get(reason, 0)})
+
+        # The cameras, and their grabbers.
         yield from self._families(CAMERA, status["cameras"])
-        if status.get("shard", "0/1").startswith("0/"):  # one of the shards asks
+        if status.get("shard", "0/1").startswith("0/"):  # only one of the shards queries them
             yield from self._families(GRABBER, grabbers(daemon.bus))
 
     def _families(self, metrics: Iterable[Metric], cameras: Mapping[str, Any]) -> Iterator[Family]:
+        """Yield metrics of the first cameras by name, at most ``cameras_max``."""
         some = {camera: cameras[camera] for camera in sorted(cameras)[: self._cameras_max]}
         yield from (_family(one.name, one.help, _number(some, one.path)) for one in metrics)
 
 
 def site_status(daemon: Daemon) -> dict[str, Any]:
-    """``status/daemon`` and what of the topology is of interest."""
+    """Return ``status/daemon`` as a dictionary, with figures of the newest topology."""
     status: dict[str, Any] = msgspec.to_builtins(daemon.status())
     status["degraded"] = status["state"] != "running"
     status["journal"]["damaged_files"] = len(status["journal"].get("damaged_files", ()))
     status["learner"]["watermark"] = status["learner"]["watermark"] or None
+
+    # Tell refused connections from refused messages.
     refused = {"denied": 0, "too-large": 0, **status["refused"]}
     refused["connections"] = sum(refused.values()) - refused["denied"] - refused["too-large"]
     status["refused"] = refused
+
+    # Add the newest topology.
     if daemon.newest is not None:
         newest = daemon.newest.head
         status["topology"] = {
@@ -253,6 +282,8 @@ def site_status(daemon: Daemon) -> dict[str, Any]:
             "links": newest.links,
             "alarm": newest.alarms[-1].t if newest.alarms else 0.0,
         }
+
+    # Add dropped publications to the cameras; those of unknown cameras are summed under "".
     for camera, counters in status["cameras"].items():
         counters["dropped"] = status["dropped"].pop(camera, 0)
     if others := sum(status["dropped"].values()):
@@ -261,8 +292,9 @@ def site_status(daemon: Daemon) -> dict[str, Any]:
 
 
 def grabbers(bus: Bus) -> dict[str, dict[str, Any]]:
-    """What the cameras' processes say of themselves; one that hangs is waited for,
-    `bus.query_seconds` at most.
+    """Return the statuses of the grabbers by camera.
+
+    A grabber that hangs delays the answer, by `bus.query_seconds` at most.
     """
     try:
         answers = bus.ask("status/*")
@@ -282,7 +314,7 @@ def grabbers(bus: Bus) -> dict[str, dict[str, Any]]:
 
 
 def _number(statuses: Mapping[str, Any], path: str) -> dict[str, float]:
-    """By camera the number at ``path``; where there is none, or something else, nothing."""
+    """Return the number at ``path`` of each camera's status; cameras without one are left out."""
     found = {}
     for camera, value in statuses.items():
         for name in path.split("."):
@@ -293,7 +325,7 @@ def _number(statuses: Mapping[str, Any], path: str) -> dict[str, float]:
 
 
 def _family(name: str, text: str, values: Mapping[str, float]) -> Family:
-    """A metric with its values by camera; "": of the site, without the label."""
+    """Return a metric with its values by camera; the value of "" has no label."""
     from prometheus_client import Metric as Family
 
     counter = name.endswith("_total")
