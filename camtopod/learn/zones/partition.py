@@ -89,7 +89,7 @@ _CELL_SPREAD = np.array([[1 / GRID_COLUMNS**2], [0.0], [1 / GRID_ROWS**2]]) / 12
 """Covariance (xx, xy, yy) of a uniform distribution over one cell, image units."""
 _ANGLES = np.arange(6) * np.pi / 6
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
-"""Unit vectors (x, y) across which groups are cut."""
+"""Unit vectors (x, y) perpendicular to the cuts of groups."""
 _CUTS_TRIED = 2
 """Cuts of a group tested for a valley, best first."""
 _FIRST = np.arange(len(_ANGLES))[:, None]
@@ -104,7 +104,7 @@ class Cells(NamedTuple):
     spread (3, m): covariance (xx, xy, yy) of the events within the cell.
     """
 
-    index: NDArray[np.intp]  # type: ignore[assignment]  # hides a method of tuple nobody needs
+    index: NDArray[np.intp]  # type: ignore[assignment]  # hides an unused method of tuple
     sums: Floats
     average: Floats
     spread: Floats

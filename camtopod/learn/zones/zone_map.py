@@ -43,7 +43,7 @@ class CellSums(NamedTuple):
     Positions are in fixed point, `POSITION_ONE` being the width or height of the image.
     """
 
-    count: Longs  # type: ignore[assignment]  # hides a method of tuple nobody needs
+    count: Longs  # type: ignore[assignment]  # hides an unused method of tuple
     sx: Longs
     sy: Longs
     sxx: Longs
