@@ -131,14 +131,14 @@ MECHANISMS = [
     Mechanism("bets spread over lags", {"learn.links.cross_validation:EVEN_SHARES": (0.0,)}),
     Mechanism(
         "missed passages",
-        {"learn.learner:without_missed": lambda between, through, found, *rest: found},
+        {"learn.refit:without_missed": lambda between, through, found, *rest: found},
     ),
-    Mechanism("changes", {"learn.learner:find_changes": lambda *arguments: []}),
+    Mechanism("changes", {"learn.refit:find_changes": lambda *arguments: []}),
     Mechanism("longer steps of EM", {"learn.association.joint_fit:STRIDE": 1.0}),
     Mechanism("sparse prior", {"learn.association.joint_fit:SPARSITY": 0.0}),
-    Mechanism("long ways", {"learn.long_paths:find_long_ways": lambda *arguments: []}),
+    Mechanism("long ways", {"learn.long_paths:find_long_paths": lambda *arguments: []}),
     Mechanism(
-        "usual stays", {"learn.learner:with_usual_stays": lambda departures, through: departures}
+        "usual stays", {"learn.refit:with_usual_stays": lambda departures, through: departures}
     ),
     Mechanism(
         "silent cameras",

@@ -23,60 +23,24 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
+from camtopod.learn import refit as refits
 from camtopod.learn.assemble import assemble, link_records, zone_id
-from camtopod.learn.association import Fit, Screen, fit_jointly, place, whole
-from camtopod.learn.changes import (
-    AlarmLog,
-    Change,
-    Move,
-    Silences,
-    find_changes,
-    find_move,
-    find_silences,
-    present,
-)
+from camtopod.learn.association import Followed
+from camtopod.learn.changes import AlarmLog, Move, find_move
 from camtopod.learn.clocks import ClockKeeper
-from camtopod.learn.links import (
-    TRANSITIONS_MIN,
-    WEAK_TRANSITIONS_MIN,
-    LinkTable,
-    beside,
-    cross_evidence,
-    join,
-    joined_by,
-    lacking,
-    leaving,
-    pace_of,
-    refresh_monte_carlo,
-    significant,
-    tabulate,
-    transitions_of,
-    visible_transitions,
-    with_usual_stays,
-    without_missed,
-)
-from camtopod.learn.long_paths import with_long_ways
-from camtopod.learn.next_camera import (
-    Overlapping,
-    Posterior,
-    find_overlapping,
-    fit_followed,
-    followed_of,
-    table_of,
-    views_of,
-)
-from camtopod.learn.prediction_model import model_of
+from camtopod.learn.links import joined_by
+from camtopod.learn.refit import Known, Refit, dwell_bins, lag_bins, refit
 from camtopod.learn.retired_cameras import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
 from camtopod.learn.self_score import Scorer
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera
-from camtopod.learn.traffic import Arrivals, Departures, Scene, see
+from camtopod.learn.traffic import Scene, see
 from camtopod.learn.window import GONE, Intake, Window, cells_of
 from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
 from camtopod.predict import Predictor
 from camtopod.publishers import RETURNS_MIN, Publisher
 from camtopod.records import Event, Topology
-from camtopod.topology import LagBins, offset_bins, stamp
+from camtopod.topology import stamp
 
 REFIT_EVENTS_MIN = 10
 """No new version for fewer new events, unless they have waited ``refit_hours``."""
@@ -88,16 +52,7 @@ MOVE_EVENTS = 25
 """After so many events of a camera it is asked again whether it has been turned."""
 ZONES_REFRESH_SHARE = 0.1
 """A camera's zones are learned again when this share of its events is new."""
-STEPS = (
-    "zones",
-    "clocks",
-    "candidates",
-    "joint fit",
-    "evidence",
-    "changes",
-    "prediction",
-    "topology",
-)
+STEPS = ("zones", "clocks", *refits.STEPS)
 """What a version takes, in this order."""
 
 
@@ -118,8 +73,8 @@ class Learner:
         self.topology: Topology | None = None
         self.on_step: Callable[[str], None] = lambda step: None
         """Called with each of `STEPS` as it begins: what the one before took is free again."""
-        self.bins = LagBins(-self.settings.overlap_max_seconds, self.settings.transit_max_seconds)
-        self.stay_bins = LagBins(0.0, self.settings.transit_max_seconds)
+        self.bins = lag_bins(self.settings)
+        self.stay_bins = dwell_bins(self.settings)
         self._intake = Intake(
             self.settings.lateness_seconds,
             self.settings.cameras_max,
@@ -131,7 +86,7 @@ class Learner:
             self.settings.window_events,
             self.settings.window_camera_events,
         )
-        self._screen = Screen()
+        self._followed: dict[int, Followed] = {}  # zones screened in as sources of each, by `place`
         self._keeper = ClockKeeper()
         self._alarms = AlarmLog()
         self._scorer = Scorer()
@@ -210,7 +165,7 @@ class Learner:
             self._fitted_us,
             self._learned,
             self._since_fit,
-            self._screen.followed,
+            self._followed,
             self._publishers,
             self._doubled,
             self._left,
@@ -233,7 +188,7 @@ class Learner:
         self._moved, self._done_us, self._fitted_us = state.moved, state.done_us, state.fitted_us
         self._learned, self._since_fit = state.learned, state.since_fit
         self._publishers, self._doubled = state.publishers, state.doubled
-        self._screen.followed, self._left = state.followed, state.left
+        self._followed, self._left = state.followed, state.left
 
     def forget(self, names: Set[str]) -> None:
         """Forget cameras as if they had never been heard, but for their events that wait for the
@@ -364,7 +319,7 @@ class Learner:
             name: one for name, one in self._publishers.items() if name not in names
         }
         self._doubled = [name for name in self._doubled if name not in names]
-        self._screen.followed = renumbered(self._screen.followed, number)
+        self._followed = renumbered(self._followed, number)
 
     def _due(self, tick_us: int) -> bool:
         """Whether enough has changed for a new version."""
@@ -381,81 +336,43 @@ class Learner:
         return max(REFIT_EVENTS_MIN, self.settings.refit_share * len(self._window))
 
     def _refit(self, tick_us: int) -> None:
-        """Zones, joint fit, links: one new version as of ``tick_us``."""
+        """Make one version as of ``tick_us``: refresh the zones, refit, publish."""
         self.on_step("zones")
         self._refresh_zones()
         self.on_step("clocks")
-        scene = self._to_fit(self._in_right_time(see(self._window, self._maps)))
-        through = self._through_views(scene)
-        scene = scene._replace(departures=with_usual_stays(scene.departures, through))
-        silences = find_silences(
-            self._window.column("t") / MICROSECONDS,
-            self._window.column("camera"),
-            len(self._window.cameras),
-        )
-        cameras = self._window.cameras
-        overlapping = find_overlapping(
-            views_of(scene), len(cameras), offset_bins(self.bins.scale, self.bins.step)
-        )
-        posterior, ever, likely, changes = self._between_views(scene, silences, overlapping)
-        model = model_of(
-            cameras,
-            scene,
-            posterior,
-            self.bins,
-            self._window,
-            changes,
-            self.settings.correct_clocks,
-            overlapping,
-        )
-        del posterior  # it takes as much as the version will
-        self.on_step("topology")
-        zones, share_min = len(scene.zones), self.settings.publish_probability_min
-        between, likely = (present(table, changes, zones, share_min) for table in (ever, likely))
-        camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
-        found = without_missed(
-            between, through, significant(between, self.settings), camera_of, self.settings
-        )
-        published = refresh_monte_carlo(between.rows(np.flatnonzero(found)), self.bins)
-        seen = np.flatnonzero(significant(through, self.settings))
-        visible = refresh_monte_carlo(through.rows(seen), self.stay_bins)
-        weak = beside(likely, published, zones)
-        began = self._window.column("t")[0] / MICROSECONDS
-        lacks = lacking(weak, between, int(found.sum()), zones, scene.last - began, self.settings)
+        scene = self._to_fit(self._corrected(see(self._window, self._maps)))
+
+        known = Known(self._followed, self._learned, self.only_last, self._scorer.waiting)
+        clocks = self._keeper.clocks
+        found = refit(scene, self._window, clocks, known, self.settings, self.on_step)
+        self._followed = found.followed
+        self._scorer.mark(found.happened)
+
+        self.topology = self._version_of(found, tick_us)
+        self._scorer.use(self.topology, self._enough())
+        self._updates.append(self.topology)
+        self._fitted_us, self._since_fit = tick_us, 0
+
+    def _version_of(self, found: Refit, tick_us: int) -> Topology:
+        """Return the next version: what a refit has found, and what has happened since the last."""
+        cameras, scene, bins = self._window.cameras, found.scene, self.bins
+        between = link_records(cameras, scene, found.published, bins)
+        visible = link_records(cameras, scene, found.visible, self.stay_bins, "visible")
+        weak = link_records(cameras, scene, found.weak, bins, histograms=False, lacks=found.lacks)
         topology = assemble(
             self.settings,
             self._window,
             scene,
-            model,
+            found.model,
             self._keeper.clocks,
-            links=link_records(cameras, scene, published, self.bins)
-            + link_records(cameras, scene, visible, self.stay_bins, "visible"),
-            weak_links=link_records(cameras, scene, weak, self.bins, histograms=False, lacks=lacks),
+            links=between + visible,
+            weak_links=weak,
         )
-        version, now = (
-            1 if self.topology is None else self.topology.version + 1,
-            tick_us / MICROSECONDS,
-        )
-        ids = [zone_id(cameras, zone) for zone in scene.zones]
-        if self.only_last:  # there is no earlier version that published the links which have closed
-            self._alarms.join(
-                ids, joined_by(ever.rows(np.flatnonzero(significant(ever, self.settings))))
-            )
-        self._alarms.report(
-            version, now, scene, ids, cameras, silences, changes, joined_by(published), share_min
-        )
-        self._alarms.clocks(version, now, topology.cameras)
-        for camera, since, move in self._moved:
-            detail = (
-                f"{move.outside:.2f} of {move.events} events outside its zones since {since:.0f}"
-            )
-            self._alarms.add(version, now, "camera_moved", cameras[camera], detail)
-        for name in self._doubled:
-            publisher = self._publishers[name]
-            detail = f"two programs publish it at the same time, boots {publisher.before} and {publisher.boot}"
-            self._alarms.add(version, now, "camera_doubled", name, detail)
-        self._moved, self._doubled = [], []
-        self.topology = stamp(
+
+        version = 1 if self.topology is None else self.topology.version + 1
+        now = tick_us / MICROSECONDS
+        self._report(found, topology, version, now)
+        return stamp(
             replace(
                 topology,
                 site=self.site,
@@ -467,9 +384,39 @@ class Learner:
                 score=self._scorer.score(),
             )
         )
-        self._scorer.use(self.topology, self._enough())
-        self._updates.append(self.topology)
-        self._fitted_us, self._since_fit = tick_us, 0
+
+    def _report(self, found: Refit, topology: Topology, version: int, now: float) -> None:
+        """Raise an alarm for each change that this version is the first to show."""
+        cameras, scene = self._window.cameras, found.scene
+        ids = [zone_id(cameras, zone) for zone in scene.zones]
+        if self.only_last:  # no earlier version has published the links that have closed
+            self._alarms.join(ids, joined_by(found.found))
+        self._alarms.report(
+            version,
+            now,
+            scene,
+            ids,
+            cameras,
+            found.silences,
+            found.changes,
+            joined_by(found.published),
+            self.settings.publish_probability_min,
+        )
+        self._alarms.clocks(version, now, topology.cameras)
+
+        for camera, since, move in self._moved:
+            detail = (
+                f"{move.outside:.2f} of {move.events} events outside its zones since {since:.0f}"
+            )
+            self._alarms.add(version, now, "camera_moved", cameras[camera], detail)
+        for name in self._doubled:
+            publisher = self._publishers[name]
+            detail = (
+                "two programs publish it at the same time, "
+                f"boots {publisher.before} and {publisher.boot}"
+            )
+            self._alarms.add(version, now, "camera_doubled", name, detail)
+        self._moved, self._doubled = [], []
 
     def _look_for_moves(self) -> None:
         """What a camera saw before it was turned is forgotten, and its zones get new numbers."""
@@ -527,122 +474,15 @@ class Learner:
                     _vanished(known, new),
                 )
 
-    def _in_right_time(self, scene: Scene) -> Scene:
-        """The scene by the cameras' own clocks as right ones would have shown it, as far as is
-        known.
-        """
+    def _corrected(self, scene: Scene) -> Scene:
+        """Estimate the clock offsets, and return the scene with its times corrected by them."""
         self._keeper.look(scene, len(self._window.cameras), self._learned)
-        ahead = self._keeper.clocks.offset
-        return see(self._window, self._maps, ahead) if ahead.any() else scene
+        offset = self._keeper.clocks.offset
+        return see(self._window, self._maps, offset) if offset.any() else scene
 
     def _to_fit(self, scene: Scene) -> Scene:
-        """The part of the scene that the joint fit is made with: all of it. A `District` leaves
-        cameras out.
-        """
+        """Return the part of the scene that is fitted. A `District` leaves cameras out."""
         return scene
-
-    def _through_views(self, scene: Scene) -> LinkTable:
-        """Visible links: passages through one view."""
-        transitions = visible_transitions(scene, self.stay_bins, self.settings.candidates_max)
-        return tabulate(
-            transitions, scene.entries.astype(float)[:, None], self.stay_bins, len(scene.zones)
-        )
-
-    def _between_views(
-        self, scene: Scene, silences: list[Silences], overlapping: list[Overlapping]
-    ) -> tuple[Posterior | None, LinkTable, LinkTable, list[Change]]:
-        """Links that leave a view, over the whole window: the joint fit of departures and arrivals;
-        and what in it has changed.
-        """
-        arrivals = scene.arrivals
-        if len(scene.departures.t) == 0 or len(arrivals.t) == 0:
-            empty = tabulate(join([]), np.zeros((len(scene.zones), 1)), self.bins, len(scene.zones))
-            return None, empty, empty, []
-        first = float(min(scene.departures.t[0], arrivals.t[0]))
-        self.on_step("candidates")
-        camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
-        late = with_long_ways(
-            scene.departures,
-            arrivals,
-            camera_of,
-            len(self._window.cameras),
-            self.bins,
-            self.settings.candidates_max,
-        )
-        departures, zones = late.departures, len(late.zone)
-        places = np.array(
-            [place(camera, scene.zones[zone].number) for camera, zone in late.places()]
-        )
-        candidates = self._screen.find(
-            departures,
-            arrivals,
-            self.bins,
-            places,
-            scene.last,
-            self._learned,
-            self.settings.candidates_max,
-            everywhere=self.only_last,
-        )
-        candidates = late.among(candidates, arrivals)
-        self.on_step("joint fit")
-        problem = (departures, arrivals, candidates, self.bins, zones, scene.last)
-        fit = fit_jointly(*problem)
-        self.on_step("evidence")
-        ratio = cross_evidence(
-            departures,
-            arrivals,
-            self._all_of(fit, departures, arrivals, zones),
-            self.bins,
-            zones,
-            first,
-            scene.last,
-        )
-        left, pace = (
-            leaving(departures, self.bins, zones, scene.last),
-            pace_of(fit, departures, arrivals, zones),
-        )
-        between = tabulate(transitions_of(fit), left, self.bins, zones, pace, late.seconds)
-        between = late.links_back(between.with_evidence(ratio, len(scene.zones) ** 2))
-        over = scene.last - self.bins.lag_max
-        self.on_step("changes")
-        changes = find_changes(
-            fit, departures, arrivals, over, [silence.intervals for silence in silences]
-        )
-        changes = late.changes_back(changes)
-        del fit  # what follows takes the most memory, ...
-        self.on_step("prediction")
-        overlap = late.overlapping(table_of(overlapping, len(self._window.cameras)))
-        followed = followed_of(*problem, overlap)
-        del candidates, problem  # ... and then these would take as much as the rest
-        screened = bool(self._screen.followed)
-        posterior = fit_followed(
-            departures, arrivals, followed, self.bins, zones, scene.last, ratio, screened
-        )
-        some = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
-        likely = tabulate(some, left, self.bins, zones, delay=late.seconds).without_counts()
-        likely = late.links_back(likely.with_evidence(likely.ratio, len(posterior.share)))
-        posterior = late.posterior_back(posterior, len(scene.zones))
-        over -= float(late.seconds.max())
-        self._scorer.mark(
-            posterior,
-            scene.departures,
-            arrivals,
-            self._window.cameras,
-            over,
-            self._keeper.clocks.offset,
-        )
-        return posterior, between, likely, changes
-
-    def _all_of(self, fit: Fit, departures: Departures, arrivals: Arrivals, zones: int) -> Fit:
-        """The fit with all candidates of what might be a link, where unlikely ones had been left
-        out.
-        """
-        if not self._screen.followed:
-            return fit
-        pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
-        return fit._replace(
-            candidates=whole(fit.candidates, pairs, departures, arrivals, self.bins, zones)
-        )
 
 
 def _vanished(known: tuple[ZoneShape, ...], now: ZoneMap) -> tuple[ZoneShape, ...]:

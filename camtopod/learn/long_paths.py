@@ -51,11 +51,11 @@ HALF_SD_MIN = 1.0
 """Least height of a far peak in each half of the recording, in standard deviations: a single event
 makes no way.
 """
-LONG_WAYS_MAX = 256
+LONG_PATHS_MAX = 256
 """Ways that are looked for, the clearest."""
 
 
-class LongWay(NamedTuple):
+class LongPath(NamedTuple):
     """Objects that leave the view of camera ``source`` appear in that of ``target`` about
     ``seconds`` later.
     """
@@ -65,9 +65,9 @@ class LongWay(NamedTuple):
     seconds: float
 
 
-def find_long_ways(
+def find_long_paths(
     departures: Departures, arrivals: Arrivals, cameras: int, lag_max: float
-) -> list[LongWay]:
+) -> list[LongPath]:
     """The long ways between ``cameras`` views, by source, then target; ``lag_max``: longest lag
     with a bin, seconds.
     """
@@ -107,8 +107,8 @@ def find_long_ways(
     lag[source[leg], target[leg]] = seconds[leg]
     far = np.flatnonzero((false < FALSE_PROBABILITY) & (seconds >= LONG_SECONDS_MIN)).tolist()
     far = [k for k in far if not _is_over(lag, stay, *pairs[k])]
-    far = sorted(far, key=lambda k: -nats[k])[:LONG_WAYS_MAX]
-    return sorted(LongWay(*pairs[k], float(seconds[k])) for k in far)
+    far = sorted(far, key=lambda k: -nats[k])[:LONG_PATHS_MAX]
+    return sorted(LongPath(*pairs[k], float(seconds[k])) for k in far)
 
 
 def clearest_peaks(counts: list[Counts], lag_max: float, longest: float) -> tuple[Floats, Floats]:
@@ -251,7 +251,7 @@ class Delayed(NamedTuple):
         )
 
 
-def delayed(departures: Departures, camera: Ints, cameras: int, ways: list[LongWay]) -> Delayed:
+def delayed(departures: Departures, camera: Ints, cameras: int, ways: list[LongPath]) -> Delayed:
     """The ``departures`` with delayed copies for the long ``ways``; ``camera`` (zones,): view of
     each zone, a number below ``cameras``.
     """
@@ -306,7 +306,7 @@ def delayed(departures: Departures, camera: Ints, cameras: int, ways: list[LongW
     )
 
 
-def with_long_ways(
+def with_long_paths(
     departures: Departures,
     arrivals: Arrivals,
     camera: Ints,
@@ -321,7 +321,7 @@ def with_long_ways(
     if Screen.is_needed(departures, arrivals, bins, len(camera), candidates_max):
         return without
     late = delayed(
-        departures, camera, cameras, find_long_ways(departures, arrivals, cameras, bins.lag_max)
+        departures, camera, cameras, find_long_paths(departures, arrivals, cameras, bins.lag_max)
     )
     return (
         without

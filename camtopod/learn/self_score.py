@@ -1,66 +1,73 @@
-"""The learner marks its own predictions: each made with the version of its time, before the
-outcome.
+"""Self-evaluation: the learner scores its own predictions once their outcome is known.
 
-Nobody says who went where. But a departure's outcome is far plainer afterwards than before: once
-its whole lag window has been seen, the joint fit of a later version knows with what probability it
-was each of the arrivals that came, or none. The prediction is scored by what that fit expects it to
-earn: ``-sum r log p`` in place of ``-log p``. Events that belong to nobody count as objects that
-leave.
+Each prediction is made with the version of its time, before the outcome. Objects are anonymous, so
+the true outcome is never known, but it is far clearer afterwards than before: once the whole lag
+window of a departure has been seen, the joint fit of a later version gives the probability that it
+was each of the arrivals, or none. The prediction gets its expected score under that fit, ``-sum r
+log p`` in place of ``-log p``. An exit event that is of no object counts as an object that leaves
+the site.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Set
+from collections.abc import Iterable, Sequence, Set
 from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
 
-from camtopod.arrays import Floats
 from camtopod.event_time import MICROSECONDS
-from camtopod.learn.next_camera import Posterior
-from camtopod.learn.traffic import Arrivals, Departures
+from camtopod.learn.outcomes import Happened
 from camtopod.predict import Predictor, PredictorState
 from camtopod.records import Event, Prediction, SelfScore, Topology
 
 EXITS_PER_VERSION = 100
-"""Exits scored of those between two versions, or a few more, evenly spread."""
+"""Exits scored between two versions, approximately; they are evenly spread."""
 SCORED_MAX = 2000
-"""The score is over this many exits, the newest."""
+"""Newest scored exits that the score is the mean of."""
 PENDING_MAX = 2000
-"""Predictions that wait for their outcome; beyond, the oldest is forgotten."""
+"""Predictions that wait for their outcome; beyond, the oldest is dropped."""
 PROBABILITY_FLOOR = 1e-4
+"""Lower bound on a predicted probability in the log loss."""
 
 
 class Guess(NamedTuple):
-    """Where an exit at ``t`` (seconds) from ``camera`` was said to lead: probability by camera, ""
-    for leaving.
-    """
+    """One prediction, with probabilities by camera and under "" for leaving the site."""
 
     t: float
+    """Time of the exit, seconds."""
     camera: str
+    """Camera of the exit."""
     version: int
+    """Version that made the prediction."""
     said: dict[str, float]
+    """Predicted probabilities."""
     baseline: dict[str, float]
+    """Probabilities by the Markov chain over cameras."""
 
 
 class Marks(NamedTuple):
-    """What one prediction earned."""
+    """Scores of one prediction."""
 
     version: int
     followed: float
     """Probability that the object was seen again."""
     top1: float
+    """Probability that the next camera was the likeliest one."""
     top3: float
+    """Probability that the next camera was among the likeliest three."""
     loss: float
+    """Expected log loss, nats."""
     baseline_top1: float
+    """``top1`` of the baseline."""
     baseline_loss: float
+    """``loss`` of the baseline, nats."""
 
 
 class ScorerState(Struct):
-    """What a `Scorer` knows beside the topology."""
+    """State of a `Scorer`, apart from the topology."""
 
     predictor: PredictorState | None
     baseline: dict[str, dict[str, float]]
@@ -71,9 +78,7 @@ class ScorerState(Struct):
 
 
 class Scorer:
-    """Predicts a sample of the exits as the events come and marks them when a later fit knows
-    better.
-    """
+    """Predicts a sample of the exits as events come in, and scores them by a later fit."""
 
     def __init__(self) -> None:
         self._predictor: Predictor | None = None
@@ -84,7 +89,7 @@ class Scorer:
         self._marks: deque[Marks] = deque(maxlen=SCORED_MAX)
 
     def save(self) -> ScorerState:
-        """Everything `load` needs, beside the topology, to go on from here."""
+        """Return the state that `load` needs to continue, apart from the topology."""
         predictor = None if self._predictor is None else self._predictor.save()
         return ScorerState(
             predictor,
@@ -96,7 +101,10 @@ class Scorer:
         )
 
     def load(self, state: ScorerState, topology: Topology | None) -> None:
-        """Go on from there; ``topology`` is the version it predicts with."""
+        """Continue from a saved state.
+
+        topology: the version that predictions are made with.
+        """
         if state.predictor is not None and topology is not None:
             self._predictor = Predictor(topology)
             self._predictor.load(state.predictor)
@@ -105,13 +113,16 @@ class Scorer:
         self._marks.extend(state.marks)
 
     def forget(self, names: Set[str]) -> None:
-        """Forget what waits for its outcome at these cameras."""
+        """Drop the predictions of these cameras that wait for their outcome."""
         self._guesses = deque(
             (guess for guess in self._guesses if guess.camera not in names), PENDING_MAX
         )
 
     def watch(self, batch: Iterable[tuple[int, Event]]) -> None:
-        """Events by time, each with its time in microseconds: predict some of the exits."""
+        """Predict some of the exits among new events.
+
+        batch (microseconds, event): events in order of time.
+        """
         predictor = self._predictor
         if predictor is None:
             return
@@ -128,8 +139,9 @@ class Scorer:
             predictor.observe(event)
 
     def use(self, topology: Topology, events_due: float) -> None:
-        """Predict with this version from here on; about ``events_due`` events will come before the
-        next.
+        """Predict with this version from here on.
+
+        events_due: number of events expected until the next version.
         """
         self._predictor = (
             Predictor(topology) if self._predictor is None else self._predictor.follow(topology)
@@ -141,38 +153,30 @@ class Scorer:
         for shares in self._baseline.values():
             shares[""] = max(1.0 - sum(shares.values()), 0.0)
 
-    def mark(
-        self,
-        posterior: Posterior,
-        departures: Departures,
-        arrivals: Arrivals,
-        cameras: list[str],
-        over: float,
-        ahead: Floats,
-    ) -> None:
-        """Mark what left until ``over`` (seconds), from when on a lag window may still be open.
+    @property
+    def waiting(self) -> list[Guess]:
+        """Predictions whose outcome is not known yet, oldest first."""
+        return list(self._guesses)
 
-        ``ahead`` (cameras,): by how many seconds each camera's clock is; departures and arrivals
-        are in right time.
+    def mark(self, happened: Sequence[Happened | None]) -> None:
+        """Score the oldest predictions.
+
+        happened: outcome of each; None drops the prediction.
         """
-        due = []
-        while self._guesses and self._guesses[0].t <= over:
-            due.append(self._guesses.popleft())
-        rows = [_row_of(guess, departures, cameras, ahead) for guess in due]
-        known = [(guess, row) for guess, row in zip(due, rows, strict=True) if row is not None]
-        outcomes = _outcomes(posterior, arrivals, [row for _, row in known], len(cameras))
-        for (guess, _), outcome in zip(known, outcomes, strict=True):
-            happened = {cameras[k]: float(outcome[k]) for k in np.flatnonzero(outcome)}
-            self.note(guess, happened)
+        for outcome in happened:
+            guess = self._guesses.popleft()
+            if outcome is not None:
+                self.note(guess, outcome)
 
     def note(self, guess: Guess, happened: dict[str, float]) -> None:
-        """Mark one guess; ``happened``: with what probability the object appeared at which
-        camera.
+        """Score one prediction.
+
+        happened (by camera): probability that the object appeared there next.
         """
         self._marks.append(marks(guess, happened))
 
     def score(self) -> SelfScore | None:
-        """The score as of now; None before any exit has been scored."""
+        """Return the current score; None before any exit has been scored."""
         if not self._marks:
             return None
         m = Marks(*(np.array(column) for column in zip(*self._marks, strict=True)))  # type: ignore[arg-type]
@@ -189,44 +193,17 @@ class Scorer:
 
 
 def _by_camera(prediction: Prediction) -> dict[str, float]:
-    """Probability of each next camera, and of leaving under ""."""
+    """Return the probability of each next camera, and of leaving the site under ""."""
     said = {"": prediction.leave}
     for choice in prediction.next_:
         said[choice.camera] = said.get(choice.camera, 0.0) + choice.probability
     return said
 
 
-def _row_of(guess: Guess, departures: Departures, cameras: list[str], ahead: Floats) -> int | None:
-    """The departure that the guess was about; None when it is not in the fit."""
-    camera = cameras.index(guess.camera)
-    t = guess.t - ahead[camera]
-    low, high = np.searchsorted(departures.t, (t, np.nextafter(t, np.inf)))
-    rows = low + np.flatnonzero(departures.camera[low:high] == camera)
-    return int(rows[0]) if len(rows) else None
-
-
-def _outcomes(posterior: Posterior, arrivals: Arrivals, rows: list[int], cameras: int) -> Floats:
-    """Probability (rows, cameras) that each of the departures ``rows`` appears next at each camera.
-
-    Of each candidate what may as well be chance is left out (`doubt`).
-    """
-    result = np.zeros((len(rows), cameras))
-    c = posterior.fit.candidates
-    of = np.full(int(c.departure.max(initial=-1)) + 1, -1)
-    for number, row in enumerate(rows):
-        if row < len(of):
-            of[row] = number
-    asked = np.flatnonzero(of[c.departure] >= 0)
-    sure = posterior.fit.responsibility[asked] * (1.0 - posterior.doubt[c.pair[asked]])
-    np.add.at(result, (of[c.departure[asked]], arrivals.camera[c.arrival[asked]]), sure)
-    total = result.sum(axis=1, keepdims=True)
-    shares: Floats = result / np.maximum(total, 1.0)
-    return shares
-
-
 def marks(guess: Guess, happened: dict[str, float]) -> Marks:
-    """What the guess earned when the object appeared at each camera with the probabilities
-    ``happened``.
+    """Return the scores of a prediction.
+
+    happened (by camera): probability that the object appeared there next.
     """
     followed = sum(happened.values())
     outcomes = {**happened, "": max(1.0 - followed, 0.0)}
@@ -243,14 +220,14 @@ def marks(guess: Guess, happened: dict[str, float]) -> Marks:
 
 
 def _ranked(shares: dict[str, float]) -> list[str]:
-    """Cameras, the likeliest first."""
+    """Return the cameras, likeliest first."""
     return sorted(
         (camera for camera in shares if camera), key=lambda camera: (-shares[camera], camera)
     )
 
 
 def _loss(said: dict[str, float], outcomes: dict[str, float]) -> float:
-    """Expected -ln(probability of what happened), nats."""
+    """Return the expected -ln(probability of the outcome), nats."""
     return -sum(
         r * math.log(max(said.get(camera, 0.0), PROBABILITY_FLOOR))
         for camera, r in outcomes.items()
@@ -259,5 +236,5 @@ def _loss(said: dict[str, float], outcomes: dict[str, float]) -> float:
 
 
 def _short(value: float | np.floating) -> float:
-    """Four decimals."""
+    """Round to four decimals."""
     return round(float(value), 4)

@@ -14,7 +14,7 @@ from synthetic_events import learned_from
 
 from camtopod.client.gate import Gate
 from camtopod.codec import read_topology, to_json
-from camtopod.learn.long_paths import LongWay, delayed, find_long_ways
+from camtopod.learn.long_paths import LongPath, delayed, find_long_paths
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Link, Topology
@@ -158,7 +158,7 @@ def ends(events: list[Event], cameras: str = "abc") -> tuple[Departures, Arrival
 
 @pytest.mark.parametrize("seed", range(10))
 def test_cameras_that_have_nothing_to_do_with_each_other_have_no_long_way(seed: int) -> None:
-    assert find_long_ways(*ends(site(seed, {}, "abc" * 2)), 3, LAG_MAX) == []
+    assert find_long_paths(*ends(site(seed, {}, "abc" * 2)), 3, LAG_MAX) == []
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -172,14 +172,14 @@ def test_where_nobody_walks_anywhere_nothing_is_linked_not_even_a_view_with_itse
 
 @pytest.mark.parametrize("seconds", [75.0, 150.0, 300.0, 600.0])
 def test_a_sharp_peak_is_found_wherever_it_is(seconds: float) -> None:
-    [way] = find_long_ways(*ends(site(3, {("a", "b"): (seconds, 3.0)})), 3, LAG_MAX)
+    [way] = find_long_paths(*ends(site(3, {("a", "b"): (seconds, 3.0)})), 3, LAG_MAX)
     assert way[:2] == (0, 1)
     assert way.seconds == pytest.approx(seconds, abs=4.0)
 
 
 def test_a_near_or_a_broad_way_is_left_to_the_lag_bins() -> None:
-    assert find_long_ways(*ends(site(4, {("a", "b"): (30.0, 3.0)})), 3, LAG_MAX) == []
-    assert find_long_ways(*ends(site(4, {("a", "b"): (100.0, 30.0)})), 3, LAG_MAX) == []
+    assert find_long_paths(*ends(site(4, {("a", "b"): (30.0, 3.0)})), 3, LAG_MAX) == []
+    assert find_long_paths(*ends(site(4, {("a", "b"): (100.0, 30.0)})), 3, LAG_MAX) == []
 
 
 def test_a_way_over_a_camera_between_is_none_of_its_own() -> None:
@@ -192,7 +192,7 @@ def test_a_way_over_a_camera_between_is_none_of_its_own() -> None:
             t += STAY_SECONDS
             events.append(Event(camera, "exit", t, track=f"{camera}{k}"))
     events.sort(key=lambda event: event.t)
-    assert [way[:2] for way in find_long_ways(*ends(events), 3, LAG_MAX)] == [(0, 1), (1, 2)]
+    assert [way[:2] for way in find_long_paths(*ends(events), 3, LAG_MAX)] == [(0, 1), (1, 2)]
     assert set(between(learned_from(events))) == {("a/1", "b/1"), ("b/1", "c/1")}
 
 
@@ -217,7 +217,7 @@ def test_delayed_departures_are_those_of_their_own(
     camera = np.array([0, 0, 1, 2], np.int32)  # of each zone
     t, zone = np.array(sorted(t for t, _ in left)), np.array([zone for _, zone in left], np.int32)
     departures = Departures.untold(t, zone, camera[zone], t - 1.0, np.full(len(t), np.nan))
-    ways = [LongWay(a, b, seconds) for a, b, seconds in routes if a != b]
+    ways = [LongPath(a, b, seconds) for a, b, seconds in routes if a != b]
 
     late = delayed(departures, camera, 3, ways)
 
