@@ -136,7 +136,7 @@ def test_every_bench_takes_what_it_is_given(monkeypatch: pytest.MonkeyPatch) -> 
 
     parse = argparse.ArgumentParser.parse_args
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", read_only)
-    lines = [" ".join(line.split()) for line in shown(ALL)]
+    lines = [line for text in TEXTS.values() for line in shown(text)]
     benches = {found for line in lines for found in re.findall(r"\bbench (\w+)([^`]*)", line)}
     assert len(benches) > 15
     for part, options in benches:
@@ -169,6 +169,33 @@ def test_every_file_exists(page: Path) -> None:
     for path in re.findall(r"(?<![\w/.-])((?:tests|deploy|bench|camtopod)/[\w./@-]*\w)", text):
         if not path.startswith("deploy/site"):
             assert list(ROOT.glob(f"{path}*")), path
+
+
+@pytest.mark.parametrize("page", ["camtopod/ARCHITECTURE.md", "camtopod/learn/METHOD.md"])
+def test_every_module_exists(page: str) -> None:
+    """`folder/module` is below the package, or below the page's own folder."""
+    named = set(re.findall(r"`([a-z_]+/[a-z_/]*[a-z_])`", TEXTS[page]))
+    named = {name for name in named if not name.startswith(("tests/", "bench/", "deploy/"))}
+    assert len(named) > 10
+    bases = (ROOT / "camtopod", (ROOT / page).parent)
+    found = {
+        name
+        for name in named
+        for base in bases
+        if (base / f"{name}.py").exists() or (base / name / "__init__.py").exists()
+    }
+    assert named - found - {"topology/delta"} == set()
+
+
+def test_architecture_lists_every_package() -> None:
+    listed = blocks(TEXTS["camtopod/ARCHITECTURE.md"], "text")[0]
+    folders = {path.parent.name for path in (ROOT / "camtopod").rglob("__init__.py")}
+    assert folders - {"camtopod"} == set(re.findall(r"(?<![\w/.])([a-z_]+)/", listed)) - {
+        "camtopod",
+        "static",
+    }
+    shared = {path.stem for path in (ROOT / "camtopod").glob("*.py")} - {"__init__", "__main__"}
+    assert shared <= set(re.findall(r"\b([a-z_]+)\b", listed))
 
 
 def test_every_extra_exists() -> None:

@@ -20,7 +20,7 @@ PAGES = (
     ROOT / "camtopod" / "learn" / "METHOD.md",
 )
 """Every page, the one that people read first in front."""
-FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+FENCED = re.compile(r"^ *```(\w*)\n(.*?)^ *```$", re.DOTALL | re.MULTILINE)
 """A block's language and its lines."""
 SHELL = ("", "sh", "ini")
 """Languages of blocks whose lines may be commands."""
@@ -47,7 +47,7 @@ def shown(text: str) -> list[str]:
 
 def links(text: str) -> list[str]:
     """Return the targets of a page's links and pictures that are not addresses of other sites."""
-    found = _LINK.findall(FENCED.sub("", text))
+    found = _LINK.findall(_QUOTED.sub("", FENCED.sub("", text)))
     return [target for target in found if not re.match(r"[a-z]+:", target)]
 
 
