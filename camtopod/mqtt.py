@@ -219,7 +219,7 @@ class _Connection:
             self._joined()
 
     def _tell(self, refusal: str) -> None:
-        """Report a refusal: to `_connect` at the start, later in the log (paho then tries again)."""
+        """Report a refusal: to `_connect` at the start, later in the log (paho retries then)."""
         if self._ready.is_set():
             log.warning("%s:%d refuses: %s", self._at.host, self._at.port, refusal)
             return
@@ -340,7 +340,7 @@ class Board(_Connection):
         client.will_set(self._availability, OFFLINE, qos=1, retain=True)
 
     def _joined(self) -> None:
-        """Appear as online, and have the next `show` publish everything, whatever the broker kept."""
+        """Appear as online, and have the next `show` publish everything again."""
         with self._mutex:
             self._said.clear()
         self._client.publish(self._availability, ONLINE, qos=1, retain=True)
