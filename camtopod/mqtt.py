@@ -56,7 +56,7 @@ _TICK_SECONDS = 0.2
 
 
 class MqttError(Exception):
-    """The broker cannot be reached or refuses the connection; ``str()`` says why."""
+    """The broker cannot be reached or refuses the connection; ``str()`` gives the reason."""
 
 
 class Broker(Struct, frozen=True):

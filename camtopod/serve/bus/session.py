@@ -106,6 +106,8 @@ class Ear:
             zenoh.SampleKind.PUT,
             list[Heard](),
         )
+
+        # Read until the channel is empty; after one message if it was waited for.
         try:
             sample = messages.recv() if wait else messages.try_recv()
             while sample is not None:
@@ -172,6 +174,8 @@ class Bus:
         if self._closed.is_set():
             return
         self._mind_size(key, payload)
+
+        # Publish, and note since when, for `hanging`.
         thread = threading.get_ident()
         self._putting[thread] = time.monotonic(), key
         try:
@@ -285,6 +289,7 @@ class Bus:
         given = ";".join(f"{name}={value}" for name, value in (parameters or {}).items())
         answers: list[tuple[str, bytes]] = []
         refusal = None
+
         try:
             # Send the query, and collect answers and refusals.
             replies = self._session.get(
@@ -305,6 +310,7 @@ class Bus:
                     refusal = reply.err.payload.to_bytes().decode("utf-8", "replace")
         except zenoh.ZError as error:
             log.debug("query on %s: %s", key, error)
+
         if refusal is not None and not answers:
             raise QueryError(refusal)
         return answers

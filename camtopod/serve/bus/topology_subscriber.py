@@ -135,6 +135,8 @@ class TopologyView:
         """Query the whole topology."""
         self._ask_after = time.monotonic() + _ASK_AGAIN_SECONDS
         self._stale = False  # before the query: a daemon may restart meanwhile
+
+        # Query and decode.
         try:
             answers = self._bus.ask("topology", one=True)
         except QueryError:  # nothing learned yet
@@ -147,6 +149,8 @@ class TopologyView:
         if newest is None:
             self._stale = True
             return
+
+        # Keep it if it is newer.
         self.fetched += 1
         held = self.topology
         # Another epoch is taken even if it is older: then a daemon has lost its state and its

@@ -1,4 +1,4 @@
-"""Publish events without losing any: store them in the spool, publish them, and answer queries."""
+"""Publish events without losing any: store them in the spool, publish them, answer queries."""
 
 from __future__ import annotations
 

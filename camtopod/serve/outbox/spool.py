@@ -1,13 +1,13 @@
-"""A publisher's spool: every event is stored here before it is published, until it is acknowledged.
+"""A publisher's spool: each event is stored here before it is published, until it is acknowledged.
 
-That a message was published does not tell whether it was received; the daemon queries the spool for
-events it has missed. Each time a spool is opened a new ``boot`` begins, and each camera's events
-are counted within it, so that a file restored from an older copy never gives the same number to a
-second event. An event that brings its own boot and seq keeps them.
+Publishing an event does not show whether the daemon has received it; so the daemon queries the
+spool for events it has missed. Each time a spool is opened a new ``boot`` begins, and each camera's
+events are counted within it, so that a file restored from an older copy never gives the same number
+to a second event. An event that brings its own boot and seq keeps them.
 
-A spool belongs to one site. The newest acknowledged events stay for a while, for the daemon that
-acknowledged them, and each answer tells the highest acknowledged seq. So a daemon whose journal was
-set back notices, and gets the events again.
+A spool belongs to one site. The newest acknowledged events are kept for a while, for the daemon
+that acknowledged them, and each answer contains the highest acknowledged seq. So a daemon whose
+journal was set back notices, and gets the events again.
 """
 
 from __future__ import annotations
@@ -91,6 +91,8 @@ class Spool:
         """Path of the file."""
         self._events_max, self._bytes_max, self._kept_max = events_max, bytes_max, kept_events_max
         self._lock = sqlite_file.Lock(path.with_suffix(".lock"))
+
+        # Open the file; release everything after an error.
         with contextlib.ExitStack() as undo:
             undo.callback(self._lock.close)
             try:
@@ -105,6 +107,8 @@ class Spool:
                     f"cannot read {path}: {error}; it is left as it is"
                 ) from None
             undo.pop_all()
+
+        # Begin a boot.
         self.boot = self._first_boot = boot
         """Name of the current boot."""
         self.rescued = rescued
@@ -443,7 +447,10 @@ class Spool:
     def _good_rows(
         self, camera: str, boot: str, start: int, events_max: int
     ) -> tuple[list[tuple[int, bytes]], bool]:
-        """Return at most ``events_max`` undamaged events, and True if there are more."""
+        """Return at most ``events_max`` undamaged events as (seq, bytes); and if there are more.
+
+        Each damaged event is logged once and left out.
+        """
         rows: list[tuple[int, bytes]] = []
         for id_, *row in self._db.execute(
             "SELECT id, camera, boot, seq, raw, crc FROM event"
@@ -514,7 +521,7 @@ def open_spool(directory: Path, site: str, name: str, limits: Limits) -> Spool:
 
 
 def _adopt(older: Path, path: Path) -> None:
-    """Take over the spool of an older program, which did not tell sites apart."""
+    """Take over the spool of an older program, which had one spool for all sites."""
     if path.exists() or not older.exists():
         return
     lock = sqlite_file.Lock(older.with_suffix(".lock"))

@@ -116,6 +116,8 @@ class Journal:
         """Path of a damaged journal that was set aside on opening; this one was begun anew."""
         self.missing = 0
         """Number of entries known to have been lost before the journal was opened."""
+
+        # Open the file; release everything after an error.
         with contextlib.ExitStack() as undo:
             undo.callback(self._lock.close)
             self._db, self.set_aside = sqlite_file.connect_or_begin_anew(
@@ -231,11 +233,12 @@ class Journal:
         return None
 
     def prune(self, now: float) -> bool:
-        """Delete some of what is older than the retention; return True if there is more to delete.
+        """Delete entries, streams and versions beyond the retention; return True if more are left.
 
         now (Unix seconds): the time from which ages are counted.
 
-        Call it from time to time, and again if it returns True. Raises `sqlite3.Error`.
+        A part is deleted at a time: call it now and then, and again if it returns True. Raises
+        `sqlite3.Error`.
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
             self._check()

@@ -54,7 +54,7 @@ class StateError(OSError):
 
 
 class Damaged(StateError):
-    """A file's content is not what was written."""
+    """The content of a file differs from what was written."""
 
 
 class Lock:
@@ -442,6 +442,7 @@ def _report_lost(path: Path, written: wal_check.Log, index: int | None) -> None:
     """Log what SQLite has ignored of the log, and keep a copy of a damaged log."""
     lost = wal_check.lost(path, written, index)
     if lost.damaged:
+        # Keep a copy of the log.
         try:
             copy = f"a copy is {_copy_aside(Path(f'{path}-wal'))}"
         except StateError:
@@ -456,6 +457,7 @@ def _report_lost(path: Path, written: wal_check.Log, index: int | None) -> None:
             copy,
         )
     elif lost.frames:
+        # As after a kill or a power cut.
         log.warning(
             "the last transaction in the log of %s is incomplete and ignored: "
             "it was being written when the program ended, or is damaged",
