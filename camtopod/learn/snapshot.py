@@ -120,7 +120,7 @@ def unpack(blob: bytes) -> LearnerState:
 
 def _encode_array(array: object) -> tuple[str, tuple[int, ...], bytes]:
     if not isinstance(array, np.ndarray):
-        raise NotImplementedError(f"{type(array)} has no place in a snapshot")
+        raise NotImplementedError(f"{type(array)} cannot be stored in a snapshot")
     return array.dtype.str, array.shape, array.tobytes()
 
 

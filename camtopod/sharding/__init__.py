@@ -1,4 +1,16 @@
-"""sharding"""
+"""Learn a site that is too large for one learner, on several machines.
+
+The cameras are assigned to districts and the districts to shards; each district learns the links
+into its own cameras, and the parts of all districts are merged into one topology. In the order to
+read:
+
+* `assignment`: cameras to districts, districts to shards, and guests
+* `district_learner`: the learner of one district; `neighbour_scan` finds the cameras it needs
+* `parts`: what a district publishes with each version
+* `match_zones`, `rename_zones`, `merge`: parts of all districts to one topology
+* `version_line`: the versions of the merged topology
+* `shard_learner`: the districts of one shard, with the methods of a `Learner`
+"""
 
 from __future__ import annotations
 

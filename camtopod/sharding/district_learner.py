@@ -1,16 +1,16 @@
 """A district: a learner of the links into its own cameras.
 
-A district hears four kinds of cameras: its own; its *neighbours*, from which objects come to its
-own; the guests of the turn (`dealing`); and new cameras. While one of its own cameras is new, it
-hears every camera of the site.
+A district receives the events of four kinds of cameras: its own; its *neighbours*, from which
+objects come to its own; the guests of the turn (`assignment`); and new cameras. While one of its
+own cameras is new, it receives every camera of the site.
 
-The joint fit is made with the district's own cameras, its neighbours, and the few others that a
-coarse look finds (`nearby`): their departures explain arrivals that would be credited to a
-neighbour otherwise. Only what belongs to the district's own cameras is published (`parts`).
+The joint fit uses the district's own cameras, its neighbours, and the few others that a coarse scan
+finds (`neighbour_scan`): their departures explain arrivals that would otherwise be credited to a
+neighbour. Only what belongs to the district's own cameras is published (`parts`).
 
 When a turn of event time ends, the newest version decides which cameras are neighbours in the next
-turn, and events of all other foreign cameras are dropped. In the long run the cost of a district
-therefore depends on its own cameras, its neighbours and the guests, and not on the size of the
+turn, and the events of all other foreign cameras are dropped. In the long run the cost of a
+district therefore depends on its own cameras, its neighbours and the guests, not on the size of the
 site.
 """
 
@@ -31,62 +31,60 @@ from camtopod.sharding.neighbour_scan import find_nearby, with_cameras
 from camtopod.sharding.parts import Part, part_of
 
 NEIGHBOUR_TRANSITIONS_MIN = 2.0
-"""A neighbour has sent at least this many objects, those left out that may as well be chance ..."""
+"""Transitions to the district, spurious ones left out, that a neighbour has at least."""
 NEIGHBOUR_ARRIVALS_SHARE = 0.02
-"""... and they are this share of what arrives at one of the cameras here ..."""
+"""Share of the arrivals at an own camera that makes its source a neighbour."""
 NEIGHBOUR_DEPARTURES_SHARE = 0.1
-"""... or of what leaves there."""
+"""Share of a camera's departures to an own camera that makes it a neighbour."""
 NEIGHBOURS_PER_CAMERA_MAX = 12
-"""Neighbours are at most so many for each camera here, those that send most."""
+"""Neighbours for each own camera, those with the most transitions to the district first."""
 
 REGULAR_EVENTS_MIN = 20
-"""A camera with fewer events stays new, but no longer than a round of guests takes; and if it is an
-own one, no others are heard because of it: names can be made up.
+"""A camera with fewer events stays new, for at most one round of guests. An own camera with fewer
+does not make the district receive all cameras, as names may be invented.
 """
 NEWCOMERS_MAX = 8
-"""Foreign cameras with fewer events that are new at a time, after the first turn of a district."""
+"""Foreign cameras with fewer events that may be new at a time, after a district's first turn."""
 
 MET_MAX = 10_000
-"""Foreign cameras that are remembered. The one that was met first is forgotten; it is new when it
-is heard again.
-"""
+"""Foreign cameras that are remembered; the one met first is forgotten, and new when met again."""
 
 
 class Newcomer(Struct):
-    """A camera that is new until the end of the turn that it is in a turn after its first event, or
-    a later one.
-    """
+    """A new camera: new up to the turn one turn length after its first event, or longer."""
 
     since_us: int
-    """Its first event."""
+    """Time of its first event, microseconds."""
     events: int = 0
+    """Events that were learned from."""
     longer: int = 0
-    """Turns for which it stays new beyond that."""
+    """Additional turns for which it stays new."""
 
 
 class Hearing(Struct):
-    """What a `District` knows beside what its learner does."""
+    """State of a `District` apart from its learner's."""
 
     turn: int | None = None
-    """Up to this one it is decided who is a neighbour."""
+    """Newest turn for which the neighbours have been determined."""
     neighbours: list[str] = []
+    """Neighbours, those with the most transitions to the district first."""
     learned: int = 0
-    """Events of own cameras."""
+    """Events of own cameras that were learned from."""
     owner: bool = False
-    """Whether an own camera has ever been heard. Until then there is nothing to wait for."""
+    """Whether an own camera has been received. Until then no part is to be expected."""
     met: dict[str, Newcomer] = {}
-    """Every camera that has ever been heard."""
+    """Cameras that have been received, in the order in which they were met."""
 
 
 class DistrictState(Struct):
-    """Everything a `District` knows."""
+    """Complete state of a `District`."""
 
     learner: LearnerState
     hearing: Hearing
 
 
 class District(Learner):
-    """Learns as a `Learner` does, from what it hears, and gives a `Part` for each version."""
+    """A `Learner` of the events that concern one district; makes a `Part` with each version."""
 
     def __init__(
         self, settings: Settings, site: str, epoch: str, dealing: Dealing, number: int
@@ -99,12 +97,14 @@ class District(Learner):
         self._new: dict[str, Newcomer] = {}  # those of `Hearing.met` that may be new
 
     def owns(self, camera: str) -> bool:
-        """Whether the camera is one of this district's."""
+        """Return True if the camera is assigned to this district."""
         return self._dealing.district(camera) == self.number
 
     def listens(self, camera: str, t: float) -> bool:
-        """Whether an event at ``t`` (seconds) of the camera may be of use. Until a turn has come
-        those count that were of use before: they may be neighbours then.
+        """Return True if an event of the camera at ``t`` (seconds) may be of use.
+
+        Until a turn is reached, cameras of use in the last determined turn are accepted, too: they
+        may be neighbours then.
         """
         turn, decided = self._turn_of(microseconds(t)), self.hearing.turn
         searching = any(
@@ -115,7 +115,7 @@ class District(Learner):
         return decided is not None and turn > decided and self._hears(camera, decided, searching)
 
     def receive(self, event: Event) -> str:
-        """As `Learner.receive`; ``unheard`` for one that is of no use."""
+        """Take one event, as `Learner.receive`; ``unheard`` if it is of no use."""
         if self.owns(event.camera):
             self.hearing.owner = True
             met = self._meet(event.camera, microseconds(event.t))
@@ -124,32 +124,30 @@ class District(Learner):
 
     @property
     def cameras_own(self) -> int:
-        """Own cameras heard so far."""
+        """Number of own cameras in the window."""
         return sum(self.owns(camera) for camera in self._window.cameras)
 
     @property
     def watermark_us(self) -> int | None:
-        """Nothing older will be learned any more, in microseconds; None before the first event."""
+        """Watermark in microseconds: older events are late. None before the first event."""
         return self._intake.watermark_us
 
     @property
     def held_since_us(self) -> int | None:
-        """Everything up to this has been learned and what is later is waiting, in microseconds;
-        None: nothing waits.
-        """
+        """Last tick before the oldest held event, microseconds; None if no events are held."""
         oldest = self._intake.oldest_held_us
         return None if oldest is None else (oldest - 1) // self._tick_us * self._tick_us
 
     @property
     def phase(self) -> tuple[int | None, int, bool]:
-        """Who is a stranger changes with this only."""
+        """State that `strangers` depends on: turn, number of new cameras, all are received."""
         regular = any(
             one.events >= REGULAR_EVENTS_MIN and self.owns(name) for name, one in self._new.items()
         )
         return self.hearing.turn, len(self._new), regular
 
     def strangers(self) -> set[str]:
-        """The cameras met that are of use as guests only: none while all cameras are heard."""
+        """Return the cameras of use as guests only; none while all cameras are received."""
         _, _, searching = self.phase
         return (
             set()
@@ -158,18 +156,16 @@ class District(Learner):
         )
 
     def parts(self) -> list[Part]:
-        """The part of each version made since the last call, oldest first."""
+        """Return the part of each version made since the last call, oldest first."""
         made, self._parts = self._parts, []
         return made
 
     def save_all(self) -> DistrictState:
-        """Everything `load_all` needs to go on from here. Parts that have not been asked for are
-        not in it.
-        """
+        """Return the state that `load_all` needs to continue, without parts not yet fetched."""
         return DistrictState(self.save(), self.hearing)
 
     def load_all(self, state: DistrictState) -> None:
-        """Go on from there; this district must be new."""
+        """Continue from a saved state; this district must be new."""
         self.load(state.learner)
         self.hearing = state.hearing
         turn = self.hearing.turn
@@ -180,38 +176,47 @@ class District(Learner):
         }
 
     def change(self, change: Callable[[LearnerState], LearnerState]) -> None:
-        """Go on with another state, in which event time may have been taken back."""
+        """Continue with a changed state.
+
+        change: function from the present state to the new one; it may take event time back.
+        """
         state = change(self.save())
-        super().__init__(
-            self.settings, self.site, self.epoch
-        )  # only a new learner can be told what it knows
+
+        # Only a new learner can load a state.
+        super().__init__(self.settings, self.site, self.epoch)
         self.load(state)
+
         if self._done_us is not None and self.hearing.turn is not None:
             self.hearing.turn = min(self.hearing.turn, self._turn_of(self._done_us))
-            # Cameras that were met later, by a wrong clock, are met again.
+
+            # Forget cameras that were first met at a later time, by a wrong clock.
             met = self.hearing.met
             for name in [name for name, one in met.items() if one.since_us > self._done_us]:
                 del met[name]
                 self._new.pop(name, None)
 
     def forget(self, names: Set[str]) -> None:
-        """As `Learner.forget`."""
+        """Forget cameras, as `Learner.forget`."""
         super().forget(names)
         for name in names & self.hearing.met.keys():
             del self.hearing.met[name]
             self._new.pop(name, None)
 
     def _turn_of(self, t_us: int) -> int:
-        """The turn of an event: that of its tick, as what a tick has is learned together."""
+        """Return the turn of an event: that of its tick, which is learned as a whole."""
         tick = -(-t_us // self._tick_us) * self._tick_us
         return (tick - 1) // self._dealing.turn_us
 
     def _take(self, until_us: int) -> list[tuple[int, Event]]:
         batch = super()._take(until_us)
         turn = self._turn_of(until_us)
+
+        # A new turn: determine the neighbours.
         if self.hearing.turn is not None and turn > self.hearing.turn:
             self._end_turn(self.hearing.turn, turn, until_us)
         self.hearing.turn = turn
+
+        # Learn from the events that are of use; without own cameras there is nothing to learn.
         searching = self._searches(until_us, turn)
         heard = [
             (t_us, event)
@@ -219,13 +224,12 @@ class District(Learner):
             if self._admit(event.camera, t_us, turn, searching)
         ]
         self.hearing.learned += sum(self.owns(event.camera) for _, event in heard)
-        return (
-            heard if self.hearing.learned else []
-        )  # without cameras of its own it has nothing to learn
+        return heard if self.hearing.learned else []
 
     def _hears(self, camera: str, turn: int, searching: bool) -> bool:
-        """Whether events of the camera are of use in a turn: those of own cameras, neighbours,
-        guests and new cameras, and when ``searching`` all.
+        """Return True if events of the camera are of use in a turn.
+
+        They are if it is an own camera, a neighbour, a guest or new; all are when ``searching``.
         """
         if (
             searching
@@ -241,10 +245,10 @@ class District(Learner):
         return turn <= self._turn_of(camera.since_us + self._dealing.turn_us) + camera.longer
 
     def _searches(self, tick_us: int, turn: int) -> bool:
-        """Whether all cameras are heard in this tick, because an own camera is new.
+        """Return True if all cameras are received in this tick, because an own camera is new.
 
-        Its first event must lie more than the lateness before the tick: whatever the order in which
-        events arrive, none of the tick was then refused before that camera was known.
+        Its first event must lie more than the lateness before the tick: then no event of the tick
+        was refused before that camera was known, in whatever order events arrived.
         """
         before = tick_us - self._tick_us - 2 * self._intake.lateness_us
         return any(
@@ -254,13 +258,14 @@ class District(Learner):
         )
 
     def _admit(self, camera: str, t_us: int, turn: int, searching: bool) -> bool:
-        """Whether an event is learned from."""
+        """Return True if an event is to be learned from, and count it for its camera."""
         if not self._hears(camera, turn, searching):
             return False
         met = self.hearing.met
         if camera not in met and not (
             searching or self.owns(camera) or self._dealing.guest(camera, turn)
         ):
+            # Too many new foreign cameras at a time.
             begun = next(iter(met.values())).since_us if met else t_us
             few = sum(
                 one.events < REGULAR_EVENTS_MIN and not self.owns(name)
@@ -272,7 +277,7 @@ class District(Learner):
         return True
 
     def _meet(self, camera: str, t_us: int) -> Newcomer:
-        """Remember a camera that has an event at ``t_us``."""
+        """Remember a camera that has an event at ``t_us`` and return its record."""
         met = self.hearing.met.get(camera)
         if met is None:
             if len(self.hearing.met) >= MET_MAX:
@@ -284,8 +289,9 @@ class District(Learner):
         return met
 
     def _end_turn(self, ended: int, following: int, tick_us: int) -> None:
-        """Who is a neighbour from now on, and who is forgotten? By a version as of the tick where
-        that is found out: the others may have come to any moment before by then.
+        """Determine the neighbours of the next turn, and forget cameras of no more use.
+
+        A version is made at this tick first, as the newest one may be as of any earlier moment.
         """
         foreign = [camera for camera in self._window.cameras if not self.owns(camera)]
         if foreign and self._since_fit:
@@ -305,13 +311,16 @@ class District(Learner):
             super().forget(gone)
 
     def _find_neighbours(self, topology: Topology) -> list[str]:
-        """Foreign cameras from which objects come here, by how many they send."""
+        """Return the foreign cameras with transitions to own ones, those with the most first."""
+        # Transitions, arrivals and departures by camera.
         sent = sent_to(topology)
         came, left = Counter[str](), Counter[str]()
         for zone in topology.zones:
             came[zone.camera] += zone.entries
             left[zone.camera] += zone.exits
         heard, linked = self._heard(), linked_cameras(topology)
+
+        # Transitions of each neighbour, scaled to the whole window.
         most: dict[str, float] = {}
         for (source, target), number in sent.items():
             if self.owns(source) or not self.owns(target):
@@ -322,11 +331,12 @@ class District(Learner):
             )
             if (source, target) in linked or number >= max(least, NEIGHBOUR_TRANSITIONS_MIN):
                 most[source] = most.get(source, 0.0) + number / max(heard.get(source, 0.0), 1e-9)
+
         order = sorted(most, key=lambda camera: (-most[camera], camera))
         return order[: NEIGHBOURS_PER_CAMERA_MAX * self.cameras_own]
 
     def _heard(self) -> dict[str, float]:
-        """Share of the window's time since each camera was heard first in it."""
+        """Return the share of the window's time since the first event of each camera."""
         t, cameras = self._window.column("t"), self._window.cameras
         present, first = np.unique(self._window.column("camera"), return_index=True)
         span = max(int(t[-1] - t[0]), 1) if len(t) else 1
@@ -342,8 +352,10 @@ class District(Learner):
         self._parts += [self._part(topology) for topology in self.updates()]
 
     def _to_fit(self, scene: Scene) -> Scene:
-        """Own cameras, neighbours, the cameras that sent objects by the newest version, and those
-        nearby.
+        """Return the scene with the cameras that are fitted.
+
+        They are the own cameras, the neighbours, the sources of the newest version's links into own
+        cameras, and the cameras nearby.
         """
         cameras = self._window.cameras
         own = np.array([self.owns(camera) for camera in cameras], np.bool_)
@@ -352,6 +364,7 @@ class District(Learner):
             known |= {
                 source for source, target in linked_cameras(self.topology) if self.owns(target)
             }
+
         kept = own | np.array([camera in known for camera in cameras], np.bool_)
         if kept.all() or not own.any():
             return scene
@@ -370,17 +383,18 @@ class District(Learner):
 
 
 def linked_cameras(topology: Topology) -> set[tuple[str, str]]:
-    """Pairs of cameras, from and to, that published links join."""
+    """Return the pairs of cameras, from and to, that published links connect."""
     camera_of = {zone.id: zone.camera for zone in topology.zones}
     return {(camera_of[link.from_], camera_of[link.to]) for link in topology.links}
 
 
 def sent_to(topology: Topology) -> dict[tuple[str, str], float]:
-    """Expected transitions from each camera to each, without what may as well be chance."""
+    """Return the expected transitions between each pair of cameras, spurious ones left out."""
     camera_of = {zone.id: zone.camera for zone in topology.zones}
     model = topology.model
     onward = (model.onward if model else None) or []
     doubt = {(row.zone, outcome.to): outcome.doubt for row in onward for outcome in row.next_}
+
     sent: dict[tuple[str, str], float] = {}
     for link in [*topology.links, *(topology.weak_links or [])]:
         key = camera_of[link.from_], camera_of[link.to]

@@ -1,7 +1,8 @@
-"""Zones of one camera as two learners have them: which of the one's is which of the other's.
+"""Match the zones that two learners found in one camera.
 
-Both saw the camera's events, not exactly the same ones, and number zones as they found them. So
-zones are matched by place. One that is two for the other learner stands for both.
+Both received the camera's events, but not exactly the same ones, and each numbers zones in the
+order it finds them. So zones are matched by position. A zone that is two zones for the other
+learner stands for both.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from camtopod.records import Zone
 
 
 class Places:
-    """The zones of a site by their owners' ids."""
+    """Zones of a site under the ids that their owners gave them."""
 
     def __init__(self, zones: Iterable[Zone]) -> None:
         self._of_camera: dict[str, list[Zone]] = defaultdict(list)
@@ -22,17 +23,22 @@ class Places:
             self._of_camera[zone.camera].append(zone)
 
     def names(self, others: Iterable[Zone]) -> dict[str, list[str]]:
-        """Owners' ids of what other learners call zones of theirs: the one at its place first, then
-        those that have no other zone nearer. Those without any are left out.
+        """Return the owners' ids for zones that other learners found in their cameras.
+
+        The owner's zone at the same position comes first, then those that have no nearer zone among
+        the others. Zones without a match are left out.
         """
         theirs: dict[str, list[Zone]] = defaultdict(list)
         for zone in others:
             theirs[zone.camera].append(zone)
         names: dict[str, list[str]] = {}
         for camera, zones in theirs.items():
+            # Each zone to the nearest of the owner.
             owned = self._of_camera.get(camera, [])
             met = {zone.id: near for zone in zones if (near := nearest(zone, owned)) is not None}
             names |= {other: [zone.id] for other, zone in met.items()}
+
+            # Owner's zones that are nobody's nearest, to the nearest of the others.
             for zone in owned:
                 if all(zone.id != other.id for other in met.values()):
                     other = nearest(zone, zones)
@@ -42,8 +48,9 @@ class Places:
 
 
 def nearest(zone: Zone, among: Sequence[Zone]) -> Zone | None:
-    """The zone at the place of another; None if there is none. A zone without positions is its
-    whole camera.
+    """Return the zone at the position of another; None if there is none.
+
+    A zone without position covers its whole camera; it matches the zone with the most events.
     """
     if not among or zone.x is None or any(other.x is None for other in among):
         return max(among, key=lambda other: other.entries + other.exits, default=None)
@@ -52,9 +59,7 @@ def nearest(zone: Zone, among: Sequence[Zone]) -> Zone | None:
 
 
 def squared_distance(a: Zone, b: Zone) -> float:
-    """Squared Mahalanobis distance of two zones' centres, which have positions, under the mean of
-    their covariances.
-    """
+    """Return the squared Mahalanobis distance of two zones' centres under their mean covariance."""
     (ax, ay, axx, axy, ayy), (bx, by, bxx, bxy, byy) = _figures(a), _figures(b)
     xx, xy, yy = (axx + bxx) / 2, (axy + bxy) / 2, (ayy + byy) / 2
     dx, dy = ax - bx, ay - by
@@ -62,8 +67,8 @@ def squared_distance(a: Zone, b: Zone) -> float:
 
 
 def _figures(zone: Zone) -> tuple[float, float, float, float, float]:
-    """Centre and covariance (xx, xy, yy) with `PLACE_SD_MIN`."""
+    """Return centre and covariance (xx, xy, yy), with the variance of `PLACE_SD_MIN` added."""
     if zone.x is None or zone.y is None or zone.cov is None:
-        raise ValueError(f"zone {zone.id} has no place")
+        raise ValueError(f"zone {zone.id} has no position")
     least = PLACE_SD_MIN**2
     return zone.x, zone.y, zone.cov[0][0] + least, zone.cov[0][1], zone.cov[1][1] + least

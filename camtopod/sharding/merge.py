@@ -1,9 +1,9 @@
-"""Parts -> one topology, as if one learner had made it.
+"""Merge the parts of all districts into one topology, as if one learner had made it.
 
-Pure, and whatever the order of the parts: everything has one owner. A camera and its zones belong
-to its district, a link to that of the camera where it ends. What is shared are the departures: each
-district says which share of them it expects at its own cameras, the merged topology lists all, and
-whoever is expected nowhere leaves.
+The merge is a pure function and does not depend on the order of the parts, as everything has one
+owner: a camera and its zones belong to their district, a link to the district of the camera where
+it ends. Only departures are shared: each district predicts the share that appears next at its own
+cameras, the merged topology lists all of them, and the remaining share leaves the site.
 """
 
 from __future__ import annotations
@@ -44,14 +44,17 @@ from camtopod.topology import (
 )
 
 ContextKey = tuple[str, str | None, int | None, str | None]
+"""Zone, zone of entry, image block and previous camera of a context."""
 PACE_SHARE_MIN = 0.5
-"""Paces count when districts with so much of the departures have one."""
+"""Districts with a pace must have at least this share of all departures; else none is published."""
 
 
 def merge(parts: Iterable[Part], settings: Settings) -> Topology:
-    """The content of one version, without site, epoch, version and digest; alarms have the version
-    0.
+    """Return the content of one version, without site, epoch, version and digest.
+
+    Alarms have the version 0.
     """
+    # Parts with the owners' zone ids.
     ordered = sorted(parts, key=lambda part: part.district)
     zones = sorted(
         (zone for part in ordered for zone in part.topology.zones if zone.camera in part.rates),
@@ -59,16 +62,21 @@ def merge(parts: Iterable[Part], settings: Settings) -> Topology:
     )
     places = Places(zones)
     known = [renamed(part.topology, _names(part, places)) for part in ordered]
+
     cameras = sorted(
         (camera for one in known for camera in one.cameras), key=lambda camera: camera.id
     )
     links, weak = _links(known)
+
+    # Links in corrected time, for the relations of camera pairs.
     right = links
     if not settings.correct_clocks:
         right = by_clocks(links, zones, {camera.id: -camera.clock_offset for camera in cameras})
+
     alarms = sorted(
         (alarm for one in known for alarm in one.alarms or []), key=lambda alarm: alarm.t
     )
+
     return Topology(
         schema=TOPOLOGY_SCHEMA,
         site="",
@@ -90,22 +98,29 @@ def merge(parts: Iterable[Part], settings: Settings) -> Topology:
 
 
 def _names(part: Part, places: Places) -> Names:
-    """Owners' ids of all zones that the part names."""
+    """Return the owners' ids of all zones that the part names."""
     own: Names = {zone.id: [zone.id] for zone in part.topology.zones if zone.camera in part.rates}
     return own | places.names(zone for zone in part.topology.zones if zone.camera not in part.rates)
 
 
 def _links(known: Sequence[Topology]) -> tuple[list[Link], list[Link]]:
-    """Links and weak links by key. Where several districts tell of one zone, no more than all leave
-    it, and weak links share what the others leave over.
+    """Return the links and the weak links, sorted by key.
+
+    Where several districts have links from one zone, the shares of the links are scaled to at most
+    1, and weak links share the rest.
     """
+    # Number of districts with links from each zone.
     told = Counter(
         zone for one in known for zone in _leaving([*one.links, *(one.weak_links or [])])
     )
+
+    # Links of all districts.
     links, weak = (
         [link for one in known for link in getattr(one, name) or []]
         for name in ("links", "weak_links")
     )
+
+    # Limit the shares, links first.
     strong = _leaving(links)
     links = _within(links, {zone: 1.0 for zone, districts in told.items() if districts > 1})
     left = {
@@ -117,8 +132,9 @@ def _links(known: Sequence[Topology]) -> tuple[list[Link], list[Link]]:
 
 
 def _within(links: Iterable[Link], room: dict[str, float]) -> list[Link]:
-    """The links between views with no more leaving a zone than there is ``room``, where that is
-    said.
+    """Return the links, those leaving a view scaled to the ``room`` of their zone.
+
+    room (by zone): largest sum of their shares; no limit for zones that are not in it.
     """
     links = list(links)
     taken = _leaving(links)
@@ -131,7 +147,7 @@ def _within(links: Iterable[Link], room: dict[str, float]) -> list[Link]:
 
 
 def _leaving(links: Iterable[Link]) -> dict[str, float]:
-    """Share of what leaves each zone that the links between views take."""
+    """Return the share of the departures of each zone that links to other views take."""
     taken: dict[str, float] = defaultdict(float)
     for link in links:
         if link.relation != "visible":
@@ -143,6 +159,8 @@ def _model(parts: Sequence[Part], known: Sequence[Topology], zones: Sequence[Zon
     models = [one.model for one in known if one.model is not None]
     if not models:
         return None
+
+    # Each camera's share of all events.
     total = max(sum(rate for part in parts for rate in part.rates.values()), 1e-300)
     rates = {camera: rate / total for part in parts for camera, rate in part.rates.items()}
     cameras = [
@@ -150,6 +168,8 @@ def _model(parts: Sequence[Part], known: Sequence[Topology], zones: Sequence[Zon
         for model in models
         for row in model.cameras
     ]
+
+    # Lists of zones, cameras and overlaps.
     fitted = [model for model in models if model.onward is not None]
     overlaps = [row for one in models for row in one.overlaps or []]
     model = replace(
@@ -160,6 +180,8 @@ def _model(parts: Sequence[Part], known: Sequence[Topology], zones: Sequence[Zon
     )
     if not fitted:
         return model
+
+    # Next appearances, contexts and pace.
     ids = {zone.id for zone in zones}
     entered = [row for one in fitted for row in one.entered or [] if row.zone in ids]
     return replace(
@@ -172,7 +194,7 @@ def _model(parts: Sequence[Part], known: Sequence[Topology], zones: Sequence[Zon
 
 
 def _onward(models: Iterable[Model]) -> list[Onward]:
-    """Where objects go by what all districts expect at their own cameras."""
+    """Return the next appearances that all districts predict at their own cameras."""
     rows: dict[str, list[Onward]] = defaultdict(list)
     for model in models:
         for row in model.onward or []:
@@ -186,6 +208,8 @@ def _outcomes(zone: str, rows: Sequence[Onward]) -> Onward:
         (outcome for row in rows for outcome in row.next_), key=lambda outcome: -outcome.share
     )
     outcomes = outcomes[:OUTCOMES_PER_ZONE_MAX]
+
+    # Leave room for leaving the site.
     most = 1.0 - LEAVE_FLOOR
     if appear > most + 1e-9:
         outcomes, appear = [_scaled(outcome, most / appear) for outcome in outcomes], most
@@ -199,7 +223,8 @@ def _scaled(outcome: Outcome, factor: float) -> Outcome:
 
 
 def _contexts(known: Sequence[Topology]) -> list[Context]:
-    """The contexts that the owners know, with where the other districts expect such departures."""
+    """Return the owners' contexts, with the transitions that other districts predict added."""
+    # Owners of zones, shares and contexts of each district.
     owners = {
         zone: k for k, one in enumerate(known) for camera in one.cameras for zone in camera.zones
     }
@@ -209,6 +234,8 @@ def _contexts(known: Sequence[Topology]) -> list[Context]:
         for onward in (one.model and one.model.onward) or []:
             shares[onward.zone][k] = {outcome.to: outcome.share for outcome in onward.next_}
         rows.append({_context_key(row): row for row in (one.model and one.model.contexts) or []})
+
+    # Each owner's contexts, with transitions to other districts' cameras.
     result = []
     for k, own in enumerate(rows):
         for key, row in own.items():
@@ -219,6 +246,7 @@ def _contexts(known: Sequence[Topology]) -> list[Context]:
                     if other != k
                 ]
                 result.append(_with(row, others))
+
     return sorted(
         result,
         key=lambda row: (
@@ -236,8 +264,14 @@ def _context_key(row: Context) -> ContextKey:
 
 
 def _expected(own: Context, other: Context | None, share: dict[str, float]) -> dict[str, float]:
-    """Of the departures of a context, those that another district expects at its cameras: as of
-    those it has seen itself, or where it has seen none, as of all that leave the zone.
+    """Return the departures of a context that appear next at another district's cameras.
+
+    The shares are those of the other district's same context, or of all departures of the zone if
+    it has no such context.
+
+    own: context of the zone's owner.
+    other: same context of the other district, if any.
+    share: share of all departures of the zone, by target.
     """
     if other is None or other.departures <= 0.0:
         return {target: own.departures * part for target, part in share.items()}
@@ -247,6 +281,7 @@ def _expected(own: Context, other: Context | None, share: dict[str, float]) -> d
 
 
 def _with(row: Context, others: Iterable[dict[str, float]]) -> Context:
+    """Return the context with transitions to other districts added, scaled to its departures."""
     to = dict(row.to)
     for other in others:
         to |= other
@@ -259,7 +294,7 @@ def _with(row: Context, others: Iterable[dict[str, float]]) -> Context:
 
 
 def _pace(models: Sequence[Model]) -> Pace | None:
-    """The mean of the districts' paces, each by the departures behind it."""
+    """Return the mean of the districts' paces, weighted by departures."""
     weighed = [
         (model.pace, float(sum(zone.departures for zone in model.zones))) for model in models
     ]
@@ -278,7 +313,10 @@ def _pace(models: Sequence[Model]) -> Pace | None:
 
 
 def _score(known: Iterable[Topology]) -> SelfScore | None:
-    """The mean of the districts' scores: each predicts with what it knows itself."""
+    """Return the mean of the districts' scores, weighted by exits.
+
+    Each district predicts from what it has learned itself.
+    """
     scores = [one.score for one in known if one.score is not None]
     if not scores:
         return None

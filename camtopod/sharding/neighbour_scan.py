@@ -1,6 +1,4 @@
-"""Who may be a neighbour: a coarse look at all cameras heard, before a joint fit is made with a few
-of them.
-"""
+"""Find possible neighbours: a coarse scan of all received cameras before the joint fit of a few."""
 
 from __future__ import annotations
 
@@ -12,28 +10,30 @@ from camtopod.learn.traffic import Scene
 from camtopod.topology import LagBins
 
 STANDS_OUT_SD = 3.0
-"""Least excess of arrivals at an own camera that follow a camera's departures, at the best lag of
-any pair of their zones, in standard deviations of what chance gives. A camera with less is not
+"""Least excess of arrivals at an own camera that follow a camera's departures, in standard
+deviations of the null model, at the best lag of any pair of their zones. A camera with less is not
 nearby.
 """
 NEARBY_PER_CAMERA_MAX = 4
-"""Cameras, own ones included, that can be nearby to one own camera: those with the clearest
-excess.
-"""
+"""Cameras, own ones included, that can be nearby to one own camera."""
 
 
 def find_nearby(scene: Scene, own: Bools, bins: LagBins) -> Bools:
-    """The cameras (C,) that are nearby. ``own`` (C,): whether a camera is one of this
-    district's.
+    """Return the nearby cameras as a mask (C,), without own ones.
+
+    own (C,): whether a camera belongs to this district.
     """
     camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
     ends = ends_of(scene.departures, scene.arrivals, bins, len(camera_of), scene.last)
-    clearest = np.full((len(own), len(own)), -np.inf)  # from each camera to each
+
+    # Largest excess from each camera to each own camera.
+    clearest = np.full((len(own), len(own)), -np.inf)
     for zone in np.flatnonzero(own[camera_of]):
         np.maximum.at(
             clearest[:, camera_of[zone]], camera_of, followed_above_chance(ends, int(zone))
         )
 
+    # The cameras with the largest excess at each own camera.
     nearby = np.zeros(len(own), np.bool_)
     for here in np.flatnonzero(own):
         others = clearest[:, here]
@@ -44,7 +44,7 @@ def find_nearby(scene: Scene, own: Bools, bins: LagBins) -> Bools:
 
 
 def with_cameras(scene: Scene, kept: Bools) -> Scene:
-    """The scene without who leaves and comes at other cameras than those ``kept`` (C,)."""
+    """Return the scene without departures and arrivals of cameras that are not ``kept`` (C,)."""
     came = kept[scene.arrivals.camera]
     left = scene.departures.take(kept[scene.departures.camera], came)
     return scene._replace(departures=left, arrivals=scene.arrivals.take(came))

@@ -1,6 +1,4 @@
-"""A part of a site's topology: what one district knows of its own cameras and of the links into
-them.
-"""
+"""Parts: what one district knows of its own cameras and of the links into them."""
 
 from __future__ import annotations
 
@@ -17,10 +15,10 @@ from camtopod.topology import short, stamp
 class Part(Struct, frozen=True):
     """What a district publishes with each version.
 
-    ``topology`` has the district's own cameras, their zones, the links that end there; and the
-    zones of other cameras where these links begin, by the numbers the district gave them (`merging`
-    finds out their owner's). Where objects go that leave a zone is said as far as it is one of its
-    own cameras; ``leave`` is all the rest.
+    ``topology`` holds the district's own cameras, their zones and the links that end there, and the
+    zones of other cameras where these links begin, under the numbers that this district gave them
+    (`match_zones` finds the owner's). Next appearances are listed as far as they are at own
+    cameras; ``leave`` covers all others.
     """
 
     district: int
@@ -30,18 +28,23 @@ class Part(Struct, frozen=True):
 
 
 def part_of(topology: Topology, district: int, rates: dict[str, float], events: int) -> Part:
-    """The part of a district's topology that is its own. ``rates``: of its own cameras; ``events``
-    of theirs so far.
+    """Return the part of a district's topology that is its own.
+
+    rates (by own camera, 1/s): events per second.
+    events: number of events of own cameras so far.
     """
     zones = {zone.id for zone in topology.zones if zone.camera in rates}
     links = [link for link in topology.links if link.to in zones]
     weak = [link for link in topology.weak_links or [] if link.to in zones]
     model = None if topology.model is None else _own_model(topology.model, zones, rates.keys())
+
+    # Zones of other cameras that links, next appearances or entry kernels begin at.
     named = {link.from_ for link in (*links, *weak)} | {
         row.zone for row in (model and model.onward) or []
     }
     named |= {kernel.zone for kernel in (model and model.entered) or []}
     senders = {zone.camera for zone in topology.zones if zone.id in named}
+
     own = replace(
         topology,
         cameras=[camera for camera in topology.cameras if camera.id in rates],
@@ -58,7 +61,7 @@ def part_of(topology: Topology, district: int, rates: dict[str, float], events: 
 
 
 def is_dealt(part: Part, dealing: Dealing) -> bool:
-    """Whether its cameras are its district's when the site is dealt out like this."""
+    """Return True if all cameras of the part are assigned to its district."""
     here = range(dealing.sharding.districts)
     return part.district in here and all(
         dealing.district(camera) == part.district for camera in part.rates
@@ -66,7 +69,7 @@ def is_dealt(part: Part, dealing: Dealing) -> bool:
 
 
 def _own_model(model: Model, zones: Set[str], cameras: Set[str]) -> Model:
-    """Outcomes at the own ``zones`` of the own ``cameras``, and what is known of these."""
+    """Return the model with next appearances at the own ``zones`` of the own ``cameras`` only."""
     onward = [_own_outcomes(row, zones) for row in model.onward or []]
     onward = [row for row in onward if row.next_ or row.zone in zones]
     told = {row.zone for row in onward}
@@ -76,6 +79,7 @@ def _own_model(model: Model, zones: Set[str], cameras: Set[str]) -> Model:
         if row.zone in told
     ]
     ways = [way for way in model.pace.ways if way.exit in zones] if model.pace else []
+
     return replace(
         model,
         zones=[zone for zone in model.zones if zone.zone in zones],
@@ -93,7 +97,7 @@ def _own_model(model: Model, zones: Set[str], cameras: Set[str]) -> Model:
 
 
 def _own_outcomes(row: Onward, zones: Set[str]) -> Onward:
-    """Whoever goes elsewhere leaves, as far as the district can tell."""
+    """Count objects that appear next elsewhere as leaving, as other districts predict those."""
     elsewhere = sum(outcome.share for outcome in row.next_ if outcome.to not in zones)
     if not elsewhere:
         return row
@@ -105,5 +109,5 @@ def _own_outcomes(row: Onward, zones: Set[str]) -> Onward:
 
 
 def _is_of(alarm: Alarm, cameras: Set[str]) -> bool:
-    """Whether the alarm's subject, a camera, a zone or a link into it, is of the ``cameras``."""
+    """Return True if the alarm's subject (camera, zone, or link into one) is of the ``cameras``."""
     return alarm.subject.split("->")[-1].split("/")[0] in cameras

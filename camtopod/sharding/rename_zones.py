@@ -1,7 +1,8 @@
-"""A part in the words of the others: zones of other cameras by the ids their owners gave them.
+"""Rename the zones of foreign cameras in a part to the ids that their owners gave them.
 
-Where several zones of the district are one of the owner's, they are taken together, each by how
-much happens there; where one is several of the owner's, what is expected of it is expected of each.
+Several zones of the district that are one zone of the owner's are combined, weighted by their
+number of events. Where one zone is several of the owner's, its predictions are used for each of
+them.
 """
 
 from __future__ import annotations
@@ -25,17 +26,18 @@ from camtopod.records import (
 from camtopod.topology import LinkKey, counts_added, link_key, short, steps_added
 
 Names = dict[str, list[str]]
-"""Owners' ids of each zone, the one at its place first; of what is not in it nothing can be
-said.
-"""
+"""Owners' ids of each zone, the one at its position first; others are unknown to their owner."""
 
 
 def renamed(part: Topology, names: Names) -> Topology:
-    """The topology of a part by the owners' ids; what begins at zones that owners do not know is
-    left out.
+    """Return the topology of a part with the owners' ids.
+
+    Links, next appearances and contexts that begin at zones unknown to their owner are left out.
     """
     exits = {zone.id: float(zone.exits) for zone in part.zones}
     links = _links(part.links, names, exits)
+
+    # A weak link gives way to a link between the same zones.
     keys = {(link.from_, link.to) for link in links if link.relation != "visible"}
     weak = [
         link
@@ -64,8 +66,9 @@ def _links(links: Iterable[Link], names: Names, exits: dict[str, float]) -> list
 
 
 def _one_link(source: str, links: list[Link], exits: dict[str, float], leaving: float) -> Link:
-    """Links from several zones that are one of the owner's: transit times are those of the
-    strongest.
+    """Combine links from several zones that are one of the owner's.
+
+    Transit times are those of the strongest link.
     """
     if len(links) == 1 and exits[links[0].from_] == leaving:
         return replace(links[0], from_=source)
@@ -152,7 +155,7 @@ def _entered(
 
 
 def _contexts(rows: Iterable[Context], names: Names) -> list[Context]:
-    """Departures and transitions of contexts that are one for the owner add up."""
+    """Return the contexts with owners' ids; counts of those that are one for the owner add up."""
     result: dict[tuple[str, str | None, int | None, str | None], Context] = {}
     for row in rows:
         entry = None if row.entry is None else names.get(row.entry, [None])[0]

@@ -1,8 +1,7 @@
-"""One shard of a site: the districts it works and, of what they learn, a topology. In place of a
-`Learner`.
+"""One shard of a site: the districts it works, with the methods of a `Learner`.
 
-What each district learns does not depend on which others are in the same shard, so the parts of all
-shards merge into the same topology however many there are.
+What a district learns does not depend on which others are in the same shard, so the parts of all
+shards merge into the same topology, however many shards there are.
 """
 
 from __future__ import annotations
@@ -30,23 +29,27 @@ from camtopod.sharding.parts import Part
 from camtopod.sharding.version_line import Line, LineState
 
 FORMAT = 1
-"""Of a shard's snapshot: one with a higher number is refused."""
+"""Format of a shard's snapshot; a higher number is refused."""
 VERDICTS = ("accepted", "duplicate", "late", "refused", "unheard")
+"""Verdicts of `ShardLearner.receive`; an ``unheard`` event is of no use to any district."""
 
 
 class ShardState(Struct):
-    """Everything a `ShardLearner` knows."""
+    """Complete state of a `ShardLearner`."""
 
     sharding: Sharding
     shard: tuple[int, int]
+    """Number of the shard, from 0, and number of shards."""
     districts: list[DistrictState]
     line: LineState
     counts: dict[str, int]
 
 
 class ShardLearner:
-    """Shard ``shard`` = (i, n) of a site: i of 0 .. n - 1. Its versions are of its own districts
-    alone; what a site's `Line` merges are the parts of all its shards.
+    """Learner of shard ``shard`` = (i, n) of a site, i from 0 to n - 1.
+
+    Its versions are those of its own districts alone. The versions of the site are made by a `Line`
+    from the parts of all shards.
     """
 
     def __init__(
@@ -70,9 +73,8 @@ class ShardLearner:
         self.counts = dict.fromkeys(VERDICTS, 0)
         self._line = Line(self.settings, site, epoch)
         self._parts: list[Part] = []
-        self._phases: list[
-            tuple[int | None, int, bool]
-        ] = []  # those in which the strangers were found
+        # States of the districts for which `_strangers` was determined.
+        self._phases: list[tuple[int | None, int, bool]] = []
         self._strangers: frozenset[str] = frozenset()
 
     @property
@@ -82,20 +84,22 @@ class ShardLearner:
 
     @property
     def epoch(self) -> str:
-        """Of the versions."""
+        """Epoch of the versions."""
         return self._line.epoch
 
     def listens(self, camera: str, t: float) -> bool:
-        """Whether any district has use for an event at ``t`` (seconds) of the camera."""
+        """Return True if an event of the camera at ``t`` (seconds) is of use to any district."""
         return any(district.listens(camera, t) for district in self.districts)
 
     def owns(self, camera: str) -> bool:
-        """Whether the camera is one of this shard's."""
+        """Return True if the camera is assigned to one of this shard's districts."""
         return any(district.owns(camera) for district in self.districts)
 
     def receive(self, event: Event) -> str:
-        """Take one event; the verdict is that of the camera's own district, of another one that
-        heard it where it is in another shard, or ``unheard``.
+        """Take one event and return the verdict.
+
+        It is the verdict of the camera's own district; if that is in another shard, of the first
+        district here that takes the event; else ``unheard``.
         """
         verdict = "unheard"
         for district in self.districts:
@@ -107,36 +111,37 @@ class ShardLearner:
         return verdict
 
     def advance(self, now: float) -> None:
-        """Event time has come to ``now`` (seconds) although no event says so."""
+        """Move event time forward to ``now`` (seconds) without an event."""
         for district in self.districts:
             district.advance(now)
         self._merge()
 
     def flush(self) -> None:
-        """The end of a recording: learn what is still held and make a last version."""
+        """End a recording: learn the held events and make a last version."""
         for district in self.districts:
             district.flush()
         self._merge()
         self._line.flush()
 
     def updates(self) -> list[Topology]:
-        """Versions made since the last call, oldest first."""
+        """Return the versions made since the last call, oldest first."""
         return self._line.updates()
 
     def parts(self) -> list[Part]:
-        """Parts made since the last call, for the site's `Line`; ask for them before `reached`."""
+        """Return the parts made since the last call, for the site's `Line`.
+
+        Call it before `reached`.
+        """
         made, self._parts = self._parts, []
         return made
 
     def newest_parts(self) -> list[Part]:
-        """The newest part of each of its districts."""
+        """Return the newest part of each of its districts."""
         return self._line.parts()
 
     @property
     def strangers(self) -> frozenset[str]:
-        """Cameras that none of its districts that have cameras of their own has use for, but as
-        guests.
-        """
+        """Cameras that are of use as guests only, to all districts with own cameras."""
         owners = [district for district in self.districts if district.hearing.owner]
         phases = [district.phase for district in owners]
         if phases != self._phases:
@@ -145,8 +150,9 @@ class ShardLearner:
         return self._strangers
 
     def reached(self) -> float | None:
-        """Event time (seconds) up to which all parts have been made; None before anything has come.
-        A district that only hears others has no parts to wait for.
+        """Return the event time (seconds) up to which all parts are made; None before any event.
+
+        Districts without own cameras make no parts, so they are not waited for.
         """
         owners = [district for district in self.districts if district.hearing.owner]
         if not owners:
@@ -154,6 +160,7 @@ class ShardLearner:
                 mark for district in self.districts if (mark := district.watermark_us) is not None
             ]
             return max(heard) / MICROSECONDS if heard else None
+
         marks = [mark for district in owners if (mark := district.watermark_us) is not None]
         if not marks:
             return None
@@ -161,16 +168,17 @@ class ShardLearner:
         return min([max(marks), *held]) / MICROSECONDS
 
     def save(self) -> ShardState:
-        """Everything `load` needs to go on from here. Updates and parts that have not been asked
-        for are not in it.
-        """
+        """Return the state that `load` needs, without updates and parts not yet fetched."""
         districts = [district.save_all() for district in self.districts]
         return ShardState(
             self.sharding, self.shard, districts, self._line.save(), dict(self.counts)
         )
 
     def load(self, state: ShardState) -> None:
-        """Go on from there; this one must be new, of the same shard, and dealt out alike."""
+        """Continue from a saved state; this learner must be new.
+
+        Raises ValueError if the state is of another shard or of other ``[shards]`` settings.
+        """
         if (state.sharding, state.shard) != (self.sharding, self.shard):
             raise ValueError(f"the state is of shard {state.shard} of {state.sharding}")
         for district, saved in zip(self.districts, state.districts, strict=True):
@@ -179,7 +187,7 @@ class ShardLearner:
         self.counts = dict(state.counts)
 
     def change(self, change: Callable[[LearnerState], LearnerState]) -> None:
-        """Let each district go on with another state."""
+        """Continue with a changed state in each district, as `District.change`."""
         for district in self.districts:
             district.change(change)
 
@@ -189,16 +197,17 @@ class ShardLearner:
             district.forget(names)
 
     def begin_epoch(self, epoch: str) -> None:
-        """What is known stays; versions count from 1 again."""
+        """Begin a new epoch: versions count from 1 again, what is known stays."""
         self._line.begin_epoch(epoch)
 
     def refresh(self) -> None:
-        """Make the first version of the epoch of what is known already, if anything is."""
+        """Make the first version of the epoch from what is known, if anything is."""
         self._line.refresh()
 
     def next_deadline(self) -> float | None:
-        """Event time (seconds) to which `advance` would have to go for something to happen; None:
-        nothing waits.
+        """Return the event time (seconds) that `advance` must reach for anything to be learned.
+
+        None if no events are held.
         """
         waiting = [
             due for district in self.districts if (due := district.next_deadline()) is not None
@@ -206,14 +215,15 @@ class ShardLearner:
         return min(waiting, default=None)
 
     def event_time(self) -> EventTimeState:
-        """How far event time has come in the district that has come furthest."""
+        """Return the event time of the district with the highest watermark."""
         return max(
             (one.event_time() for one in self.districts), key=lambda state: state.watermark_us or 0
         )
 
     def statistics(self) -> dict[str, int | float]:
-        """Counts and sizes, for people and for health checks. Cameras are own ones; windows are
-        those of all districts together.
+        """Return counts and sizes, for display and health checks.
+
+        Cameras are own ones; windows are those of all districts together.
         """
         each = [district.statistics() for district in self.districts]
         return {
@@ -227,7 +237,7 @@ class ShardLearner:
         }
 
     def _merge(self) -> None:
-        """New parts into the version line, as far as all districts have come."""
+        """Add new parts to the version line, and make the versions that are due."""
         made = [part for district in self.districts for part in district.parts()]
         self._parts += made
         self._line.take(made)
@@ -247,14 +257,17 @@ class _Snapshot(Struct):
 
 
 def pack_shard(state: ShardState) -> bytes:
-    """The state as bytes, compressed."""
+    """Return the state as compressed bytes."""
     districts = [(pack(district.learner), district.hearing) for district in state.districts]
     plain = _Snapshot(FORMAT, state.sharding, state.shard, districts, state.line, state.counts)
     return zlib.compress(msgspec.msgpack.encode(plain), 1)
 
 
 def unpack_shard(blob: bytes) -> ShardState:
-    """The state from bytes; raises `SnapshotError`."""
+    """Return the state from bytes.
+
+    Raises `SnapshotError` if they are damaged, and `NewerSnapshot` if a newer program wrote them.
+    """
     try:
         inflater = zlib.decompressobj()
         plain = inflater.decompress(blob, BYTES_MAX)

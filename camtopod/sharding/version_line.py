@@ -1,9 +1,8 @@
-"""The version line of a site that is learned in districts: parts go in as they are made, merged
-versions come out.
+"""The version line of a site that is learned in districts: parts in, merged versions out.
 
 A version is made for each moment of event time as of which there are new parts, once all districts
-have come so far: so versions, too, follow from the events alone. A part that comes later than that,
-from a shard that was away, counts from the next version on.
+have reached that moment. So versions, too, depend on the events alone. A part that arrives later,
+from a shard that was away, is included from the next version on.
 """
 
 from __future__ import annotations
@@ -21,20 +20,24 @@ from camtopod.sharding.parts import Part
 from camtopod.topology import stamp
 
 AlarmKey = tuple[float, str, str, str]
+"""Time, kind, subject and detail of an alarm."""
 
 
 class LineState(Struct):
-    """What a `Line` knows."""
+    """State of a `Line`."""
 
     epoch: str
     topology: Topology | None
     parts: list[Part]
+    """Newest merged part of each district."""
     waiting: list[Part]
+    """Parts that no version includes yet."""
     past: list[AlarmKey]
+    """Alarms of earlier epochs."""
 
 
 class Line:
-    """Merges the newest part of every district."""
+    """The version line: merges the newest part of every district."""
 
     def __init__(self, settings: Settings, site: str, epoch: str) -> None:
         self.settings, self.site, self.epoch = settings, site, epoch
@@ -45,11 +48,14 @@ class Line:
         self._updates: list[Topology] = []
 
     def take(self, parts: Iterable[Part]) -> None:
-        """New parts."""
+        """Add new parts."""
         self._waiting += parts
 
     def reach(self, until: float) -> None:
-        """All districts have come to ``until`` (seconds): make the versions up to then."""
+        """Make the versions up to ``until``.
+
+        until (seconds): event time that all districts have reached.
+        """
         for moment in sorted(
             {part.topology.as_of for part in self._waiting if part.topology.as_of <= until}
         ):
@@ -64,44 +70,42 @@ class Line:
 
     @property
     def waiting(self) -> int:
-        """Parts that no version has yet."""
+        """Number of parts that no version includes yet."""
         return len(self._waiting)
 
     def parts(self) -> list[Part]:
-        """The newest part of each district, whether or not a version has it yet."""
+        """Return the newest part of each district, whether or not a version includes it."""
         newest = {part.district: part for part in (*self._parts.values(), *self._waiting)}
         return [newest[district] for district in sorted(newest)]
 
     def flush(self) -> None:
-        """Nothing more is to come."""
+        """Make versions of all remaining parts."""
         self.reach(math.inf)
 
     def updates(self) -> list[Topology]:
-        """Versions made since the last call, oldest first."""
+        """Return the versions made since the last call, oldest first."""
         made, self._updates = self._updates, []
         return made
 
     def begin_epoch(self, epoch: str) -> None:
-        """What is known stays; versions count from 1 again."""
+        """Begin a new epoch: versions count from 1 again, what is known stays."""
         self._past = {
             key_of(alarm) for part in self._parts.values() for alarm in part.topology.alarms or []
         }
         self.epoch, self.topology = epoch, None
 
     def refresh(self) -> None:
-        """Make the first version of the epoch of what is known already, if anything is."""
+        """Make the first version of the epoch from the known parts, if there are any."""
         if self.topology is None and self._parts:
             self._make()
 
     def save(self) -> LineState:
-        """Everything `load` needs to go on from here. Updates that have not been asked for are not
-        in it.
-        """
+        """Return the state that `load` needs to continue, without updates not yet fetched."""
         parts = [self._parts[district] for district in sorted(self._parts)]
         return LineState(self.epoch, self.topology, parts, list(self._waiting), sorted(self._past))
 
     def load(self, state: LineState) -> None:
-        """Go on from there; this line must be new."""
+        """Continue from a saved state; this line must be new."""
         self.epoch, self.topology, self._waiting = state.epoch, state.topology, list(state.waiting)
         self._parts = {part.district: part for part in state.parts}
         self._past = set(state.past)
@@ -109,6 +113,8 @@ class Line:
     def _make(self) -> None:
         version = 1 if self.topology is None else self.topology.version + 1
         merged = merge(self._parts.values(), self.settings)
+
+        # Alarms keep the version that first raised them.
         said = {
             key_of(alarm): alarm.version for alarm in (self.topology and self.topology.alarms) or []
         }
@@ -117,6 +123,7 @@ class Line:
             for alarm in merged.alarms or []
             if key_of(alarm) not in self._past
         ]
+
         self.topology = stamp(
             replace(
                 merged, site=self.site, epoch=self.epoch, version=version, alarms=alarms or None
@@ -126,12 +133,13 @@ class Line:
 
 
 def age_of(part: Part) -> tuple[float, int]:
-    """What tells a part from an older one of its district, which may make two versions as of one
-    moment.
+    """Return the age of a part: as-of time and version, to compare it with others of its district.
+
+    A district may make two versions as of one moment.
     """
     return part.topology.as_of, part.topology.version
 
 
 def key_of(alarm: Alarm) -> AlarmKey:
-    """What an alarm says, whichever version says it."""
+    """Return the content of an alarm, without the version."""
     return alarm.t, alarm.kind, alarm.subject, alarm.detail
