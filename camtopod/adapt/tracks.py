@@ -107,8 +107,7 @@ class TrackEvents:
         self.entries = 0
         self.exits = 0
         self.untracked = 0
-        """Boxes without an id (None or negative): objects that the tracker does not follow (yet).
-        """
+        """Boxes without an id (None or negative), which the tracker does not follow (yet)."""
         self.unusable = 0
         """Boxes that are not four finite numbers."""
         self.refused = 0

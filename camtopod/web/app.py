@@ -1,5 +1,6 @@
-"""The page's server, the one home of starlette and uvicorn: reads only, and everything comes from
-this machine.
+"""HTTP server of the page. Read-only; pages load nothing from other hosts.
+
+The only module that uses starlette and uvicorn.
 """
 
 from __future__ import annotations
@@ -46,43 +47,50 @@ from camtopod.web.version_diff import changes
 log = logging.getLogger(__name__)
 
 BEAT_SECONDS = 4.0
-"""A page hears something at least as often."""
+"""Longest interval between two messages to a page."""
 CONNECTIONS_MAX = 1_024
-"""Requests on further connections are answered with 503."""
+"""Open connections; requests on further ones are answered with 503."""
 WAITING_MAX = 64
-"""Connections that have sent no whole request, or wait for the next one; beyond it the oldest of
-them are closed ...
+"""Connections without a complete request; beyond it the oldest ones are closed.
+
+Only connections that have waited for longer than `GRACE_SECONDS` are closed.
 """
 GRACE_SECONDS = 1.0
-"""... when they have waited for longer than this: a request that is on its way is there by then."""
+"""Time for which a waiting connection is not closed: a request under way arrives within it."""
 REQUEST_SECONDS = 10.0
-"""A connection that takes longer to send a request is closed."""
+"""Time after which a connection without a complete request is closed."""
 TAKE_SECONDS = 30.0
-"""A client that does not take what it is sent for this long is gone."""
+"""Time after which a client that accepts no data is disconnected."""
 SAY_SECONDS = 60.0
-"""What clients do wrong is said this often, at most."""
+"""Shortest interval between two equal log messages about clients."""
 CLOSE_SECONDS = 2
+"""Time that open responses have to end when the server stops."""
 _TICK_SECONDS = 0.2
 HEADERS = {
     "cache-control": "no-cache",
-    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
-    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "img-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
     "cross-origin-resource-policy": "same-origin",
     "cross-origin-opener-policy": "same-origin",
 }
+"""Headers of every response: same origin only, no inline scripts, no caching without validation."""
 REFUSED = (
-    "This page does not answer to that name. Ask for it by its address, or start it with the name: "
+    "This page does not accept that host name. Open it by its IP address, or allow the name: "
     "camtopod web --name NAME\n"
 )
+"""Body of the response to a request for an unknown host name."""
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+)(?::[0-9]{1,5})?")
+"""Host header: address or name, and optionally a port."""
 STATIC = resources.files("camtopod.web") / "static"
 
 
 class _Version(IntegerConvertor):
-    """A version's number: as many digits as the daemon takes; Python refuses to read thousands of
-    them.
+    """Version number in a URL, limited to the digits that the daemon accepts.
+
+    Python refuses to parse thousands of digits.
     """
 
     regex = "[0-9]{1,18}"
@@ -92,7 +100,7 @@ register_url_convertor("version", _Version())
 
 
 class _Strict:
-    """Adds `HEADERS` to every answer."""
+    """Middleware that adds `HEADERS` to every response."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -108,10 +116,10 @@ class _Strict:
 
 
 class _Named:
-    """Refuses who asks for another name than ``names``, and with ``any_address`` no address.
+    """Middleware that refuses requests for host names other than ``names``.
 
-    Else anybody's page, once its own name is made to lead here, could read this one (DNS
-    rebinding).
+    With ``any_address`` every IP address is accepted, too. Otherwise any web page could read this
+    one by making its own name resolve to this server (DNS rebinding).
     """
 
     def __init__(self, app: ASGIApp, names: Collection[str], any_address: bool) -> None:
@@ -143,60 +151,60 @@ def _is_address(text: str) -> bool:
 
 
 class Site:
-    """What the routes answer from."""
+    """Handlers of the routes."""
 
     def __init__(self, feed: Feed, past: Past, hub: Hub, pictures: Path | None) -> None:
         self._feed, self._past, self._hub, self._pictures = feed, past, hub, pictures
 
     def map(self, request: Request) -> Response:
-        """The newest version's map; null if nothing has been learned."""
+        """Return the newest version's map; null if nothing has been learned."""
         return Response(self._feed.map_json, media_type="application/json")
 
     def health(self, request: Request) -> Response:
-        """State and reason of the daemon and of every camera."""
+        """Return state and reason of the daemon and of every camera."""
         return _json(self._feed.health())
 
     def camera(self, request: Request) -> Response:
-        """One camera's zones and links, and whether there is a picture."""
+        """Return one camera's zones and links, and whether there is a picture."""
         name = request.path_params["camera"]
         story = self._feed.stories.camera(name) if self._feed.stories else None
         if story is None:
-            return _json({"error": f"camera {name} has not been learned yet"}, 404)
+            return _json({"error": f"camera {name} is not in the newest version"}, 404)
         return _json({**story, "picture": self._picture_of(name) is not None})
 
     def pair(self, request: Request) -> Response:
-        """The links between two cameras."""
+        """Return the links between two cameras."""
         a, b = request.path_params["a"], request.path_params["b"]
         story = self._feed.stories.pair(a, b) if self._feed.stories else None
         return (
             _json(story)
             if story
-            else _json({"error": f"nothing joins {a} and {b} in the newest version"}, 404)
+            else _json({"error": f"the newest version has no link between {a} and {b}"}, 404)
         )
 
     def link(self, request: Request) -> Response:
-        """One link: ``from``, ``to``, ``relation``."""
+        """Return one link, given by ``from``, ``to`` and ``relation``."""
         key = [request.query_params.get(name, "") for name in ("from", "to", "relation")]
         story = self._feed.stories.link(*key) if self._feed.stories else None
         return (
             _json(story)
             if story
-            else _json({"error": f"{key[0]} → {key[1]} is not in the newest version"}, 404)
+            else _json({"error": f"the newest version has no link {key[0]} → {key[1]}"}, 404)
         )
 
     def versions(self, request: Request) -> Response:
-        """Summaries of the versions known without asking, and the newest version."""
+        """Return summaries of the versions known without a query to the daemon."""
         newest = self._newest
         return _json([] if newest is None else self._past.summaries(newest))
 
     def version(self, request: Request) -> Response:
-        """A version's summary, which the daemon may have to be asked for."""
+        """Return a version's summary, querying the daemon if necessary."""
         newest, number = self._newest, request.path_params["version"]
         found = None if newest is None else self._past.summary(newest, number)
         return _json(found) if found else _not_kept(number)
 
     def changes(self, request: Request) -> Response:
-        """What changed from version ``old`` to ``new``."""
+        """Return the changes from version ``old`` to ``new``."""
         newest = self._newest
         numbers = request.path_params["old"], request.path_params["new"]
         found: list[Topology] = []
@@ -212,25 +220,28 @@ class Site:
         return None if self._feed.stories is None else self._feed.stories.topology
 
     def picture(self, request: Request) -> Response:
-        """A camera's picture, if there is one in the folder."""
+        """Return a camera's picture, if there is one in the folder."""
         path = self._picture_of(request.path_params["camera"])
         if path is None:
             return _json({"error": "no picture"}, 404)
         return FileResponse(path)
 
     def _picture_of(self, camera: str) -> Path | None:
-        """None, too, if this user may not read it: the camera's page is worth having without."""
+        """Return the path of a camera's picture; None if there is none that this user may read.
+
+        The camera's page works without a picture.
+        """
         try:
             path = picture_of(self._pictures, camera)
-        except PermissionError:  # of the folder
+        except PermissionError:  # raised for the folder
             return None
         return path if path is not None and os.access(path, os.R_OK) else None
 
     async def live(self, request: Request) -> Response:
-        """Server-sent events: what is new, and with ``camera`` that one's entries and exits."""
+        """Stream server-sent events: all news and, with ``camera``, that camera's events."""
         camera = request.query_params.get("camera")
         if camera is not None and not re.match(CAMERA_PATTERN, camera):
-            return _json({"error": "no such camera"}, 404)
+            return _json({"error": "not a valid camera id"}, 404)
         box = self._hub.open(camera)
         if box is None:
             return _json({"error": "too many pages are open"}, 503)
@@ -250,15 +261,15 @@ class Site:
 
 
 class _Seldom(logging.Filter):
-    """Lets each message through once in `SAY_SECONDS`, with how many there were meanwhile."""
+    """Log filter that passes each message once in `SAY_SECONDS`, with the number suppressed."""
 
     def __init__(self) -> None:
         super().__init__()
         self._said: dict[str, tuple[float, int]] = {}
-        """By message: when it was said, and how many there have been since."""
+        """By message: time when it last passed, and how many were suppressed since."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether it is to be said."""
+        """Return True if the message is to be logged."""
         now = time.monotonic()
         said, meanwhile = self._said.get(record.msg, (-math.inf, 0))
         if now - said < SAY_SECONDS:
@@ -266,21 +277,19 @@ class _Seldom(logging.Filter):
             return False
         self._said[record.msg] = now, 0
         if meanwhile:
-            record.msg += f" ({meanwhile} more since this was said last)"
+            record.msg += f" ({meanwhile} more since the last such message)"
         return True
 
 
 class _Connection(H11Protocol):
-    """A connection with deadlines: clients that are idle or slow do not take the places of
-    others.
-    """
+    """HTTP connection with deadlines, so that idle or slow clients do not block others."""
 
     waiting_since: float | None = None
-    """For a request, seconds of the event loop; None while one is answered."""
+    """Time since when it waits for a request (seconds of the event loop); None while answering."""
     _timer: asyncio.TimerHandle | None = None
-    """For the request, or for the client to take what it is sent."""
+    """Deadline of the request, or of the client's next read."""
     _unsent = 0
-    """Bytes that the client had not taken when the timer was set."""
+    """Bytes that the client had not accepted when the timer was set."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Wait for a request."""
@@ -288,12 +297,12 @@ class _Connection(H11Protocol):
         self._wait()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It has gone."""
+        """Cancel the timer."""
         self._stop_waiting()
         super().connection_lost(exc)
 
     def handle_events(self) -> None:
-        """Take in what has come, which may be a request or a piece of one."""
+        """Process received data, which may be a request or a part of one."""
         super().handle_events()
         if self.waiting_since is not None and self._answering:
             self._stop_waiting()
@@ -305,12 +314,12 @@ class _Connection(H11Protocol):
             self._wait()
 
     def pause_writing(self) -> None:
-        """The client takes less than it is sent."""
+        """Begin to watch a client that accepts less than it is sent."""
         super().pause_writing()
         self._watch_taking()
 
     def resume_writing(self) -> None:
-        """It has caught up."""
+        """Stop watching: the client has caught up."""
         super().resume_writing()
         if self.waiting_since is None and not self.transport.is_closing():
             self._set_timer(None)
@@ -320,6 +329,7 @@ class _Connection(H11Protocol):
         return self.cycle is not None and not self.cycle.response_complete
 
     def _wait(self) -> None:
+        """Wait for a request, and close the oldest waiting connections if there are too many."""
         self.waiting_since = now = self.loop.time()
         self._set_timer(REQUEST_SECONDS, self._give_up)
         waiting = [
@@ -340,20 +350,23 @@ class _Connection(H11Protocol):
         self._set_timer(None)
 
     def _give_up(self) -> None:
-        """No request has come; what has been answered before is still sent."""
+        """Close without a request; earlier responses are still sent."""
         self._stop_waiting()
         if not self.transport.is_closing():
             log.warning(
-                "a client was disconnected: it sent no request, or there are too many such clients"
+                "a client was disconnected: it sent no complete request in time, "
+                "or too many clients are waiting"
             )
             self.transport.close()
         self._watch_taking()
 
     def _watch_taking(self) -> None:
+        """Start the deadline for the client to accept data."""
         self._unsent = self.transport.get_write_buffer_size()
         self._set_timer(TAKE_SECONDS, self._look_at_taking)
 
     def _look_at_taking(self) -> None:
+        """Continue if the client has accepted data, else disconnect it."""
         if self.transport.get_write_buffer_size() < self._unsent:
             self._watch_taking()
         else:
@@ -366,8 +379,9 @@ class _Connection(H11Protocol):
 
 
 def application(site: Site, names: Collection[str], any_address: bool, beat: Beat) -> Starlette:
-    """The application; it answers to ``names`` only, and with ``any_address`` to every address.
-    ``beat`` is called as long as its event loop gets on.
+    """Return the web application, which accepts only ``names``, and addresses if ``any_address``.
+
+    beat: called regularly as long as the application's event loop makes progress.
     """
 
     @contextlib.asynccontextmanager
@@ -396,6 +410,7 @@ def application(site: Site, names: Collection[str], any_address: bool, beat: Bea
         Route("/picture/{camera}", site.picture),
         Route("/live", site.live),
     ]
+
     middleware = [
         Middleware(_Strict),
         Middleware(_Named, names=names, any_address=any_address),
@@ -418,12 +433,15 @@ def serving(
     progress: Progress | None = None,
     stall_seconds: float = math.inf,
 ) -> Iterator[Callable[[], bool]]:
-    """Serve the page from a socket that listens, in threads, while the block runs; yields whether
-    all of them live.
+    """Serve the page from a listening socket, in threads, while the block runs.
 
-    It answers to ``names`` only, and with ``any_address`` to every address. In ``progress`` is
-    whether the threads get on: none may take longer than ``stall_seconds`` for a step.
+    Yields a function that returns True if all threads are alive.
+
+    names, any_address: accepted host names, and whether every IP address is accepted.
+    progress: receives the progress of the threads.
+    stall_seconds: time after which a thread without progress counts as stalled.
     """
+    # Progress marks, bus followers, HTTP server.
     marks = progress or Progress()
     page, versions, messages = (
         marks.watch(name, stall_seconds) for name in ("page", "versions", "messages")
@@ -443,6 +461,8 @@ def serving(
         http=_Connection,
     )
     server = uvicorn.Server(config)
+
+    # One thread for each.
     threads = [
         threading.Thread(target=server.run, args=[[listener]], name="page", daemon=True),
         threading.Thread(
@@ -452,6 +472,8 @@ def serving(
             target=feed.messages, args=[stop, messages.beat], name="messages", daemon=True
         ),
     ]
+
+    # Limit repeated log messages.
     seldom, loggers = _Seldom(), (log, logging.getLogger("uvicorn.error"))
     for logger in loggers:
         logger.addFilter(seldom)
@@ -474,4 +496,4 @@ def _json(content: Any, status: int = 200) -> Response:
 
 
 def _not_kept(version: int) -> Response:
-    return _json({"error": f"version {version} is not kept, or the daemon is not reached"}, 404)
+    return _json({"error": f"version {version} is not kept, or the daemon cannot be reached"}, 404)

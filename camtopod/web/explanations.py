@@ -1,6 +1,4 @@
-"""What the page says of one camera, one pair or one link: figures to draw, and in plain words why
-it is believed.
-"""
+"""Details of a camera, pair or link for the page: figures, and the evidence in plain sentences."""
 
 from __future__ import annotations
 
@@ -18,15 +16,15 @@ from camtopod.topology import LagBins, smooth
 from camtopod.web.map_data import doubt, in_words, nearness
 
 CURVE_SHARE_MIN = 0.004
-"""Where the fitted curve is lower than this share of its peak it is not drawn."""
+"""Share of its peak below which the fitted curve is not drawn."""
 COMMON_SHARE = 0.8
-"""Between the quantiles q10 and q90."""
+"""Share of the transitions between the quantiles q10 and q90."""
 
 _Item = TypeVar("_Item")
 
 
 class Stories:
-    """Of one version; what is looked up often is sorted out once."""
+    """Details of one version, indexed once for repeated queries."""
 
     def __init__(self, topology: Topology) -> None:
         self.topology = topology
@@ -41,7 +39,7 @@ class Stories:
         self._camera_models = {} if model is None else {one.camera: one for one in model.cameras}
 
     def camera(self, camera: str) -> dict[str, Any] | None:
-        """Zones, figures and links of a camera; None for one that is not there."""
+        """Return a camera's zones, figures and links; None for an unknown camera."""
         found = self._cameras.get(camera)
         if found is None:
             return None
@@ -64,7 +62,7 @@ class Stories:
         }
 
     def pair(self, a: str, b: str) -> dict[str, Any] | None:
-        """The links between two cameras, each way, weak ones included; None if there are none."""
+        """Return the links between two cameras, both ways and weak ones included; None if none."""
         first, second = sorted((a, b))
         links, weak = (
             sorted(
@@ -73,10 +71,12 @@ class Stories:
             )
             for held in (self._links, self._weak)
         )
+
         shown = links or weak
         pair = self._pairs.get((first, second))
         if (pair is None and not shown) or first == second:
             return None
+
         transitions, best = (
             sum(link.transitions for link in shown),
             min(shown, key=nearness, default=None),
@@ -91,11 +91,11 @@ class Stories:
         }
 
     def link(self, from_: str, to: str, relation: str) -> dict[str, Any] | None:
-        """All there is to show of a link; None for one that is not there.
+        """Return all details of a link; None for an unknown link.
 
         ``chart``: ``counts`` and ``curve`` are expected transitions in the lag bins from ``first``
-        on, whose edges are ``scale * sinh(step * k)`` seconds. ``background``: what chance brings,
-        per second of lag.
+        on, whose edges are ``scale * sinh(step * k)`` seconds. ``background``: unrelated arrivals
+        that follow all departures together, per second of lag.
         """
         for weak, held in ((False, self._links), (True, self._weak)):
             for link in held.get(self._camera_of.get(from_, ""), []):
@@ -104,6 +104,7 @@ class Stories:
         return None
 
     def _told(self, link: Link, weak: bool) -> dict[str, Any]:
+        """Return the details of a link."""
         source, target = self._zone_models.get(link.from_), self._zone_models.get(link.to)
         background = source.departures * target.arrival_rate if source and target else None
         return {
@@ -118,15 +119,17 @@ class Stories:
         }
 
     def _ends(self, link: Link) -> set[str]:
+        """Return the cameras of a link's zones."""
         return {self._camera_of[link.from_], self._camera_of[link.to]}
 
     def _arrivals(self, zone: Zone) -> dict[str, float | None]:
+        """Return the rate of arrivals at a zone that no departure explains."""
         model = self._zone_models.get(zone.id)
         return {"arrival_rate": None if model is None else model.arrival_rate}
 
 
 def brief(link: Link) -> dict[str, Any]:
-    """A link without its histogram."""
+    """Return a link without its histogram."""
     content: dict[str, Any] = msgspec.to_builtins(link)
     content.pop("histogram", None)
     return content
@@ -135,7 +138,7 @@ def brief(link: Link) -> dict[str, Any]:
 def _grouped(
     items: Iterable[_Item], cameras: Callable[[_Item], set[str]]
 ) -> dict[str, list[_Item]]:
-    """The items of each camera."""
+    """Return the items by camera."""
     result: dict[str, list[_Item]] = {}
     for item in items:
         for camera in cameras(item):
@@ -144,17 +147,19 @@ def _grouped(
 
 
 def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
-    """Histogram, fitted curve and Monte Carlo samples; None where the topology holds no histogram
-    of it.
-    """
+    """Return histogram, fitted curve and Monte Carlo samples; None without a histogram."""
     if model is None or link.histogram is None or not any(link.histogram.mass):
         return None
+
+    # Counts and smoothed curve on the lag bins.
     bins = LagBins(model.lag_min, model.lag_max, model.lag_scale, model.lag_step)
     counts = np.zeros((1, bins.size))
     start = link.histogram.first - bins.first
     counts[0, start : start + len(link.histogram.mass)] = link.histogram.mass
     curve = smooth(counts)[0]
     density = curve / bins.widths
+
+    # Samples of the curve, and the range worth drawing.
     samples = monte_carlo.observe(density, np.array([link.transit.sd]), bins, MONTE_CARLO_SEED)
     drawn = np.flatnonzero((density[0] > CURVE_SHARE_MIN * density[0].max()) | (counts[0] > 0))
     shown = slice(int(drawn[0]), int(drawn[-1]) + 1)
@@ -170,50 +175,58 @@ def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
 
 
 def why(link: Link, weak: bool, source: ZoneModel | None, background: float | None) -> list[str]:
-    """Why a link is believed, or is not yet, a sentence each."""
+    """Return the evidence for a link, a sentence each."""
     if link.relation == "visible":
         return [
-            f"Both zones are in one view: {_count(link.transitions)} were seen to come in at {link.from_} "
-            f"and leave at {link.to}, {_share(link.probability)} of those that came in there.",
+            f"Both zones are in one view: {_count(link.transitions)} objects entered at "
+            f"{link.from_} and left at {link.to}, {_share(link.probability)} of those that "
+            "entered there.",
             f"Half of them took at most {_seconds(link.transit.q50)}; four in five between "
             f"{_seconds(link.transit.q10)} and {_seconds(link.transit.q90)}.",
         ]
+
+    # A link between views: departures, transit times, background, significance.
     departures = f"{source.departures:,} objects" if source else "the objects"
     said = [
-        f"Of {departures} that left at {link.from_}, about {_count(link.transitions)} appeared next at {link.to}: "
-        f"{_share(link.probability)}.",
+        f"Of {departures} that left at {link.from_}, about {_count(link.transitions)} appeared "
+        f"next at {link.to}: {_share(link.probability)}.",
         _time_taken(link),
     ]
     if background is not None:
         span = link.transit.q90 - link.transit.q10
         expected, found = background * span, COMMON_SHARE * link.transitions
         said.append(
-            f"Unrelated arrivals would fall into these {_seconds(span)} about {_count(expected)} times; "
-            f"{_count(found)} more than that were found there."
+            f"Within these {_seconds(span)} about {_count(expected)} unrelated arrivals are "
+            f"expected; {_count(found)} more than that were found."
         )
     rule = Settings().publish_q_max
     said.append(
-        f"Of links with as much evidence as this one, {_odds(link.q_value)} would be there by mere chance."
+        f"Of links with as much evidence as this one, {_odds(link.q_value)} would be spurious."
     )
     said.append(
-        f"The variance of its transit times is {_share(link.mahalanobis_variance)} of what chance would give "
-        f"(Var(d) = {link.mahalanobis_variance:.2g}; the thesis asks for at most {mahalanobis.LINKED_VARIANCE_MAX:g})."
+        f"The variance of its transit times is {_share(link.mahalanobis_variance)} of that of "
+        f"unrelated events (Var(d) = {link.mahalanobis_variance:.2g}; the thesis requires at most "
+        f"{mahalanobis.LINKED_VARIANCE_MAX:g})."
     )
+
+    # Unmet rules of a weak link.
     if weak:
         lacks = f" It lacks {in_words(link.lacks)}." if link.lacks else ""
         said.append(
             f"It is not published: not all rules for that are met yet (among them q ≤ {rule:g} and "
-            f"{_share(Settings().publish_probability_min)} of those who leave).{lacks} It only weighs in predictions."
+            f"{_share(Settings().publish_probability_min)} of the departures).{lacks} "
+            "It is used in predictions only."
         )
     return said
 
 
 def _time_taken(link: Link) -> str:
+    """Return a sentence on the transit times of a link."""
     t = link.transit
     if t.q50 < 0:
         return (
-            f"They are seen at {link.to} before they leave at {link.from_}, {_seconds(-t.q50)} in the middle: "
-            "the two views show the same place."
+            f"They are seen at {link.to} before they leave at {link.from_}, by a median of "
+            f"{_seconds(-t.q50)}: the two views show the same place."
         )
     sure = f" (known to ± {_seconds(t.q50_sd)})" if t.q50_sd is not None else ""
     common = f"{_seconds(t.q10)} and {_seconds(t.q90)}"
@@ -221,33 +234,38 @@ def _time_taken(link: Link) -> str:
 
 
 def why_pair(pair: Pair | None) -> list[str]:
-    """Why two cameras are taken to belong together, or not yet, a sentence each."""
+    """Return the evidence that two cameras are related, a sentence each."""
     if pair is None:
-        return ["The evidence is not enough to publish this pair. It only weighs in predictions."]
+        return [
+            "The evidence is not sufficient to publish this pair. It is used in predictions only."
+        ]
     kinds = {
         "overlapped": "their views overlap",
         "unseen_path": "a path that no camera sees joins them",
     }
-    said = [f"The two cameras belong together: {kinds[pair.relation]}."]
+    said = [f"The two cameras are related: {kinds[pair.relation]}."]
     if pair.by_lags is not None and pair.by_lags == pair.by_sum_rule:
-        said.append("When objects come and go, and how many do, both say so.")
+        said.append("Both tests agree: the times of their events, and their number.")
     elif pair.by_lags is not None:
-        said.append(f"When objects come and go says: {kinds[pair.by_lags]}.")
+        said.append(f"By the times of events: {kinds[pair.by_lags]}.")
         counted = (
-            kinds[pair.by_sum_rule] if pair.by_sum_rule else "nothing, as it could not be tested"
+            kinds[pair.by_sum_rule]
+            if pair.by_sum_rule
+            else "not decided, as it could not be tested"
         )
-        said.append(f"How many do (table 4.4 of the thesis) says: {counted}.")
+        said.append(f"By the number of events (table 4.4 of the thesis): {counted}.")
     if pair.reason:
-        said.append(f"Noted: {pair.reason}.")
+        said.append(f"Reason: {pair.reason}.")
     return said
 
 
 def _is_about(subject: str, camera: str) -> bool:
-    """Whether an alarm's subject (a camera, a zone, or two zones) has to do with a camera."""
+    """Return True if an alarm's subject (a camera, a zone, or two zones) concerns a camera."""
     return any(part == camera or part.rpartition("/")[0] == camera for part in subject.split("->"))
 
 
 def _short(values: NDArray[np.float64]) -> list[float]:
+    """Return the values with three digits."""
     return [float(f"{value:.3g}") for value in values]
 
 
@@ -266,6 +284,7 @@ def _seconds(value: float) -> str:
 
 
 def _odds(q_value: float) -> str:
+    """Return a q value in words."""
     if q_value < 1e-6:
         return "less than one in a million"
     return f"about one in {1 / q_value:,.0f}" if q_value < 0.3 else "most"

@@ -1,9 +1,8 @@
-"""The bus as the page sees it: the newest map, who is well, and what is live; changes go to the
-open pages.
+"""Follow a site's bus for the page: newest map, health, live news; forward changes to open pages.
 
-Two threads besides the bus's own. *Versions* follows the topology and draws its map once a version.
-*Messages* takes predictions, events and status from a bounded inbox. The bus's threads only put
-things there.
+Two threads besides the bus's own: *versions* follows the topology and makes its map once a version;
+*messages* processes predictions, events and status from a bounded queue. The bus's threads only
+fill that queue.
 """
 
 from __future__ import annotations
@@ -31,33 +30,31 @@ from camtopod.web.outbox import Hub
 log = logging.getLogger(__name__)
 
 INBOX_MAX = 10_000
-"""Messages from the bus that wait to be looked at; beyond it they are dropped and counted."""
+"""Messages from the bus that wait to be processed; beyond it they are dropped and counted."""
 CAMERAS_MAX = 5_000
-"""Cameras whose status is held."""
+"""Cameras whose status is kept."""
 REASON_CHARACTERS_MAX = 500
-"""Of what a camera says about itself; the rest is cut off."""
+"""Characters kept of a camera's state and reason."""
 PREDICTIONS_PER_SECOND_MAX = 25
-"""Predictions shown a second, of all cameras together: more nobody can follow."""
+"""Predictions forwarded per second, of all cameras together; nobody can follow more."""
 PREDICTIONS_HELD = 20
+"""Predictions kept for pages that connect later."""
 NEXT_SHOWN = 3
-"""Next cameras of a prediction that the page is told."""
+"""Next cameras of a prediction that the page receives."""
 SILENT_STATUSES = 6
-"""A daemon whose status did not come so many times is not live, a grabber is silent: whatever it
-last said is old.
-"""
+"""Status intervals without a status after which a daemon is not live and a grabber is silent."""
 LOOK_SECONDS = 1.0
-"""How often the cameras are looked through for those that have fallen silent."""
+"""Interval of the search for cameras that have fallen silent."""
 _TICK_SECONDS = 0.2
 DAEMON = "daemon"
 WAITING = "waiting for the daemon"
+"""Reason while no status of the daemon has been received yet."""
 ENDED = "ended"
-"""The state of a camera whose recording is over: it has nothing more to say."""
+"""State of a camera whose recording has ended, so that its silence is expected."""
 
 
 class ShownPrediction(msgspec.Struct, frozen=True, rename={"next_": "next"}):
-    """A prediction as the page has it, of which no track is named: ``now`` are the cameras that
-    probably see the object at ``t``, which it has left the view of ``camera``.
-    """
+    """A prediction for the page, without a track."""
 
     camera: str
     zone: str | None
@@ -65,11 +62,12 @@ class ShownPrediction(msgspec.Struct, frozen=True, rename={"next_": "next"}):
     version: int
     leave: float
     now: list[Look]
+    """Cameras that probably see the object at ``t``, when it has left the view of ``camera``."""
     next_: list[NextCamera]
 
 
 def shown(prediction: Prediction) -> ShownPrediction:
-    """The prediction for the page."""
+    """Return the prediction in the form for the page."""
     return ShownPrediction(
         prediction.camera,
         prediction.zone,
@@ -82,9 +80,9 @@ def shown(prediction: Prediction) -> ShownPrediction:
 
 
 class Feed:
-    """Follows one site's bus, whose daemon says how it is every ``status_seconds``.
+    """Follower of one site's bus; run `versions` and `messages` in a thread each.
 
-    `versions` and `messages` are to be run in a thread each.
+    status_seconds: interval in which the daemon publishes its status.
     """
 
     def __init__(self, bus: Bus, hub: Hub, clock: Clock, status_seconds: float) -> None:
@@ -96,23 +94,23 @@ class Feed:
         self._heard: dict[str, float] = {}
         self._silent: set[str] = set()
         self._looked_at_cameras = -1e18
-        self._unheard_since = clock()  # nobody can be heard while the bus is not reached
+        self._unheard_since = clock()  # no status can arrive while the bus is not reached
         self._live: dict[str, Any] = {"live": False, "reason": WAITING, "since": clock()}
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
         self._second, self._this_second = 0, 0
         self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
         self._view = TopologyView(bus)
         self.stories: Stories | None = None
-        """Of the newest version."""
+        """Details of the newest version."""
         self.map: Map | None = None
         self.map_json = b"null"
         self.dropped = 0
-        """Messages for which there was no room."""
+        """Messages dropped because the queue was full."""
         bus.subscribe("status/*", self._put)
         bus.subscribe("prediction/*", self._put)
 
     def versions(self, stop: threading.Event, beat: Beat = no_beat) -> None:
-        """Follow the topology until told to stop."""
+        """Follow the topology until ``stop`` is set."""
         while not stop.wait(_TICK_SECONDS):
             beat()
             if (newest := self._view.update()) is not None:
@@ -129,7 +127,7 @@ class Feed:
             self._hub.tell("resync", b"{}")
 
     def messages(self, stop: threading.Event, beat: Beat = no_beat) -> None:
-        """Work off the inbox, and notice when the daemon falls silent, until told to stop."""
+        """Process queued messages, and notice when the daemon falls silent, until ``stop``."""
         for key, payload in self._bus.ask("status/*"):
             self._on_status(key.removeprefix("status/"), payload)
         while not stop.is_set():
@@ -145,7 +143,7 @@ class Feed:
             self._look()
 
     def hello(self) -> bytes:
-        """What a page that has just connected is told: server-sent events."""
+        """Return the first messages for a page that has just connected: server-sent events."""
         with self._mutex:
             live, predictions = msgspec.json.encode(self._live), list(self._predictions)
         version = None if self.map is None else [self.map.epoch, self.map.version]
@@ -159,14 +157,12 @@ class Feed:
         )
 
     def beat(self) -> bytes:
-        """What a page is told when nothing else happens, so that it knows the connection is
-        alive.
-        """
+        """Return the message that keeps an idle connection alive."""
         return b'event: beat\ndata: {"now":%.3f}\n\n' % self._clock()
 
     def health(self) -> dict[str, Any]:
-        """The daemon's status, every camera's, and what is live."""
-        now = self._clock()  # before what is true then is looked up
+        """Return the status of the daemon and of every camera, and whether they are live."""
+        now = self._clock()  # taken first, so that the data are at least as new
         with self._mutex:
             status, live = dict(self._status), dict(self._live)
         daemon = status.pop(DAEMON, None)
@@ -189,7 +185,10 @@ class Feed:
 
     @contextlib.contextmanager
     def watching(self, camera: str) -> Iterator[None]:
-        """Events of ``camera`` are passed on while the block runs; several may watch the same."""
+        """Forward the events of ``camera`` while the block runs.
+
+        Several pages may watch the same camera.
+        """
         with self._mutex:
             count, end = self._watched.get(camera) or (
                 0,
@@ -213,12 +212,14 @@ class Feed:
             self.dropped += 1
 
     def _on_status(self, name: str, payload: bytes) -> None:
+        """Store the status of a camera or the daemon; forward it if it has changed."""
         try:
             status = msgspec.msgpack.decode(payload, type=dict[str, Any])
         except (msgspec.MsgspecError, UnicodeDecodeError):
             return
         if not re.match(CAMERA_PATTERN, name):
             return
+
         with self._mutex:
             before = self._status.get(name)
             if before is None and len(self._status) >= CAMERAS_MAX:
@@ -226,6 +227,7 @@ class Feed:
             self._status[name], self._heard[name] = status, self._clock()
             again = name in self._silent
             self._silent.discard(name)
+
         if name == DAEMON:
             return
         if (
@@ -236,17 +238,19 @@ class Feed:
             self._tell_health(name, status)
 
     def _tell_health(self, name: str, status: dict[str, Any]) -> None:
+        """Send a camera's health to all pages."""
         row = _row(name, self._word(name, status), None)
         self._hub.tell("health", msgspec.json.encode({**row, "at": self._clock()}))
 
     def _word(self, name: str, status: dict[str, Any] | None) -> dict[str, Any] | None:
-        """What a camera says of itself, or that it says nothing any more."""
+        """Return a camera's status, with the state ``silent`` if it has stopped publishing."""
         if status is None or name not in self._silent:
             return status
-        reason = f"its grabber has said nothing for more than {self._silent_seconds:.0f} s"
+        reason = f"no status from its grabber for more than {self._silent_seconds:.0f} s"
         return {**status, "state": "silent", "reason": reason}
 
     def _on_prediction(self, name: str, payload: bytes) -> None:
+        """Forward a prediction, unless there are too many this second."""
         second = int(self._clock())
         self._second, self._this_second = (
             second,
@@ -264,6 +268,7 @@ class Feed:
         self._hub.tell("prediction", content, passing=True)
 
     def _on_event(self, name: str, payload: bytes) -> None:
+        """Forward an event, without its track, to the pages that watch its camera."""
         try:
             event = codec.event_from_bytes(payload)
         except codec.Rejected:
@@ -272,34 +277,37 @@ class Feed:
         self._hub.tell("event", codec.to_json(shown), camera=name, passing=True)
 
     def _look(self) -> None:
-        """Say when the daemon is live, or no longer, and which cameras have fallen silent."""
+        """Notice when the daemon becomes live or silent, and which cameras have fallen silent."""
         now = self._clock()
         if not self._bus.connected:
             self._unheard_since = now
-        if (
-            abs(now - self._looked_at_cameras) >= LOOK_SECONDS
-        ):  # not for every message: they may be thousands
+
+        # Cameras, not for every message: there may be thousands.
+        if abs(now - self._looked_at_cameras) >= LOOK_SECONDS:
             self._looked_at_cameras = now
             self._look_at_cameras(now)
+
+        # Reason why the daemon is not live.
         heard = self._heard.get(DAEMON)
         if not self._bus.connected:
-            reason = f"the bus at {self._bus.endpoint} is not reached"
+            reason = f"the bus at {self._bus.endpoint} cannot be reached"
         elif heard is None:
             reason = (
                 WAITING
                 if now - self._unheard_since < self._silent_seconds
-                else "no daemon has said anything yet"
+                else "no daemon has published its status yet"
             )
         elif not abs(now - heard) < self._silent_seconds:
-            reason = f"the daemon has said nothing for {self._silent_seconds:.0f} s"
+            reason = f"no status from the daemon for {self._silent_seconds:.0f} s"
         else:
             reason = ""
+
+        # Tell the pages if it has changed.
         with self._mutex:
             if self._live["reason"] == reason:
                 return
-            if (
-                not reason or self._live["live"]
-            ):  # another reason for the same silence goes on counting
+            # Another reason for the same silence does not change its beginning.
+            if not reason or self._live["live"]:
                 self._live["since"] = (
                     now if not reason else max(heard or 0.0, now - self._silent_seconds)
                 )
@@ -308,6 +316,7 @@ class Feed:
         self._hub.tell("live", told)
 
     def _look_at_cameras(self, now: float) -> None:
+        """Mark and report cameras whose grabbers have stopped publishing."""
         with self._mutex:
             gone = {
                 name: status
@@ -325,7 +334,11 @@ class Feed:
 def _row(
     name: str, status: dict[str, Any] | None, counted: dict[str, Any] | None
 ) -> dict[str, Any]:
-    """A camera on the health page; ``counted``: what the daemon says of it."""
+    """Return a camera's row on the health page.
+
+    status: of its grabber.
+    counted: the daemon's figures of it.
+    """
     said, known = status or {}, counted or {}
     return {
         "id": name,

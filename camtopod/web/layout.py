@@ -1,9 +1,8 @@
-"""Places of the cameras on the map: by how many hops they are apart, so that neighbours lie beside
-each other.
+"""Camera positions on the map: distances follow the number of hops, so that neighbours are close.
 
-Stress majorisation (Gansner, Koren & North 2004) of each connected part, parts packed beside each
-other. From the same network the same places; a network that changes a little moves a little, as the
-search starts from the old places.
+Stress majorisation (Gansner, Koren & North 2004) of each connected part; the parts are packed
+beside each other. Deterministic, and stable: the search starts from the previous positions, so a
+small change of the network moves cameras a little.
 """
 
 from __future__ import annotations
@@ -20,24 +19,26 @@ from scipy.spatial.distance import cdist
 from camtopod.arrays import Floats
 
 Place = tuple[float, float]
+"""Position (x, y), in lengths of an unseen path."""
 
 OVERLAPPED_LENGTH = 0.7
-"""Length of an edge between overlapping views; an unseen path has 1."""
+"""Length of an edge between overlapping views; an unseen path has length 1."""
 ROUNDS_FRESH, ROUNDS_MOVED = 60, 25
 MARGIN = 0.9
-"""Room between parts."""
+"""Space between connected parts."""
 WIDE = 1.6
-"""Width over height that the packed parts aim at."""
+"""Ratio of width to height that the packed parts aim at."""
 
 
 def places(
     names: Iterable[str], joined: Mapping[tuple[str, str], bool], before: Mapping[str, Place]
 ) -> dict[str, Place]:
-    """Where each camera is drawn; an unseen path is about 1 long, y grows downwards.
+    """Return the position of each camera; an unseen path is about 1 long, y grows downwards.
 
-    ``joined``: pairs of names -> whether their views overlap. ``before``: the places of an earlier
-    version, if any.
+    joined: for pairs of names, whether their views overlap.
+    before: positions in an earlier version, if any.
     """
+    # The network as a graph.
     order = sorted(names)
     number = {name: k for k, name in enumerate(order)}
     pairs = [
@@ -51,6 +52,8 @@ def places(
     )
     graph = coo_matrix((length.astype(float), (a, b)), shape=(len(order), len(order))).tocsr()
     count, part = connected_components(graph, directed=False)
+
+    # Lay out each connected part, largest first, and pack them.
     sizes = np.bincount(part, minlength=count)
     at = np.zeros((len(order), 2))
     boxes = []
@@ -64,7 +67,9 @@ def places(
         boxes.append(members)
     _pack(at, boxes)
     stayed = [k for k, name in enumerate(order) if name in before]
-    if stayed:  # a part that grew to the left is no reason for all to go to the right
+
+    # Keep the cameras of before in place on the whole, even if a part grew to the left.
+    if stayed:
         at += np.median([before[order[k]] for k in stayed] - at[stayed], axis=0)
     return {
         name: (round(float(at[k, 0]), 3), round(float(at[k, 1]), 3)) for k, name in enumerate(order)
@@ -72,26 +77,33 @@ def places(
 
 
 def _one_part(apart: Floats, held: list[Place | None]) -> Floats:
-    """Places (n, 2) around the origin of a connected part with graph distances ``apart`` (n, n)."""
+    """Return positions (n, 2) around the origin of a connected part.
+
+    apart (n, n): graph distances.
+    held: previous positions.
+    """
     n = len(apart)
     if n == 1:
         return np.zeros((1, 2))
+
+    # From the previous positions, if half of them are known; new cameras start near neighbours.
     known = np.array([place is not None for place in held])
     if known.sum() * 2 >= n:
         at = np.array([place or (np.nan, np.nan) for place in held], float)
-        for k in np.flatnonzero(
-            ~known
-        ):  # beside those it is joined with, each on a side of its own
+        for k in np.flatnonzero(~known):
             near = known & (apart[k] <= apart[k][known].min() + 1e-9)
             at[k] = at[near].mean(0) + 0.3 * np.array([np.cos(2.4 * k), np.sin(2.4 * k)])
         return _majorised(apart, at, ROUNDS_MOVED)
+
+    # Afresh, with the longer side horizontal.
     at = _majorised(apart, _scaled(apart), ROUNDS_FRESH)
     return at if np.ptp(at[:, 0]) >= np.ptp(at[:, 1]) else at[:, ::-1].copy()
 
 
 def _scaled(apart: Floats) -> Floats:
-    """Classical scaling: the two widest dimensions of the distances; the sign is that of the first
-    clear entry.
+    """Return positions by classical scaling: the two widest dimensions of the distances.
+
+    The sign of a dimension is that of its first clear entry.
     """
     n = len(apart)
     squared = apart**2
@@ -103,14 +115,16 @@ def _scaled(apart: Floats) -> Floats:
         at[:, k] = column * (
             np.sign(column[np.argmax(np.abs(column) > 0.5 * np.abs(column).max())]) or 1.0
         )
-    at += 0.05 * np.column_stack(
-        [np.cos(2.4 * np.arange(n)), np.sin(2.4 * np.arange(n))]
-    )  # none upon another
+    # Separate cameras that coincide.
+    at += 0.05 * np.column_stack([np.cos(2.4 * np.arange(n)), np.sin(2.4 * np.arange(n))])
     return at
 
 
 def _majorised(apart: Floats, at: Floats, rounds: int) -> Floats:
-    """Places (n, 2) of less stress, sum over pairs of (distance / graph distance - 1)^2."""
+    """Return positions (n, 2) of less stress.
+
+    Stress is the sum of (distance / graph distance - 1)^2 over pairs of cameras.
+    """
     n = len(apart)
     wanted = apart + np.eye(n)
     weight = 1.0 / wanted**2
@@ -126,7 +140,7 @@ def _majorised(apart: Floats, at: Floats, rounds: int) -> Floats:
 
 
 def _pack(at: Floats, parts: list[NDArray[np.intp]]) -> None:
-    """Shift the parts (rows of ``at``), largest first, onto shelves beside each other."""
+    """Move the parts (rows of ``at``), largest first, onto shelves beside each other, in place."""
     sizes = [np.ptp(at[rows], axis=0) + MARGIN for rows in parts]
     total = sum(float(size.prod()) for size in sizes)
     width = (

@@ -1,6 +1,4 @@
-"""The map as the page draws it: cameras with places, one edge a related pair, and what changed from
-map to map.
-"""
+"""Map for the page: cameras with positions, an edge per related pair, and changes between maps."""
 
 from __future__ import annotations
 
@@ -15,19 +13,21 @@ from camtopod.records import Alarm, Lacks, Link, Pair, PairRelation, SelfScore, 
 from camtopod.web.layout import Place, places
 
 SETTLED_TRANSITIONS_MIN = 30.0
-"""A path that fewer are known to have taken is provisional: its median transit time is a fifth of
-its spread unsure.
+"""Transitions below which an edge is provisional.
+
+With fewer, the standard error of its median transit time is more than a fifth of the spread.
 """
 SUSPECTED_Q_MAX = 0.05
+"""Largest q value with which a weak link appears on the map, as provisional."""
 SUSPECTED_TRANSITIONS_MIN = 5.0
-"""Evidence that is not published is on the map from this on, as provisional."""
+"""Transitions from which a weak link appears on the map, as provisional."""
 
 LONGEST = {"minutes": 120.0, "hours": 48.0, "days": math.inf}
-"""Beyond this a time is said in the next larger unit."""
+"""Amount from which a duration is given in the next larger unit."""
 
 
 class MapCamera(Struct, frozen=True):
-    """A node. ``x``, ``y``: as `camtopod.web.layout.places`."""
+    """A node; ``x`` and ``y`` as in `camtopod.web.layout.places`."""
 
     x: float
     y: float
@@ -37,7 +37,7 @@ class MapCamera(Struct, frozen=True):
 
 
 class Way(Struct, frozen=True, rename={"from_": "from"}):
-    """One direction of an edge; times in seconds, of the most walked link."""
+    """One direction of an edge; times (seconds) are those of its main link."""
 
     from_: str
     to: str
@@ -50,20 +50,17 @@ class Way(Struct, frozen=True, rename={"from_": "from"}):
 
 
 class MapEdge(Struct, frozen=True):
-    """A pair of cameras that belong together; ``provisional`` says why it is not settled, "" if it
-    is.
-    """
+    """A related pair of cameras."""
 
     relation: PairRelation
     provisional: str
+    """Why the edge is provisional; "" if it is settled."""
     transitions: float
     ways: list[Way]
 
 
 class Map(Struct, frozen=True):
-    """Everything the map shows of one version. An edge's key is its two camera ids, sorted, with a
-    space between.
-    """
+    """All data of the map of one version."""
 
     site: str
     epoch: str
@@ -72,13 +69,15 @@ class Map(Struct, frozen=True):
     events: int
     cameras: dict[str, MapCamera]
     edges: dict[str, MapEdge]
+    """By the two camera ids, sorted and separated by a space."""
     score: SelfScore | None
     alarms: list[Alarm]
 
 
 class MapChange(Struct, frozen=True):
-    """What makes the map of version ``since`` the newer one: new or changed items whole, gone ones
-    by key.
+    """Difference between the map of version ``since`` and a newer one.
+
+    New or changed items are complete; removed ones are given by key.
     """
 
     site: str
@@ -96,14 +95,18 @@ class MapChange(Struct, frozen=True):
 
 
 def draw(topology: Topology, before: Map | None = None) -> Map:
-    """The map of a version; cameras keep their places of ``before`` as far as the network is the
-    same.
+    """Return the map of a version.
+
+    before: the previous map, whose camera positions are kept as far as the network is the same.
     """
+    # Edges and counts of events.
     drawn = map_edges(topology)
     entries: dict[str, list[int]] = {camera.id: [0, 0] for camera in topology.cameras}
     for zone in topology.zones:
         entries[zone.camera][0] += zone.entries
         entries[zone.camera][1] += zone.exits
+
+    # Nodes.
     at = _places(topology, drawn, before)
     cameras = {
         camera.id: MapCamera(
@@ -125,7 +128,7 @@ def draw(topology: Topology, before: Map | None = None) -> Map:
 
 
 def change(old: Map, new: Map) -> MapChange:
-    """What a page that shows ``old`` needs to show ``new``."""
+    """Return what a page that shows ``old`` needs to show ``new``."""
     return MapChange(
         new.site,
         new.epoch,
@@ -143,15 +146,19 @@ def change(old: Map, new: Map) -> MapChange:
 
 
 def map_edges(topology: Topology) -> dict[str, MapEdge]:
-    """The published pairs, and those for which there is evidence that is nearly enough."""
+    """Return the published pairs, and those with nearly sufficient evidence."""
     camera = {zone.id: zone.camera for zone in topology.zones}
     ways: dict[str, list[Edge]] = {}
     best: dict[str, Link] = {}
+
+    # Weak links with nearly sufficient evidence.
     suspected = [
         link
         for link in topology.weak_links or []
         if link.q_value <= SUSPECTED_Q_MAX and link.transitions >= SUSPECTED_TRANSITIONS_MIN
     ]
+
+    # Directions of each pair, from published links first, and the link nearest to publication.
     pairs = {_key(*pair.cameras): pair for pair in topology.pairs}
     for published, links in ((True, topology.links), (False, suspected)):
         known = set(ways)
@@ -162,6 +169,8 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
         for link in links:
             key = _key(camera[link.from_], camera[link.to])
             best[key] = min(best.get(key, link), link, key=nearness)
+
+    # One edge per pair.
     result = {}
     for key in sorted({*ways, *pairs}):
         there = ways.get(key, [])
@@ -180,13 +189,14 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
 
 
 def nearness(link: Link) -> tuple[float, float]:
-    """Ascending: how near a link is to being published."""
+    """Return a sort key: the nearer a link is to publication, the smaller."""
     return (math.inf if link.lacks is None else link.lacks.seconds), link.q_value
 
 
 def doubt(pair: Pair | None, transitions: float, best: Link | None) -> str:
-    """Why an edge is provisional, in words; "" if it is settled. ``best``: the link that is nearest
-    to being published.
+    """Return why an edge is provisional, in words; "" if it is settled.
+
+    best: the link that is nearest to publication.
     """
     if pair is None:
         if best is not None and best.lacks is not None:
@@ -194,21 +204,24 @@ def doubt(pair: Pair | None, transitions: float, best: Link | None) -> str:
         q_value = 1.0 if best is None else best.q_value
         figure = f"q = {q_value:.2f}" if q_value >= 0.005 else "q < 0.005"
         if q_value <= Settings().publish_q_max:
-            return f"not published: there is evidence ({figure}), but not all rules for publishing are met yet"
-        return f"not published: it may be chance ({figure})"
+            return (
+                f"not published: there is evidence ({figure}), "
+                "but not all rules for publishing are met yet"
+            )
+        return f"not published: it may be spurious ({figure})"
     if transitions < SETTLED_TRANSITIONS_MIN:
-        return f"new: only about {transitions:.0f} are known to have taken it"
+        return f"new: only about {transitions:.0f} transitions are known"
     if (
         pair.by_lags is not None
         and pair.by_sum_rule is not None
         and pair.by_lags != pair.by_sum_rule
     ):
-        return f"the two tests of its kind differ{f' ({pair.reason})' if pair.reason else ''}"
+        return f"the two tests of its relation disagree{f' ({pair.reason})' if pair.reason else ''}"
     return ""
 
 
 def in_words(lacks: Lacks) -> str:
-    """What a link lacks."""
+    """Return what a link lacks, in words."""
     passages = (
         "one more passage" if lacks.passages < 1.5 else f"about {lacks.passages:.0f} more passages"
     )
@@ -228,6 +241,7 @@ def in_words(lacks: Lacks) -> str:
 def _places(
     topology: Topology, drawn: Mapping[str, MapEdge], before: Map | None
 ) -> dict[str, Place]:
+    """Return the camera positions; those of before if the network is the same."""
     names = [camera.id for camera in topology.cameras]
     joined = _joined(drawn)
     held = (
@@ -241,7 +255,7 @@ def _places(
 
 
 def _joined(drawn: Mapping[str, MapEdge]) -> dict[tuple[str, str], bool]:
-    """The edges that shape the map."""
+    """Return the edges that determine the layout, with whether views overlap."""
     result = {}
     for key, edge in drawn.items():
         if not edge.provisional.startswith("not published"):
@@ -251,6 +265,7 @@ def _joined(drawn: Mapping[str, MapEdge]) -> dict[tuple[str, str], bool]:
 
 
 def _with(topology: Topology, links: list[Link]) -> Topology:
+    """Return the topology with other links and no pairs."""
     return Topology(
         topology.schema,
         topology.site,
@@ -286,9 +301,10 @@ def _way(edge: Edge) -> Way:
 
 
 def _digits(value: float, digits: int) -> float:
-    """Fewer digits: what nobody could see on a map is not worth a message to every page."""
+    """Round to significant digits: invisible changes are not worth a message to every page."""
     return float(f"{value:.{digits}g}")
 
 
 def _steady(count: int) -> int:
+    """Round a count to two significant digits."""
     return int(_digits(count, 2))

@@ -1,6 +1,4 @@
-"""What waits for one open page: messages from any thread, taken by the page's connection, within a
-limit.
-"""
+"""Bounded queues of messages for open pages: filled from any thread, emptied by the connection."""
 
 from __future__ import annotations
 
@@ -9,22 +7,24 @@ import threading
 from collections import deque
 
 MESSAGES_MAX = 256
+"""Messages that may wait for a page; beyond it the page is told to fetch everything anew."""
 BYTES_MAX = 4 << 20
-"""Messages, and bytes, that wait for a page; beyond it the page is told to fetch everything anew. A
-version of a large site is half a megabyte; one that alone is more may wait alone.
+"""Bytes that may wait for a page; beyond it the page is told to fetch everything anew.
+
+A version of a large site is half a megabyte. A single message may be larger than this.
 """
 PASSING_MAX = 64
-"""Predictions and events are left out while this many messages wait: a page that lags shows fewer
-of them.
-"""
+"""Waiting messages from which predictions and events are left out, so that slow pages get fewer."""
 PAGES_MAX = 64
-"""Pages that are open at a time."""
+"""Pages open at a time."""
 RESYNC = b"event: resync\ndata: {}\n\n"
+"""Message that tells a page to fetch everything anew."""
 
 
 class Mailbox:
-    """One page's. ``camera``: whose events it wants to see, if any. Made and taken from in the
-    event loop's thread.
+    """Queue of one page. Create it and take from it in the event loop's thread.
+
+    camera: the camera whose events the page shows, if any.
     """
 
     def __init__(self, camera: str | None) -> None:
@@ -40,13 +40,15 @@ class Mailbox:
         self.closed = False
 
     def put(self, message: bytes, passing: bool) -> None:
-        """Add a message; one that is ``passing`` may be left out. Any thread, never blocks."""
+        """Add a message; one that is ``passing`` may be left out. Any thread; never blocks."""
         with self._mutex:
             if self.closed:
                 return
             if passing and len(self._messages) >= PASSING_MAX:
                 self.left_out += 1
                 return
+
+            # Too much is waiting: replace it by a request to fetch everything.
             if len(self._messages) >= MESSAGES_MAX or (
                 self._messages and self._bytes + len(message) > BYTES_MAX
             ):
@@ -58,14 +60,15 @@ class Mailbox:
             self._wake()
 
     def close(self) -> None:
-        """No more messages; `take` returns None. Any thread."""
+        """Accept no more messages; `take` returns None. Any thread."""
         with self._mutex:
             self.closed = True
             self._wake()
 
     async def take(self, seconds: float) -> bytes | None:
-        """Everything that waits as one; b"" when nothing came within ``seconds``; None once
-        closed.
+        """Return all waiting messages joined.
+
+        Returns b"" after ``seconds`` without any message, None once closed.
         """
         try:
             await asyncio.wait_for(self._something.wait(), seconds)
@@ -88,7 +91,7 @@ class Mailbox:
 
 
 class Hub:
-    """The mailboxes of all open pages."""
+    """Queues of all open pages."""
 
     def __init__(self) -> None:
         self._mutex = threading.Lock()
@@ -96,9 +99,7 @@ class Hub:
         self._closed = False
 
     def open(self, camera: str | None) -> Mailbox | None:
-        """A mailbox for a page that has come; None if there are `PAGES_MAX` already, or it is
-        closing.
-        """
+        """Return a queue for a new page; None if there are `PAGES_MAX` already, or when closing."""
         with self._mutex:
             if self._closed or len(self._boxes) >= PAGES_MAX:
                 return None
@@ -107,15 +108,17 @@ class Hub:
             return box
 
     def leave(self, box: Mailbox) -> None:
-        """The page has gone."""
+        """Remove the queue of a page that has gone."""
         with self._mutex:
             self._boxes.discard(box)
 
     def tell(
         self, name: str, content: bytes, camera: str | None = None, passing: bool = False
     ) -> None:
-        """Send a server-sent event of one line of JSON to all pages, or to those that look at
-        ``camera``.
+        """Send a server-sent event to all pages, or to those that show ``camera``.
+
+        content: one line of JSON.
+        passing: pages that lag may miss it.
         """
         message = b"event: " + name.encode() + b"\ndata: " + content + b"\n\n"
         with self._mutex:

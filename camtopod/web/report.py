@@ -1,4 +1,4 @@
-"""What a report holds: everything the page would ask the server for, gathered beforehand."""
+"""Data of a report: everything that the page would query from the server, gathered beforehand."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from camtopod.web.pictures import TYPES, picture_of
 from camtopod.web.version_diff import changes, summary
 
 LINKS_MAX = 3_000
-"""Links that are told in full, the most walked first; a large site has more than a browser opens as
-one file.
+"""Links with full details, those with most transitions first.
+
+A browser cannot open the links of a large site in one file.
 """
 COMPARED_MAX = 20
-"""The newest versions, each compared with each."""
+"""Newest versions that are compared, each with each."""
 Count = Callable[[int, int], None]
+"""Progress callback: parts that are ready, and their total number."""
 _T = TypeVar("_T")
 
 
@@ -30,11 +32,13 @@ def gather(
     pictures: Path | None,
     count: Count = lambda done, of: None,
 ) -> dict[str, Any]:
-    """The data of a report on ``topology``; ``older``: versions before it, oldest first. Raises
-    OSError.
+    """Return the data of a report on ``topology``. Raises OSError.
 
-    ``count`` is called often, with how many of its parts are ready and how many there will be.
+    older: earlier versions, oldest first.
+    pictures: folder of camera pictures.
+    count: called often, with the number of parts that are ready and their total number.
     """
+    # What the report covers.
     drawn = draw(topology)
     cameras = [camera.id for camera in topology.cameras]
     files = {
@@ -45,6 +49,8 @@ def gather(
     compared = versions[-COMPARED_MAX:]
     links = _told(topology)
     both = [(old, new) for k, new in enumerate(compared) for old in compared[: k + 1]]
+
+    # Progress.
     ready = itertools.count()
     parts = len(cameras) + len(drawn.edges) + len(links) + len(both)
 
@@ -52,6 +58,7 @@ def gather(
         count(next(ready), parts)
         return part
 
+    # The answers of the server, by query.
     return {
         "map": drawn,
         "cameras": {
@@ -74,7 +81,7 @@ def gather(
 
 
 def _told(topology: Topology) -> list[Link]:
-    """Links between views before passages within one."""
+    """Return the links with full details, links between views before those within one."""
     camera = {zone.id: zone.camera for zone in topology.zones}
     links = [
         *topology.links,
@@ -87,4 +94,5 @@ def _told(topology: Topology) -> list[Link]:
 
 
 def _inline(path: Path) -> str:
+    """Return a picture as a data URL."""
     return f"data:{TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"

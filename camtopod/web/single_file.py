@@ -1,4 +1,4 @@
-"""The page as one file: styles, scripts and data in it, nothing loaded from anywhere."""
+"""The page as one self-contained HTML file with styles, scripts and data."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ import msgspec
 
 STATIC = resources.files("camtopod.web") / "static"
 FIRST = "main.js"
+"""Module that the page starts with."""
 _IMPORT = re.compile(r'^import (\{[^}]*\}) from "\./([a-z]+\.js)";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?:async )?(?:function|class|const) (\w+)", re.MULTILINE)
 
 
 def page(data: Any) -> str:
-    """The HTML of a report that shows ``data`` (what `camtopod.web.report` gathers).
+    """Return the HTML of a report that shows ``data`` (from `camtopod.web.report`).
 
-    Its policy lets this one script and this one style sheet run and nothing else.
+    Its content security policy allows this script and this style sheet and nothing else.
     """
     style = (STATIC / "app.css").read_text("utf-8")
     script = f'"use strict";\n{scripts()}'
     icon = base64.b64encode((STATIC / "icon.svg").read_bytes()).decode()
     policy = (
-        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
-        "base-uri 'none'; form-action 'none'"
+        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; "
+        "img-src data:; base-uri 'none'; form-action 'none'"
     )
-    held = (
-        msgspec.json.encode(data).decode().replace("<", "\\u003c")
-    )  # no text in it can end the element
+    # Escaped so that no text in the data can end the script element.
+    held = msgspec.json.encode(data).decode().replace("<", "\\u003c")
     return f"""<!doctype html>
 <html lang="en">
 <head>
@@ -51,8 +51,9 @@ def page(data: Any) -> str:
 
 
 def scripts() -> str:
-    """All modules as one script: each a function that returns what it exports, in the order they
-    need each other.
+    """Return all modules as one script, each a function that returns its exports.
+
+    The order is that of their dependencies.
     """
     done: dict[str, str] = {}
     _add(FIRST, done)
@@ -60,7 +61,7 @@ def scripts() -> str:
 
 
 def _add(name: str, done: dict[str, str]) -> None:
-    """Add a module behind those it imports. The modules import each other in no circle."""
+    """Add a module after those it imports; imports have no cycles."""
     if name in done:
         return
     source = (STATIC / name).read_text("utf-8")
@@ -77,4 +78,5 @@ def _variable(name: str) -> str:
 
 
 def _hash(text: str) -> str:
+    """Return the source of a content security policy that allows this text."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"

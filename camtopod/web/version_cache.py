@@ -1,6 +1,4 @@
-"""Older versions, asked of the daemon one at a time; what has been asked is remembered within
-limits.
-"""
+"""Cache of older versions, queried from the daemon one at a time."""
 
 from __future__ import annotations
 
@@ -13,12 +11,13 @@ from camtopod.serve.bus import Bus, QueryError
 from camtopod.web.version_diff import Summary, summary
 
 WHOLE_MAX = 4
-"""Old topologies that are held."""
+"""Older topologies that are kept."""
 SUMMARIES_MAX = 1_000
+"""Summaries that are kept."""
 
 
 class Past:
-    """From any thread; a question waits for the one before it."""
+    """Older versions of a site. Thread-safe; queries to the daemon are made one after the other."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
@@ -28,7 +27,7 @@ class Past:
         self._summaries: OrderedDict[tuple[str, int], Summary] = OrderedDict()
 
     def summaries(self, newest: Topology) -> list[Summary]:
-        """Those known of the newest version's epoch, oldest first."""
+        """Return the known summaries of the newest version's epoch, oldest first."""
         self._note(newest)
         with self._mutex:
             return [
@@ -36,7 +35,7 @@ class Past:
             ]
 
     def summary(self, newest: Topology, version: int) -> Summary | None:
-        """One version's; None if it is not kept."""
+        """Return the summary of a version; None if the daemon does not keep it."""
         with self._mutex:
             known = self._summaries.get((newest.epoch, version))
         if known is not None:
@@ -45,9 +44,11 @@ class Past:
         return None if found is None else summary(found)
 
     def version(self, newest: Topology, version: int) -> Topology | None:
-        """An older version of the epoch of ``newest``; None if it is not kept."""
+        """Return an older version of the epoch of ``newest``; None if it is not available."""
         if version == newest.version:
             return newest
+
+        # From the cache, or from the daemon.
         key = (newest.epoch, version)
         with self._asking:
             with self._mutex:
@@ -55,6 +56,8 @@ class Past:
                     self._whole.move_to_end(key)
                     return held
             found = self._ask(key)
+
+        # Keep it.
         if found is not None:
             self._note(found)
             with self._mutex:
@@ -64,6 +67,7 @@ class Past:
         return found
 
     def _ask(self, key: tuple[str, int]) -> Topology | None:
+        """Query the daemon for a version; None if there is no valid answer."""
         try:
             answers = self._bus.ask("topology", {"epoch": key[0], "version": key[1]}, one=True)
         except QueryError:
@@ -75,6 +79,7 @@ class Past:
         return found if found is not None and (found.epoch, found.version) == key else None
 
     def _note(self, topology: Topology) -> None:
+        """Keep the summary of a version."""
         with self._mutex:
             self._summaries[topology.epoch, topology.version] = summary(topology)
             while len(self._summaries) > SUMMARIES_MAX:

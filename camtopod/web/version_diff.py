@@ -1,6 +1,4 @@
-"""Versions side by side: a line on each for the time line, and what changed between any two, in
-words.
-"""
+"""Comparison of versions: a summary of each for the time line, and the changes between any two."""
 
 from __future__ import annotations
 
@@ -13,12 +11,13 @@ from camtopod.records import Alarm, Link, Pair, SelfScore, Topology, Zone
 from camtopod.topology import link_key
 
 SHARE_CHANGE_MIN = 0.05
-"""A link whose share changed by less is the same to a reader."""
+"""Smallest change of a link's share that is reported."""
 TIME_CHANGE_SD = 3.0
+"""Smallest reported change of a median transit time, in standard errors."""
 TIME_CHANGE_SHARE = 0.1
-"""A transit time has changed by this many standard errors and by this share of itself."""
+"""Smallest reported change of a median transit time, as a share of itself."""
 ZONE_MOVED_MIN = 0.05
-"""Of the picture's width or height."""
+"""Smallest reported movement of a zone, as a share of the picture's width or height."""
 KINDS = {"overlapped": "overlapping views", "unseen_path": "an unseen path"}
 
 
@@ -32,26 +31,26 @@ class Summary(Struct, frozen=True):
     cameras: int
     zones: int
     links: int
-    """Between views."""
+    """Links between views."""
     pairs: int
     score: SelfScore | None
     alarms: list[Alarm]
-    """Those of this version."""
+    """Alarms raised by this version."""
 
 
 class Change(Struct, frozen=True):
-    """One difference. ``sign``: "+" is new, "-" is gone, "~" is other than before; ``subject`` is
-    what a page opens.
-    """
+    """One difference."""
 
     sign: str
+    """"+" for new, "-" for gone, "~" for different."""
     kind: str
     subject: list[str]
+    """What the page opens: a camera, a pair, a link or a zone."""
     text: str
 
 
 def summary(topology: Topology) -> Summary:
-    """The time line's entry of a version."""
+    """Return the summary of a version."""
     return Summary(
         topology.epoch,
         topology.version,
@@ -67,8 +66,9 @@ def summary(topology: Topology) -> Summary:
 
 
 def changes(old: Topology, new: Topology) -> list[Change]:
-    """What is new, gone or different in ``new``: cameras, pairs, links between views, then
-    zones.
+    """Return what is new, gone or different in ``new``.
+
+    First cameras, pairs, links between views and zones, then clocks.
     """
     result = [
         *_came_and_went("camera", {c.id: c for c in old.cameras}, {c.id: c for c in new.cameras}),
@@ -85,6 +85,7 @@ def changes(old: Topology, new: Topology) -> list[Change]:
 
 
 def _came_and_went(kind: str, old: Iterable[str], new: Iterable[str]) -> list[Change]:
+    """Return the new and gone items of a kind."""
     before, after = set(old), set(new)
     return [Change("+", kind, [name], "new") for name in sorted(after - before)] + [
         Change("-", kind, [name], "gone") for name in sorted(before - after)
@@ -92,6 +93,7 @@ def _came_and_went(kind: str, old: Iterable[str], new: Iterable[str]) -> list[Ch
 
 
 def _pairs(old: dict[tuple[str, str], Pair], new: dict[tuple[str, str], Pair]) -> list[Change]:
+    """Return the changes of related pairs."""
     result = []
     for cameras in sorted({*old, *new}):
         was, now = old.get(cameras), new.get(cameras)
@@ -107,6 +109,7 @@ def _pairs(old: dict[tuple[str, str], Pair], new: dict[tuple[str, str], Pair]) -
 
 
 def _links(old: Topology, new: Topology) -> list[Change]:
+    """Return the changes of links between views."""
     before = {link_key(link): link for link in old.links if link.relation != "visible"}
     after = {link_key(link): link for link in new.links if link.relation != "visible"}
     result = []
@@ -122,6 +125,7 @@ def _links(old: Topology, new: Topology) -> list[Change]:
 
 
 def _difference(was: Link, now: Link) -> str:
+    """Return the notable changes of a link, in words; "" if there are none."""
     parts = []
     if abs(was.probability - now.probability) >= SHARE_CHANGE_MIN:
         parts.append(f"share {_percent(was.probability)} → {_percent(now.probability)}")
@@ -137,6 +141,7 @@ def _told(link: Link) -> str:
 
 
 def _zones(old: dict[str, Zone], new: dict[str, Zone]) -> list[Change]:
+    """Return the zones that are new, gone or moved."""
     result = _came_and_went("zone", old, new)
     for name in sorted(set(old) & set(new)):
         was, now = old[name], new[name]

@@ -318,7 +318,7 @@ def test_hostile_text_and_odd_names_stay_text(site: Site, shown: Browser) -> Non
     assert "owned" not in shown.run("return document.title")
     shown.go("#/camera/%3Cimg%20src%3Dx%3E")
     shown.wait(
-        lambda: "has not been learned" in shown.text(".panel"), "an unknown camera to be told"
+        lambda: "is not in the newest version" in shown.text(".panel"), "an unknown camera to be told"
     )
     assert shown.run("return document.querySelector('.panel h2').textContent") == "<img src=x>"
     shown.complaints()  # the 404 it answered is in the browser's log
@@ -361,7 +361,7 @@ def test_it_is_live_again_after_the_daemon_is_restarted(site: Site, shown: Brows
     cameras = site.cameras
     site.daemon.stop()
     shown.wait(lambda: "Not live since" in shown.text(".banner"), "the banner")
-    assert "is not reached" in shown.text(".banner")
+    assert "cannot be reached" in shown.text(".banner")
     assert shown.text("#live").startswith("not live")
     assert shown.count(".node") == cameras, "what was known stays"
     site.start()
@@ -380,7 +380,7 @@ def test_it_is_live_again_after_its_own_server_is_restarted(site: Site, browser:
             browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
         with refusing(port) as refused:
             browser.wait(
-                lambda: "does not reach its server" in browser.text(".banner"), "the banner"
+                lambda: "cannot reach its server" in browser.text(".banner"), "the banner"
             )
             wait_for(lambda: "/live" in refused, "the page to try again")
         with site.page(bus, port):
@@ -430,7 +430,7 @@ def test_a_report_of_a_thousand_cameras_needs_no_server(
     assert browser.count(".scene .zone") > 0
     for link, condition in (
         (links[0], lambda: browser.count(".chart .count") > 3),
-        (links[60], lambda: "does not hold it" in browser.text(".panel")),
+        (links[60], lambda: "does not contain it" in browser.text(".panel")),
     ):
         browser.go(
             "#/link/"

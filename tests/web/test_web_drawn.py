@@ -249,7 +249,7 @@ def test_a_version_that_is_no_number_is_as_if_none_were_named(browser: Browser) 
         for place in (f"#/versions/1/{'9' * 5000}", "#/versions/0.5/2"):
             opened(browser, shown, place)
             browser.wait(
-                lambda: "Nothing that shows" in browser.text(".columns"), "the two newest compared"
+                lambda: "No notable change" in browser.text(".columns"), "the two newest compared"
             )
 
 

@@ -59,7 +59,7 @@ def test_a_link_tells_its_background_and_why_it_is_believed() -> None:
     said = " ".join(story["why"])
     assert f"Of {departures:,} objects that left at {LINK.from_}" in said
     assert f"{SHARE:.0%}".replace("%", " %") in said
-    assert "less than one in a million would be there by mere chance" in said
+    assert "less than one in a million would be spurious" in said
     assert "Var(d) = 0.02" in said
     assert "not published" not in said
 
@@ -71,8 +71,8 @@ def test_the_words_follow_the_figures() -> None:
     assert "in one view" in why(seen, False, None, None)[0]
     unsure = msgspec.structs.replace(LINK, q_value=0.04, mahalanobis_variance=0.5)
     said = " ".join(why(unsure, True, None, None))
-    assert "about one in 25 would be there by mere chance" in said
-    assert "50 % of what chance would give" in said
+    assert "about one in 25 would be spurious" in said
+    assert "50 % of that of unrelated events" in said
     assert (
         "It is not published: not all rules for that are met yet (among them q ≤ 0.01 and 3.0 %"
         in said
@@ -139,12 +139,12 @@ def test_a_pair_has_the_links_of_both_ways() -> None:
 
 def test_a_pair_says_what_its_two_tests_say() -> None:
     both = Pair(("a", "b"), "overlapped", "overlapped", "overlapped")
-    assert "both say so" in why_pair(both)[1]
+    assert "Both tests agree" in why_pair(both)[1]
     differ = msgspec.structs.replace(both, by_sum_rule="unseen_path", reason="few were counted")
     assert "no camera sees" in why_pair(differ)[2]
     assert "few were counted" in why_pair(differ)[-1]
     assert "could not be tested" in why_pair(msgspec.structs.replace(both, by_sum_rule=None))[2]
-    assert "not enough" in why_pair(None)[0]
+    assert "not sufficient" in why_pair(None)[0]
 
 
 # --- versions

@@ -62,7 +62,7 @@ def test_a_camera_that_is_learned_while_its_page_is_open_is_shown(browser: Brows
     with shown.serving():
         opened(browser, shown, f"#/camera/{FIRST}")
         browser.wait(
-            lambda: "has not been learned yet" in browser.text(".panel"), "that it is not known"
+            lambda: "is not in the newest version" in browser.text(".panel"), "that it is not known"
         )
         shown.publish(newer(2))
         browser.wait(lambda: browser.count(".panel .zone") > 0, "its zones")
@@ -176,7 +176,7 @@ def test_when_a_camera_was_heard_is_as_of_now(browser: Browser) -> None:
         shown.status(**{FIRST: {"events": 2, "newest": time.time() - 1200}})
         browser.go(f"#/camera/{FIRST}")
         browser.wait(
-            lambda: "heard 20 min ago" in browser.text(".panel .status"),
+            lambda: "last event 20 min ago" in browser.text(".panel .status"),
             "what the daemon knows now",
         )
         browser.wait(lambda: bool(shown.bus.subscribed.get(f"event/{FIRST}")), "the page to watch")
@@ -190,7 +190,7 @@ def seconds_ago(browser: Browser) -> int | None:
     """How long ago a camera's page says that it was heard; None if that is minutes or it says
     nothing.
     """
-    found = re.search(r"heard (?:now|(\d+) s ago)", browser.text(".panel .status"))
+    found = re.search(r"last event (?:now|(\d+) s ago)", browser.text(".panel .status"))
     return None if found is None else int(found[1] or 0)
 
 
@@ -199,8 +199,8 @@ def test_what_a_server_away_could_not_say_is_fetched_once_it_is_back(browser: Br
     with shown.serving() as port:
         opened(browser, shown)
     for place, away, back in (
-        (f"#/camera/{FIRST}", "The server is not reached", ".panel .zone"),
-        ("#/versions", "The server is not reached", ".page tbody tr"),
+        (f"#/camera/{FIRST}", "The server cannot be reached", ".panel .zone"),
+        ("#/versions", "The server cannot be reached", ".page tbody tr"),
     ):
         browser.go(place)
         browser.wait(lambda away=away: away in browser.text("main"), "that it is away")  # type: ignore[misc]

@@ -52,7 +52,7 @@ def test_a_pair_is_an_edge_with_both_ways() -> None:
         (SETTLED, 30.0, ""),
         (SETTLED, 29.0, "new"),
         (None, 500.0, "not published"),
-        (replace(SETTLED, by_sum_rule="unseen_path", reason="few"), 500.0, "differ (few)"),
+        (replace(SETTLED, by_sum_rule="unseen_path", reason="few"), 500.0, "disagree (few)"),
         (replace(SETTLED, by_sum_rule=None), 500.0, ""),
     ],
 )
@@ -66,7 +66,7 @@ def test_weak_evidence_is_told_by_its_own_figure() -> None:
     link = made_link("a/1", "b/1", 10.0, 50.0)
     assert (
         doubt(None, 50.0, replace(link, q_value=0.03))
-        == "not published: it may be chance (q = 0.03)"
+        == "not published: it may be spurious (q = 0.03)"
     )
     assert "not all rules for publishing" in doubt(None, 50.0, replace(link, q_value=1e-6))
 

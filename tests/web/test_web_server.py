@@ -352,7 +352,7 @@ def test_what_clients_do_wrong_is_said_once_a_minute(monkeypatch: pytest.MonkeyP
         for text in ("a", "b") if second == 0 else ("a",):
             record = logging.LogRecord("x", logging.WARNING, "", 0, text, (), None)
             said += [(second, record.getMessage())] if seldom.filter(record) else []
-    more = "(59 more since this was said last)"
+    more = "(59 more since the last such message)"
     assert said == [(0, "a"), (0, "b"), (60, f"a {more}"), (120, f"a {more}")]
 
 

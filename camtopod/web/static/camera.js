@@ -21,7 +21,7 @@ export async function cameraPanel(app, id) {
   const learned = h("dd", {});
   const tellAges = () => {
     const newest = app.rows.get(id)?.newest;
-    since.textContent = newest ? `heard ${ago(app.now() - newest)}` : "";
+    since.textContent = newest ? `last event ${ago(app.now() - newest)}` : "";
     const last = story.last_event;
     learned.textContent = !last ? "–" : app.source.live ? ago(app.now() - last) : clock(last);
   };
@@ -35,7 +35,7 @@ export async function cameraPanel(app, id) {
     fact(
       "Clock",
       clockText(story),
-      "How far this camera's clock is ahead of the others', as found from people walking both ways",
+      "Offset of this camera's clock from the others', estimated from people walking both ways",
     ),
   );
   const between = story.links.filter((one) => one.relation !== "visible" && camera(one.from) !== camera(one.to));
@@ -53,8 +53,8 @@ export async function cameraPanel(app, id) {
       h(
         "p",
         { class: "legend" },
-        key("entry", "comes in"),
-        key("exit", "leaves"),
+        key("entry", "entry"),
+        key("exit", "exit"),
         h("span", {}, h("i", { class: "swatch zone" }), "learned zone"),
         app.source.live ? scene.pulse : null,
       ),
@@ -62,9 +62,9 @@ export async function cameraPanel(app, id) {
       h("h3", {}, "Zones"),
       zoneTable(story),
       h("h3", {}, "Where people go from here"),
-      linkList(out, (one) => one.to, "Nothing is known to follow this camera."),
+      linkList(out, (one) => one.to, "No link leads from this camera."),
       h("h3", {}, "Where they come from"),
-      linkList(into, (one) => one.from, "Nothing is known to come before this camera."),
+      linkList(into, (one) => one.from, "No link leads to this camera."),
       story.alarms.length ? [h("h3", {}, "Alarms"), alarmList(story.alarms)] : null,
     ],
     onEvent: (event) => event.camera === id && scene.add(event),
@@ -141,7 +141,7 @@ function zoneTable(story) {
       h(
         "tr",
         {},
-        ["Zone", "In", "Out", "Unexplained in"].map((name, k) =>
+        ["Zone", "In", "Out", "From outside"].map((name, k) =>
           h("th", { scope: "col", class: k ? "number" : null }, name),
         ),
       ),
@@ -158,7 +158,7 @@ function zoneTable(story) {
           h("td", { class: "number" }, count(zone.exits)),
           h(
             "td",
-            { class: "number", title: "Arrivals that no departure elsewhere explains: people who come from outside" },
+            { class: "number", title: "Arrivals that no departure elsewhere explains, per hour" },
             zone.arrival_rate === null ? "–" : `${count(3600 * zone.arrival_rate)} / h`,
           ),
         ),
@@ -206,7 +206,7 @@ class Scene {
 
   // An entry or exit that has just been seen.
   add(event) {
-    this.pulse.textContent = `${event.kind === "entry" ? "someone came in" : "someone left"}, ${clock(event.t)}`;
+    this.pulse.textContent = `${event.kind === "entry" ? "entry" : "exit"}, ${clock(event.t)}`;
     if (event.x === undefined || event.x === null) return;
     this.#mark(event.kind, event.x, event.y);
   }
@@ -218,7 +218,7 @@ class Scene {
     const now = prediction.now[0];
     if (now) this.pulse.textContent = `left at ${where}, now in view of ${now.camera} (${percent(now.probability)})`;
     else if (!next || next.probability < prediction.leave)
-      this.pulse.textContent = `left at ${where}, probably for good (${percent(prediction.leave)})`;
+      this.pulse.textContent = `left at ${where}, probably leaves the site (${percent(prediction.leave)})`;
     else {
       const when = span(next.q10, next.q90);
       this.pulse.textContent = `left at ${where}, next at ${next.zone} (${percent(next.probability)}) in ${when}`;
@@ -265,7 +265,7 @@ class Scene {
       this.element,
       svg,
       placed.length < this.story.zones.length
-        ? h("figcaption", {}, "This camera's events have no positions: it is one zone.")
+        ? h("figcaption", {}, "This camera's events have no positions, so it has a single zone.")
         : null,
     );
   }
@@ -373,8 +373,8 @@ function arrowHead(width) {
 }
 
 function clockText(story) {
-  if (story.clock_offset_sd === null || story.clock_offset_sd === undefined) return "not known";
-  if (Math.abs(story.clock_offset) < 2 * story.clock_offset_sd) return `right, ± ${seconds(story.clock_offset_sd)}`;
+  if (story.clock_offset_sd === null || story.clock_offset_sd === undefined) return "unknown";
+  if (Math.abs(story.clock_offset) < 2 * story.clock_offset_sd) return `correct, ± ${seconds(story.clock_offset_sd)}`;
   return `${seconds(Math.abs(story.clock_offset))} ${story.clock_offset > 0 ? "ahead" : "behind"}`;
 }
 

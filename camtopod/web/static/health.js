@@ -98,7 +98,7 @@ export class Health {
             .join(", ") || null,
         ),
         fact("Predictions", count(daemon.predictions)),
-        dropped ? fact("Not shown here", count(dropped), "Messages that this page's server had no room for") : null,
+        dropped ? fact("Not shown here", count(dropped), "Messages dropped because this page's server was overloaded") : null,
       ),
     );
     const wanted = cameras.filter((row) => `${row.id} ${row.state} ${row.reason}`.toLowerCase().includes(this.#text));
@@ -118,7 +118,7 @@ export class Health {
           h(
             "tr",
             {},
-            ["Camera", "State", "Events", "Last heard", "Reason"].map((name, k) =>
+            ["Camera", "State", "Events", "Last event", "Reason"].map((name, k) =>
               h("th", { scope: "col", class: ["", "", "apart number", "number", "apart"][k] }, name),
             ),
           ),

@@ -40,7 +40,7 @@ export async function pairPanel(app, a, b) {
         [other, one],
       ].map(([from, to]) => [
         h("h3", {}, `${from} → ${to}`),
-        linkList(towards(to), (each) => each.to, "No link is published this way."),
+        linkList(towards(to), (each) => each.to, "No link is published in this direction."),
       ]),
       story.weak.length
         ? [
@@ -67,11 +67,11 @@ export async function linkPanel(app, from, to, relation) {
         "p",
         { class: "lead" },
         h("b", {}, percent(story.probability)),
-        ` of those who ${inOneView ? "come in" : "leave"} at ${story.from}, in `,
+        ` of the objects that ${inOneView ? "enter" : "leave"} at ${story.from}, in `,
         h("b", {}, seconds(t.q50)),
       ),
       chart(story),
-      h("h3", {}, story.weak ? "What speaks for it" : "Why it is believed"),
+      h("h3", {}, story.weak ? "Evidence so far" : "Evidence"),
       h(
         "ul",
         { class: "why" },
@@ -84,10 +84,10 @@ export async function linkPanel(app, from, to, relation) {
         fact(
           "Transitions",
           count(story.transitions),
-          "Expected number of objects that took it, in the window it was learned from",
+          "Expected number in the window that was learned from",
         ),
         inOneView ? null : fact("Departures", count(story.departures)),
-        fact("Most popular time", seconds(t.mode), "The mode: the thesis's weight of the edge"),
+        fact("Most frequent time", seconds(t.mode), "The mode, which the thesis takes as the weight of the edge"),
         fact("Median", t.q50_sd ? `${seconds(t.q50)} ± ${seconds(t.q50_sd)}` : seconds(t.q50)),
         fact("Mean, sd", `${seconds(t.mean)}, ${seconds(t.sd)}`),
         fact("Middle 80 %", span(t.q10, t.q90)),
@@ -98,7 +98,7 @@ export async function linkPanel(app, from, to, relation) {
               fact(
                 "Var(d)",
                 scientific(story.mahalanobis_variance),
-                "The thesis's Mahalanobis test: linked up to 1. It was made with the samples drawn when this version was learned; those below the chart are drawn anew from the fitted curve",
+                "The thesis's Mahalanobis test: zones are linked up to 1. It used samples drawn when this version was learned; those below the chart are drawn anew from the fitted curve",
               ),
             ],
         inOneView
@@ -106,7 +106,7 @@ export async function linkPanel(app, from, to, relation) {
           : fact(
               "Background",
               story.background === null ? "–" : `${scientific(story.background)} / s`,
-              "Unrelated arrivals that follow all departures together, per second of lag",
+              "Unrelated arrivals after all departures together, per second of lag",
             ),
       ),
       new Set(story.cameras).size === 2
@@ -128,12 +128,12 @@ async function onlyRelation(app, from, to) {
   if (found.length === 1) return found[0].relation;
   const which = found.map((each) => each.relation).join(", ");
   throw new NotThere(
-    found.length ? `There are several from ${from} to ${to}: ${which}.` : `No link leads from ${from} to ${to ?? "?"}.`,
+    found.length ? `There are several links from ${from} to ${to}: ${which}.` : `No link leads from ${from} to ${to ?? "?"}.`,
   );
 }
 
 function chart(story) {
-  if (!story.chart) return h("p", { class: "quiet" }, `No histogram is kept of ${story.weak ? "weak evidence" : "it here"}.`);
+  if (!story.chart) return h("p", { class: "quiet" }, `No histogram is kept of ${story.weak ? "weak evidence" : "this link"}.`);
   const t = story.transit;
   const { counts, curve, samples } = story.chart;
   const edge = (k) => story.chart.delay + story.chart.scale * Math.sinh(story.chart.step * (story.chart.first + k));
@@ -159,7 +159,7 @@ function chart(story) {
       {
         viewBox: `0 0 ${WIDTH} ${HEIGHT}`,
         role: "img",
-        "aria-label": `Transit times: most popular ${seconds(t.mode)}, four in five between ${span(t.q10, t.q90)}`,
+        "aria-label": `Transit times: most frequent ${seconds(t.mode)}, four in five between ${span(t.q10, t.q90)}`,
       },
       s("rect", {
         class: "band",

@@ -188,7 +188,7 @@ class App {
       if (!(error instanceof NotThere || error instanceof Away)) throw error;
       if (again) return;
       shown = {
-        kind: "Not there",
+        kind: "Not found",
         failed: true,
         title: rest[0] ?? name,
         chosen: [],
@@ -269,10 +269,10 @@ class App {
     this.banner.hidden = since === null;
     document.body.classList.toggle("stale", since !== null);
     if (since === null) return;
-    const lost = this.#refused || "this page does not reach its server";
+    const lost = this.#refused || "this page cannot reach its server";
     const reason = this.#lost !== null ? lost : this.#daemon.reason;
-    const what = this.map ? `Map, predictions and health stand still at ${version}.` : "Nothing is known yet.";
-    const text = `Not live since ${clock(since)}: ${reason}. ${what} It goes on by itself. `;
+    const what = this.map ? `Map, predictions and health remain at ${version}.` : "Nothing has been received yet.";
+    const text = `Not live since ${clock(since)}: ${reason}. ${what} It reconnects automatically. `;
     say(this.#told, text);
     this.#age.textContent = `(${ago(this.now() - since)})`;
   }

@@ -58,7 +58,7 @@ export class Overlays {
         h("li", {}, h("i", { class: "stroke wide" }), "wider: more traffic"),
         app.source.live ? h("li", {}, h("i", { class: "swatch dot" }), "predicted, under way") : null,
         app.source.live ? h("li", {}, h("i", { class: "swatch ill" }), "needs attention") : null,
-        h("li", { class: "quiet" }, "numbers: most popular transit time, with arrows where the two ways differ"),
+        h("li", { class: "quiet" }, "numbers: most frequent transit time, with arrows where the directions differ"),
       ),
     );
     const zoom = h(
@@ -116,7 +116,7 @@ export class Overlays {
             h("span", { class: "quiet" }, clock(alarm.t)),
           ),
         ),
-      h("li", {}, h("a", { href: link("versions") }, "All, with the versions that found them")),
+      h("li", {}, h("a", { href: link("versions") }, "All, with the versions that raised them")),
     );
   }
 
@@ -140,7 +140,7 @@ export class Overlays {
                 h("b", {}, next.camera),
                 h("span", { class: "quiet" }, ` ${percent(next.probability)}, ${span(next.q10, next.q90)}`),
               ]
-            : h("span", { class: "quiet" }, `leaves, ${percent(one.leave)}`),
+            : h("span", { class: "quiet" }, `leaves the site, ${percent(one.leave)}`),
         );
       }),
     );
@@ -160,7 +160,7 @@ export class Overlays {
         .slice(0, HITS_SHOWN)
         .map((id) => h("li", {}, h("a", { href: link("camera", id), on: { click: () => this.#chose(id) } }, id))),
       found.length > HITS_SHOWN ? h("li", { class: "quiet" }, `and ${count(found.length - HITS_SHOWN)} more`) : null,
-      found.length ? null : h("li", { class: "quiet" }, "No camera of that name"),
+      found.length ? null : h("li", { class: "quiet" }, "No matching camera"),
     );
   }
 

@@ -76,7 +76,7 @@ class Report {
   }
 
   #found(value) {
-    if (value === undefined) throw new NotThere("This report does not hold it.");
+    if (value === undefined) throw new NotThere("This report does not contain it.");
     return value;
   }
 }
@@ -89,7 +89,7 @@ async function get(path) {
     content = await answer.json();
   } catch (error) {
     // SyntaxError: a proxy's page instead of an answer
-    if (error instanceof TypeError || error instanceof SyntaxError) throw new Away("The server is not reached.");
+    if (error instanceof TypeError || error instanceof SyntaxError) throw new Away("The server cannot be reached.");
     throw error;
   }
   if (answer.status === 404) throw new NotThere(content.error);

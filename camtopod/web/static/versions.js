@@ -15,7 +15,7 @@ const NARROW = matchMedia("(max-width: 720px)");
 const HEIGHT = 200;
 const HEIGHT_BARE = 56; // of a time line without a curve
 const WITHOUT_CURVE =
-  "Each mark is a version. The daemon marks its predictions by what later versions know; a curve needs two scored versions.";
+  "Each mark is a version. Predictions are scored with the help of later versions; a curve needs two scored versions.";
 const EDGE = { left: 44, right: 14, top: 16, bottom: 26 };
 
 export class Versions {
@@ -123,21 +123,21 @@ export class Versions {
         fact("Related pairs", count(newest.pairs)),
         score
           ? fact(
-              "Next camera right",
+              "Next camera correct",
               `${percent(score.top1)} (usual: ${percent(score.baseline_top1)})`,
-              "How often its first guess was right, marked by what later versions know; beside always naming the most frequent next camera",
+              "Share of predictions whose most likely camera was correct, judged with the help of later versions. Usual: always naming the most frequent next camera",
             )
           : null,
         score
           ? fact(
               "Log loss",
               `${score.log_loss.toFixed(2)} (usual: ${score.baseline_log_loss.toFixed(2)})`,
-              "Mean of −ln(probability of what happened); less is better",
+              "Mean of −ln(probability of the outcome); lower is better",
             )
           : null,
       ),
     );
-    fill(this.chart, h("h2", {}, "Time line and its own score"), timeLine(all));
+    fill(this.chart, h("h2", {}, "Versions and score"), timeLine(all));
     fill(
       this.list,
       this.#table(all),
@@ -249,7 +249,7 @@ function numbered(text) {
 
 function changeList(changes) {
   if (!changes.length)
-    return h("p", { class: "quiet" }, "Nothing that shows: figures moved by less than their own uncertainty.");
+    return h("p", { class: "quiet" }, "No notable change: figures differ by less than their uncertainty.");
   return [
     h(
       "p",
@@ -311,8 +311,8 @@ function timeLine(all) {
   const middle = all.reduce((best, one) => (off(one) < off(best) ? one : best));
   const named = [all[0], ...(off(middle) < range / 4 ? [middle] : []), all.at(-1)]; // as far apart as their texts
   const label = curved
-    ? `First guess right in ${percent(scored.at(-1).score.top1)} of the newest predictions scored`
-    : `${plural(all.length, "version")} along the time`;
+    ? `Most likely camera correct in ${percent(scored.at(-1).score.top1)} of the newest predictions scored`
+    : `${plural(all.length, "version")} by time`;
   return h(
     "figure",
     { class: "chart" },
@@ -353,9 +353,9 @@ function curves() {
     "div",
     { class: "legend" },
     [
-      ["curve", "first guess right"],
-      ["third", "among the first three"],
-      ["usual", "always naming the usual next camera"],
+      ["curve", "most likely camera correct"],
+      ["third", "among the three most likely"],
+      ["usual", "always naming the most frequent next camera"],
     ].map(([kind, text]) => h("span", {}, h("i", { class: `swatch ${kind}` }), text)),
   );
 }
