@@ -1,10 +1,9 @@
-"""The private authority of a site: one key signs the certificates of its daemon, cameras and
-readers.
+"""The private authority of a site: its key signs the certificates of daemon, cameras and readers.
 
-A folder holds everything: ``authority/`` (whose key never leaves it), and for each certificate a
-folder that is copied to where it is used. Who was given what stands in ``authority/issued.json``.
-zenoh knows no revocation lists, so a name is never given out twice: a replaced certificate has a
-new name, and the old one no rights.
+One folder holds everything: ``authority/``, whose key never leaves it, and for each certificate a
+folder to be copied to where it is used. ``authority/issued.json`` is the ledger of all
+certificates. zenoh has no revocation lists, so a name is never issued twice: a replacement gets a
+new name, and the old name loses its rights.
 """
 
 from __future__ import annotations
@@ -28,24 +27,30 @@ from camtopod.keys.rules import Access, Certificate, Role
 from camtopod.records import CAMERA_PATTERN
 
 CA = "ca.pem"
+"""File name of the authority's certificate."""
 CERTIFICATE = "certificate.pem"
+"""File name of a certificate."""
 PRIVATE_KEY = "private.key"
+"""File name of a certificate's key."""
 ACCESS = "access.json"
+"""File name of the access list."""
 DAEMON = "daemon"
+"""Name of the daemon in the ledger, and of its folder."""
 LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")
-"""The daemon's certificate is good for these, too."""
+"""Host names for which the daemon's certificate is always valid, too."""
 _BACKDATE = datetime.timedelta(days=1)
-"""Certificates begin this much earlier: the clock of a box may be behind."""
+"""Certificates begin this much before now, as the clock of a box may be slow."""
 _COMMON_NAME_MAX = 64
+"""Longest common name of a certificate, in characters."""
 _HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(\.[A-Za-z0-9-]{1,63})*\Z")
 
 
 class KeysError(Exception):
-    """The authority cannot do that; ``str()`` says why and what to do."""
+    """The authority cannot do what was asked; ``str()`` says why and what to do."""
 
 
 class Issued(Struct, frozen=True):
-    """A line of the ledger: a certificate that was given out, and whether it still counts."""
+    """An entry of the ledger: a certificate that was issued, and whether it is still valid."""
 
     certificate: Certificate
     of: str
@@ -54,14 +59,19 @@ class Issued(Struct, frozen=True):
 
 
 class Ledger(Struct, frozen=True):
-    """``authority/issued.json``."""
+    """Contents of ``authority/issued.json``."""
 
     site: str
     issued: list[Issued]
 
 
 class Authority:
-    """The authority in a folder. ``now``: seconds since 1970. Raises `KeysError`, `OSError`."""
+    """The authority in a folder.
+
+    Its methods raise `KeysError` and `OSError`.
+
+    now: seconds since 1970.
+    """
 
     def __init__(self, folder: Path, now: float) -> None:
         self.folder, self._now = folder, now
@@ -80,24 +90,30 @@ class Authority:
 
     @classmethod
     def make(cls, folder: Path, site: str, now: float, days: int, replace: bool) -> Authority:
-        """A new authority. One that is there already stays unless ``replace``, and is then worth
-        nothing.
+        """Make a new authority; refuse to replace an existing one unless ``replace``.
+
+        If it is replaced, its certificates become worthless.
         """
+        # Refuse a folder that is in use.
         secret = folder / "authority"
         if not secret.exists() and any(path.is_file() for path in folder.rglob("*")):
             raise KeysError(
-                f"{folder} holds other files; name an empty folder, or none yet, with --keys"
+                f"{folder} holds other files; name an empty or a new folder with --keys"
             )
         if (secret / "ca.key").exists() and not replace:
             raise KeysError(
-                f"{secret} holds an authority already; --replace makes a new one, and then every certificate "
-                f"of the old one has to be made and copied again"
+                f"{secret} holds an authority already; --replace makes a new one, and then every"
+                f" certificate of the old one has to be made and copied again"
             )
+
+        # Start with empty folders.
         for old in ("camera", "reader", "daemon"):
             shutil.rmtree(folder / old, ignore_errors=True)
         folder.parent.mkdir(parents=True, exist_ok=True)
         for private in (folder, secret, folder / "camera", folder / "reader"):
             _make_folder(private)
+
+        # Make the key, and a certificate that it signs itself.
         key = ec.generate_private_key(ec.SECP256R1())
         name = x509.Name(
             [
@@ -113,6 +129,8 @@ class Authority:
         builder = builder.add_extension(
             x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False
         )
+
+        # Write the key, the certificate and an empty ledger.
         secret_files.write(secret / "ca.key", _pem(key))
         secret_files.write(
             secret / CA, builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
@@ -122,24 +140,24 @@ class Authority:
 
     @property
     def site(self) -> str:
-        """Whose authority this is."""
+        """The site of this authority."""
         return self._ledger.site
 
     @property
     def issued(self) -> list[Issued]:
-        """Everything ever given out, oldest first."""
+        """All certificates ever issued, oldest first."""
         return list(self._ledger.issued)
 
     @property
     def access(self) -> Access:
-        """The certificates that count."""
+        """The access list: all valid certificates."""
         return Access(
             self.site, [issued.certificate for issued in self._ledger.issued if issued.valid]
         )
 
     @property
     def hosts(self) -> list[str]:
-        """The names and addresses for which the daemon's certificate is good."""
+        """Host names and addresses for which the daemon's certificate is valid."""
         try:
             raw = (self.folder / DAEMON / CERTIFICATE).read_bytes()
         except FileNotFoundError:
@@ -159,19 +177,26 @@ class Authority:
         hosts: Sequence[str] = (),
         cameras: Sequence[str] = (),
     ) -> Path:
-        """A key and a certificate; returns their folder. ``replace`` withdraws the one that is
-        there.
+        """Make a key and a certificate; return their folder.
 
-        ``hosts``: of the daemon; ``cameras``: for whom a program called ``name`` speaks, not being
-        a camera itself. None given: those of the certificate that is replaced.
+        replace: withdraw the present certificate.
+        hosts: host names and addresses of the daemon.
+        cameras: cameras that the program called ``name`` publishes, if it is not a camera itself.
+
+        Without hosts or cameras, those of the replaced certificate are used.
         """
+        # Check the arguments.
         common_name = self.next_name(role, name, days, replace)
         check_hosts(hosts)
         check_cameras(cameras)
+
+        # Sign and write the certificate.
         folder = self._folder(role, name)
         expires = self._sign(
             folder, common_name, days, (hosts or self.hosts) if role == "daemon" else None
         )
+
+        # Replace the old certificate in the ledger.
         before = [
             one.certificate for one in self.issued if (one.certificate.role, one.of) == (role, name)
         ]
@@ -183,37 +208,46 @@ class Authority:
         return folder
 
     def next_name(self, role: Role, name: str, days: int, replace: bool) -> str:
-        """What would stand in the certificate that `issue` makes; raises what it would raise."""
+        """Return the common name that `issue` would use; raise what it would raise."""
         check_name(role, name)
+
+        # There may be one valid certificate a name.
         old = [
             issued for issued in self.issued if (issued.certificate.role, issued.of) == (role, name)
         ]
         if any(issued.valid for issued in old) and not replace:
             until = day(next(issued.certificate.expires for issued in old if issued.valid))
             raise KeysError(
-                f"{role} {name} has a certificate (until {until}); --replace makes a new one and withdraws it"
+                f"{role} {name} has a certificate (until {until}); --replace makes a new one and"
+                f" withdraws it"
             )
+
+        # A replacement gets a new common name.
         common_name = name if role != "reader" else f"reader:{name}"
         if old:
             common_name += f"~{len(old) + 1}"
         if len(common_name) > _COMMON_NAME_MAX:
             raise KeysError(
-                f"{name!r} is too long for a certificate: {common_name!r} has over {_COMMON_NAME_MAX} characters"
+                f"{name!r} is too long for a certificate: {common_name!r} has over"
+                f" {_COMMON_NAME_MAX} characters"
             )
+
+        # The certificate must end before that of the authority.
         ends = self._certificate().not_valid_after_utc
         if self._now + 86400.0 * days > ends.timestamp():
             raise KeysError(f"the authority itself ends on {ends:%Y-%m-%d}: give fewer --days")
         return common_name
 
     def revoke(self, role: Role, name: str) -> None:
-        """What ``name`` was given counts no longer, as soon as the daemon has the new access
-        list.
+        """Withdraw the certificate of ``name``.
+
+        It takes effect when the daemon has the new access list.
         """
         self.must_have(role, name)
         self._withdraw(role, name)
 
     def must_have(self, role: Role, name: str) -> None:
-        """Raises `KeysError` if there is nothing to `revoke`."""
+        """Raise `KeysError` if ``name`` has no certificate to `revoke`."""
         if not any(
             issued.valid and (issued.certificate.role, issued.of) == (role, name)
             for issued in self.issued
@@ -237,14 +271,18 @@ class Authority:
     def _sign(
         self, folder: Path, common_name: str, days: int, server_hosts: Sequence[str] | None
     ) -> float:
-        """Write key, certificate and the authority's certificate into ``folder``; returns when it
-        expires.
+        """Write a key, its certificate and the authority's into ``folder``; return when it expires.
+
+        The expiry is in seconds since 1970. ``server_hosts``: hosts of a server; None for a client.
         """
+        # Load the authority's key and make a new one.
         secret = (self.folder / "authority" / "ca.key").read_bytes()
         loaded = serialization.load_pem_private_key(secret, password=None)
         ca = self._certificate()
         assert isinstance(loaded, ec.EllipticCurvePrivateKey)
         key = ec.generate_private_key(ec.SECP256R1())
+
+        # Describe what the certificate may be used for, and by which hosts.
         builder = _builder(_common_name(common_name), ca.subject, key.public_key(), self._now, days)
         uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
         if server_hosts is not None:
@@ -261,6 +299,8 @@ class Authority:
         signer = x509.AuthorityKeyIdentifier.from_issuer_public_key(loaded.public_key())
         builder = builder.add_extension(signer, critical=False)
         builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
+
+        # Sign it and write the files.
         made = builder.sign(loaded, hashes.SHA256())
         _make_folder(folder)
         secret_files.write(folder / PRIVATE_KEY, _pem(key))
@@ -278,17 +318,17 @@ class Authority:
 
 
 def check_name(role: Role, name: str) -> None:
-    """Raises `KeysError` for a name that the bus cannot have."""
+    """Raise `KeysError` for a name that is not possible on the bus."""
     if not re.match(CAMERA_PATTERN, name):
         raise KeysError(
             f"{name!r} cannot be a {role}'s name: 1 to 64 of the characters A-Z a-z 0-9 _ . -"
         )
     if (role == "camera" and name == DAEMON) or name in (".", ".."):
-        raise KeysError(f"{name!r} is taken; call the {role} otherwise")
+        raise KeysError(f"{name!r} is reserved; give the {role} another name")
 
 
 def check_cameras(cameras: Sequence[str]) -> None:
-    """Raises `KeysError` for what no certificate can speak for."""
+    """Raise `KeysError` for a list of cameras that no certificate can have."""
     for camera in cameras:
         check_name("camera", camera)
     if len(set(cameras)) < len(cameras):
@@ -296,19 +336,19 @@ def check_cameras(cameras: Sequence[str]) -> None:
 
 
 def check_hosts(hosts: Sequence[str]) -> None:
-    """Raises `KeysError` for what no certificate can be good for."""
+    """Raise `KeysError` for a host that no certificate can have."""
     for host in hosts:
         if not _HOST.match(host) and _address(host) is None:
-            raise KeysError(f"{host!r} is neither a host's name nor an address")
+            raise KeysError(f"{host!r} is neither a host name nor an address")
 
 
 def day(seconds: float) -> str:
-    """The date of a time, UTC."""
+    """Return the date of a time (seconds since 1970), UTC."""
     return f"{datetime.datetime.fromtimestamp(seconds, datetime.UTC):%Y-%m-%d}"
 
 
 def write_public(path: Path, text: str) -> None:
-    """A file without secrets beside the keys, for its owner alone all the same."""
+    """Write a file without secrets beside the keys; it too is readable by its owner alone."""
     secret_files.write(path, text.encode())
 
 
@@ -359,6 +399,6 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def _make_folder(folder: Path) -> None:
-    """For its owner alone, also if it was there before."""
+    """Make a folder for its owner alone, or make an existing one so."""
     folder.mkdir(mode=0o700, exist_ok=True)
     folder.chmod(0o700)

@@ -1,9 +1,9 @@
-"""The bus's settings as data, for the daemon's own session and for a router of its own alike: one
-source.
+"""Settings of the bus as data, for the daemon's session and for a separate router alike.
 
-Whoever connects shows a certificate of the site's authority; its common name decides what it may
-do. What no rule allows is denied, in both directions: a camera's box says its own events and hears
-its own acks. Pure: names in, zenoh's settings out.
+Each program that connects shows a certificate of the site's authority, whose common name decides
+what it may do. Everything that no rule allows is denied, in both directions: a camera's box
+publishes its own events and receives its own acknowledgements. The functions are pure: they take
+names and return settings of zenoh.
 """
 
 from __future__ import annotations
@@ -15,28 +15,31 @@ import msgspec
 from msgspec import Struct
 
 PREFIX = "camtopo"
+"""First part of every key on the bus."""
 FORMAT = "camtopod/access/1"
+"""`Access.format` of the access lists that this program reads and writes."""
 STATUS = "status/daemon"
-"""Below the site: how the daemon is, and which version is its newest."""
+"""Key, below the site's, of the daemon's status and newest version number."""
 SOON_SECONDS = 60 * 86400.0
-"""A certificate that expires within this time is warned of."""
+"""A warning is given for certificates that expire within this time."""
 EVENT_BYTES_MAX = 16 * 1024
-"""A larger event is dropped by the bus; one that is too long for an event, but not for this, is
-counted.
+"""Largest event that the bus lets through, in bytes.
+
+Larger ones are dropped; those too long for an event, but not for the bus, are counted as rejects.
 """
 STATUS_BYTES_MAX = 1024 * 1024
+"""Largest status that the bus lets through, in bytes."""
 QUERY_BYTES_MAX = 4 * 1024
-"""What a question may carry beside its parameters."""
+"""Largest payload of a query, beside its parameters, in bytes."""
 SPOOLED_BYTES_MAX = 1536
-"""More than a valid event takes in a spool's answer: ids of 64 and 128 characters of at most 4
-bytes.
+"""More than a valid event takes in a spool's answer, in bytes.
+
+Ids have up to 64 or 128 characters of at most 4 bytes.
 """
 RECEIVED_BYTES_MIN = 1024 * 1024
-"""The meeting point takes messages of this size at least."""
+"""The meeting point accepts at least messages of this size, in bytes."""
 RECONNECT_MILLISECONDS = (250, 1000)
-"""How long a box waits before it dials again, first and at most: a daemon that restarts is soon
-found.
-"""
+"""First and largest wait of a box until it reconnects, so that it soon finds a restarted daemon."""
 
 Role = Literal["daemon", "camera", "reader"]
 Settings = dict[str, Any]
@@ -54,24 +57,22 @@ _EVERYTHING = (
     "liveliness_query",
 )
 READABLE = ("topology", "topology/delta", "prediction/*", "predict/*", "status/*")
-"""What a reader may hear and ask."""
+"""Keys that a reader may subscribe to and query."""
 
 _LIMITS = (
     ("put", "event/*", EVENT_BYTES_MAX),
     ("put", "status/*", STATUS_BYTES_MAX),
     ("query", "**", QUERY_BYTES_MAX),
 )
-"""Kind of message, key, and the most bytes that it may have."""
+"""Kind of message, key, and largest size in bytes."""
 MARKS = {"background": _LIMITS[0], "data_low": _LIMITS[1], "data_high": _LIMITS[2]}
-"""Priority -> the limit that a message with it is over; see `priorities`."""
+"""Priority given to messages that exceed a limit -> that limit; see `priorities`."""
 ANSWERS = "interactive_low"
-"""Priority of what readers ask, and so of the answers."""
+"""Priority of readers' queries, and so of the answers."""
 
 
 class Certificate(Struct, frozen=True, omit_defaults=True):
-    """A certificate given out: its common name, what it is for, and when it ends (seconds since
-    1970).
-    """
+    """A certificate that was issued: its common name, role, and expiry (seconds since 1970)."""
 
     name: str
     role: Role
@@ -79,11 +80,11 @@ class Certificate(Struct, frozen=True, omit_defaults=True):
     camera: str = ""
     """The camera whose events it may publish."""
     cameras: list[str] = []
-    """Instead of one: those of another program that speaks for several."""
+    """Instead of one camera: those of another program that publishes several."""
 
 
 class Access(Struct, frozen=True):
-    """``access.json``: the certificates that may do something. Written by `camtopod keys`."""
+    """Contents of ``access.json``, written by `camtopod keys`: the valid certificates."""
 
     site: str
     certificates: list[Certificate]
@@ -91,12 +92,12 @@ class Access(Struct, frozen=True):
 
 
 def read_access(raw: bytes) -> Access:
-    """The contents of an ``access.json``. Raises `ValueError`."""
+    """Return the contents of an ``access.json``; raise `ValueError`."""
     return msgspec.json.decode(raw, type=Access)
 
 
 def access_control(access: Access) -> Settings:
-    """Default deny, and what each certificate's name allows."""
+    """Return settings that allow each certificate's name its keys and deny everything else."""
     allowed: list[dict[str, Any]] = []
     policies = []
     for certificate in access.certificates:
@@ -119,7 +120,10 @@ def access_control(access: Access) -> Settings:
 
 
 def mutual_tls(ca: str, certificate: str, private_key: str) -> Settings:
-    """Nothing but TLS, both sides show a certificate, and one that ends closes its link."""
+    """Return settings for TLS only, with certificates on both sides.
+
+    A link is closed when its certificate expires.
+    """
     tls: Settings = {
         "root_ca_certificate": ca,
         "listen_certificate": certificate,
@@ -136,8 +140,9 @@ def mutual_tls(ca: str, certificate: str, private_key: str) -> Settings:
 
 
 def sizes(site: str, pull_events_max: int) -> Settings:
-    """What is larger is dropped where it comes in. Topologies go out only, so they are not limited
-    here.
+    """Return settings that drop messages that are too large where they come in.
+
+    Topologies only go out, so they are not limited here.
     """
     limits = [*_LIMITS, ("reply", "spool/*", spool_bytes_max(pull_events_max))]
     return {
@@ -154,18 +159,17 @@ def sizes(site: str, pull_events_max: int) -> Settings:
 
 
 def priorities(site: str) -> Settings:
-    """Priorities that the meeting point gives to some messages, whatever those who send them ask
-    for.
+    """Return settings for the priorities that the meeting point gives to others' messages.
 
-    What will be dropped by `sizes` gets another one for each limit: of that zenoh writes a line to
-    its log that says which, while of a message that is dropped it says neither the key nor the
-    reason. Answers cannot be marked so; one that is too large for a spool is too large for the
-    meeting point to receive. Nor does an attachment count here, as it does there; of events it has
-    some tens of bytes.
+    Messages that `sizes` will drop get one priority for each limit. zenoh logs such a change of
+    priority, which tells the exceeded limit; when it drops a message, it logs neither the key nor
+    the reason. Answers cannot be marked so, but an answer that is too large for a spool is too
+    large for the meeting point to receive. Attachments do not count here, as they do in `sizes`;
+    those of events have some tens of bytes.
 
-    What readers ask, and so the answers, gets a priority, which is a queue on every link, of its
-    own: in that of the publications an answer to a reader that has stopped reading would hold up
-    publications to all others. Nor does more than one of them wait.
+    Queries of readers, and so the answers, get a priority of their own, which has its own queue on
+    every link: in the queue of publications, an answer to a reader that has stopped reading would
+    delay the publications to all others. Of these messages at most one waits.
     """
     marks = [
         {
@@ -187,21 +191,21 @@ def priorities(site: str) -> Settings:
 
 
 def spool_bytes_max(pull_events_max: int) -> int:
-    """The largest answer of a spool, which is the largest message that a meeting point has to take,
-    but for the parts that shards tell.
+    """Return the largest size of a spool's answer, in bytes.
+
+    It is the largest message that the meeting point has to accept, apart from the updates of
+    shards.
     """
     return max(RECEIVED_BYTES_MIN, pull_events_max * SPOOLED_BYTES_MAX)
 
 
 def quiet(mode: str) -> Settings:
-    """Nobody is looked for or answered by multicast or gossip; no shared memory; lost links are
-    soon dialled again.
-    """
+    """Return settings without discovery and shared memory, and with short waits to reconnect."""
     return {
         "mode": mode,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-        "scouting/delay": 0,  # milliseconds: by default half a second is waited for those whom nobody looks for
+        "scouting/delay": 0,  # milliseconds; by default it waits half a second for discovery
         "transport/shared_memory/enabled": False,
         "connect/retry": {
             "period_init_ms": RECONNECT_MILLISECONDS[0],
@@ -213,13 +217,17 @@ def quiet(mode: str) -> Settings:
 def router_json5(
     access: Access, listen: list[str], message_bytes_max: int, pull_events_max: int
 ) -> str:
-    """The configuration of a router of its own, to be started beside the daemon's certificate and
-    key.
+    """Return the configuration file of a separate router.
+
+    It is started in a folder with the daemon's certificate and key.
     """
+    # Collect the settings.
     settings = quiet("router") | {"listen/endpoints": listen}
     settings |= mutual_tls("ca.pem", "certificate.pem", "private.key") | access_control(access)
     settings |= sizes(access.site, pull_events_max) | priorities(access.site)
     settings |= {"transport/link/rx/max_message_size": message_bytes_max}
+
+    # Nest them by the parts of their paths.
     nested: dict[str, Any] = {}
     for path, value in settings.items():
         *folders, name = path.split("/")
@@ -228,14 +236,13 @@ def router_json5(
             place = place.setdefault(folder, {})
         place[name] = value
     return (
-        f"// The bus of site {access.site}: who may do what. By `camtopod keys`; start the router in this folder.\n"
-        + json.dumps(nested, indent=1)
-        + "\n"
+        f"// The bus of site {access.site}: who may do what. By `camtopod keys`;"
+        f" start the router in this folder.\n" + json.dumps(nested, indent=1) + "\n"
     )
 
 
 def expiring(access: Access, now: float) -> list[tuple[Certificate, float]]:
-    """Certificates that have ended or will soon, with the days left (below 0: ended)."""
+    """Return the certificates that expire soon, each with the days left (negative: expired)."""
     left = [(certificate, certificate.expires - now) for certificate in access.certificates]
     return [
         (certificate, seconds / 86400.0) for certificate, seconds in left if seconds < SOON_SECONDS
@@ -243,6 +250,8 @@ def expiring(access: Access, now: float) -> list[tuple[Certificate, float]]:
 
 
 def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:
+    """Return the rules that a certificate's role allows."""
+
     def rule(what: str, flows: list[str], messages: tuple[str, ...], *keys: str) -> dict[str, Any]:
         return {
             "id": f"{certificate.name} {what}",
@@ -274,8 +283,7 @@ def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:
 
     return [
         rule("says", come, ("put",), *of_each("event", "status")),
-        # Whoever asks all cameras for their status reaches this one, too, which answers with its
-        # own.
+        # A query for the status of all cameras reaches this one too, which answers with its own.
         rule("is asked", go, ("query",), *of_each("spool", "status"), "status/*"),
         rule("answers", come, ("declare_queryable", "reply"), *of_each("spool", "status")),
         rule("listens", come, ("declare_subscriber",), *of_each("ack")),

@@ -1,13 +1,19 @@
-"""The daemon: events from the bus into the learner, topology, predictions, acks and status onto the
-bus.
+"""The daemon: events from the bus to the learner; topology, predictions and status to the bus.
 
-Theory of operation. Five threads besides the bus's own. *Listen* puts what it hears in order and
-answers exits over the newest version; *receive* does so with what is left over, pulled or due.
-*Store* owns the journal: it commits what is in order, acknowledges it, and stores each version
-before it is published. *Learn* teaches the learner, which is in a process of its own, what is
-committed, in the journal's order. *Pull* asks the publishers' spools for what is missing. Every
-hand-over is a bounded queue; when one is full, events stay in the spools. A sixth thread, *bus*,
-looks whether the bus lives, where this process is its meeting point.
+Theory of operation. Besides the bus's own there are these threads:
+
+- *listen* puts published events in order, and answers exits with the newest version;
+- *receive* does the same for events that are left over, pulled, or due without a message;
+- *store* owns the journal: it commits ordered events, acknowledges them, and stores each version
+  before it is published;
+- *learn* passes committed events, in the journal's order, to the learner, which runs in its own
+  process;
+- *pull* asks the publishers' spools for missing events;
+- *status* publishes the status;
+- *bus* checks the bus if this process is its meeting point;
+- *follow*, *tell* and *hear* exchange updates with the other shards of a large site.
+
+All queues between them are bounded; when one is full, events stay in the spools.
 """
 
 from __future__ import annotations
@@ -62,17 +68,19 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 STOP_SECONDS = 4.0
-"""How long `stop` waits for the threads; what they had not done is in the journal."""
+"""Time that `stop` waits for the threads; what they have not done by then is in the journal."""
 STATUS_ALARMS = 10
-"""The newest alarms that ``status/daemon`` repeats; the topology lists more."""
+"""Number of newest alarms in ``status/daemon``; the topology lists more."""
 
 
 class Daemon:
-    """Everything `camtopod run` does, also usable inside another process.
+    """The daemon of `camtopod run`; it can also be used inside another process.
 
-    With ``bus`` it works on that session and leaves it open; without, it opens (and closes) its own
-    as the configuration says. ``shard``: (i, n) of a site that several share; none has it to
-    itself. ``start`` returns when it is ready to receive. Raises `BusError` or `StateError`.
+    Raises `BusError` or `StateError`.
+
+    bus: the session to use, which is left open; without it, one is opened as the configuration
+        says, and closed.
+    shard: (i, n) for shard i of n; None for a daemon that serves the site alone.
     """
 
     def __init__(
@@ -91,54 +99,56 @@ class Daemon:
         self._threads: list[threading.Thread] = []
         self._process: LearnerProcess | None = None
         self.started = False
-        """Whether `start` has done its work."""
+        """True when `start` has succeeded."""
         self.progress = Progress()
-        """Of the daemon's loops and, before they run, of the start."""
+        """Progress of the daemon's loops and, before they run, of the start."""
         self.newest: Newest | None = None
         """The newest version, as published."""
 
     @property
     def endpoint(self) -> str:
-        """Where the others reach the bus; valid after `start`."""
+        """Endpoint at which other programs reach the bus; valid after `start`."""
         return self.bus.endpoint
 
     @property
     def bus(self) -> Bus:
-        """The session it works on; valid after `start`."""
+        """The session in use; valid after `start`."""
         assert self._bus is not None, "the daemon has not been started"
         return self._bus
 
     @property
     def topology(self) -> Topology | None:
-        """The newest version, as published; it is read each time."""
+        """The newest version, as published; it is decoded at each access."""
         return None if self.newest is None else self.newest.topology
 
     @property
     def learner_pid(self) -> int:
-        """Of the learner's process; valid after `start`."""
+        """Process id of the learner; valid after `start`."""
         assert self._process is not None, "the daemon has not been started"
         return self._process.pid
 
     @property
     def epoch(self) -> str:
-        """The epoch of the versions to come; valid after `start`."""
+        """Epoch of the next version; valid after `start`."""
         return self._learning.epoch
 
     def start(self, cancel: threading.Event | None = None) -> bool:
-        """Read the journal, join the bus and begin; False if ``cancel`` was set before that was
-        done.
+        """Read the journal, join the bus and start the threads, then return: ready to receive.
+
+        Return False if ``cancel`` was set before that was done.
         """
         cancelled = cancel or self._stopping
         self.progress.watch("start", self._config.health.learn_seconds)
         config, share = self._config, self._share
         directory = config.state_directory / share.folder
         self._journal = Journal(directory, config.keep)
-        with contextlib.ExitStack() as undo:  # a start that fails leaves nothing open
+
+        # Recover the learner, join the bus and build the parts; undo everything on failure.
+        with contextlib.ExitStack() as undo:
             undo.callback(self._undo)
             try:
-                self._process = process = (
-                    LearnerProcess()
-                )  # which loads its libraries while the bus is joined
+                # The process loads its libraries while the bus is joined.
+                self._process = process = LearnerProcess()
                 if self._bus is None:
                     self._bus = (
                         meet(config, isinstance(share, Share)) if share.first else dial(config)
@@ -164,13 +174,14 @@ class Daemon:
                     f"cannot read the journal in {directory}: {error}; it is left as it is"
                 ) from None
             undo.pop_all()
+
+        # Publish the newest version again, and start the threads.
         if self.newest is not None and self._share.first:
             self._bus.put("topology", self.newest.raw, "topology")
         health, limits, stall = config.health, config.limits, config.health.stall_seconds
         self._run("receive", lambda mark: self._receiver.work(self._stopping, mark.beat), stall)
-        self._run(
-            "listen", lambda mark: self._receiver.listen(), float("inf")
-        )  # where it hangs, "receive" does
+        # No limit for "listen": when it stalls, so does "receive".
+        self._run("listen", lambda mark: self._receiver.listen(), float("inf"))
         self._run("store", lambda mark: self._receiver.store(self._stopping, mark.beat), stall)
         self._run(
             "learn",
@@ -202,21 +213,25 @@ class Daemon:
         return True
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Wait until a thread has died of an error (True) or the time is over (False)."""
+        """Wait until a thread has failed (return True) or the time is over (return False)."""
         return self._failed.wait(seconds)
 
     def stop(self) -> None:
-        """Stop cleanly, within `STOP_SECONDS` or so; may be called twice."""
+        """Stop cleanly, within about `STOP_SECONDS`; may be called twice."""
         if self._stopping.is_set():
             return
+
+        # Ask the threads to end and wait for them.
         self._stopping.set()
         deadline = time.monotonic() + STOP_SECONDS
         for thread in self._threads:
             thread.join(max(0.0, deadline - time.monotonic()))
         if self._bus is not None and self._given_bus is None:
             self._bus.close()
+
+        # Save what is known and close; a thread that still runs keeps its files.
         running = {thread.name for thread in self._threads if thread.is_alive()}
-        if "learn" in running and self._process is not None:  # which does not even listen
+        if "learn" in running and self._process is not None:  # it does not respond
             self._process.kill()
         if "store" not in running:
             if self.started and "learn" not in running:
@@ -230,7 +245,7 @@ class Daemon:
             self._process.close()
 
     def failing(self) -> list[str]:
-        """Why it should be started again; empty if all loops get on."""
+        """Return the reasons for a restart; empty if all loops make progress."""
         reasons = ["a part of the daemon has failed"] if self._failed.is_set() else []
         seconds, key = (0.0, "") if self._bus is None else self._bus.hanging
         if seconds > self._config.health.stall_seconds:
@@ -238,8 +253,9 @@ class Daemon:
         return reasons + self.progress.stuck()
 
     def unready(self) -> list[str]:
-        """Why nobody should rely on it at the moment, which starting again might not change; empty
-        if ready.
+        """Return the reasons not to rely on the daemon now, which a restart may not remove.
+
+        Empty if the daemon is ready.
         """
         if self._stopping.is_set():
             return ["the daemon is stopping"]
@@ -255,9 +271,7 @@ class Daemon:
         return [redact(reason) for reason in reasons] + self.failing()
 
     def reconfigure(self, config: Config) -> list[str]:
-        """Obey what can be changed while it runs; returns the names of the changes that need a
-        restart.
-        """
+        """Apply settings that can change at run time; return the names of those that cannot."""
         limits, waiting = changes(self._config, config)
         self._config = msgspec.structs.replace(self._config, limits=limits)
         stall = self._config.health.stall_seconds
@@ -268,7 +282,8 @@ class Daemon:
         return waiting
 
     def status(self) -> dict[str, Any]:
-        """What ``status/daemon`` says: state, reason, counters."""
+        """Return the contents of ``status/daemon``: state, reason and counters."""
+        # The first reason found is given.
         receiver, learning, head = self._receiver, self._learning, self.newest and self.newest.head
         reason = self._reason or self._rivals.reason or "; ".join(self.failing())
         now, cameras = self._steady(), receiver.cameras
@@ -309,7 +324,7 @@ class Daemon:
 
     @property
     def _reason(self) -> str:
-        """Why what comes is not stored, or not learned, at the moment; "" if all is well."""
+        """Why events are not stored, or not learned, at the moment; "" if they are."""
         receiver, watermark = self._receiver, self._learning.statistics["watermark"]
         seconds, key = self._bus.hanging if self._bus is not None else (0.0, "")
         hanging = f"publishing on {key} takes {seconds:.0f} s" if seconds > HANGS_SECONDS else ""
@@ -329,7 +344,7 @@ class Daemon:
         self.stop()
 
     def _undo(self) -> None:
-        """A start that failed leaves nothing open."""
+        """Close everything after a failed start."""
         if self._process is not None:
             self._process.close()
         if self._bus is not None and self._given_bus is None:
@@ -339,14 +354,16 @@ class Daemon:
         self._journal.close()
 
     def _new_epoch(self) -> str:
+        """Begin an epoch and store its name."""
         before = max(self._journal.meta(key) or "" for key in ("epoch", "epoch before"))
         epoch = clocks.ulid(self._clock(), after=before)
         self._journal.set_meta("epoch", epoch)
         return epoch
 
     def _correct(self, to: float) -> tuple[str, str]:
-        """Event time is taken back to ``to`` (Unix seconds): the epoch that ends, and the one that
-        begins.
+        """Begin an epoch as event time goes back to ``to`` (Unix seconds).
+
+        Return the epoch that ends, and the one that begins.
         """
         self._live.forget()
         return self._learning.epoch, self._new_epoch()
@@ -354,7 +371,10 @@ class Daemon:
     def _build(
         self, bus: Bus, recovered: Recovered, process: LearnerProcess, directory: Path
     ) -> None:
+        """Create the parts from the recovered state and connect them."""
         limits, share = self._config.limits, self._share
+
+        # Predictions, from the newest version until there is another.
         self._live = Live(self._publish_prediction, share.owns, self._stopping.wait)
         if (
             isinstance(share, Whole)
@@ -362,13 +382,17 @@ class Daemon:
         ):
             self.newest = Newest(head_of(topology), codec.to_pack(topology))
             self._live.use(topology)
+
+        # Event time as the learner knows it; the newest events may be newer than the snapshot.
         recent = recent_events(self._journal)
         learned_time = EventTime(
             self._config.learn.lateness_seconds, self._config.learn.ahead_seconds_max
         )
         learned_time.load(recovered.taught.event_time)
-        for event in recent:  # they may be newer than the snapshot
+        for event in recent:
             learned_time.note(microseconds(event.t), event.camera)
+
+        # Receiving, storing and learning.
         self._receiver = Receiver(
             self._journal,
             bus,
@@ -396,10 +420,11 @@ class Daemon:
             self._receiver.on_deadline,
             self._new_epoch,
         )
+
+        # The exchange with other shards.
         if isinstance(share, Share):
-            from camtopod.serve.shards import (
-                Sharing,
-            )  # brings what learning needs, which is not small
+            # Imported here, as it loads the libraries for learning, which take much memory.
+            from camtopod.serve.shards import Sharing
 
             self._sharing = Sharing(
                 self._config,
@@ -411,6 +436,8 @@ class Daemon:
                 self._clock,
                 self._use,
             )
+
+        # What predictions remember, and pulling.
         self._live.remember(recent)
         receiver = self._receiver
         self._puller = Puller(
@@ -424,6 +451,7 @@ class Daemon:
         )
 
     def _serve(self, bus: Bus) -> None:
+        """Answer queries and subscribe to events; then other programs may see the daemon."""
         if self._share.first:
             bus.answer("topology", lambda key, parameters: self._version(parameters), "topology")
         bus.answer("predict/*", self._live.answer, "prediction")
@@ -436,7 +464,7 @@ class Daemon:
         self._rivals.appear()
 
     def _name(self) -> str:
-        """What other daemons know this one by: it stays with the state directory."""
+        """Return the name by which other daemons know this one; it is kept with the state."""
         name = self._journal.meta("name")
         if name is None:
             name = clocks.ulid(self._clock())
@@ -444,6 +472,7 @@ class Daemon:
         return name
 
     def _on_alive(self, camera: str, alive: bool) -> None:
+        """Take note that a publisher has appeared or vanished."""
         known = self._receiver.with_spool
         if not re.match(CAMERA_PATTERN, camera) or (
             camera not in known and len(known) >= self._config.limits.streams_max
@@ -454,7 +483,8 @@ class Daemon:
         self._puller.on_alive(camera, alive)
 
     def _version(self, parameters: dict[str, str]) -> Topology | msgspec.Raw:
-        """The newest version, or an older one of the epoch (``version``) as far as it is kept.
+        """Return the newest version, or an older one of the epoch (``version``) if it is kept.
+
         Raises `QueryError`.
         """
         if (newest := self.newest) is None:
@@ -479,17 +509,17 @@ class Daemon:
         raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
 
     def _on_version(self, version: Version, hurried: bool = False) -> None:
-        """A version that was learned."""
+        """Store a version that was learned; if it is the site's, prepare predictions with it."""
         if self._sharing is None:
             self._live.prepare(version.packed, hurried)
         self._receiver.storing.on_version(version)
 
     def _publish(self, version: Version) -> None:
-        """A version that is stored: everybody may know it, or the other shards."""
+        """Publish a version that is stored: to all programs or, of a shard, to the other shards."""
         (self._announce if self._sharing is None else self._sharing.publish)(version)
 
     def _use(self, newest: Version | Topology) -> None:
-        """The whole site's topology, of a shard."""
+        """Use the topology of the whole site, if this daemon is a shard."""
         self._live.prepare(newest.packed if isinstance(newest, Version) else newest)
         if isinstance(newest, Version):
             self._announce(newest)
@@ -499,6 +529,7 @@ class Daemon:
             self._live.forget_older()
 
     def _announce(self, version: Version) -> None:
+        """Predict with a version and publish it, with its delta and its alarms."""
         self._live.use(version.packed)
         self.newest, said = version.newest, version.head
         if version.delta is not None:
@@ -520,12 +551,13 @@ class Daemon:
         self.bus.put(f"prediction/{prediction.camera}", prediction, "prediction")
 
     def _tell_status(self, mark: Mark) -> None:
+        """Publish the status at intervals until the daemon stops."""
         while not self._stopping.wait(self._config.limits.status_seconds):
             self.bus.put(self._share.status_key, self.status(), "status")
             mark.beat()
 
     def _run(self, name: str, work: Callable[[Mark], None], seconds_max: float) -> None:
-        """Run a loop in a thread; it has to mark that it gets on at least every ``seconds_max``."""
+        """Run a loop in a thread; it has to beat at least every ``seconds_max``."""
         mark = self.progress.watch(name, seconds_max)
 
         def guarded() -> None:
@@ -537,6 +569,7 @@ class Daemon:
                 if not done:  # the traceback goes to standard error by itself
                     self._failed.set()
 
+        # Start the thread.
         thread = threading.Thread(target=guarded, name=name, daemon=True)
         self._threads.append(thread)
         thread.start()

@@ -1,9 +1,8 @@
-"""A state directory made of a recording: a daemon that starts there goes on from what the recording
-taught.
+"""Make a state directory of a recording, so that a daemon continues from what was learned of it.
 
-Events become entries of the journal, as if they had been received, and the learner's state behind
-the last of them becomes its snapshot. If this ends half way, a daemon can use the directory all the
-same: it learns the entries itself.
+Events become journal entries, as if they had been received, and the learner's state after the last
+one becomes the snapshot. If this is interrupted, a daemon can still use the directory: it learns
+from the entries itself.
 """
 
 from __future__ import annotations
@@ -22,14 +21,15 @@ from camtopod.serve.runtime import ulid
 from camtopod.serve.storage import Entry, Journal, Snapshot, StateError, StoredVersion
 
 ENTRIES_AT_ONCE = 10_000
-"""Entries that one transaction stores."""
+"""Entries in one transaction."""
 
 
 class RecordedState:
-    """The journal of a new state directory, which is made if need be; a context manager.
+    """The journal of a new state directory, as a context manager; the directory is made if missing.
 
-    ``now``: Unix seconds. Raises `StateError` if the directory has a state already, or cannot be
-    written.
+    Raises `StateError` if the directory has a state already or cannot be written.
+
+    now: Unix seconds.
     """
 
     def __init__(self, directory: Path, keep: KeepSettings, now: float) -> None:
@@ -68,7 +68,7 @@ class RecordedState:
             self._commit()
 
     def finish(self, learner: Learner) -> None:
-        """Store what the ``learner`` knows after the last event, with its newest version."""
+        """Store the state of the learner after the last event, and its newest version."""
         topology = learner.topology
         versions = []
         if topology is not None:

@@ -279,7 +279,7 @@ def test_invented_names_keep_no_camera_out(flooded: Flooded, tmp_path: Path) -> 
     status = flooded.status()
     assert status["state"] == "degraded"
     assert (
-        "refused, as limits.cameras_max (1000) is reached; the fewest events are those of name"
+        "refused, as limits.cameras_max (1000) is reached; the cameras with the fewest events are name"
         in status["reason"]
     )
     said, reasons = readiness(flooded.health)

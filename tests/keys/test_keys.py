@@ -193,7 +193,7 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     folder.chmod(0o755)
     (folder / "camera" / "holiday.jpg").write_bytes(b"x")
     for replace in (False, True):
-        with pytest.raises(KeysError, match="holds other files; name an empty folder"):
+        with pytest.raises(KeysError, match="holds other files; name an empty or a new folder"):
             Authority.make(folder, "hq", NOW, 7300, replace=replace)
     assert (folder / "camera" / "holiday.jpg").read_bytes() == b"x"
     assert stat.S_IMODE(folder.stat().st_mode) == 0o755
@@ -241,7 +241,7 @@ def test_from_nothing_to_a_site(tmp_path: Path, capsys: pytest.CaptureFixture[st
         ["wall", "reader"],
     ]
     assert "EXPIRES SOON" in out.splitlines()[2]
-    assert "withdrawn" in out.splitlines()[3]
+    assert "revoked" in out.splitlines()[3]
     assert "warning: camera lobby: expires soon" in err
     assert [
         c.name
@@ -279,9 +279,12 @@ def test_a_mistake_in_the_middle_changes_nothing(
 
 def test_the_daemon_s_hosts_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--keys", str(tmp_path / "a"), "init") == exits.DONE
-    assert "good on its own machine only: name others with --host" in capsys.readouterr().err
+    assert (
+        "valid on this machine only: add host names or addresses with --host"
+        in capsys.readouterr().err
+    )
     assert run("--keys", str(tmp_path / "b"), "init", "--host", "hub.example") == exits.DONE
-    assert "to be dialled as hub.example" in capsys.readouterr().err
+    assert "valid for connections to hub.example" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("days", ["0", "-1", "x", "1e9", "99999999"])

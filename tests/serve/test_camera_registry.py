@@ -497,7 +497,7 @@ def test_who_takes_the_places_is_said_as_long_as_a_camera_is_refused() -> None:
     assert not cameras.admit("gate", 10.0)
     said = cameras.crowded(10.0, {"good"})
     assert "camera gate is refused, as limits.cameras_max (22) is reached" in said
-    assert "the fewest events are those of name0 (0), name10 (0), name11 (0):" in said
+    assert "the cameras with the fewest events are name0 (0), name10 (0), name11 (0):" in said
     assert "raise limits.cameras_max" in said
     for k in range(1000):
         assert not cameras.admit(f"further{k}", 11.0)

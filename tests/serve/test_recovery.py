@@ -255,7 +255,7 @@ def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
     assert ("ZeroDivisionError: at " in capfd.readouterr().err) == (what == "fails")
     again = start(program="learners.faulty")
     assert again.started_at == 131
-    assert "begins anew behind it" in caplog.text
+    assert "begins anew after that entry" in caplog.text
     again.run()
     again.learn(EVENTS[160:])
     assert {epoch for epoch, _, _ in again.published} == {"F"}
@@ -287,7 +287,7 @@ def test_of_a_learner_that_fails_again_and_again_the_events_of_one_camera_are_le
             failing.run()
     again = start(program="learners.faulty")
     assert again.started_at == 120, "nothing else that was learned is forgotten"
-    assert "what camera b has sent since entry 120 is left out" in caplog.text
+    assert "the events of camera b since entry 120 are left out" in caplog.text
     assert "b" in again.learning.left_out
     [snapshot] = again.journal.snapshots()
     again.run()
@@ -459,7 +459,7 @@ def test_an_event_that_cannot_be_read_any_more_holds_no_start_up(start: Start) -
 def test_what_a_newer_program_has_learned_is_not_thrown_away(start: Start) -> None:
     one = start(snapshot_events=50, program="learners.newer")
     one.learn(EVENTS[:150])
-    with pytest.raises(StateError, match="a newer camtopod has saved what was learned"):
+    with pytest.raises(StateError, match="the snapshot was saved by a newer camtopod"):
         start()
     assert start(program="learners.newer").started_at == 150
 

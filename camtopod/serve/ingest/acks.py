@@ -1,6 +1,4 @@
-"""How far each stream is stored, and the saying so: at intervals, of those that have got further
-since.
-"""
+"""Track how far each stream is stored, and publish acknowledgements at intervals."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ from camtopod.serve.runtime import Beat
 
 
 class Counts(Struct):
-    """What became of the events of one stream since the start; see `Ack`."""
+    """Counters of the events of one stream since the start; see `Ack`."""
 
     accepted: int = 0
     late: int = 0
@@ -28,10 +26,15 @@ class Counts(Struct):
 
 
 class Acks:
-    """``stored``: as `Journal.streams`. ``owns``: the cameras whose events it is for this daemon to
-    acknowledge; ``daemon``: its name; ``event_time``: as the learner has it for what is stored.
+    """The acknowledgements of all streams.
 
-    `again`, `duplicate` and `forget` from one thread at a time, `note` and `put` from another.
+    `again`, `duplicate` and `forget` are called from one thread at a time, `note` and `put` from
+    another.
+
+    stored: the highest stored seq of each stream, as of `Journal.streams`.
+    owns: the cameras whose events this daemon acknowledges.
+    daemon: name of this daemon.
+    event_time: event time as the learner has it after the stored events.
     """
 
     def __init__(
@@ -52,15 +55,19 @@ class Acks:
         self._next = 0.0
 
     def note(self, ready: Iterable[Received]) -> None:
-        """These are stored."""
+        """Note that these are stored."""
         for received in ready:
             entry, event, late = received.entry, received.event, False
+
+            # Follow event time as the learner does.
             if event is not None:
                 late = not self._event_time.note(microseconds(event.t), event.camera)
             elif received.advance is not None:
                 self._event_time.advance(microseconds(received.advance))
             elif received.rewind is not None:
                 self._event_time.rewind(microseconds(received.rewind.to))
+
+            # Count the event in its stream.
             if entry.boot is None or entry.seq is None:
                 continue
             key = (entry.camera, entry.boot)
@@ -75,25 +82,28 @@ class Acks:
                 counts.accepted += 1
 
     def again(self, key: Key) -> None:
-        """The ack of a stream got lost, or its publisher may not know it. Any thread."""
+        """Acknowledge a stream again, as the ack may have been lost. Any thread."""
         self._again.add(key)
 
     def duplicate(self, key: Key) -> None:
-        """An event of the stream has come again."""
+        """Count an event that was received before."""
         self._of(key).duplicate += 1
         self._again.add(key)
 
     def forget(self, keys: Iterable[Key]) -> None:
-        """Streams that are not followed any more."""
+        """Drop streams that are no longer followed."""
         self._forgotten.extend(keys)
 
     def put(self, now: float, interval: float, beat: Beat) -> None:
-        """Unless that was less than ``interval`` seconds ago; ``now`` is of a clock that never
-        steps.
+        """Publish the acks of the streams that have advanced, at most once in ``interval`` seconds.
+
+        now (seconds): of a clock that never steps.
         """
         if now < self._next:
             return
         self._next = now + interval
+
+        # Publish the acks that changed or were asked for again.
         while self._again:
             key = self._again.pop()
             if key in self.stored:
@@ -105,6 +115,8 @@ class Acks:
                 self._bus.put(f"ack/{camera}", ack, "ack")
                 beat()
         self._dirty.clear()
+
+        # Drop forgotten streams.
         while self._forgotten:
             key = self._forgotten.popleft()
             self.stored.pop(key, None)

@@ -1,9 +1,10 @@
-"""Backlogs brought back into one order.
+"""Merge the backlogs of several cameras into one order.
 
-After the daemon or the network was away every spool gives what it has, one sooner than the other.
-Learned as it comes, the first would make all others late. So while backlogs come in, what is ready
-waits a moment, and is then released by time, as far as every camera has come that has more to give.
-A backlog that ends before what has been released already is late anyway, and nobody waits for it.
+When the daemon or the network was away, every spool delivers its backlog, some sooner than others.
+If events were learned in the order of arrival, the first backlog would make all others late. So
+while backlogs come in, ready events wait; they are released in order of time, up to the time that
+every camera with more events has reached. A backlog that ends before the last released event is
+late anyway, so nothing waits for it.
 """
 
 from __future__ import annotations
@@ -18,20 +19,24 @@ from msgspec import Struct, field
 from camtopod.serve.ingest.camera_registry import Received
 
 BACKLOG_SECONDS = 2.0
-"""An answer of a spool that spans more event time than this is a backlog."""
+"""A spool's answer that spans more event time than this is a backlog."""
 SETTLE_SECONDS = 1.5
-"""After the first answer with a backlog, and after the last, so long is waited for others."""
+"""Time to wait for other cameras, after the first answer with a backlog and after the last."""
 STUCK_SECONDS = 5.0
-"""A camera that has more, and has not given it for so long, is not waited for; nor, when none has
-more, for others.
+"""Time after which a camera that has more events, but does not deliver them, is not waited for.
+
+If no camera has more, it is the longest wait for other cameras.
 """
 HOLD_SECONDS_MAX = 120.0
-"""Nor is anything, longer than this altogether: a camera that floods may never come to its end."""
+"""Longest wait of all: a flooding camera may never come to an end."""
 
 
 class _Backlog(Struct):
-    """``reached``: event time up to which its camera has given all, while it has ``more``;
-    ``answered``: when.
+    """The backlog of one camera.
+
+    waiting: event times, made to rise, and events.
+    reached: event time up to which the camera has delivered everything, while it has ``more``.
+    answered: when it delivered last.
     """
 
     waiting: collections.deque[tuple[float, Received]] = field(default_factory=collections.deque)
@@ -41,7 +46,10 @@ class _Backlog(Struct):
 
 
 class Merge:
-    """At most ``events_max`` of one camera wait. ``now`` is of a clock that never steps."""
+    """Merges backlogs; at most ``events_max`` events of one camera wait.
+
+    ``now`` is of a clock that never steps.
+    """
 
     def __init__(self, events_max: int) -> None:
         self._events_max = events_max
@@ -51,7 +59,7 @@ class Merge:
         self._settled = 0.0
 
     def answered(self, camera: str, times: Sequence[float], more: bool, now: float) -> None:
-        """A spool has given events of these times, and has ``more`` or not."""
+        """Note that a spool has delivered events of these times, and whether it has ``more``."""
         backlog = self._backlogs.get(camera)
         if times and max(times) > self._released and max(times) - min(times) > BACKLOG_SECONDS:
             self._began = now if self._began is None else self._began
@@ -62,18 +70,21 @@ class Merge:
             backlog.reached = max([backlog.reached, *times])
 
     def rewind(self, to: float) -> None:
-        """Event time is at ``to`` again (Unix seconds)."""
+        """Take event time back to ``to`` (Unix seconds)."""
         self._released = min(self._released, to)
 
     def full(self, camera: str) -> bool:
-        """Whether no more of a camera can wait."""
+        """Return True if no more events of a camera can wait."""
         backlog = self._backlogs.get(camera)
         return backlog is not None and len(backlog.waiting) >= self._events_max
 
     def release(self, ready: list[Received], now: float, room: Callable[[], int]) -> list[Received]:
-        """What goes on: of these, and of what waits, then as many as there is ``room`` for. Each
-        camera's in the order it came.
+        """Return the events to pass on: of these, and of those that wait.
+
+        Events of one camera stay in order. While backlogs are merged, at most ``room()`` events are
+        returned.
         """
+        # While backlogs are merged, all events queue by camera.
         if self._began is not None:
             for received in ready:
                 waiting = self._backlogs.setdefault(received.entry.camera, _Backlog()).waiting
@@ -85,6 +96,8 @@ class Merge:
                     )
                 )
             ready = self._merged(self._horizon(now), room())
+
+        # Note the newest event time that was passed on.
         newest = max(
             (received.event.t for received in ready if received.event is not None),
             default=-math.inf,
@@ -94,20 +107,22 @@ class Merge:
 
     @property
     def waiting(self) -> int:
-        """Events that wait."""
+        """Number of events that wait."""
         return sum(len(backlog.waiting) for backlog in self._backlogs.copy().values())
 
     def _horizon(self, now: float) -> float:
-        """Event time up to which everything has come that is to be waited for."""
+        """Return the event time up to which all expected events have come."""
         assert self._began is not None
         if now - self._began >= HOLD_SECONDS_MAX:
             return math.inf
         if now - self._began < SETTLE_SECONDS:
             return -math.inf
+
+        # A camera with waiting events is not stalled: it is not asked for more than may wait.
         for one in self._backlogs.values():
-            one.answered = (
-                now if one.waiting else one.answered
-            )  # it is not asked for more than may wait
+            one.answered = now if one.waiting else one.answered
+
+        # Wait for cameras that have more, or else until the others have had time to answer.
         come = [
             one.reached
             for one in self._backlogs.values()
@@ -118,6 +133,10 @@ class Merge:
         return math.inf if now >= self._settled else -math.inf
 
     def _merged(self, horizon: float, most: int) -> list[Received]:
+        """Return up to ``most`` waiting events up to ``horizon``, by time.
+
+        If none is left, and none is expected, the merge ends.
+        """
         if horizon == -math.inf:
             return []
         heap = [

@@ -1,22 +1,23 @@
-"""What is known of each camera that sends, and which of its events are to be believed.
+"""Keep track of each camera that sends events, and decide which of its events to trust.
 
-Clocks are not trusted. An event stamped far ahead of this machine's clock is set aside. One stamped
-a little ahead would make everybody else's late, as the learner's time is that of the newest event;
-so it, and what its camera sends after it, waits here until its time has come: a wild camera delays
-itself.
+Clocks are not trusted. An event stamped far ahead of this machine's clock is stored, but not
+learned. Learning one stamped a little ahead would make other cameras' events late, as event time
+follows the newest events; so this event, and those that its camera sends after it, wait until their
+time has come: a fast clock delays only its own camera.
 
-Cameras are taken at their word against this machine's clock as far as it is known to be behind: by
-how much it was set back, or is before the moment at which the newest entries were stored. Beyond
-that several boxes have to agree, each with one vote however many cameras it has, as the cameras of
-a box share its clock. When this machine's clock is set forward, so are the clocks of cameras on
-this machine, and event time would go with them: so that counts when it has lasted, or at once as
-far as cameras were ahead already. Where event time is ahead all the same it is taken back.
+This machine's clock may be slow. Cameras are trusted against it as far as it is known to be slow:
+by how much it was set back, or how far it is before the time at which the newest entries were
+stored. Beyond that several boxes have to agree, with one vote each, as the cameras of a box share
+its clock. When this machine's clock is set forward, so are the clocks of cameras on this machine,
+and event time would follow; so the step is trusted only after it has lasted, or at once as far as
+cameras were ahead already. If event time is ahead all the same, it is taken back.
 
-A camera that has more events within a second than any view can show floods; what is too much is not
+A camera floods if it has more events within a second than a view can show; the excess is not
 learned.
 
-Names can be invented, so places are limited. When all are taken, one that has been silent for an
-hour is given away, and to a camera whose grabber has been seen alive that of one that merely sends.
+Names can be invented, so the number of cameras is limited. At the limit, a new camera replaces one
+that has been silent for an hour. A camera whose grabber has been seen alive may also replace one
+that merely sends events.
 """
 
 from __future__ import annotations
@@ -38,43 +39,47 @@ from camtopod.serve.storage import Entry, Rewind
 log = logging.getLogger(__name__)
 
 EARLY_SECONDS_MAX = 1.0
-"""An event this far ahead of the clock is taken at once; far below the lateness that the learner
-allows for.
+"""An event up to this much ahead of the clock need not wait, in seconds.
+
+It is far below the lateness that the learner allows for.
 """
 VOTES_MIN = 3
-"""Boxes heard lately that have to agree before this machine's clock is doubted beyond what is known
-of it.
+"""Number of recently active boxes that have to agree before this machine's clock is taken for slow.
+
+Fewer are enough as far as it is known to be slow.
 """
 LEADS_SECONDS = 60.0
-"""Heard lately."""
+"""A box is recently active if an event came from it within this time."""
 LOOK_SECONDS = 1.0
-"""How often it is asked again whether this machine's clock is behind."""
+"""Interval of checks whether this machine's clock is slow."""
 STEP_SECONDS_MIN = 5.0
-"""This machine's clock is set when it moves so much against the one that does not step."""
+"""Smallest change against the steady clock that counts as a step of this machine's clock."""
 BELIEVED_SECONDS = 600.0
-"""A clock that was set forward is believed when it has stayed so for this long, by the one that
-does not step.
-"""
+"""Time that a step forward has to last, by the steady clock, until it is trusted."""
 REWIND_SECONDS = 10.0
-"""Event time that has been ahead for so long is taken back; when this machine's clock was set back
-it has to have been for `BELIEVED_SECONDS`, as that may have been the mistake."""
+"""Event time that has been ahead for this long is taken back.
+
+If this machine's clock was set back it is `BELIEVED_SECONDS`, as that step may have been wrong.
+"""
 DOUBLED_SECONDS = 600.0
-"""How long the status mentions a camera after two programs were seen to publish it."""
+"""How long the status mentions a camera that two programs were seen to publish."""
 FLOOD_SECONDS_KEPT = 128
-"""Seconds of event time in which a camera's events are counted."""
+"""Number of seconds of event time for which a camera's events are counted."""
 IDLE_SECONDS = 3600.0
-"""When there are too many cameras, one silent for longer gives its place to another."""
+"""A camera that has been silent for longer can be replaced by another when there are too many."""
 REFUSED_SECONDS = 60.0
-"""It is said that a camera is refused for so long after its last event, ..."""
+"""How long the status mentions a refused camera after its last event."""
 REFUSED_MAX = 100
-"""... and of so many cameras, those refused last."""
+"""Most refused cameras that are remembered, those refused last."""
 NAMED_MAX = 3
-"""Cameras that are named in a sentence."""
+"""Most cameras that a sentence names."""
 
 
 class Received(Struct, frozen=True, gc=False):
-    """On its way into the journal: an event (none if it is not to be learned), an advance of event
-    time, a rewind.
+    """An entry on its way into the journal, and its effect on the learner.
+
+    event: the event to be learned; None if it is only stored.
+    advance, rewind: a change of event time.
     """
 
     entry: Entry
@@ -84,10 +89,18 @@ class Received(Struct, frozen=True, gc=False):
 
 
 class Camera(Struct):
-    """``heard``: when something of it came last (steady). ``lead``: seconds by which what came
-    fresh from it was ahead of this machine's clock, and ``lead_at``: when that was; ``box``: whose
-    clock it has, "" if that is not known. ``publisher``: whose events come fresh; ``doubled``: when
-    two were last seen to publish at the same time (steady).
+    """State of one camera; ``heard`` and ``doubled`` are times of the steady clock.
+
+    heard: when something of the camera was last received.
+    lead (seconds): by how much its last published event was ahead of this machine's clock; events
+        out of spools do not count.
+    lead_at: when that was, by the steady clock.
+    box: the box whose clock it uses; "" if unknown.
+    publisher: the boots of its published events.
+    doubled: when two programs were last seen to publish it at the same time.
+    events, newest: number of its events, and the newest event time.
+    seconds: number of events by second of event time.
+    waiting: events that wait, each with the time when it is due by the steady clock.
     """
 
     heard: float
@@ -103,11 +116,13 @@ class Camera(Struct):
 
 
 class Cameras:
-    """At most ``limits.cameras_max``. ``now`` is always of a clock that never steps, ``wall`` is
-    seconds since 1970.
+    """All cameras, at most ``limits.cameras_max``.
 
-    ``behind``: seconds by which this machine's clock is known to be behind from the beginning.
-    ``boxes``: by camera the certificate under which it is published, where there are certificates.
+    In all methods ``now`` is the time of a clock that never steps, and ``wall`` is this machine's
+    time, in seconds since 1970.
+
+    behind (seconds): by how much this machine's clock is known to be slow at the start.
+    boxes: certificate under which each camera is published, where there are certificates.
     """
 
     def __init__(
@@ -118,31 +133,27 @@ class Cameras:
         self._cameras: dict[str, Camera] = {}
         self._waiting: set[str] = set()
         self._refused: dict[str, float] = {}  # when each was refused last
-        self._full_until = -math.inf  # until then no camera will have been silent for long
+        self._full_until = -math.inf  # until then no camera can be replaced for its silence
         self._next_look = 0.0
-        self._beside: float | None = None  # this machine's clock less the one that does not step
-        self._noticed = -math.inf  # when that was looked at last
+        self._beside: float | None = None  # this machine's clock minus the steady one
+        self._noticed = -math.inf  # when that was checked last
         self._set_back = max(0.0, behind)
-        self._doubted: list[
-            tuple[float, float]
-        ] = []  # when it was set forward, and by how much; oldest first
-        self._restored = -math.inf  # when that was last undone
-        self._ahead_since: float | None = None  # event time, of this machine's clock (steady)
+        # Steps forward that are not trusted yet: (when, seconds), oldest first.
+        self._doubted: list[tuple[float, float]] = []
+        self._restored = -math.inf  # when a step forward was last undone
+        self._ahead_since: float | None = None  # since when event time has been ahead
         self.clock_ahead = 0.0
-        """Seconds by which this machine's clock has been set forward that are not believed yet."""
+        """Seconds by which this machine's clock was set forward that are not trusted yet."""
         self.clock_behind = 0.0
-        """Seconds by which most cameras are ahead of this machine's clock, less those that are not
-        believed.
-        """
+        """Seconds to add to this machine's clock: by how much it is slow, less `clock_ahead`."""
 
     def __contains__(self, name: object) -> bool:
         return name in self._cameras
 
     def admit(self, name: str, now: float, with_publisher: Set[str] = frozenset()) -> bool:
-        """Whether there is room for this camera, of which something came; it has a place from now
-        on.
+        """Register a camera that has sent something; return False if there is no room for it.
 
-        ``with_publisher``: cameras whose publisher has been seen alive.
+        with_publisher: cameras whose publisher has been seen alive.
         """
         if name not in self._cameras and len(self._cameras) >= self.limits.cameras_max:
             other = self._gives_way(now, with_publisher, name in with_publisher)
@@ -157,8 +168,9 @@ class Cameras:
         return True
 
     def _gives_way(self, now: float, with_publisher: Set[str], preferred: bool) -> str | None:
-        """The camera whose place may be given to another, to one without a publisher unless that is
-        ``preferred``.
+        """Return the camera to be replaced by another; None if there is none.
+
+        preferred: the other camera has a publisher, so it may replace one without.
         """
         if now < self._full_until and not preferred:
             return None
@@ -174,9 +186,11 @@ class Cameras:
         return min(may)[-1]
 
     def crowded(self, now: float, with_publisher: Set[str] = frozenset()) -> str:
-        """Which cameras are refused as there are too many, and what to do; "" if none is. Any
-        thread.
+        """Return which cameras are refused, as there are too many, and what to do; else "".
+
+        Any thread.
         """
+        # Cameras refused recently.
         cameras, lately = self._cameras.copy(), now - REFUSED_SECONDS
         refused = [
             name
@@ -185,6 +199,8 @@ class Cameras:
         ]
         if not refused:
             return ""
+
+        # Describe them, and the cameras with the fewest events.
         who, others = f"camera {refused[-1]} is", len(refused) - 1
         if others:
             least = "at least " if len(refused) == REFUSED_MAX else ""
@@ -197,30 +213,37 @@ class Cameras:
             self.limits.cameras_max,
         )
         return (
-            f"{who} refused, as limits.cameras_max ({most}) is reached; the fewest events are those of {named}: if "
-            "they are no cameras of this site, stop what sends them, and their places are free within an hour; "
-            "otherwise raise limits.cameras_max"
+            f"{who} refused, as limits.cameras_max ({most}) is reached; the cameras with the fewest"
+            f" events are {named}: if they are not of this site, stop the program that sends them,"
+            " and they are replaced within an hour; otherwise raise limits.cameras_max"
         )
 
     def is_future(self, event: Event, wall: float, now: float, fresh: bool, box: str = "") -> bool:
-        """Whether an event that arrives now (``fresh`` from the camera, or out of a spool) is too
-        far ahead to be true. ``box``: whose clock has stamped it, as its publisher says.
+        """Return True if an event that arrives now is too far ahead to be true.
+
+        fresh: it was published, and does not come out of a spool.
+        box: the box whose clock has stamped it, as its publisher says.
         """
         self._notice_step(wall - now, now)
+
+        # A published event tells about the clock and the publisher of its camera.
         if fresh:
             camera = self._cameras.get(event.camera) or self._place(event.camera)
             camera.lead, camera.lead_at = event.t - wall, now
             camera.box = self._boxes.get(event.camera, box)
             if event.boot is not None and camera.publisher.note(event.boot):
                 camera.doubled = now
+
+        # Check this machine's clock from time to time.
         if now >= self._next_look:
             self._next_look = now + LOOK_SECONDS
             self._look(now)
         return event.t - wall > self.clock_behind + self.limits.future_seconds_max
 
     def note(self, event: Event) -> bool:
-        """It is about to be stored; False if its camera has had too many events in this second, for
-        it to count too.
+        """Count an event that is about to be stored; return False if its camera floods.
+
+        An event of a flood is not counted.
         """
         camera = self._cameras.get(event.camera) or self._place(event.camera)
         t, seconds = event.t, camera.seconds
@@ -237,13 +260,16 @@ class Cameras:
         return True
 
     def full(self, name: str) -> bool:
-        """Whether no more of this camera's events can wait for their time."""
+        """Return True if no more events of this camera can wait for their time."""
         return (
             name in self._waiting and len(self._place(name).waiting) >= self.limits.held_events_max
         )
 
     def in_time(self, ready: list[Received], wall: float, now: float) -> list[Received]:
-        """Those whose time has come, of these and of what waits; in order for each camera."""
+        """Return the events whose time has come, of these and of those that wait.
+
+        Events of one camera stay in order.
+        """
         self._notice_step(wall - now, now)
         due = [received for name in sorted(self._waiting) for received in self._due(name, now)]
         wall += self.clock_behind
@@ -259,13 +285,15 @@ class Cameras:
 
     @property
     def waiting(self) -> int:
-        """Events that wait for their time."""
+        """Number of events that wait for their time."""
         cameras = self._cameras.copy()
         return sum(len(cameras[name].waiting) for name in self._waiting.copy() if name in cameras)
 
     def status(self) -> dict[str, dict[str, Any]]:
-        """For each camera what the status says; ``ahead``: of this machine's clock, in seconds, or
-        None. Any thread.
+        """Return each camera's entry in the status. Any thread.
+
+        ``ahead`` is by how much the camera is ahead of this machine's clock, in seconds; None if
+        unknown.
         """
         return {
             name: {
@@ -278,27 +306,31 @@ class Cameras:
         }
 
     def reason(self, watermark: float, wall: float) -> str:
-        """Why what comes is not learned, and what to do; "" if it is. ``watermark``: nothing older
-        is. Any thread.
+        """Return why events are not learned because of clocks, and what to do; else "". Any thread.
+
+        watermark (Unix seconds): the learner's; older events are not learned.
         """
         if self.clock_ahead > self.limits.future_seconds_max:
             return (
-                f"this machine's clock was set forward by {self.clock_ahead:.0f} s: events of that time are set aside, "
-                f"not learned, until it has stayed so for {BELIEVED_SECONDS:g} s; if it is right now, a restart of the "
-                "daemon believes it at once"
+                f"this machine's clock was set forward by {self.clock_ahead:.0f} s: events stamped"
+                f" by such a clock are stored but not learned until the clock has stayed so for"
+                f" {BELIEVED_SECONDS:g} s; if it is right now, restart the daemon, which then"
+                " trusts it at once"
             )
         ahead = watermark - wall - self.clock_behind
         if ahead > self.limits.future_seconds_max:
             return (
-                f"event time is {ahead:.0f} s ahead of this machine's clock, so events are late, stored and not "
-                f"learned; if that lasts for {self._rewind_seconds:g} s, what lies ahead is dropped and event time "
-                "goes on from this machine's clock; if that clock is wrong, set it"
+                f"event time is {ahead:.0f} s ahead of this machine's clock, so events are late:"
+                f" they are stored but not learned; if that lasts for {self._rewind_seconds:g} s,"
+                " the events ahead are dropped and event time continues from this machine's clock;"
+                " if that clock is wrong, set it"
             )
         return ""
 
     def wild(self, now: float) -> str:
-        """Which cameras have clocks so far ahead that their events are set aside, by box; "" if
-        there are none. Any thread.
+        """Return which cameras' clocks are too fast for their events to be learned, by box.
+
+        "" if none are. Any thread.
         """
         boxes: dict[tuple[str, float], list[str]] = {}
         for name, camera in sorted(self._cameras.copy().items()):
@@ -306,24 +338,30 @@ class Cameras:
             if ahead > self.limits.future_seconds_max and now - camera.lead_at <= LEADS_SECONDS:
                 boxes.setdefault((camera.box, round(ahead, -1)), []).append(name)
         return "; ".join(
-            f"the clock of {_in_words(names)}{f' (one box: {box})' if box else ''} is about {ahead:.0f} s ahead of "
-            "this machine's: events are set aside, not learned; set that clock"
+            f"the clock of {_in_words(names)}{f' (one box: {box})' if box else ''} is about"
+            f" {ahead:.0f} s ahead of this machine's: events are stored but not learned; set that"
+            " clock"
             for (box, ahead), names in boxes.items()
         )
 
     def doubled(self, now: float) -> str:
-        """Which cameras two programs publish at the same time; "" if none are. Any thread."""
+        """Return which cameras two programs publish at the same time, and what to do; else "".
+
+        Any thread.
+        """
         names = [
             name
             for name, one in sorted(self._cameras.copy().items())
             if now - one.doubled <= DOUBLED_SECONDS
         ]
         what = "two programs at the same time publish"
-        return f"{what} {_in_words(names)}: give what one of them sees another id" if names else ""
+        return f"{what} {_in_words(names)}: give one of the cameras another id" if names else ""
 
     def rewind_to(self, watermark: float | None, wall: float, now: float) -> float | None:
-        """To which moment (Unix seconds) event time is to be taken back now, as it has been ahead
-        of what this machine's clock and the cameras say for long enough; None: not now.
+        """Return the time (Unix seconds) to which to take event time back now; None if not now.
+
+        That is when event time has been ahead of this machine's clock and of the cameras for long
+        enough.
         """
         right = wall + self.clock_behind
         doubtful = self.clock_ahead > 0.0 or (self._set_back > 0.0 and not self._leads(now))
@@ -342,8 +380,9 @@ class Cameras:
         return BELIEVED_SECONDS if self._set_back > 0.0 else REWIND_SECONDS
 
     def _place(self, name: str) -> Camera:
-        """A camera's; made anew if it was given away while something of the camera was still under
-        way.
+        """Return the state of a camera.
+
+        It is made anew if the camera was replaced while one of its events was still under way.
         """
         camera = self._cameras.get(name)
         if camera is None:
@@ -351,8 +390,9 @@ class Cameras:
         return camera
 
     def _leads(self, now: float) -> list[float]:
-        """Of the boxes heard lately, each the median of its cameras; the cameras of unknown boxes
-        are taken for one.
+        """Return the lead of each recently active box: the median of its cameras.
+
+        All cameras of unknown boxes count as one box.
         """
         boxes: dict[str, list[float]] = {}
         for camera in self._cameras.values():
@@ -361,8 +401,9 @@ class Cameras:
         return [statistics.median_low(leads) for leads in boxes.values()]
 
     def _look(self, now: float) -> None:
-        """Whether this machine's clock is behind. What was stamped by the wrong clock is no
-        witness.
+        """Check whether this machine's clock is slow.
+
+        Events stamped by a clock whose step was undone do not count.
         """
         leads = self._leads(now)
         behind = max(0.0, statistics.median_low(leads)) if leads else 0.0
@@ -371,23 +412,31 @@ class Cameras:
         self.clock_behind = behind - self.clock_ahead
 
     def _notice_step(self, beside: float, now: float) -> None:
-        """This machine's clock may have been set; ``beside``: it less the one that does not step,
-        now.
+        """Notice a step of this machine's clock.
+
+        beside (seconds): this machine's clock minus the steady one, now.
         """
         if now == self._noticed and beside == self._beside:
             return
+
+        # Has the clock stepped?
         step = beside - (beside if self._beside is None else self._beside)
         self._beside, self._noticed = beside, now
         if step >= STEP_SECONDS_MIN:
             self._go_forward(step, now)
         elif step <= -STEP_SECONDS_MIN:
             self._go_back(-step, now)
+
+        # Trust steps forward that have lasted.
         lasted = [seconds for since, seconds in self._doubted if now - since >= BELIEVED_SECONDS]
         if lasted:
             del self._doubted[: len(lasted)]
             log.warning(
-                "this machine's clock has stayed %.0f s further on: it is believed now", sum(lasted)
+                "this machine's clock, set forward by %.0f s, has stayed so: it is trusted now",
+                sum(lasted),
             )
+
+        # After a change, correct the leads and check the clock again.
         if lasted or abs(step) >= STEP_SECONDS_MIN:
             self.clock_ahead = sum(seconds for _, seconds in self._doubted)
             for camera in self._cameras.values():
@@ -396,18 +445,21 @@ class Cameras:
             self._look(now)
 
     def _go_forward(self, step: float, now: float) -> None:
+        """Note a step forward, trusted as far as it undoes a step back or cameras were ahead."""
         leads = self._leads(now)
         doubted = step - max(self._set_back, statistics.median_low(leads) if leads else 0.0)
         self._set_back = max(0.0, self._set_back - step)
         if doubted >= STEP_SECONDS_MIN:
             self._doubted.append((now, doubted))
             log.warning(
-                "this machine's clock was set forward by %.0f s: it is believed when it has stayed so for %g s",
+                "this machine's clock was set forward by %.0f s: it is trusted after %g s without"
+                " another jump",
                 doubted,
                 BELIEVED_SECONDS,
             )
 
     def _go_back(self, step: float, now: float) -> None:
+        """Note a step back; it first undoes steps forward that were not trusted yet."""
         while self._doubted and step > 0.0:
             since, doubted = self._doubted.pop()
             self._restored = now
@@ -417,6 +469,7 @@ class Cameras:
         self._set_back += step
 
     def _due(self, name: str, now: float) -> list[Received]:
+        """Return a camera's waiting events whose time has come."""
         waiting = self._cameras[name].waiting
         due = []
         while waiting and waiting[0][0] <= now:
@@ -427,6 +480,6 @@ class Cameras:
 
 
 def _in_words(names: list[str]) -> str:
-    """For example ``cameras a, b and 3 more``."""
+    """Return names as in ``cameras a, b and 3 more``."""
     more = f" and {len(names) - NAMED_MAX} more" if len(names) > NAMED_MAX else ""
     return f"{'cameras' if len(names) > 1 else 'camera'} {', '.join(names[:NAMED_MAX])}{more}"

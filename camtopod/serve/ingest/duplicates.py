@@ -1,6 +1,8 @@
-"""Events that come under a number that is taken: nearly always the same event once more. Where it
-is another one, a publisher has gone back in time (a virtual machine set back while it ran), or two
-share their numbers; then something is not stored, and that is said.
+"""Compare events that arrive under a number (seq) that is already stored.
+
+Nearly always it is the same event again. A different event means that a publisher has gone back in
+time (as a virtual machine set back while it ran), or that two publishers share their numbers; then
+an event is not stored, and that is reported.
 """
 
 from __future__ import annotations
@@ -19,17 +21,20 @@ from camtopod.serve.storage import Entry, Journal
 log = logging.getLogger(__name__)
 
 WAITING_MAX = 50_000
-"""Duplicates that wait to be compared; one that finds no room is compared when it comes again."""
+"""Most duplicates that wait to be compared; a further one is compared when it comes again."""
 COMPARED_MAX = 2_000
-"""At a time."""
+"""Most duplicates compared in one call."""
 SAID_SECONDS = 600.0
 """How long the status mentions a contradiction."""
 NAMED_MAX = 1_000
-"""Streams that are named in the log, each once."""
+"""Most streams that are named in the log, each once."""
 
 
 class Duplicates:
-    """`note` in one thread, `compare` in another. ``steady``: a clock that never steps."""
+    """Compares duplicates with the journal; `note` is called in one thread, `compare` in another.
+
+    steady: a clock that never steps.
+    """
 
     def __init__(self, journal: Journal, steady: Clock) -> None:
         self._journal, self._steady = journal, steady
@@ -38,16 +43,17 @@ class Duplicates:
         self._last: tuple[float, str] | None = None
         self._mutex = threading.Lock()
         self.contradicted = 0
-        """Events under a number that another one has; they are not stored."""
+        """Number of events whose number another event has; they are not stored."""
 
     def note(self, entry: Entry) -> None:
-        """An event that has come under a number of which something is stored, or about to be."""
+        """Note an event whose number is already used by one that is stored, or about to be."""
         if len(self._waiting) < WAITING_MAX:
             self._waiting.append(entry)
 
     def compare(self, stored: Mapping[Key, int]) -> None:
-        """Compare some of those noted. ``stored``: the highest seq of each stream that is stored;
-        what is above waits. Raises `sqlite3.Error`.
+        """Compare some of the events noted. Raises `sqlite3.Error`.
+
+        stored: the highest stored seq of each stream; events above it wait.
         """
         for _ in range(min(len(self._waiting), COMPARED_MAX)):
             entry = self._waiting.popleft()
@@ -62,7 +68,7 @@ class Duplicates:
 
     @property
     def reason(self) -> str:
-        """What was found lately; "" if nothing was. Any thread."""
+        """What was found recently; "" if nothing was. Any thread."""
         with self._mutex:
             if self._last is None or self._steady() - self._last[0] > SAID_SECONDS:
                 return ""
@@ -71,9 +77,10 @@ class Duplicates:
     def _say(self, entry: Entry) -> None:
         self.contradicted += 1
         what = (
-            f"camera {entry.camera} has sent two different events under one number (boot {entry.boot}, "
-            f"seq {entry.seq}), and the second is not stored: its publisher has gone back in time, or two share one "
-            "spool; start it again, and it counts anew"
+            f"camera {entry.camera} has sent two different events under one number (boot"
+            f" {entry.boot}, seq {entry.seq}), and the second is not stored: its publisher has gone"
+            " back in time, or two publishers share one spool; restart the publisher, and it begins"
+            " a new count"
         )
         key = (entry.camera, entry.boot or "")
         with self._mutex:
@@ -84,7 +91,7 @@ class Duplicates:
 
 
 def _same(one: bytes, other: bytes) -> bool:
-    """Whether two messages are one event, perhaps in another encoding."""
+    """Return True if two messages are the same event, perhaps in different encodings."""
     return one == other or _read(one) == _read(other) is not None
 
 

@@ -1,9 +1,8 @@
-"""What came in and is not yet stored: a queue for each camera, emptied in turns, so that a flood
-waits behind itself.
+"""The inbox of received events: one queue for each camera, emptied in turns.
 
-Cameras never stored before share one queue, so a flood of made-up names has one camera's turn. When
-everything together is too much, it is the longest queue that loses its newest: what a spool has is
-pulled again later.
+So a flooding camera delays only itself. Cameras that were never stored share one queue, so a flood
+of invented names gets the turn of one camera. When all queues together are too long, the longest
+one loses its newest event; it is pulled from the spool later.
 """
 
 from __future__ import annotations
@@ -16,12 +15,13 @@ from operator import itemgetter
 from msgspec import Struct
 
 STRANGERS = ""
-"""The queue of cameras that are not known; no camera is called so."""
+"""Name of the queue of unknown cameras; no camera has this name."""
 
 
 class Message(Struct, frozen=True, gc=False):
-    """A publication on ``event/{camera}``; ``box``: whose clock has stamped it, "" if its publisher
-    does not say.
+    """A publication on ``event/{camera}``.
+
+    box: the box whose clock has stamped it; "" if its publisher does not say.
     """
 
     camera: str
@@ -30,10 +30,13 @@ class Message(Struct, frozen=True, gc=False):
 
 
 class Inbox:
-    """`put` never blocks and may be called from any thread; `take` from one.
+    """Events that wait to be put in order; `put` may be called from any thread, `take` from one.
 
-    ``known(camera)``: whether it has a queue of its own. At most ``events_max`` wait,
-    ``camera_events_max`` of them in one queue; ``quantum`` is what a queue gives in its turn.
+    `put` never blocks.
+
+    events_max, camera_events_max: most events in all queues, and in one queue.
+    quantum: events that a queue gives in its turn.
+    known: tells whether a camera has a queue of its own.
     """
 
     def __init__(
@@ -45,32 +48,34 @@ class Inbox:
             quantum,
         )
         self._known = known
-        self._queues: dict[
-            str, collections.deque[tuple[int, Message]]
-        ] = {}  # by whose turn it is; none is empty
+        # In the order of their turns; none is empty.
+        self._queues: dict[str, collections.deque[tuple[int, Message]]] = {}
         self._waiting = 0
         self._arrived = 0
         self._changed = threading.Condition()
         self.dropped: collections.Counter[str] = collections.Counter()
-        """Messages there was no room for, by queue."""
+        """Number of messages dropped for lack of room, by queue."""
 
     def put(self, message: Message) -> None:
-        """Let it wait for its turn, or drop it, or the newest of a longer queue."""
+        """Add a message; if there is no room, drop it or the newest of a longer queue."""
         with self._changed:
             self._put(message)
             self._changed.notify()
 
     def put_all(self, messages: Sequence[Message]) -> None:
-        """The same of several, of which `wait` need not know."""
+        """Add messages without waking `wait`."""
         with self._changed:
             for message in messages:
                 self._put(message)
 
     def _put(self, message: Message) -> None:
+        # Choose the queue.
         name = message.camera
         queue = self._queues.get(name)
         if queue is None and not self._known(name):
             name, queue = STRANGERS, self._queues.get(STRANGERS)
+
+        # Make room if another queue is longer.
         length = 0 if queue is None else len(queue)
         room = length < self._camera_events_max
         if room and self._waiting >= self._events_max:
@@ -95,14 +100,15 @@ class Inbox:
             self._changed.notify()
 
     def wait(self, seconds: float) -> None:
-        """Until something comes or `poke` is called, at most ``seconds``."""
+        """Wait until a message comes or `poke` is called, at most ``seconds``."""
         with self._changed:
             if not self._waiting:
                 self._changed.wait(seconds)
 
     def take(self, most: int) -> list[Message]:
-        """Up to ``most`` messages, chosen in turns; in the order they came, or else quick cameras
-        would be late.
+        """Return up to ``most`` messages, chosen in turns, in the order in which they came.
+
+        In the order of turns, the events of fast cameras would be late.
         """
         taken: list[tuple[int, Message]] = []
         with self._changed:

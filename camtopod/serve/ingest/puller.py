@@ -1,6 +1,4 @@
-"""Asks the publishers' spools for what has not arrived: at a gap, when one appears, and once a
-second.
-"""
+"""Ask publishers' spools for missing events: when a gap appears, and at intervals."""
 
 from __future__ import annotations
 
@@ -24,18 +22,25 @@ from camtopod.serve.runtime import Mark, Rejects
 log = logging.getLogger(__name__)
 
 _ASKING_AT_ONCE = 4
+"""Number of spools asked at the same time."""
 _GAP_PULLS_SECONDS = 0.1
+"""Shortest time between two rounds of questions when gaps appear."""
 _ROUNDS_MAX = 20
-"""Answers taken in a row from one spool before it is another's turn."""
+"""Most answers of one spool in a row, until other spools have their turn."""
 _BOOT = re.compile(CAMERA_PATTERN)
-"""A boot that can be asked for; for another the spool is asked what is oldest, which comes to the
-same in the end.
+"""Boots that a query can name.
+
+For any other boot, the spool is asked for its oldest events, which gives the same in the end.
 """
 
 
 class Puller:
-    """``wanted(camera)``: the (boot, seq) to ask from, or None; ``deliver`` takes an answer, or
-    refuses; ``daemon``: its name.
+    """Pulls missing events from spools.
+
+    wanted: gives for a camera the (boot, seq) from which to ask, or None.
+    deliver: takes an answer; returns False to refuse it.
+    poke: set to pull at once.
+    daemon: name of this daemon.
     """
 
     def __init__(
@@ -53,27 +58,30 @@ class Puller:
         self._wanted, self._deliver = wanted, deliver
         self._poke = poke
         self._mutex = threading.Lock()
-        self._asking: dict[
-            str, float
-        ] = {}  # camera -> when its last question was put; infinity: not yet
+        # When each camera being asked was asked last, by the monotonic clock; infinity: not yet.
+        self._asking: dict[str, float] = {}
         self.alive: set[str] = set()
-        """Cameras whose publisher is there."""
+        """Cameras whose publisher is present."""
         self.pulls = 0
+        """Number of answers received."""
         self._rejects = rejects
 
     def on_alive(self, camera: str, alive: bool) -> None:
-        """A publisher appeared or vanished; from a thread of the bus."""
+        """Take note that a publisher has appeared or vanished. Called from a thread of the bus."""
         with self._mutex:
             (self.alive.add if alive else self.alive.discard)(camera)
         if alive:
             self._poke.set()
 
     def use(self, limits: Limits) -> None:
-        """Obey other limits from now on. Any thread."""
+        """Use other limits from now on. Any thread."""
         self._limits = limits
 
     def work(self, stopping: threading.Event, mark: Mark | None = None) -> None:
-        """Pull until ``stopping``. A question that never ends shows in ``mark``."""
+        """Pull until ``stopping``.
+
+        mark: shows a stall if a query never ends.
+        """
         with concurrent.futures.ThreadPoolExecutor(_ASKING_AT_ONCE, "pull") as pool:
             while not stopping.is_set():
                 with self._mutex:
@@ -90,6 +98,7 @@ class Puller:
             pool.shutdown(wait=False, cancel_futures=True)
 
     def _pull(self, camera: str, stopping: threading.Event) -> None:
+        """Ask a camera's spool until it has no more, or for `_ROUNDS_MAX` answers."""
         try:
             question = self._wanted(camera) or ("", 0)
             for _ in range(_ROUNDS_MAX):
@@ -97,15 +106,17 @@ class Puller:
                 if following is None:
                     return
                 question = following
-            self._poke.set()  # there is more
+            self._poke.set()  # the spool has more
         finally:
             with self._mutex:
                 self._asking.pop(camera, None)
 
     def _ask(self, camera: str, boot: str, start: int) -> tuple[str, int] | None:
-        """Ask once; returns what to ask next at once, or None."""
+        """Ask once; return what to ask next at once, or None."""
         with self._mutex:
             self._asking[camera] = time.monotonic()
+
+        # Ask from the wanted seq on, in the stream's boot if it can be named.
         if not _BOOT.match(boot):
             boot, start = "", 0
         most = self._limits.pull_events_max
@@ -115,6 +126,8 @@ class Puller:
         except QueryError as error:
             self._rejects.add("spool-refuses", f"spool/{camera}", str(error))
             return None
+
+        # Deliver the answers; the next question follows the last event of an answer with more.
         following = None
         for _, payload in answers:
             self.pulls += 1
@@ -135,8 +148,9 @@ class Puller:
 
 
 def read_batch(payload: bytes, camera: str, most: int) -> SpoolBatch:
-    """The answer of a camera's spool, of at most ``most`` events. Raises `codec.Rejected` also for
-    one that contradicts itself.
+    """Return the answer of a camera's spool, of at most ``most`` events.
+
+    Raises `codec.Rejected`, also for an answer that contradicts itself.
     """
     batch = codec.read(SpoolBatch, payload, pack=True)
     if batch.camera != camera:
@@ -152,5 +166,6 @@ def read_batch(payload: bytes, camera: str, most: int) -> SpoolBatch:
 
 
 def _complain(pull: concurrent.futures.Future[None]) -> None:
+    """Log an unexpected error of a pull."""
     if not pull.cancelled() and (error := pull.exception()) is not None:
         log.error("pulling from a spool failed", exc_info=error)

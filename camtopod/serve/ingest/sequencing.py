@@ -1,7 +1,8 @@
-"""Order within each (camera, boot): what comes next is ready, what came before is a duplicate, what
-comes too early waits for the gap to be filled from the publisher's spool. No I/O, no clock.
+"""Order the events of each stream, that is of each (camera, boot), by their seq.
 
-Of each camera the streams heard last are followed, so that years of nightly reboots fill nothing.
+The next event is ready; an earlier one is a duplicate; a later one waits until the gap before it is
+filled from the publisher's spool. No I/O, no clock. Of each camera only the streams received from
+last are followed, so that years of nightly reboots do not fill the memory.
 """
 
 from __future__ import annotations
@@ -13,24 +14,34 @@ from typing import Generic, Literal, TypeVar
 from msgspec import Struct
 
 FIRST_SEQS = (0, 1)
-"""A stream seen for the first time may begin with one of these; a higher one is a gap."""
+"""First seqs that a new stream may begin with; a higher one means a gap."""
 JUMP_MAX = 1_000_000
-"""A seq further ahead than this is no gap but damage: believing it would make everything below it a
-duplicate.
+"""Largest gap; a seq further ahead is an error.
+
+To trust it would make all later events below it duplicates.
 """
 COUNT_MAX = 2**63 - 1
-"""A spool may say anything; larger numbers have no place in a status."""
+"""Largest value of the counter of lost events.
+
+A spool may claim any number, but a status holds no larger one.
+"""
 
 Verdict = Literal["ready", "duplicate", "held", "dropped", "refused", "jump"]
+"""What `Streams.offer` makes of an event."""
 Key = tuple[str, str]
+"""A stream: (camera, boot)."""
 T = TypeVar("T")
 
 
 class _Stream(Struct):
-    """``next``: the lowest seq not ready yet, None for a stream never seen.
+    """State of one stream.
 
-    What the publisher's spool said of the gap: it ``lacks_next`` and goes on with ``goes_on``; the
-    held seqs in ``unknown`` it has never heard of.
+    next: the lowest seq that is not ready yet; None if the stream was never seen.
+    held: events that wait behind a gap, by seq.
+    gap_since: when the present gap appeared.
+    lacks_next: the spool does not have the event ``next``.
+    goes_on: the next seq that the spool has; None if it has none.
+    unknown: held seqs that the spool does not have either.
     """
 
     next: int | None
@@ -42,13 +53,15 @@ class _Stream(Struct):
 
 
 class Streams(Generic[T]):
-    """``stored``: the highest seq of each (camera, boot) in the journal, those heard last at the
-    end.
+    """The streams that are followed; items are of any type.
 
-    At most ``held_max`` items of one camera wait behind gaps. At most ``boots_max`` streams of one
-    camera are followed, and ``streams_max`` altogether; one that is complete and has not been heard
-    for longest gives way. Items are of the caller's kind. ``owns``: the cameras of which everything
-    ought to come; of another one nobody has lost what was not heard.
+    Beyond the limits, the complete stream not received from for longest is dropped.
+
+    stored: highest seq of each (camera, boot) in the journal; those received last are at the end.
+    held_max: most items of one camera that wait behind gaps.
+    streams_max, boots_max: most streams in all, and of one camera.
+    owns: the cameras whose missing events count as lost; of others this daemon does not get all
+        events.
     """
 
     def __init__(
@@ -65,40 +78,46 @@ class Streams(Generic[T]):
             boots_max,
             owns,
         )
-        self._streams: dict[Key, _Stream] = {}  # the one heard last is last, here and in _boots
+        # The stream received from last is the last one, here and in _boots.
+        self._streams: dict[Key, _Stream] = {}
         self._boots: dict[str, dict[str, None]] = {}
         self._held: collections.Counter[str] = collections.Counter()
         self._gaps: set[Key] = set()
         self._forgotten: list[Key] = []
         self.lost = 0
-        """Events given up: in nobody's spool, or from a publisher without one."""
+        """Number of events given up: no spool has them."""
         self.unknown = 0
-        """Events thrown away that waited behind a gap and are not in the spool they should have
-        come from.
-        """
+        """Number of events dropped that waited behind a gap but are not in their spool."""
         for key, seq in stored.items():
             if self._room_for(key):
                 self._add(key, _Stream(seq + 1, {}))
 
     def offer(self, key: Key, seq: int, item: T, now: float) -> tuple[Verdict, list[T]]:
-        """One event of stream ``key``; returns its verdict and what is ready now, in order.
+        """Take one event of stream ``key``; return its verdict and what is ready now, in order.
 
-        ``dropped``: too many are held back already, it will have to be pulled. ``refused``: too
-        many streams. ``jump``: too far ahead to be true.
+        held: it waits behind a gap.
+        dropped: too many wait already; it has to be pulled later.
+        refused: there are too many streams.
+        jump: its seq is too far ahead to be true.
         """
+        # A new stream begins with its first seq; it may have to replace another.
         stream = self._heard(key)
         if stream is None:
             return "refused", []
         if stream.next is None and seq in FIRST_SEQS:
             stream.next = seq
+
+        # The next event, or an earlier one.
         if stream.next is not None and seq < stream.next:
             return "duplicate", []
-        if seq == stream.next and not stream.held:  # as nearly always
+        if seq == stream.next and not stream.held:  # the usual case
             stream.next, stream.lacks_next, stream.goes_on = seq + 1, False, None
             return "ready", [item]
         if seq == stream.next:
             self._hold(key, stream, seq, item)
             return "ready", self._release(key, stream, now)
+
+        # An event behind a gap.
         if seq in stream.held:
             return "duplicate", []
         if stream.next is not None and seq - stream.next > JUMP_MAX:
@@ -112,9 +131,7 @@ class Streams(Generic[T]):
         return "held", []
 
     def begins_at(self, key: Key, first: int, now: float) -> list[T]:
-        """The spool says that it has nothing below ``first``: what is still missing there is
-        lost.
-        """
+        """Return what becomes ready as the spool has nothing below ``first``: the rest is lost."""
         stream = self._heard(key)
         if stream is None or (stream.next is not None and stream.next >= first):
             return []
@@ -123,19 +140,24 @@ class Streams(Generic[T]):
     def answered(
         self, key: Key, asked_from: int, seqs: Sequence[int], more: bool, knows: bool = True
     ) -> None:
-        """A spool gave ``seqs``, rising, of what it has from ``asked_from`` on; were there
-        ``more``?
+        """Note the ``seqs`` (rising) that a spool has from ``asked_from`` on, and perhaps ``more``.
 
-        If the gap is still there it cannot fill it. A spool that does not even know the boot says
-        nothing about what is held; one that does had every event before it was put, so what it
-        lacks twice is nobody's.
+        If the gap is still there, the spool cannot fill it.
+
+        knows: the spool knows the boot. One that does not tells nothing about held events. One that
+            does had every event before it was published, so a held event that it lacks twice is
+            nobody's.
         """
         stream = self._streams.get(key)
         if stream is None or not stream.held or (stream.next or 0) < asked_from:
             return
+
+        # The first event from the gap on that the spool has.
         following = next((seq for seq in seqs if seq >= (stream.next or 0)), None)
         if following is None and more:
             return
+
+        # It has none: drop held events that it lacks for the second time.
         if following is None and knows:
             for seq in stream.unknown & stream.held.keys():
                 self._let_go(key, stream, seq)
@@ -144,12 +166,15 @@ class Streams(Generic[T]):
             if not stream.held:
                 self._gaps.discard(key)
             return
+
+        # It has later ones: the gap cannot be filled.
         stream.lacks_next, stream.goes_on = True, following
 
     def give_up(self, now: float, gap_seconds: float, has_spool: set[str]) -> list[T]:
-        """What becomes ready because gaps older than ``gap_seconds`` cannot be filled by anybody.
+        """Return what becomes ready as gaps older than ``gap_seconds`` cannot be filled.
 
-        A camera in ``has_spool`` is waited for until its spool has said that it lacks the event.
+        has_spool: cameras with a spool; their gaps wait until the spool has said that it lacks the
+            event.
         """
         ready: list[T] = []
         for key in list(self._gaps):
@@ -163,40 +188,39 @@ class Streams(Generic[T]):
         return ready
 
     def wanted(self, camera: str) -> tuple[str, int] | None:
-        """(boot, lowest seq not ready yet) of a camera's newest stream, to ask its spool for. Any
-        thread.
+        """Return (boot, lowest seq not ready yet) of a camera's newest stream, to be pulled.
+
+        Any thread.
         """
         boots = list(self._boots.get(camera, ()))
         stream = self._streams.get((camera, boots[-1])) if boots else None
         return None if stream is None else (boots[-1], stream.next or 0)
 
     def boots(self, camera: str) -> list[str]:
-        """The boots of a camera that are followed. Any thread."""
+        """Return the boots of a camera that are followed. Any thread."""
         return list(self._boots.get(camera, ()))
 
     def forgotten(self) -> list[Key]:
-        """The streams that are not followed any more, since the last call."""
+        """Return the streams that were dropped since the last call."""
         keys, self._forgotten = self._forgotten, []
         return [key for key in keys if key not in self._streams]
 
     @property
     def gaps(self) -> set[str]:
-        """The cameras with a gap."""
+        """Cameras with a gap."""
         return {camera for camera, _ in self._gaps}
 
     def __len__(self) -> int:
         return len(self._streams)
 
     def _heard(self, key: Key) -> _Stream | None:
-        """The stream, now the one heard last; None if there are too many and none of them can be
-        forgotten.
-        """
+        """Return the stream, now the one received from last; None if there is no room for it."""
         stream = self._streams.pop(key, None)
         if stream is None:
             if not self._room_for(key):
                 return None
             stream = _Stream(None, {})
-        elif next(reversed(self._boots[key[0]])) == key[1]:  # as nearly always
+        elif next(reversed(self._boots[key[0]])) == key[1]:  # the usual case
             self._streams[key] = stream
             return stream
         self._add(key, stream)
@@ -209,8 +233,9 @@ class Streams(Generic[T]):
         boots[key[1]] = None
 
     def _room_for(self, key: Key) -> bool:
-        """Make room for one more, by forgetting the complete stream that has not been heard for
-        longest: of the camera if it has too many, else of all.
+        """Make room for a stream by dropping the complete one not received from for longest.
+
+        It is one of the same camera if that has too many, else any. Return False if there is none.
         """
         boots = self._boots.get(key[0], {})
         if len(boots) < self._boots_max and len(self._streams) < self._streams_max:
@@ -231,13 +256,14 @@ class Streams(Generic[T]):
         self._held[key[0]] += 1
 
     def _let_go(self, key: Key, stream: _Stream, seq: int) -> T:
+        """Return an event that was held, and hold it no longer."""
         self._held[key[0]] -= 1
         if not self._held[key[0]]:
             del self._held[key[0]]
         return stream.held.pop(seq)  # type: ignore[return-value]
 
     def _skip_to(self, key: Key, stream: _Stream, seq: int, now: float) -> list[T]:
-        """Give up what is missing below ``seq``; what is held below it is ready too."""
+        """Give up what is missing below ``seq``; events held below it become ready."""
         early = sorted(held for held in stream.held if held < seq)
         ready = [self._let_go(key, stream, held) for held in early]
         if (stream.next is not None or ready) and self._owns(key[0]):
@@ -246,6 +272,7 @@ class Streams(Generic[T]):
         return ready + self._release(key, stream, now)
 
     def _release(self, key: Key, stream: _Stream, now: float) -> list[T]:
+        """Return the held events that are next now."""
         ready: list[T] = []
         assert stream.next is not None
         while stream.next in stream.held:

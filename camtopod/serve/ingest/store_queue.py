@@ -1,5 +1,6 @@
-"""What is ready and not yet stored, on its way from the thread that orders to the one that stores,
-so that a disk that is slow holds up no prediction.
+"""The queue of ready events between the ordering and the storing thread.
+
+So a slow disk does not delay predictions.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from camtopod.serve.ingest.camera_registry import Received
 
 
 class Handover:
-    """`put` and `end` from one thread, `take` and `done` from another."""
+    """A queue; `put` and `end` are called from one thread, `take` and `done` from another."""
 
     def __init__(self) -> None:
         self._ready: collections.deque[Received] = collections.deque()
@@ -23,33 +24,35 @@ class Handover:
 
     @property
     def waiting(self) -> int:
-        """Not yet stored."""
+        """Number of events that are not stored yet."""
         return len(self._ready) + self._taken
 
     @property
     def over(self) -> bool:
-        """Nothing is there and nothing will come."""
+        """True if nothing is there and nothing will come."""
         return self._ended and not self._ready
 
     def begin(self) -> None:
-        """From now on something may come."""
+        """Open the queue."""
         self._ended = False
 
     def put(self, ready: Sequence[Received]) -> None:
-        """Behind what waits."""
+        """Append events."""
         with self._changed:
             self._ready.extend(ready)
             self._changed.notify_all()
 
     def end(self) -> None:
-        """Nothing more will come."""
+        """Close the queue: nothing more will come."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()
 
     def take(self, most: int, seconds: float, more_seconds: float) -> list[Received]:
-        """Up to ``most`` that wait, or that come within ``seconds`` and ``more_seconds`` after the
-        first; they count until `done`.
+        """Return up to ``most`` events; they count as waiting until `done`.
+
+        seconds: longest wait for the first event.
+        more_seconds: further wait for others.
         """
         with self._changed:
             if not self._ready and not self._ended:
@@ -61,12 +64,12 @@ class Handover:
             return [self._ready.popleft() for _ in range(self._taken)]
 
     def done(self) -> None:
-        """What was taken is stored."""
+        """Note that the events taken are stored."""
         with self._changed:
             self._taken = 0
             self._changed.notify_all()
 
     def wait_for_room(self, seconds: float) -> None:
-        """Until something is stored, at most ``seconds``."""
+        """Wait until something is stored, at most ``seconds``."""
         with self._changed:
             self._changed.wait(seconds)

@@ -1,7 +1,8 @@
-"""What the learner is taught, in what order, and what becomes of it: what the journal has beyond
-the snapshot, then what comes, and again from the journal what has come meanwhile when that is more
-than is kept in memory. The learning itself is done in a process of its own, so that a refit holds
-nothing up; order, ledger and failures are looked after here.
+"""Feed the journal's entries to the learner, and take its versions.
+
+First come the entries behind the snapshot, then new ones as they are stored; when more are waiting
+than are kept in memory, they are read from the journal again. The learner runs in its own process,
+so that a refit delays nothing here; order, position and failures are looked after on this side.
 """
 
 from __future__ import annotations
@@ -40,34 +41,43 @@ from camtopod.serve.storage import Entry, Journal, Snapshot, Version, head_of, r
 log = logging.getLogger(__name__)
 
 FINISH_SECONDS = 3.0
-"""When the daemon stops, a step may take so long yet. What is not learned is in the journal."""
+"""Time that a step may still take when the daemon stops; what is not learned is in the journal."""
 SAVE_SECONDS_MAX = 3.0
-"""And the snapshot of the end."""
+"""Time that the snapshot at the end may take."""
 GATHER_SECONDS = 0.02
-"""What comes within this time is taught together: a message for each event would cost more than
-learning it.
+"""Time in which new events are gathered into one message.
+
+A message for each event would cost more than learning it.
 """
 QUEUED_EVENTS_MAX = 20_000
-"""Kept in memory for the learner, beside the journal, from which what is more is read again."""
+"""Most events kept in memory for the learner; more are read from the journal again."""
 THOROUGH_EVERY = 250
-"""Versions until it is looked for what would otherwise stay in memory for ever; it holds everything
-up for a moment.
+"""Number of versions between full garbage collections.
+
+Without them, some objects would stay in memory for ever; each of them halts all threads for a
+moment.
 """
 GIVE_WAY_SECONDS = 0.0001
-"""Whoever wants the interpreter while a version is made ready has it after this; a prediction wants
-it often.
+"""Interval after which a thread that prepares a version yields the GIL to one that waits for it.
+
+Predictions need the GIL often.
 """
 REFUSED_SECONDS = 60.0
-"""It is said that cameras are refused for so long after an event of one."""
+"""How long the status mentions refused cameras after an event of one."""
 _TICK_SECONDS = 0.2
 _PROGRESS_ENTRIES = 200_000
+"""Number of replayed entries between two log lines."""
 
 
 class Learning:
-    """Teaches the learner of ``process``, for which it is the only one to ask. Its thread gives
-    each new version to ``on_version``, and whether that is hurried; snapshots to ``on_snapshot``
-    (each after the versions it has in it), and the deadline to ``on_deadline``; ``new_epoch``
-    begins and stores an epoch.
+    """Feeds the learner of ``process``; nothing else may ask that process.
+
+    The thread of `work` calls:
+
+    on_version: with each new version, and whether it is hurried.
+    on_snapshot: with each snapshot, after the versions it includes.
+    on_deadline: with the event time that the learner waits for.
+    new_epoch: to begin and store an epoch.
     """
 
     def __init__(
@@ -94,26 +104,26 @@ class Learning:
         self._replay_until = self._stored = len(journal)
         self._saved = self.position
         self._due = False
-        self._busy = False  # whether the process owes an answer
+        self._busy = False  # True while the process owes an answer
         self._queue: queue.SimpleQueue[list[Lesson]] = queue.SimpleQueue()
         self._queued = 0
-        self._behind = True  # whether what comes behind the queue is to be read from the journal
+        self._behind = True  # True while entries after the queue have to be read from the journal
         self._mutex = threading.Lock()
         self.damaged = 0
-        """Damaged entries of the journal that were left out."""
+        """Number of damaged journal entries that were left out."""
         self.statistics = taught.statistics
-        """The learner's, as of its last step."""
+        """The learner's statistics, as of its last step."""
         self.reached = taught.reached
-        """Of a shard: event time up to which all versions before `made` have everything."""
+        """Of a shard: event time up to which all versions before `made` are complete."""
         self.strangers = frozenset(taught.strangers or ())
-        """Of a shard: cameras of other shards that it need not hear, but as guests."""
+        """Of a shard: cameras of other shards to which it subscribes only as guests."""
         self._refused_at = -math.inf
         self.made = 0
-        """Versions handed over."""
+        """Number of versions handed over."""
         on_deadline(taught.deadline)
 
     def feed(self, batch: list[Received]) -> None:
-        """Learn these, which have just been stored, in this order, soon. Any thread."""
+        """Queue entries that have just been stored, to be learned in this order. Any thread."""
         with self._mutex:
             self._stored += len(batch)
             self._behind = self._behind or self._queued + len(batch) > QUEUED_EVENTS_MAX
@@ -125,34 +135,34 @@ class Learning:
         )
 
     def room(self) -> int:
-        """How many events may be fed at the moment."""
+        """Return how many events may be fed at the moment."""
         return self._events_max - self.waiting
 
     @property
     def waiting(self) -> int:
-        """Events stored and not learned yet."""
+        """Number of events stored and not learned yet."""
         return max(0, self._stored - self.position)
 
     @property
     def replaying(self) -> int:
-        """Entries of before the start that are not learned yet."""
+        """Number of entries from before the start that are not learned yet."""
         return max(0, self._replay_until - self.position)
 
     @property
     def crowded(self) -> str:
-        """Why some cameras are stored and not learned, and what to do; "" if none is. Any
-        thread.
-        """
+        """Why some cameras are stored but not learned, and what to do; else "". Any thread."""
         if time.monotonic() - self._refused_at > REFUSED_SECONDS:
             return ""
         return (
-            "there are more cameras than learn.cameras_max: events of further ones are stored and not learned until "
-            "another has been silent for an hour; if all are cameras of this site, raise learn.cameras_max"
+            "there are more cameras than learn.cameras_max: events of further ones are stored but"
+            " not learned until another has been silent for an hour; if all are cameras of this"
+            " site, raise learn.cameras_max"
         )
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
-        """Teach until ``stopping``; what is not learned by then is in the journal. Raises
-        `LearnerEnded`.
+        """Feed the learner until ``stopping``; entries not learned by then are in the journal.
+
+        Raises `LearnerEnded`.
         """
         try:
             self._learn(Refresh(self.position), stopping, beat)
@@ -164,6 +174,8 @@ class Learning:
         except LearnerEnded as ended:
             if stopping.is_set():
                 return
+
+            # Note the entry at which the learner failed, for the next start.
             if ended.at:
                 killed, out_of_memory = (
                     ended.status == -signal.SIGKILL,
@@ -173,21 +185,28 @@ class Learning:
             raise
 
     def snapshot(self) -> Snapshot | None:
-        """The learner as it is, for the next start; None if nothing has been learned since the
-        last, or if it is in the middle of something. Only while `work` does not run.
+        """Return the learner's state for the next start; only while `work` does not run.
+
+        None if nothing has been learned since the last snapshot, or if the learner is in the middle
+        of a step.
         """
         if self._busy or (self.position == self._saved and not self._due):
             return None
         try:
             saved = self._process.ask(Save(), SAVE_SECONDS_MAX)
         except LearnerEnded as ended:
-            log.warning("what was learned last has to be learned again from the journal: %s", ended)
+            log.warning(
+                "the learner's last state is not saved, so the next start repeats some entries of"
+                " the journal: %s",
+                ended,
+            )
             return None
         assert isinstance(saved, Saved)
         return Snapshot(self.position, self.epoch, saved.state)
 
     def _catch_up(self, stopping: threading.Event, beat: Beat) -> None:
-        """What is stored by now, from the journal; nothing is queued meanwhile."""
+        """Learn what the journal has by now; meanwhile nothing is queued."""
+        # Learn in batches.
         begun, until, damaged = self.position, self._stored, self.damaged
         batch: list[Lesson] = []
         for number, entry in self._journal.entries(after=begun, up_to=until):
@@ -203,10 +222,12 @@ class Learning:
                 return
             if (number - begun) % _PROGRESS_ENTRIES == 0:
                 log.info("replayed %d of %d journal entries", number - begun, until - begun)
+
+        # Report damage, and return to the queue if it is up to date.
         self.position = max(self.position, until)
         if self.damaged > damaged:
             log.error(
-                "%d damaged entries of the journal are left out; they are still in the file",
+                "%d damaged entries of the journal are not learned; they are still in the file",
                 self.damaged,
             )
         with self._mutex:
@@ -214,17 +235,20 @@ class Learning:
         self._tell(stopping, beat)
 
     def _go_on(self, stopping: threading.Event, beat: Beat) -> None:
-        """What is queued, or wait for something."""
+        """Learn what is queued, or wait for something."""
         try:
             batch = self._queue.get(timeout=_TICK_SECONDS)
         except queue.Empty:
             self._process.check()
             beat()
             return
+
+        # Gather more entries, then learn them in batches.
         if len(batch) < LESSONS_MAX:
             stopping.wait(GATHER_SECONDS)
         while len(batch) < LESSONS_MAX and not self._queue.empty():
             batch += self._queue.get()
+
         for first in range(0, len(batch), LESSONS_MAX):
             some = batch[first : first + LESSONS_MAX]
             self._learn(Teach(self.position, some), stopping, beat)
@@ -236,7 +260,7 @@ class Learning:
         self._tell(stopping, beat)
 
     def _learn(self, task: Refresh | Teach, stopping: threading.Event, beat: Beat) -> None:
-        """What there is to learn into the learner, new versions out."""
+        """Send a task to the learner and note the progress."""
         taught = self._ask(task, stopping, beat)
         assert isinstance(taught, Taught)
         if taught.statistics.get("refused", 0) > self.statistics.get("refused", 0):
@@ -251,10 +275,17 @@ class Learning:
             self.strangers = frozenset(taught.strangers)
         self._on_deadline(taught.deadline)
         if taught.unreadable:
-            log.error("%d entries of the journal cannot be read any more", taught.unreadable)
+            log.error(
+                "%d entries of the journal are no valid events for this program: they are not"
+                " learned",
+                taught.unreadable,
+            )
 
     def _lesson(self, number: int, entry: Entry) -> Lesson:
-        """Without what surrounds it, which is stored: thousands wait while a version is made."""
+        """Return what the learner needs of an entry.
+
+        The rest is not kept: thousands of entries wait during a refit.
+        """
         match entry.kind:
             case "event" if number > self.left_out.get(entry.camera, 0):
                 return entry.raw
@@ -266,7 +297,7 @@ class Learning:
                 return None
 
     def _tell(self, stopping: threading.Event, beat: Beat) -> None:
-        """Between batches: a snapshot if one is due."""
+        """Take a snapshot between batches if one is due."""
         if self._due or self.position - self._saved >= self._snapshot_events:
             saved = self._ask(Save(), stopping, beat)
             assert isinstance(saved, Saved)
@@ -275,14 +306,17 @@ class Learning:
             memory.give_back()
 
     def _ask(self, question: Question, stopping: threading.Event, beat: Beat) -> Answer:
-        """Everything it has to say about that; it gets on when it is at another entry. Raises
-        `LearnerEnded`.
+        """Send a question, handle its new versions, return the last answer. Raises `LearnerEnded`.
+
+        It beats while the learner moves from entry to entry.
         """
         self._busy = True
         self._process.send(question)
         told_at = None
         while True:
             answer = self._process.receive(_TICK_SECONDS)
+
+            # Versions come before the last answer.
             if isinstance(answer, Made):
                 self._take(answer)
             elif isinstance(answer, Otherwise):
@@ -290,8 +324,11 @@ class Learning:
             elif answer is not None:
                 self._busy = False
                 return answer
+
             if answer is not None or self._process.got_on():
                 beat()
+
+            # When stopping, let the learner finish its entry, or end it.
             if stopping.is_set():
                 told_at = told_at or time.monotonic()
                 self._process.hurry()
@@ -299,8 +336,10 @@ class Learning:
                     self._process.kill()
 
     def _take(self, made: Made) -> None:
-        """A new version. It may take its time, unless the journal is replayed and one comes after
-        the other.
+        """Hand a new version over.
+
+        It may be prepared slowly, unless the journal is replayed and versions follow each other
+        fast.
         """
         self._due = True
         self.made += 1
@@ -311,9 +350,10 @@ class Learning:
             self._on_version(version, self.replaying > 0)
 
     def _begin_epoch(self, version: int) -> None:
+        """Begin an epoch, as a stored version was not reproduced."""
         self.epoch = self._new_epoch()
         log.warning(
-            "version %d comes out otherwise than it was (another program or processor?): epoch %s begins",
+            "version %d was not reproduced (another build or processor?); epoch %s begins",
             version,
             self.epoch,
         )
@@ -322,8 +362,9 @@ class Learning:
 
 @contextlib.contextmanager
 def _giving_way() -> Iterator[None]:
-    """What takes a tenth of a second, in a thread beside which others have little to do, but that
-    at once.
+    """Yield the GIL fast in the block, which computes for a tenth of a second.
+
+    Other threads have little to do, but have to do it at once.
     """
     usual = sys.getswitchinterval()
     sys.setswitchinterval(min(usual, GIVE_WAY_SECONDS))

@@ -1,9 +1,8 @@
-"""What the daemon and the learner's process say to each other, in turns, over two pipes and a piece
-of memory.
+"""Messages between the daemon and the learner's process, over two pipes and shared memory.
 
 The daemon asks; the process answers with any number of `Made` and `Otherwise`, then with one of the
-others. A message is its length and itself as MessagePack. Both are this program: what does not fit
-is a mistake in it.
+other answers. A message is its length, and its MessagePack. Both sides are this program, so an
+invalid message is a bug.
 """
 
 from __future__ import annotations
@@ -23,30 +22,37 @@ from camtopod.serve.storage import Rewind
 from camtopod.sharding import Part, Sharding
 
 LESSONS_MAX = 4_000
-"""In one message: some hundred kilobytes, some hundredths of a second without a fit. Where the
-daemon's threads are busy each message costs it several turns of waiting for the interpreter,
-milliseconds each."""
+"""Most entries in one message: some hundred kilobytes, some hundredths of a second without a fit.
+
+Where the daemon's threads are busy, each message waits several times for the GIL, milliseconds
+each.
+"""
 READ_BYTES_MAX = 1 << 20
+"""Most bytes of one read from a pipe."""
 OUT_OF_MEMORY = 71
-"""Exit status of the learner's process when it was refused memory."""
+"""Exit status of the learner's process when it runs out of memory."""
 _LENGTH = struct.Struct("<Q")
+"""The length before each message, in bytes."""
 
 
 Lesson = bytes | float | Rewind | None
-"""What an entry of the journal teaches: an event as it was received, that event time has come so
-far, that it has to go back, nothing."""
+"""What the learner needs of a journal entry.
+
+It is an event as it was received, an event time to advance to, a rewind of event time, or nothing.
+"""
 
 
 class Portion(Struct, frozen=True):
-    """Shard ``shard`` = (i, n) of a site dealt out like this."""
+    """The part of the site that a learner learns: shard ``shard`` = (i, n), with these settings."""
 
     sharding: Sharding
     shard: tuple[int, int]
 
 
 class Load(Struct, tag=True):
-    """Is this the state of a learner, or of a shard's? To be followed by `Begin`. Answer: `Loaded`
-    or `Unusable`.
+    """Question: can this state of a learner (or of a shard's learner) be used? `Begin` follows.
+
+    Answer: `Loaded` or `Unusable`.
     """
 
     state: bytes
@@ -54,9 +60,12 @@ class Load(Struct, tag=True):
 
 
 class Begin(Struct, tag=True):
-    """A learner, with what was loaded last if anything was. ``stored``: digests of the epoch's
-    versions that may have been published; ``portion``: none for the whole site; ``without``:
-    cameras that are left out of what was loaded. Answer: `Taught`.
+    """Question: begin to learn. Answer: `Taught`.
+
+    stored: digests of the epoch's versions that may have been published.
+    load: use the state that was loaded last.
+    portion: None for the whole site.
+    without: cameras to leave out of the loaded state.
     """
 
     settings: Settings
@@ -69,7 +78,8 @@ class Begin(Struct, tag=True):
 
 
 class Refresh(Struct, tag=True):
-    """Make the first version of the epoch of what is known; to be asked once, before any lesson.
+    """Question: make the epoch's first version; asked once before any `Teach`.
+
     Answer: `Taught`.
     """
 
@@ -77,28 +87,28 @@ class Refresh(Struct, tag=True):
 
 
 class Teach(Struct, tag=True):
-    """The entries of the journal behind ``position``. Answer: `Taught`."""
+    """Question: learn the entries of the journal after ``position``. Answer: `Taught`."""
 
     position: int
     lessons: list[Lesson]
 
 
 class NewEpoch(Struct, tag=True):
-    """What `Otherwise` is told."""
+    """Reply of the daemon to `Otherwise`."""
 
     epoch: str
 
 
 class Show(Struct, tag=True):
-    """The newest version, please. Answer: `Shown`."""
+    """Question for the newest version. Answer: `Shown`."""
 
 
 class Save(Struct, tag=True):
-    """Everything learned, please. Answer: `Saved`."""
+    """Question for the learner's state. Answer: `Saved`."""
 
 
 class Loaded(Struct, tag=True):
-    """It is, of these settings and this site and epoch."""
+    """The state can be used; it was saved with these settings, for this site and epoch."""
 
     settings: Settings
     site: str
@@ -107,15 +117,18 @@ class Loaded(Struct, tag=True):
 
 
 class Unusable(Struct, tag=True):
-    """It is not; or it is ``newer`` than this program."""
+    """The state cannot be used; ``newer``: it was saved by a newer program."""
 
     reason: str
     newer: bool
 
 
 class Made(Struct, tag=True):
-    """A new version, not stored yet, as JSON and MessagePack; what changed since the one before, as
-    MessagePack; and of a shard what the others are told with it, as MessagePack.
+    """A new version, not stored yet.
+
+    content, packed: the version as JSON and as MessagePack.
+    delta: difference from the version before, as MessagePack.
+    told: of a shard, its update for the other shards, as MessagePack.
     """
 
     epoch: str
@@ -128,19 +141,21 @@ class Made(Struct, tag=True):
 
 
 class Otherwise(Struct, tag=True):
-    """A stored version has come out with another digest. Nothing more is learned before there is a
-    `NewEpoch`.
-    """
+    """A stored version was not reproduced: its digest differs. Learning waits for a `NewEpoch`."""
 
     version: int
 
 
 class Taught(Struct, tag=True):
-    """Everything up to ``position`` is learned, which is less than was asked if there was no time.
-    ``deadline``: event time at which time may have to be said to have gone on; ``unreadable``:
-    events that could not be read any more; ``epoch``: that of the versions to come. Of a shard:
-    what it has ``reached``, and its ``strangers``, None if they are those it said last. At the
-    beginning: how far ``event_time`` has come, in a shard in the district that has come furthest.
+    """Progress: everything up to ``position`` is learned, less than was asked for if time ran out.
+
+    deadline: event time that the learner waits for.
+    unreadable: number of events that this program cannot read.
+    epoch: epoch of the next versions.
+    reached: of a shard, event time up to which its updates are complete.
+    strangers: of a shard, other shards' cameras of which it needs events only as guests; None if
+        unchanged.
+    event_time: at the beginning, the event time; in a shard that of its most advanced district.
     """
 
     position: int
@@ -154,16 +169,14 @@ class Taught(Struct, tag=True):
 
 
 class Shown(Struct, tag=True):
-    """The newest version as MessagePack, None before the first; and of a shard what the others are
-    told with it.
-    """
+    """The newest version as MessagePack, None before the first; of a shard also its update."""
 
     packed: bytes | None
     told: bytes | None = None
 
 
 class Saved(Struct, tag=True):
-    """The packed state."""
+    """The learner's state, packed."""
 
     state: bytes
 
@@ -176,7 +189,7 @@ _answers = msgspec.msgpack.Decoder(Answer)
 
 
 def send(fd: int, message: Question | Answer) -> None:
-    """Write a message. Raises `BrokenPipeError` when nobody reads any more."""
+    """Write a message; raise `BrokenPipeError` if the other side has ended."""
     body = msgspec.msgpack.encode(message)
     for part in (_LENGTH.pack(len(body)), body):
         rest = memoryview(part)
@@ -185,13 +198,13 @@ def send(fd: int, message: Question | Answer) -> None:
 
 
 def question(fd: int) -> Question:
-    """Read one. Raises `EOFError` at the end."""
+    """Read a question; raise `EOFError` at the end."""
     asked: Question = _read(fd, _questions.decode)
     return asked
 
 
 def answer(fd: int) -> Answer:
-    """Read one. Raises `EOFError` at the end."""
+    """Read an answer; raise `EOFError` at the end."""
     told: Answer = _read(fd, _answers.decode)
     return told
 
@@ -212,14 +225,15 @@ def _exactly(fd: int, length: int) -> bytearray:
 
 
 class Board:
-    """Memory that both see: what is being learned at this moment, and that it should end soon. It
-    tells even of a process that was killed, and costs less than a message for every entry.
+    """Shared memory: the entry that is being learned, and a request to end soon.
+
+    It can be read even after the process was killed, and costs less than a message for each entry.
     """
 
     _AT, _HURRY = 0, 1
 
     def __init__(self, fd: int | None = None) -> None:
-        """``fd``: of the board of another process, for which this one gives it as `fd`."""
+        """Create a board, or open that of another process by its file descriptor ``fd``."""
         self.fd = os.memfd_create("learner") if fd is None else fd
         if fd is None:
             os.ftruncate(self.fd, mmap.PAGESIZE)
@@ -233,30 +247,32 @@ class Board:
 
     @at.setter
     def at(self, entry: int) -> None:
-        """By the process that learns, before each entry."""
+        """Set by the learner's process before each entry."""
         self._cells[self._AT] = entry
 
     @property
     def hurry(self) -> bool:
-        """Whether to end after this entry."""
+        """True if the process should end its step after the present entry."""
         return self._cells[self._HURRY] != 0
 
     @hurry.setter
     def hurry(self, hurry: bool) -> None:
-        """By the process that waits for the other."""
+        """Set by the daemon."""
         self._cells[self._HURRY] = hurry
 
     def close(self) -> None:
-        """No more of it in this process."""
+        """Close the board in this process."""
         self._cells.release()
         self._memory.close()
         os.close(self.fd)
 
 
 class Told(Struct):
-    """On ``part/{shard}``: parts of a shard's districts in the order they were made, and the event
-    time (seconds) up to which it has told all there are, none where nothing has come yet. A
-    question is answered with the newest of each.
+    """An update that a shard publishes on ``part/{shard}``.
+
+    reached (seconds): event time up to which its updates are complete; None before the first event.
+    parts: what its districts have learned, in the order it was made. The answer to a query has the
+        newest part of each district.
     """
 
     shard: int

@@ -1,4 +1,4 @@
-"""The daemon's end of the learner's process: started, asked, heard, ended."""
+"""The daemon's handle of the learner's process: start it, ask it, and end it."""
 
 from __future__ import annotations
 
@@ -16,16 +16,20 @@ from camtopod.serve.learner_process import messages
 from camtopod.serve.learner_process.messages import Answer, Board, Question
 
 PROGRAM = "camtopod.serve.learner_process.start"
+"""The module that the process runs."""
 END_SECONDS = 5.0
-"""For the system to end a process that was killed."""
+"""Time that the system may take to end a process that was killed."""
 _LOOK_SECONDS = 0.2
+"""Interval of checks while an answer is awaited."""
 _FOR_THE_DAEMON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Sent to the whole group, by a terminal or systemd; what they ask for is the daemon's to do."""
+"""Signals that a terminal or systemd sends to the whole process group, but the daemon handles."""
 
 
 class LearnerEnded(RuntimeError):
-    """The process has ended by itself; ``status`` as `subprocess` gives it, ``at``: the entry it
-    was at, 0: none.
+    """The learner's process has ended by itself.
+
+    status: exit status as `subprocess` gives it.
+    at: the journal entry it was at; 0: none.
     """
 
     def __init__(self, status: int, at: int) -> None:
@@ -39,7 +43,7 @@ class LearnerEnded(RuntimeError):
 
 @contextmanager
 def _blocked() -> Iterator[None]:
-    """What starts in the block never gets these signals."""
+    """Block `_FOR_THE_DAEMON`; a process that is started in the block never gets these signals."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _FOR_THE_DAEMON)
     try:
         yield
@@ -48,15 +52,19 @@ def _blocked() -> Iterator[None]:
 
 
 class LearnerProcess:
-    """Runs from the beginning until `close`, which has to be called. One thread asks at a time.
+    """The learner's process, from its start until `close`, which has to be called.
 
-    It is a program of its own and no fork or copy of this one, whatever that is: there are threads
-    here, a bus and a database. ``program``: the module to run.
+    One thread asks at a time. The process is a new program, not a fork of this one, which has
+    threads, a session and a database.
+
+    program: the module to run.
     """
 
     def __init__(self, program: str = PROGRAM) -> None:
         self._board = Board()
         self._seen = 0
+
+        # Start the process.
         here = os.pathsep.join(sys.path)  # it finds the same modules as this process
         with _blocked():
             self._process = subprocess.Popen(
@@ -67,6 +75,8 @@ class LearnerProcess:
                 pass_fds=[self._board.fd],
                 env={**os.environ, "PYTHONPATH": here},
             )
+
+        # Its two pipes.
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._in, self._out = self._process.stdin, self._process.stdout
@@ -76,18 +86,18 @@ class LearnerProcess:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Process id."""
         return self._process.pid
 
     def send(self, question: Question) -> None:
-        """Ask, when everything before has been answered. Raises `LearnerEnded`."""
+        """Send a question, after everything before has been answered. Raises `LearnerEnded`."""
         try:
             messages.send(self._in.fileno(), question)
         except BrokenPipeError:
             raise self._end() from None
 
     def receive(self, seconds: float) -> Answer | None:
-        """What it says, None if that is nothing within ``seconds``. Raises `LearnerEnded`."""
+        """Return the next answer; None if ``seconds`` pass without one. Raises `LearnerEnded`."""
         if not self._ready.poll(1000 * seconds):
             return None
         try:
@@ -96,7 +106,10 @@ class LearnerProcess:
             raise self._end() from None
 
     def ask(self, question: Question, seconds_max: float = math.inf) -> Answer:
-        """Ask and wait; after ``seconds_max`` the process is ended. Raises `LearnerEnded`."""
+        """Send a question and return its answer. Raises `LearnerEnded`.
+
+        The process is killed after ``seconds_max``.
+        """
         until = time.monotonic() + seconds_max
         self.send(question)
         while (answer := self.receive(_LOOK_SECONDS)) is None:
@@ -105,25 +118,25 @@ class LearnerProcess:
         return answer
 
     def check(self) -> None:
-        """Raises `LearnerEnded` if it has."""
+        """Raise `LearnerEnded` if the process has ended."""
         if self._process.poll() is not None:
             raise self._end()
 
     def got_on(self) -> bool:
-        """Whether it is at another entry than when this was asked last."""
+        """Return True if the process is at another entry than at the last call."""
         before, self._seen = self._seen, self._board.at
         return self._seen != before
 
     def hurry(self) -> None:
-        """It should answer after the entry it is at."""
+        """Ask the process to answer after the entry it is at."""
         self._board.hurry = True
 
     def kill(self) -> None:
-        """End it, whatever it does; a thread that waits for it gets `LearnerEnded`. Any thread."""
+        """Kill the process; a thread that waits for it gets `LearnerEnded`. Any thread."""
         self._process.kill()
 
     def close(self) -> None:
-        """No process and nothing open any more; may be called twice."""
+        """Kill the process and close everything; may be called twice."""
         if not self._ended:
             self._ended = True
             self.kill()
@@ -133,11 +146,11 @@ class LearnerProcess:
             self._board.close()
 
     def _end(self) -> LearnerEnded:
+        """Wait until the process has ended, and return how."""
         try:
             status = self._process.wait(END_SECONDS)
-        except (
-            subprocess.TimeoutExpired
-        ):  # it has closed its end and lives on, or the system is very slow
+        except subprocess.TimeoutExpired:
+            # It has closed its end but still runs, or the system is very slow.
             self.kill()
             status = self._process.wait(END_SECONDS)
         return LearnerEnded(status, self._board.at)

@@ -1,8 +1,7 @@
-"""Where the learner goes on after a start: from its newest snapshot that can be read, else from the
-oldest event kept.
+"""Recover the learner at a start: from the newest usable snapshot, else from the oldest entry.
 
-An epoch is a line of versions that one unbroken history of events, settings and program leads to.
-Where that cannot be promised any more a new one begins, with everything that is known.
+An epoch is a sequence of versions that results from one unbroken history of events, settings and
+program. When that can no longer be guaranteed a new epoch begins, with everything that is known.
 """
 
 from __future__ import annotations
@@ -33,44 +32,48 @@ from camtopod.serve.storage import Journal, StateError, corrections, leave_out, 
 log = logging.getLogger(__name__)
 
 FAILURES_MAX = 2
-"""When the learner has failed so often at one and the same entry, the events of the camera that has
-sent most are left out, or, if that is of no use, it begins anew behind the entry ..."""
+"""Number of failures of the learner at one entry after which something has to be given up.
+
+First the events of the camera that has sent most are left out; if that does not help, the learner
+begins anew after the entry.
+"""
 KILLS_MAX = 5
-"""... and so when its process was killed (SIGKILL) there so often. Who kills it once or twice is
-somebody outside; who always does it at the same entry is the system, as there is not the memory for
-what has been learned."""
+"""Number of kills (SIGKILL) of the process at one entry that has the same consequence.
+
+A person may kill it once or twice; only the system kills it always at the same entry, as there is
+not enough memory for what has been learned.
+"""
 RECENT_EVENTS, RECENT_SECONDS = 4_000, 600.0
-"""At most so many events of the last minutes before the start, which predictions remember."""
+"""Most events, and most seconds before the newest one, that predictions remember at a start."""
 
 
 class Failure(msgspec.Struct):
-    """The learner failed ``times`` times at the entry ``at``, and ``kills`` times it was killed
-    there.
-    """
+    """A failure of the learner: ``times`` failures and ``kills`` kills at the entry ``at``."""
 
     at: int
     times: int
     kills: int = 0
     out_of_memory: int = 0
-    """How many of the times memory had run out."""
+    """How many of ``times`` were for lack of memory."""
 
     @property
     def of_memory(self) -> bool:
-        """Whether there is too much to learn at once, not something that cannot be learned. Who
-        kills is the system.
+        """True if there is too much to learn at once, not something that cannot be learned.
+
+        Kills count as lack of memory: it is the system that kills.
         """
         return self.kills + self.out_of_memory > self.times - self.out_of_memory
 
     @property
     def hopeless(self) -> bool:
-        """Whether to give up what was learned."""
+        """True if something of what was learned has to be given up."""
         return self.times >= FAILURES_MAX or self.kills >= KILLS_MAX
 
 
 class Recovered(NamedTuple):
-    """The learner has learned the journal's entries up to ``position``, and is as it says.
-    ``left_out``: by camera the entry up to which its events are left out of what is still to be
-    learned.
+    """State of the learner at the start: it has learned the journal's entries up to ``position``.
+
+    left_out: for some cameras, the entry up to which their events are not learned.
     """
 
     position: int
@@ -88,8 +91,11 @@ def recover(
     portion: Portion | None = None,
     now: float = 0.0,
 ) -> Recovered:
-    """The learner to go on with is in ``process`` then. ``new_epoch`` begins one and stores its
-    name; ``now``: Unix seconds. Raises `StateError`.
+    """Load the learner into ``process`` and return its state. Raises `StateError`.
+
+    new_epoch: begins an epoch and stores its name.
+    portion: part of the site; None for the whole.
+    now: Unix seconds.
     """
 
     def begin(position: int, epoch: str, load: bool = False) -> Recovered:
@@ -101,6 +107,8 @@ def recover(
         assert isinstance(taught, Taught)
         return Recovered(position, epoch, taught, left_out)
 
+    # A new state, and one whose last entries were lost after they may have been published, begin an
+    # epoch.
     epoch = journal.meta("epoch")
     if epoch is None:
         epoch = new_epoch()
@@ -108,9 +116,12 @@ def recover(
         if journal.meta("damaged log") != damaged.name:
             epoch = new_epoch()
             log.warning(
-                "what the damaged log had in it may have been published: epoch %s begins", epoch
+                "versions that were in the damaged log may have been published: epoch %s begins",
+                epoch,
             )
             journal.set_meta("damaged log", damaged.name)
+
+    # After too many failures at one entry, leave out the events of a camera, or begin behind it.
     failure, found = read_failure(journal), _newest_state(journal, process, portion)
     beyond = 0 if found is None else found[0]
     if failure is not None and failure.hopeless and beyond < failure.at:
@@ -120,9 +131,9 @@ def recover(
             journal.commit([leave_out(camera, ended, epoch, forget=failure.of_memory)], now=now)
             journal.set_meta("failure", codec.to_json(Failure(0, 0)).decode())
             log.error(
-                "the learner has failed %d times at entry %d of the journal and was killed there %d times%s: what "
-                "camera %s has sent since entry %d is left out, in epoch %s; it is still in the journal, please "
-                "report this",
+                "the learner has failed %d times at entry %d of the journal and was killed there"
+                " %d times%s: the events of camera %s since entry %d are left out, in epoch %s;"
+                " they are still in the journal; please report this",
                 failure.times,
                 failure.at,
                 failure.kills,
@@ -133,66 +144,73 @@ def recover(
             )
             return begin(beyond, epoch, load=found is not None)
         log.error(
-            "the learner has failed %d times at entry %d of the journal and was killed there %d times: it begins anew "
-            "behind it, in epoch %s; the entries up to there are still in the journal, please report this",
+            "the learner has failed %d times at entry %d of the journal and was killed there"
+            " %d times: it begins anew after that entry, in epoch %s; the entries up to there are"
+            " still in the journal; please report this",
             failure.times,
             failure.at,
             failure.kills,
             epoch,
         )
         return begin(failure.at, epoch)
+
+    # Without a snapshot, learn all entries.
     if found is None:
         if journal.first() != 1 and journal.versions(epoch):
             epoch = new_epoch()
             log.warning(
-                "the oldest events are not kept any more and there is no snapshot: epoch %s begins",
+                "the oldest events are no longer kept and there is no snapshot: epoch %s begins",
                 epoch,
             )
         return begin(max(journal.first() - 1, 0), epoch)
+
+    # With a snapshot, learn the entries after it.
     position, state = found
     if (state.settings, state.site) != (settings, site):
         epoch = new_epoch()
         log.warning(
-            "settings of the learner have changed: with what is known, epoch %s begins", epoch
+            "settings of the learner have changed: epoch %s begins with what has been learned",
+            epoch,
         )
     return begin(position, epoch, load=True)
 
 
 def newest_topology(journal: Journal, process: LearnerProcess) -> Topology | None:
-    """The version that was published last, of whatever epoch; until there is another it still
-    holds.
-    """
+    """Return the version published last, of any epoch; it is valid until there is another."""
     content = journal.newest_version()
     if content is not None:
         try:
             return codec.read(Topology, content)
         except codec.Rejected as error:
-            log.error("the newest version in the journal cannot be read any more: %s", error)
+            log.error(
+                "the newest version in the journal cannot be read: %s; the learner's is used",
+                error,
+            )
     shown = process.ask(Show())
     assert isinstance(shown, Shown)
     return None if shown.packed is None else codec.read(Topology, shown.packed, pack=True)
 
 
 def told_by(process: LearnerProcess) -> bytes | None:
-    """What the learner of a shard tells the others, as MessagePack."""
+    """Return the update of a shard's learner for the other shards, as MessagePack."""
     shown = process.ask(Show())
     assert isinstance(shown, Shown)
     return shown.told
 
 
 def recent_events(journal: Journal) -> list[Event]:
-    """The newest events of the journal, for predictions to remember."""
+    """Return the newest events of the journal, for predictions to remember."""
     events = []
     for _, entry in journal.entries(after=max(0, len(journal) - RECENT_EVENTS)):
         if entry is not None and entry.kind == "event":
-            with contextlib.suppress(codec.Rejected):  # another program accepted it
+            with contextlib.suppress(codec.Rejected):  # accepted by another version
                 events.append(codec.event_from_bytes(entry.raw))
     newest = max((event.t for event in events), default=0.0)
     return [event for event in events if event.t > newest - RECENT_SECONDS]
 
 
 def read_failure(journal: Journal) -> Failure | None:
-    """Where the learner failed last; it may have got beyond that since."""
+    """Return the last failure of the learner, which may be past that entry by now."""
     kept = journal.meta("failure")
     return None if kept is None else codec.read(Failure, kept.encode())
 
@@ -200,9 +218,7 @@ def read_failure(journal: Journal) -> Failure | None:
 def note_failure(
     journal: Journal, at: int, killed: bool = False, out_of_memory: bool = False
 ) -> None:
-    """The learner failed at the entry ``at``, perhaps ``out_of_memory``, or was ``killed``
-    there.
-    """
+    """Note that the learner failed at the entry ``at``, or was ``killed`` there."""
     failure = read_failure(journal)
     if failure is None or failure.at != at:
         failure = Failure(at, 0)
@@ -217,20 +233,21 @@ def note_failure(
 def _newest_state(
     journal: Journal, process: LearnerProcess, portion: Portion | None
 ) -> tuple[int, Loaded] | None:
-    """The newest that can be read, which ``process`` then has ready."""
+    """Return the newest snapshot that can be used, with its position; ``process`` has loaded it."""
     for snapshot in journal.snapshots():
         answer = process.ask(Load(snapshot.state, portion is not None))
         if isinstance(answer, Loaded):
             if answer.portion == portion:
                 return snapshot.position, answer
             log.warning(
-                "the site is dealt out otherwise than before: what the journal has is learned again"
+                "the [shards] settings or the number of shards have changed: the journal is learned"
+                " again"
             )
             return None
         assert isinstance(answer, Unusable)
         if answer.newer:
             raise StateError(
-                f"a newer camtopod has saved what was learned ({answer.reason}): use that one"
+                f"the snapshot was saved by a newer camtopod ({answer.reason}): use that version"
             )
         log.error("the snapshot at entry %d cannot be used: %s", snapshot.position, answer.reason)
     return None

@@ -1,10 +1,9 @@
-"""The learner in a process of its own, so that a refit takes the interpreter from nobody who
-receives or predicts.
+"""The learner's process: it answers the daemon's questions, so that refits do not hold its GIL.
 
-`camtopod.serve.learner_process.process` starts it by `learner_start`, asks on its standard input
-and reads its standard output. It neither stores nor publishes and keeps no ledger: it ends, at once
-and with what it knows, when the daemon does. An exception ends it, too; its traceback goes to
-standard error, and the daemon sees on the board at which entry of the journal it was.
+`camtopod.serve.learner_process.process` starts it (by `start`), asks on its standard input and
+reads its standard output. It neither stores nor publishes anything. It ends at once when the daemon
+ends. An exception ends it too: the traceback goes to standard error, and the daemon reads on the
+board at which entry of the journal it was.
 """
 
 from __future__ import annotations
@@ -59,13 +58,17 @@ from camtopod.sharding import ShardLearner, ShardState, pack_shard, unpack_shard
 from camtopod.topology import make_delta
 
 NICENESS = 5
-"""Added to the daemon's: where all cores are busy, predictions and acknowledgements come before a
-fit, which has time. Still enough of the processor that a machine with other work to do gets its
-versions."""
+"""Added to the daemon's niceness: when all cores are busy, predictions and acks precede fits.
+
+It is small enough that versions are still made on a machine with other work to do.
+"""
 
 
 class Pupil:
-    """Answers questions; ``learner`` makes the learner."""
+    """Answers the daemon's questions.
+
+    learner: the class of the learner.
+    """
 
     def __init__(
         self, asked: queue.SimpleQueue[Question], out: int, board: Board, learner: type[Learner]
@@ -73,10 +76,10 @@ class Pupil:
         self._asked, self._out, self._board, self._kind = asked, out, board, learner
         self._loaded: LearnerState | ShardState | None = None
         self._learner: Learner | ShardLearner
-        self._strangers: frozenset[str] | None = None  # those said last
+        self._strangers: frozenset[str] | None = None  # those sent last
 
     def work(self) -> None:
-        """Answer for ever."""
+        """Answer questions for ever."""
         while True:
             question = self._asked.get()
             match question:
@@ -105,7 +108,7 @@ class Pupil:
                     )
                 case Save():
                     self._tell(Saved(self._save()))
-                    memory.give_back()  # all that was learned was there twice for a moment
+                    memory.give_back()  # the packed state took as much as the learner
                 case NewEpoch():
                     raise ValueError("nobody has asked for an epoch")
 
@@ -114,6 +117,7 @@ class Pupil:
         return pack_shard(state) if isinstance(state, ShardState) else pack(state)
 
     def _load(self, packed: bytes, sharded: bool) -> Loaded | Unusable:
+        """Unpack a state and keep it for `Begin`."""
         try:
             self._loaded = unpack_shard(packed) if sharded else unpack(packed)
         except SnapshotError as error:
@@ -128,6 +132,7 @@ class Pupil:
                 )
 
     def _begin(self, given: Begin) -> None:
+        """Make the learner, with the loaded state if the daemon wants it."""
         self._learner = self._new(given.settings, given.portion, given.site, given.epoch)
         if given.load and self._loaded is not None:
             match self._learner, self._loaded:
@@ -141,14 +146,19 @@ class Pupil:
                     raise ValueError("what was loaded is of another kind of learner")
             if before != given.epoch:
                 self._learner.begin_epoch(given.epoch)
+
+        # Drop what is not wanted any more.
         self._learner.forget(set(given.without))
         self._loaded = None
-        with contextlib.suppress(PermissionError):  # where the unit allows no change of priorities
-            os.nice(NICENESS)  # only now, as a start is waited for
+
+        # Fits yield the processor to the daemon; not before, as the start is waited for.
+        with contextlib.suppress(PermissionError):  # if the unit forbids changes of priorities
+            os.nice(NICENESS)
+
+        # What is known of earlier versions.
         self._stored, self._newest_stored = given.stored, max(given.stored, default=0)
-        self._passed_over = (
-            False  # whether there are versions of which it is not known that the others were told
-        )
+        # True if other shards may not have received all versions.
+        self._passed_over = False
         self._newest = self._learner.topology
 
     def _new(
@@ -161,7 +171,7 @@ class Pupil:
         return learner
 
     def _change(self, change: Callable[[LearnerState], LearnerState]) -> None:
-        """Go on with another state; only a new learner can be told what it knows."""
+        """Continue with a changed state; only a new learner can load one."""
         match self._learner:
             case Learner() as learner:
                 changed = self._kind(learner.settings, learner.site, learner.epoch)
@@ -172,9 +182,7 @@ class Pupil:
                 shard.change(change)
 
     def _rewind(self, lesson: Rewind) -> None:
-        """What is later than some moment is dropped, and an epoch begins, unless a later one has
-        begun already.
-        """
+        """Drop events after a time, and begin an epoch unless a later one has begun already."""
         self._change(lambda state: rewound(state, lesson.to))
         if lesson.epoch > self._learner.epoch:
             self._stored, self._newest_stored = dict(lesson.stored), max(lesson.stored, default=0)
@@ -183,6 +191,7 @@ class Pupil:
             self._learner.refresh()
 
     def _teach(self, position: int, lessons: list[Lesson]) -> Taught:
+        """Learn entries of the journal, or as many as there is time for."""
         unreadable = 0
         for lesson in lessons:
             self._board.at = position + 1
@@ -205,6 +214,7 @@ class Pupil:
         return self._taught(position, unreadable)
 
     def _taught(self, position: int, unreadable: int) -> Taught:
+        """Return the progress."""
         taught = Taught(
             position,
             self._learner.next_deadline(),
@@ -219,9 +229,7 @@ class Pupil:
         return taught
 
     def _told(self, everything: bool = False) -> bytes | None:
-        """What the other shards are told: parts that they do not know yet, or ``everything``: the
-        newest of each.
-        """
+        """Return a shard's update: its new parts or, with ``everything``, its districts' newest."""
         if not isinstance(self._learner, ShardLearner):
             return None
         made = self._learner.parts()
@@ -229,8 +237,10 @@ class Pupil:
         return codec.to_pack(Told(*self._learner.shard, self._learner.reached(), parts))
 
     def _take_versions(self) -> None:
-        """One step's; those of an epoch are taken before the next step, or a version would be
-        learned on from that is not the one that was published.
+        """Send the versions of a step; called before the next step.
+
+        Otherwise learning could continue from a version that differs from the published one, where
+        a new epoch has to begin.
         """
         while made := self._learner.updates():
             for topology in made:
@@ -238,21 +248,29 @@ class Pupil:
             memory.give_back()  # a fit takes a lot for a moment
 
     def _hand_out(self, topology: Topology) -> None:
-        """A version that is stored already must come out as it was, one that was and is not kept
-        any more is passed over; a new one is handed on.
+        """Send a version if it is new.
+
+        A version that is already stored must be the same; one that was stored but is no longer kept
+        is passed over.
         """
         if topology.epoch != self._learner.epoch:
             return  # made in the same step as the one that ended its epoch
+
+        # Compare it with the stored one.
         stored = self._stored.pop(topology.version, None)
         if stored is not None and stored != topology.digest:
             self._begin_epoch(topology.version)
             return
+
+        # Pass over versions from before the start.
         before, self._newest = self._newest, topology
         if topology.version <= self._newest_stored:
             self._passed_over = True
             if isinstance(self._learner, ShardLearner):
-                self._learner.parts()  # thousands in a long journal
+                self._learner.parts()  # drop the parts; a long journal makes thousands
             return
+
+        # Send a new one.
         delta = None if before is None else codec.to_pack(make_delta(before, topology))
         self._tell(
             Made(
@@ -268,6 +286,7 @@ class Pupil:
         self._passed_over = False
 
     def _begin_epoch(self, version: int) -> None:
+        """Report that a version was not reproduced, and continue in the daemon's new epoch."""
         self._tell(Otherwise(version))
         told = self._asked.get()
         assert isinstance(told, NewEpoch)
@@ -281,25 +300,27 @@ class Pupil:
 
 def main(learner: type[Learner] = Learner) -> None:
     """Learn until the daemon ends; never returns."""
+    # Limit memory, and keep stray prints out of the answers.
     faulthandler.enable()
     memory.limit_arenas()
     memory.keep_large_apart()
     out = os.dup(1)
-    os.dup2(2, 1)  # what anybody prints is no answer
+    os.dup2(2, 1)
     asked: queue.SimpleQueue[Question] = queue.SimpleQueue()
 
     def listen() -> None:
-        """In a thread, which sees that the daemon has gone in the middle of a fit, too."""
+        """Read questions in a thread, which notices the daemon's end even during a fit."""
         try:
             while True:
                 asked.put(messages.question(0))
         except EOFError:
             os._exit(0)
 
+    # Answer until the daemon ends or memory runs out.
     threading.Thread(target=listen, name="listen", daemon=True).start()
     try:
         Pupil(asked, out, Board(int(sys.argv[1])), learner).work()
-    except BrokenPipeError:  # the daemon has gone
+    except BrokenPipeError:  # the daemon has ended
         os._exit(0)
     except MemoryError:
         traceback.print_exc()

@@ -1,4 +1,9 @@
-"""shards"""
+"""The daemons of a large site that share its cameras, each of them one shard.
+
+`membership` tells which cameras a shard owns and which it hears; `subscriptions` subscribes to
+their events; `shard_exchange` publishes what the shard has learned and follows the site's topology;
+`site_merger`, in shard 0, makes that topology of all shards' updates.
+"""
 
 from __future__ import annotations
 

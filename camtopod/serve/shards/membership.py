@@ -1,8 +1,7 @@
-"""One shard's share of a site: which cameras are its own, which others it hears, and what it tells
-the other shards.
+"""The cameras that a shard owns, and those whose events it needs.
 
-Which camera is whose follows from its name alone (`dealing`), so every shard knows it of every
-camera.
+The owner of a camera follows from the camera's name alone (`camtopod.sharding.assignment`), so
+every shard knows it.
 """
 
 from __future__ import annotations
@@ -14,53 +13,59 @@ from camtopod.serve.runtime import everything
 from camtopod.sharding import Dealing, Sharding, districts_of
 
 SOON_SECONDS = 60.0
-"""So long before its turn a guest is heard, as clocks differ and subscribing takes a moment."""
+"""Time before its turn at which a guest is subscribed to.
+
+Clocks differ, and subscribing takes a moment.
+"""
 
 
 class Share:
-    """``shard``: (i, n), i of 0 .. n - 1."""
+    """The membership of shard ``shard`` = (i, n), with i from 0 to n - 1."""
 
     def __init__(self, sharding: Sharding, shard: tuple[int, int]) -> None:
         self.sharding, self.shard = sharding, shard
         self.strangers: frozenset[str] = frozenset()
-        """Other shards' cameras that are of use as guests only, as the learner said last."""
+        """Other shards' cameras that are needed only as guests, as the learner said last."""
         self._dealing = Dealing(sharding)
         self._districts = frozenset(districts_of(*shard, sharding.districts))
 
     @property
     def first(self) -> bool:
-        """Shard 0, which makes the topology of the whole site and, unless there is a router, is the
-        meeting point.
+        """True for shard 0.
+
+        It makes the topology of the whole site and, unless there is a router, is the meeting point.
         """
         return self.shard[0] == 0
 
     @property
     def folder(self) -> str:
-        """Of the state directory, as shards may share a machine."""
+        """Folder within the state directory, as shards may share a machine."""
         return "shard-{}-of-{}".format(*self.shard)
 
     @property
     def portion(self) -> Portion:
-        """What the learner is told."""
+        """The learner's part of the site."""
         return Portion(self.sharding, self.shard)
 
     @property
     def name(self) -> str:
-        """For people: ``2/8``."""
+        """Name for people, e.g. ``2/8``."""
         return "{}/{}".format(*self.shard)
 
     @property
     def status_key(self) -> str:
-        """Where its daemon says how it is."""
+        """Key of the daemon's status."""
         return STATUS if self.first else f"status/shard/{self.shard[0]}"
 
     def owns(self, camera: str) -> bool:
-        """Whether this shard stores the camera's events for the site, and answers its exits."""
+        """Return True if this shard stores the camera's events and answers its exits."""
         return self._dealing.district(camera) in self._districts
 
     def hears(self, camera: str, now: float) -> bool:
-        """Whether the camera's events at about ``now`` (seconds) are of use. The guests of the turn
-        before are, too: they may be neighbours, and the learner not have said so yet.
+        """Return True if the camera's events at about ``now`` (Unix seconds) are needed.
+
+        The guests of the two turns before count too: they may be neighbours that the learner has
+        not reported yet.
         """
         if self.owns(camera) or camera not in self.strangers:
             return True
@@ -69,11 +74,11 @@ class Share:
 
 
 class Whole:
-    """The share of a daemon that has the site to itself."""
+    """The membership of a daemon that serves the site alone."""
 
     shard = portion = None
     first, folder, status_key = True, "", STATUS
 
     def owns(self, camera: str) -> bool:
-        """Every camera is its own."""
+        """Return True: it owns every camera."""
         return everything(camera)

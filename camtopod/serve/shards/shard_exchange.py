@@ -1,6 +1,7 @@
-"""What a daemon does besides when it is one shard of several: it hears whom it has use for, tells
-the others what it has learned, and predicts with the topology that all of them made. Shard 0 puts
-that together (`merger`).
+"""The exchange of a shard with the other shards of its site.
+
+A shard subscribes to the cameras it needs, publishes updates of what it has learned, and predicts
+with the topology that all shards made. Shard 0 merges that topology (`site_merger`).
 """
 
 from __future__ import annotations
@@ -24,12 +25,16 @@ from camtopod.serve.storage import Version
 log = logging.getLogger(__name__)
 
 TELL_SECONDS = 1.0
-"""How often a shard says how far it has come."""
+"""Interval at which a shard publishes its progress."""
 _FOLLOW_SECONDS = 0.1
+"""Interval of checks for a new topology of the site."""
 
 
 class Sharing:
-    """``use``: called with each version of the whole site, first with the newest there is."""
+    """The exchange of one shard.
+
+    use: called with each version of the whole site, first with the newest there is.
+    """
 
     def __init__(
         self,
@@ -50,7 +55,7 @@ class Sharing:
         self._came = threading.Event()
         self._clock, self._config = clock, config
         self.merger: Merger | None = None
-        """Of shard 0."""
+        """The merger of shard 0; None in other shards."""
         if share.shard[0] == 0:
             self.merger = Merger(
                 directory,
@@ -67,11 +72,11 @@ class Sharing:
 
     @property
     def reason(self) -> str:
-        """Why no version of the whole site is stored at the moment; "" if all is well."""
+        """Why no version of the whole site is stored at the moment; "" if they are stored."""
         return "" if self.merger is None else self.merger.reason
 
     def serve(self, on_event: OnMessage, on_alive: Callable[[str, bool], None]) -> None:
-        """Join the others."""
+        """Subscribe to events and updates, and answer queries of other shards."""
         self.hearing = Hearing(
             self._bus, self._share, self._clock, on_event, on_alive, self._config.limits.streams_max
         )
@@ -87,7 +92,7 @@ class Sharing:
             self._view = TopologyView(self._bus)
 
     def publish(self, version: Version) -> None:
-        """A version of the own districts, which is stored."""
+        """Publish a version of this shard's districts that is stored."""
         assert version.told is not None
         told = codec.read_in_parts(Told, version.told)
         with self._mutex:
@@ -97,9 +102,10 @@ class Sharing:
         self._bus.put_raw(f"part/{self._share.shard[0]}", version.told, "part")
 
     def tell(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
-        """Say how far this shard has come until ``stopping``; and hear who is of use. Shard 0 asks
-        what the others know when one has appeared: it may have said it while it was cut off, or
-        while nobody put it together.
+        """Publish this shard's progress until ``stopping``, and follow the needs of its learner.
+
+        Shard 0 also queries the other shards' updates when a shard has appeared: it may have
+        published them while it was cut off, or while no shard 0 was running.
         """
         while not stopping.wait(TELL_SECONDS):
             if self.merger is not None and self._came.is_set():
@@ -107,9 +113,9 @@ class Sharing:
                 self._ask(self.merger)
             self._share.strangers = self._learning.strangers
             reached = self._learning.reached
-            if (
-                self._learning.made == self._published
-            ):  # else not everything up to there has been told
+
+            # Progress may be published once all versions up to there are published.
+            if self._learning.made == self._published:
                 self._reached = reached
             self._bus.put(
                 f"part/{self._share.shard[0]}", Told(*self._share.shard, self._reached), "part"
@@ -128,21 +134,23 @@ class Sharing:
             beat()
 
     def close(self) -> None:
-        """Only after the loops have ended."""
+        """Close the merger; only after the loops have ended."""
         if self.merger is not None:
             self.merger.close()
 
     def _answer(self) -> Told:
+        """Return an update with the newest part of each district."""
         with self._mutex:
             return Told(
                 *self._share.shard, self._reached, [self._parts[key] for key in sorted(self._parts)]
             )
 
     def _ask(self, merger: Merger) -> None:
+        """Query the updates of all shards."""
         try:
             answers = self._bus.ask("part/*")
-        except QueryError as error:  # anybody may have answered
-            log.warning("what the shards know is asked again: %s", error)
+        except QueryError as error:  # any program may have answered
+            log.warning("querying the shards' updates failed, it is repeated: %s", error)
             self._came.set()
             return
         for key, payload in answers:

@@ -1,9 +1,9 @@
-"""The parts of a site that several daemons learn, put together: one topology with one version line.
+"""Merge what the shards of a site have learned into one topology with one sequence of versions.
 
 It runs beside shard 0. A shard publishes ``part/{shard}`` after its own versions are stored, and
-answers questions for it; what is lost on the way is asked for again. A version is stored before it
-is published, in a journal of its own, so it never has two contents. A shard that is away holds
-nobody up for long: its cameras stay as they were until it is back.
+answers queries for it; lost updates are queried again. A version is stored, in a journal of its
+own, before it is published, so it never has two contents. A missing shard does not delay the others
+for long: its cameras stay as they were until it is back.
 """
 
 from __future__ import annotations
@@ -33,23 +33,25 @@ from camtopod.topology import make_delta
 log = logging.getLogger(__name__)
 
 FOLDER = "site"
-"""Of the state directory: where versions and what they were made of are kept."""
+"""Folder of the state directory with the versions, and the parts they were made of."""
 PATIENCE_SECONDS = 10.0
-"""So long a part waits for shards that have not come so far: they may be away, or nobody walk at
-their cameras.
+"""Time that a part waits for shards that have not reached its event time.
+
+They may be missing, or there may be no traffic at their cameras.
 """
 INBOX_MAX = 1_000
-"""Messages of shards that wait; of more only the newest part of each district is kept."""
+"""Most updates that wait; beyond it only the newest part of each district is kept."""
 WAITING_PARTS_MAX = 10_000
-"""Parts that wait for a shard which is there but has not come so far; with more it is not waited
-for.
-"""
+"""Most parts that wait for a shard that is present but has not reached their event time."""
 _TICK_SECONDS = 0.2
 
 
 class Merger:
-    """Give it what shards say with `on_part` (any thread), and run `work` in a thread. ``publish``
-    is called with each version after it is stored.
+    """Merges the updates of shards into the site's topology.
+
+    Run `work` in a thread, and pass updates to `on_part`, from any thread.
+
+    publish: called with each version after it is stored.
     """
 
     def __init__(
@@ -70,15 +72,16 @@ class Merger:
         self._came = threading.Condition()
         self._reached: dict[int, float | None] = {}  # event time by shard
         self._line = Line(settings, site, "")
-        with contextlib.ExitStack() as undo:  # a start that fails leaves nothing open
+        with contextlib.ExitStack() as undo:  # close the journal if the start fails
             undo.callback(self._journal.close)
             self._load()
             undo.pop_all()
         self._known = {part.district: age_of(part) for part in self._line.parts()}
         now = time.monotonic()
+        # Parts by time of arrival (monotonic), with their event times.
         self._arrivals = collections.deque(
             (now, part.topology.as_of) for part in self._line.parts()
-        )  # of parts
+        )
 
     @property
     def topology(self) -> Topology | None:
@@ -87,31 +90,40 @@ class Merger:
 
     @property
     def reason(self) -> str:
-        """Why nothing is stored at the moment; "" if all is well."""
+        """Why nothing is stored at the moment; "" if it is."""
         return self._storing.reason
 
     def on_part(self, key: str, payload: bytes) -> None:
-        """A publication on ``part/{shard}``, or the answer to a question for it."""
+        """Take a publication on ``part/{shard}``, or the answer to a query for it.
+
+        Invalid ones are logged and ignored.
+        """
         try:
             told = codec.read_in_parts(Told, payload)
         except codec.Rejected as error:
-            log.error("what came on %s cannot be read: %s", key, error)
+            log.error("an update on %s is invalid and is ignored: %s", key, error)
             return
+
+        # It must be of this site, and assigned in the same way.
         if told.shards != self._shards or key != f"part/{told.shard}":
             log.error(
-                "shard %d of %d is none of this site's %d", told.shard, told.shards, self._shards
+                "an update of shard %d of %d is ignored: this site has %d shards; start all its"
+                " daemons with the same number",
+                told.shard,
+                told.shards,
+                self._shards,
             )
             return
         if not all(is_dealt(part, self._dealing) for part in told.parts):
             log.error(
-                "shard %d has dealt out the site otherwise: all need the same [shards] settings",
+                "shard %d has different [shards] settings; all shards of a site must agree",
                 told.shard,
             )
             return
         self.tell(told)
 
     def tell(self, told: Told) -> None:
-        """What a shard has to say. Any thread; never blocks."""
+        """Take an update of a shard. Any thread; never blocks."""
         with self._came:
             self._inbox.append(told)
             if len(self._inbox) > INBOX_MAX:
@@ -130,18 +142,20 @@ class Merger:
             beat()
 
     def version(self, epoch: str, version: int) -> bytes | None:
-        """An older version as JSON; None if it is not kept."""
+        """Return an older version as JSON; None if it is not kept."""
         return self._journal.version(epoch, version)
 
     def close(self) -> None:
-        """Only after `work` has ended."""
+        """Close the journal; only after `work` has ended."""
         self._journal.close()
 
     def _load(self) -> None:
-        """Go on from what is stored, without parts of a site that was dealt out otherwise. A new
-        epoch begins where it cannot be used, or is older than the newest version, which would have
-        two contents otherwise.
+        """Continue from the stored state, without parts that are now assigned to other districts.
+
+        A new epoch begins if the state cannot be used, or is older than the newest version, which
+        would otherwise get two contents.
         """
+        # Load the newest snapshot that can be read.
         epoch = self._journal.meta("epoch")
         for snapshot in self._journal.snapshots():
             try:
@@ -151,9 +165,9 @@ class Merger:
                 self._line.load(state)
                 break
             except codec.Rejected as error:
-                log.error(
-                    "what version %d was made of cannot be read: %s", snapshot.position, error
-                )
+                log.error("the snapshot at version %d cannot be read: %s", snapshot.position, error)
+
+        # Begin an epoch if it is not that of the newest version.
         newest = 0 if epoch is None else max(self._journal.versions(epoch), default=0)
         known = self._line.topology
         if epoch is None or (self._line.epoch, known.version if known else 0) != (epoch, newest):
@@ -165,6 +179,7 @@ class Merger:
             log.info("the site's topology: epoch %s begins", epoch)
 
     def _take(self, told: Iterable[Told]) -> None:
+        """Take the parts that are new, and the progress of the shards."""
         now = time.monotonic()
         for one in told:
             for part in one.parts:
@@ -175,11 +190,14 @@ class Merger:
             self._reached[one.shard] = one.reached
 
     def _make(self, stopping: threading.Event, beat: Beat) -> None:
-        """The versions that are due, stored and published."""
+        """Make, store and publish the versions that are due."""
+        # Make them.
         before = self._line.topology
         self._line.refresh()
         self._line.reach(self._until(time.monotonic()))
         made = self._line.updates()
+
+        # Store them, with the state after the last one.
         for topology in made:
             delta = None if before is None else codec.to_pack(make_delta(before, topology))
             self._storing.on_version(Version.of(topology, delta))
@@ -187,23 +205,28 @@ class Merger:
         if made:
             state = msgspec.msgpack.encode(self._line.save())
             self._storing.on_snapshot(Snapshot(made[-1].version, made[-1].epoch, state))
-        self._storing.store([], stopping, beat)  # also looks whether the journal is still there
+        self._storing.store([], stopping, beat)  # also checks that the journal is still there
         self._storing.forget_old()
 
     def _until(self, now: float) -> float:
-        """Event time up to which nobody is waited for any more."""
+        """Return the event time up to which no shard is waited for any more."""
+        # Parts that have waited long enough.
         waited_for = -math.inf
         while self._arrivals and now - self._arrivals[0][0] > PATIENCE_SECONDS:
             waited_for = max(waited_for, self._arrivals.popleft()[1])
+
+        # With too many waiting parts, wait for none.
         if self._line.waiting > WAITING_PARTS_MAX:
             return math.inf
+
+        # Otherwise wait until all shards have reached an event time.
         reached = [self._reached.get(shard) for shard in range(self._shards)]
         marks = [mark for mark in reached if mark is not None]
         return max(waited_for, min(marks)) if len(marks) == self._shards else waited_for
 
 
 def _newest(told: Iterable[Told]) -> list[Told]:
-    """All that matters of what several shards have said: a message for each."""
+    """Return one update for each shard, with the newest part of each of its districts."""
     shards: dict[int, Told] = {}
     for one in told:
         before = shards.get(one.shard, Told(one.shard, one.shards, None))
