@@ -1,6 +1,4 @@
-"""What several commands share: configuration with the common options, logging, ending on a
-signal.
-"""
+"""Functions shared by several commands: configuration with the common options, logging, signals."""
 
 from __future__ import annotations
 
@@ -31,10 +29,11 @@ from camtopod.visible import visible, visible_lines
 log = logging.getLogger(__name__)
 
 _PARENT_LOOK_SECONDS = 0.5
+"""Interval at which `leaving` checks that its parent process still exists."""
 
 
 def accepted(args: argparse.Namespace) -> tuple[settings.Config, bytes]:
-    """The configuration, and the file's content that says so. Raises `CommandError`."""
+    """Return the configuration and the content of its file. Raises `CommandError`."""
     try:
         raw = b"" if args.config is None else args.config.read_bytes()
     except OSError as error:
@@ -43,11 +42,13 @@ def accepted(args: argparse.Namespace) -> tuple[settings.Config, bytes]:
 
 
 def configuration(args: argparse.Namespace, raw: bytes | None = None) -> settings.Config:
-    """The configuration with ``--site``, ``--connect``, ``--state`` on top. Raises `CommandError`.
+    """Return the configuration with ``--site``, ``--connect``, ``--state`` applied. Raises
+    `CommandError`.
 
-    ``raw``: the file's content as it was read before, which a process that was started with
-    ``--config-fd`` gets from the one above it.
+    raw: content of the file if it has been read already. A process that was started with
+    ``--config-fd`` reads it from that descriptor, which its supervisor passes on.
     """
+    # Read the file, the supervisor's copy of it, or nothing (defaults).
     above = getattr(args, "config_fd", None)
     if raw is None and above is not None:
         raw = Path(f"/proc/self/fd/{above}").read_bytes()
@@ -56,31 +57,33 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> setting
         try:
             loaded = settings.load(args.config, raw)
         except settings.ConfigError as error:
-            raise CommandError(f"the configuration is wrong:\n{error}", exits.CONFIG) from None
+            raise CommandError(f"the configuration has mistakes:\n{error}", exits.CONFIG) from None
         except OSError as error:
             raise InputError(f"cannot read {args.config}: {error.strerror}") from None
-        if above is None:  # or that one has said it, once for all cameras
+        if above is None:  # otherwise the supervisor warns, once for all cameras
             for sentence in secret_files.exposed(loaded.secrets(args.config)):
                 log.warning("%s", sentence)
+
+    # Apply the command line, then read the one camera's source.
     loaded = with_options(args, loaded)
     if getattr(args, "camera", None):
         try:
             loaded = loaded.for_camera(args.camera)
         except OSError as error:
             raise InputError(
-                f"the source of camera {args.camera}: {error.filename}: {error.strerror}"
+                f"cannot read the source of camera {args.camera}: "
+                f"{error.filename}: {error.strerror}"
             ) from None
     return loaded
 
 
 def with_options(args: argparse.Namespace, loaded: settings.Config) -> settings.Config:
-    """``--site``, ``--connect`` and ``--state`` on top of what a file says. Raises
-    `CommandError`.
-    """
+    """Apply ``--site``, ``--connect`` and ``--state`` to ``loaded``. Raises `CommandError`."""
     if args.site is not None:
         if not re.match(CAMERA_PATTERN, args.site):
             raise CommandError(
-                f"--site {args.site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
+                f"--site {args.site!r}: use 1 to 64 of the characters A-Z a-z 0-9 _ . -",
+                exits.USAGE,
             )
         loaded = msgspec.structs.replace(loaded, site=settings.SiteSettings(args.site))
     if args.connect:
@@ -91,7 +94,8 @@ def with_options(args: argparse.Namespace, loaded: settings.Config) -> settings.
                 )
             if loaded.bus.tls.ca and not endpoint.startswith("tls/"):
                 raise CommandError(
-                    f"--connect {endpoint!r}: write tls/..., as [bus.tls] is set", exits.USAGE
+                    f"--connect {endpoint!r}: must begin with tls/, as [bus.tls] is set",
+                    exits.USAGE,
                 )
         bus = msgspec.structs.replace(loaded.bus, connect=tuple(args.connect), listen=())
         loaded = msgspec.structs.replace(loaded, bus=bus)
@@ -101,8 +105,9 @@ def with_options(args: argparse.Namespace, loaded: settings.Config) -> settings.
 
 
 class _Formatter(logging.Formatter):
-    """One line a record, secrets taken out; a traceback takes more, which are indented. Times are
-    UTC.
+    """Log formatter: one line a record, without secrets, times in UTC.
+
+    A traceback adds further, indented lines.
     """
 
     converter = staticmethod(time.gmtime)
@@ -112,6 +117,7 @@ class _Formatter(logging.Formatter):
         self._form = form
 
     def format(self, record: logging.LogRecord) -> str:
+        """Return the line in the form "text", "logfmt" or "json"."""
         stamp = f"{self.formatTime(record, '%Y-%m-%dT%H:%M:%S')}.{int(record.msecs):03d}Z"
         message = redact(record.getMessage())
         trace = "\n" + redact(self.formatException(record.exc_info)) if record.exc_info else ""
@@ -129,29 +135,28 @@ class _Formatter(logging.Formatter):
 
 
 def start_logging(args: argparse.Namespace) -> None:
-    """Messages of all modules to standard error in the form asked for."""
+    """Send the messages of all modules to standard error, in the format of ``--log-format``."""
     handler = logging.StreamHandler()
     handler.setFormatter(_Formatter(args.log_format))
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
 
 
 class Told(NamedTuple):
-    """What signals have asked for."""
+    """Requests that have arrived as signals."""
 
     stop: threading.Event
-    """SIGTERM or SIGINT has come, or the terminal has gone."""
+    """Set by SIGTERM or SIGINT, or when the terminal is closed."""
     reload: threading.Event
-    """SIGHUP has come; whoever obeys clears it first."""
+    """Set by SIGHUP; clear it before reloading."""
 
 
 @contextlib.contextmanager
 def signals(reloads: bool = True) -> Iterator[Told]:
-    """What SIGTERM, SIGINT and, for a program that ``reloads``, SIGHUP ask for while the block
-    runs.
+    """Return the requests of SIGTERM, SIGINT and, with ``reloads``, SIGHUP while the block runs.
 
-    A thread of its own sets the events, told by the C side of the interpreter: setting an event in
-    a handler can deadlock with the wait it interrupts, and no handler runs while the main thread is
-    inside a library.
+    A thread sets the events; the C level of the interpreter wakes it through a pipe. Setting an
+    event in a Python handler could deadlock with the wait it interrupts, and no handler runs while
+    the main thread is inside a library.
     """
     told = Told(threading.Event(), threading.Event())
     numbers = [signal.SIGTERM, signal.SIGINT] + ([signal.SIGHUP] if reloads else [])
@@ -166,6 +171,7 @@ def signals(reloads: bool = True) -> Iterator[Told]:
             elif came[0] in numbers:  # others have handlers of their own
                 told.stop.set()
 
+    # Start the thread; install the pipe and empty handlers, and restore the former ones at the end.
     with contextlib.ExitStack() as stack:
         stack.callback(os.close, heard)
         thread = threading.Thread(target=obey, name="signals", daemon=True)
@@ -182,13 +188,13 @@ def signals(reloads: bool = True) -> Iterator[Told]:
 
 @contextlib.contextmanager
 def until_signal() -> Iterator[threading.Event]:
-    """An event that is set by SIGTERM or SIGINT while the block runs."""
+    """Return an event that SIGTERM or SIGINT sets while the block runs."""
     with signals(reloads=False) as told:
         yield told.stop
 
 
 class Leaving:
-    """``status``: of a process that is ended because its block did not end in time."""
+    """Exit status of a process that `leaving` ends because its block did not end in time."""
 
     def __init__(self) -> None:
         self.status = exits.DONE
@@ -196,9 +202,10 @@ class Leaving:
 
 @contextlib.contextmanager
 def leaving(stop: threading.Event, seconds: float, parent: int | None = None) -> Iterator[Leaving]:
-    """Once told to stop the block has ``seconds`` to end, or the process ends as it stands: what
-    must not be lost is on disk by then. It is told to stop, too, when the process ``parent`` is no
-    longer the one above.
+    """Give the block ``seconds`` to end once ``stop`` is set; then end the process.
+
+    Data that must not be lost is on disk by then. ``stop`` is also set when the process ``parent``
+    is no longer this one's parent.
     """
     done, given = threading.Event(), Leaving()
 
@@ -207,7 +214,10 @@ def leaving(stop: threading.Event, seconds: float, parent: int | None = None) ->
             if parent is not None and os.getppid() != parent:
                 stop.set()
         if not done.wait(seconds):
-            log.warning("something did not end within %g s and is left as it is", seconds)
+            log.warning(
+                "not everything closed within %g s; the process ends anyway, stored data is safe",
+                seconds,
+            )
             standard_streams.settle()
             os._exit(given.status)
 
@@ -221,9 +231,7 @@ def leaving(stop: threading.Event, seconds: float, parent: int | None = None) ->
 
 @contextlib.contextmanager
 def watched(progress: Progress, status: str) -> Iterator[None]:
-    """Tell systemd that it runs, in the words of ``status``, and feed its watchdog while the block
-    gets on.
-    """
+    """Report ``status`` to systemd, and feed its watchdog while the block makes progress."""
     with systemd.watchdog(progress.stuck, lambda: False):
         systemd.notify("READY=1", systemd.status(status))
         try:

@@ -1,4 +1,4 @@
-"""How many files, sockets among them, the process may have open at a time."""
+"""Limit of files (sockets included) that the process may have open at a time."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ import resource
 from camtopod.cli.exits import CommandError
 
 NEEDED = 64
-"""A daemon with its first clients has about 40. With fewer than that zenoh's threads cannot start,
-and nothing gets through.
+"""Least number of open files to start with.
+
+A daemon with its first clients has about 40. With fewer than `NEEDED`, zenoh's threads cannot start
+and no message gets through.
 """
 WANTED_MAX = 65_536
-"""Each program on the bus takes one, and each page that is open."""
+"""Number of open files asked for; each program on the bus and each open web page takes one."""
 
 
 def raise_limit() -> None:
-    """Allow as many as the system lets this process have. Raises `CommandError` if that is too
-    few.
+    """Raise the limit to what the system allows, at most `WANTED_MAX`.
+
+    Raises `CommandError` if that is fewer than `NEEDED`.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     unlimited = hard == resource.RLIM_INFINITY
@@ -25,6 +28,6 @@ def raise_limit() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
     if allowed < NEEDED:
         raise CommandError(
-            f"this process may have {allowed} files open at a time, and needs {NEEDED}: raise the limit "
-            f"(`ulimit -n`, LimitNOFILE= of a service)"
+            f"this process may have {allowed} files open at a time, but needs {NEEDED}: raise the "
+            f"limit (`ulimit -n`, LimitNOFILE= of a service)"
         )

@@ -1,4 +1,4 @@
-"""Exit statuses of the contract, and the errors which end a command with a message for a person."""
+"""Exit statuses of the command line, and errors that end a command with a message for its user."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ CONFIG = 78
 
 
 class CommandError(Exception):
-    """Ends the command with ``status``; ``str()`` says what went wrong and what to do about it."""
+    """Error that ends the command with ``status``; ``str()`` says what happened and what to do."""
 
     def __init__(self, message: str, status: int = FAILED) -> None:
         super().__init__(message)
@@ -20,7 +20,7 @@ class CommandError(Exception):
 
 
 class InputError(CommandError):
-    """An input cannot be read (66)."""
+    """Error for an input that cannot be read (status 66)."""
 
     def __init__(self, message: str) -> None:
         super().__init__(message, INPUT)

@@ -1,6 +1,4 @@
-"""What a bug report has to say of the machine: versions, memory, clock. Nothing here names a person
-or a place.
-"""
+"""The machine part of `camtopod doctor`: versions, memory, clock; no person or place in it."""
 
 from __future__ import annotations
 
@@ -27,14 +25,16 @@ PACKAGES = (
     "uvicorn",
     "prometheus-client",
 )
-"""Those that running needs, and those of the extras."""
+"""Packages whose versions are reported: required ones and those of the extras."""
 CLOCK_COMMANDS = (
     ("chronyc", "-n", "tracking"),
     ("timedatectl", "show", "--property=NTP", "--property=NTPSynchronized"),
 )
-"""Programs that know whether the clock is set from elsewhere."""
+"""Programs that know whether the clock is synchronised."""
 _ASK_SECONDS = 5.0
+"""Time limit for each of them."""
 _ABOUT_THE_PROGRAM = ("CAMTOPOD_", "OPENCV_", "OMP_", "OPENBLAS_", "MKL_", "RUST_", "ZENOH_")
+"""Prefixes of environment variables whose names are reported (never their values)."""
 _DIRECTORIES = (
     "STATE_DIRECTORY",
     "XDG_STATE_HOME",
@@ -42,10 +42,11 @@ _DIRECTORIES = (
     "NOTIFY_SOCKET",
     "WATCHDOG_USEC",
 )
+"""Further environment variables whose names are reported."""
 
 
 def versions() -> list[str]:
-    """camtopod, Python and the packages, a line each."""
+    """Return the versions of camtopod, Python and the packages, a line each."""
     lines = [
         f"camtopod {__version__}",
         f"Python {sys.version.split()[0]} ({platform.python_implementation()})",
@@ -59,7 +60,7 @@ def versions() -> list[str]:
 
 
 def machine() -> list[str]:
-    """Operating system, cores and memory; of the environment the names only."""
+    """Return lines about operating system, cores, memory and the names of environment variables."""
     memory = dict(line.split(":", 1) for line in _text(Path("/proc/meminfo")).splitlines())
     release = dict(
         line.split("=", 1) for line in _text(Path("/etc/os-release")).splitlines() if "=" in line
@@ -69,17 +70,21 @@ def machine() -> list[str]:
         name for name in os.environ if name.startswith(_ABOUT_THE_PROGRAM) or name in _DIRECTORIES
     )
     return [
-        f"{release.get('PRETTY_NAME', 'unknown').strip(chr(34))}, {platform.system()} {platform.release()}",
-        f"{platform.machine()}, {os.cpu_count()} cores, {len(os.sched_getaffinity(0))} for this program, load {load}",
-        f"memory: {memory.get('MemTotal', '?').strip()}, available {memory.get('MemAvailable', '?').strip()}",
-        f"limit of the control group: {_text(Path('/sys/fs/cgroup/memory.max')).strip() or 'unknown'}",
+        f"{release.get('PRETTY_NAME', 'unknown').strip(chr(34))}, "
+        f"{platform.system()} {platform.release()}",
+        f"{platform.machine()}, {os.cpu_count()} cores, "
+        f"{len(os.sched_getaffinity(0))} for this program, load {load}",
+        f"memory: {memory.get('MemTotal', '?').strip()}, "
+        f"available {memory.get('MemAvailable', '?').strip()}",
+        f"memory limit of the control group: "
+        f"{_text(Path('/sys/fs/cgroup/memory.max')).strip() or 'unknown'}",
         f"environment variables that are set: {', '.join(named) or 'none'}",
     ]
 
 
 def clock(wall: float) -> list[str]:
-    """Whether this machine's clock is set from elsewhere, as far as a program here knows it;
-    ``wall``: now.
+    """Return lines on whether the machine's clock is synchronised; ``wall``: now, seconds since the
+    epoch.
     """
     lines = [f"now: {wall:.3f}"]
     for command in CLOCK_COMMANDS:
@@ -101,7 +106,7 @@ def clock(wall: float) -> list[str]:
 
 
 def _text(path: Path) -> str:
-    """A file of the system; "" where it is not there."""
+    """Return the content of a system file; "" if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8")
     except OSError:

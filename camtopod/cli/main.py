@@ -1,12 +1,15 @@
-"""The console script: finds the command, imports only its module, turns expected errors into exit
+"""Console script: find the command, import only its module, turn expected errors into exit
 statuses.
 
-A command is a module ``camtopod.cli.NAME`` with two functions: ``add_parser(subparsers)`` calls
-``subparsers.add_parser(NAME, ...)`` once and adds the command's own arguments (and returns the
-parsers of its own commands, if it has any); ``run(args) -> int`` does the work and returns the exit
-status. The common options are added here, before and after the command's name, and arrive as
+A command is a module ``camtopod.cli.commands.NAME`` with two functions. ``add_parser(subparsers)``
+calls ``subparsers.add_parser(NAME, ...)`` once and adds the command's own arguments; it returns the
+parsers of its own subcommands, if it has any. ``run(args) -> int`` does the work and returns the
+exit status.
+
+The common options are added here, before and after the command's name, and arrive as
 ``args.config`` (path or None), ``args.site`` (str or None), ``args.connect`` (list of endpoints,
-maybe empty) and ``args.log_format``. `camtopod.cli.common` has what several commands share.
+maybe empty) and ``args.log_format``. `camtopod.cli.common` has functions that several commands
+share.
 """
 
 from __future__ import annotations
@@ -36,73 +39,88 @@ from camtopod.visible import visible, visible_lines
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": (
         "camtopod.cli.commands.demo",
-        "the whole system on made-up cameras, nothing to configure",
+        "run the whole system on simulated cameras, without any configuration",
     ),
-    "init": ("camtopod.cli.commands.init", "looks at cameras and writes a configuration with them"),
+    "init": ("camtopod.cli.commands.init", "probe cameras and write a configuration"),
     "grab": (
         "camtopod.cli.commands.grab",
-        "one camera (or a configuration's cameras) to entry and exit events",
+        "turn the video of one camera, or of all configured ones, into entry and exit events",
     ),
     "run": (
         "camtopod.cli.commands.run",
-        "the daemon: learns the topology from events on the bus and predicts",
+        "run the daemon: learn the topology from events on the bus and predict",
     ),
-    "learn": ("camtopod.cli.commands.learn", "the same learner over recorded event lines"),
+    "learn": ("camtopod.cli.commands.learn", "learn the topology from recorded event lines"),
     "predict": (
         "camtopod.cli.commands.predict",
-        "for each exit of recorded events, where the object appears next",
+        "predict for each recorded exit where the object appears next",
     ),
-    "simulate": ("camtopod.cli.commands.simulate", "a made-up camera network with known truth"),
+    "simulate": (
+        "camtopod.cli.commands.simulate",
+        "simulate a camera network: event lines and their ground truth",
+    ),
     "watch": (
         "camtopod.cli.commands.watch",
-        "live view of cameras, topology and predictions in the terminal",
+        "show cameras, topology and predictions live in the terminal",
     ),
     "web": (
         "camtopod.cli.commands.web",
-        "the page: map, cameras, links, versions and health in a browser",
+        "serve a web page: map, cameras, links, versions and health",
     ),
-    "export": ("camtopod.cli.commands.export", "a topology as a picture or in an exchange format"),
-    "report": ("camtopod.cli.commands.report", "the page of one topology as a file"),
-    "ingest": ("camtopod.cli.commands.ingest", "other programs' events onto the bus"),
+    "export": (
+        "camtopod.cli.commands.export",
+        "convert a topology to a picture or an exchange format",
+    ),
+    "report": ("camtopod.cli.commands.report", "write the web page of one topology to a file"),
+    "ingest": ("camtopod.cli.commands.ingest", "publish events from other programs"),
     "bridge": (
         "camtopod.cli.commands.bridge",
-        "cameras, alarms and predictions in Home Assistant, by MQTT",
+        "show cameras, alarms and predictions in Home Assistant, through MQTT",
     ),
-    "keys": ("camtopod.cli.commands.keys", "a private authority and certificates for the bus"),
-    "check": ("camtopod.cli.commands.check", "every mistake in a configuration, in one pass"),
-    "doctor": ("camtopod.cli.commands.doctor", "what a bug report needs, without secrets"),
+    "keys": (
+        "camtopod.cli.commands.keys",
+        "create a private certificate authority and certificates for the bus",
+    ),
+    "check": ("camtopod.cli.commands.check", "check a configuration and list all mistakes"),
+    "doctor": (
+        "camtopod.cli.commands.doctor",
+        "collect diagnostics for a bug report, without secrets",
+    ),
     "completion": (
         "camtopod.cli.commands.completion",
-        "makes the shell complete commands and options",
+        "print a script that completes commands and options in a shell",
     ),
 }
-"""Command -> (module, one line for --help)."""
+"""Command -> (module, one-line summary for --help)."""
 
 LOG_FORMATS = ("text", "logfmt", "json")
+"""Values of --log-format."""
 _LINEAR_ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""Set to 1 before numpy is loaded: with another number of threads the same events give other last
-bits.
+"""Environment variables set to 1 before NumPy is loaded.
+
+With another number of threads the same events give results that differ in the last bits.
 """
 _KEEP_ON = ("run", "grab")
-"""They read their configuration anew when told so by SIGHUP, and never end by it."""
+"""Commands that reload their configuration on SIGHUP and never end by it."""
 _UNTIL_TOLD = (*_KEEP_ON, "web", "bridge", "watch", "ingest")
-"""They run until they are told to end, whether or not their messages are read."""
+"""Commands that run until a signal ends them, even if nothing reads their standard error."""
 _WITH_VALUE = ("--config", "--site", "--connect", "--log-format")
+"""Common options that take a value."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status. Never lets an expected error out as a traceback."""
+    """Run one command and return its exit status; an expected error never ends in a traceback."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     for name in _LINEAR_ALGEBRA_THREADS:
         os.environ.setdefault(name, "1")
     form = "text"
     if _command_in(arguments) in _KEEP_ON:
-        signal.signal(
-            signal.SIGHUP, signal.SIG_IGN
-        )  # until they listen to it: there is nothing yet to read anew
-        signal.pthread_sigmask(
-            signal.SIG_UNBLOCK, [signal.SIGHUP]
-        )  # it is blocked in a camera's process till here
+        # SIGHUP is ignored until the command installs its handler: there is no configuration to
+        # reload yet.
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        # The supervisor starts a camera's process with SIGHUP blocked.
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGHUP])
+
     try:
         try:
             args, run = _parse(arguments)
@@ -110,9 +128,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             status = run(args)
         finally:
             sys.stdout.flush()
-    except (
-        BrokenPipeError
-    ):  # the reader (say, head) has gone: say nothing more to it, not even at exit
+    except BrokenPipeError:
+        # The reader (head, for example) has gone: write nothing more, not even at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return exits.FAILED
     except KeyboardInterrupt:
@@ -122,16 +139,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _fail(*_os_error(error), form)
     except MemoryError:
-        return _fail("there is not enough memory for this", exits.FAILED, form)
+        return _fail("not enough memory", exits.FAILED, form)
     return int(status)
 
 
 def console() -> NoReturn:
-    """The process: `main`, and then its end, at once.
+    """Run `main` as a process of its own, and end the process at once.
 
-    The interpreter's own end waits for threads, and aborts the process (status -6, "exception not
-    rethrown") when one of zenoh's or OpenCV's comes back to it meanwhile. Whatever matters is
-    closed by then, or safe on disk.
+    The interpreter's own shutdown waits for threads, and aborts (status -6, "exception not
+    rethrown") if a thread of zenoh or OpenCV re-enters it meanwhile. By then everything that
+    matters is closed or on disk.
     """
     standard_streams.open_missing()
     if _command_in(sys.argv[1:]) in _UNTIL_TOLD:
@@ -146,9 +163,10 @@ def console() -> NoReturn:
 
 
 def _end(status: int) -> NoReturn:
+    """Flush the log and the standard streams, and end the process with ``status``."""
     logging.shutdown()
     standard_streams.settle()
-    with contextlib.suppress(OSError):  # nobody is there to read it
+    with contextlib.suppress(OSError):  # no reader is left
         sys.stdout.flush()
         sys.stderr.flush()
     os._exit(status)
@@ -157,19 +175,20 @@ def _end(status: int) -> NoReturn:
 def _crash(
     _: type[BaseException], error: BaseException, __: types.TracebackType | None
 ) -> NoReturn:
-    """What nobody expected ends the process with its traceback."""
+    """Excepthook: print the traceback of an unexpected error and end the process."""
     _tell(error)
     _end(exits.FAILED)
 
 
 def _crash_of_a_thread(crash: threading.ExceptHookArgs) -> None:
+    """Excepthook of threads: print the traceback with the thread's name; the process goes on."""
     if crash.exc_value is not None and crash.thread is not None:
         print(f"in thread {crash.thread.name}:", file=sys.stderr)
         _tell(crash.exc_value)
 
 
 def _tell(error: BaseException) -> None:
-    """The traceback, which may hold a source and its password, to standard error."""
+    """Print a traceback to standard error, without passwords that it may contain."""
     print(
         visible_lines(redact("".join(traceback.format_exception(error))).rstrip("\n")),
         file=sys.stderr,
@@ -177,13 +196,14 @@ def _tell(error: BaseException) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A command line that is wrong is quoted without the passwords in it."""
+    """Argument parser that removes passwords from a quoted wrong command line."""
 
     def error(self, message: str) -> NoReturn:
         super().error(visible(redact(message)))
 
 
 def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
+    """Return the parsed arguments and the command's `run`."""
     name = _command_in(arguments)
     parser, modules = parser_of([name] if name in COMMANDS else [])
     if name is not None and not modules:
@@ -194,8 +214,9 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
 
 
 def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str, Any]]:
-    """The parser, which knows the options of the commands in ``whole`` and of the others the names;
-    the modules of those in ``whole``.
+    """Return the parser, and the modules of the commands in ``whole``.
+
+    The parser has the options of the commands in ``whole``, and only the names of the others.
     """
     parser = _Parser(prog="camtopod", description=_DESCRIPTION)
     parser.add_argument("--version", action="version", version=f"camtopod {__version__}")
@@ -216,7 +237,7 @@ def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str
 
 
 def _command_in(arguments: list[str]) -> str | None:
-    """The first argument that is neither an option nor a common option's value."""
+    """Return the first argument that is neither an option nor the value of a common option."""
     skip = False
     for argument in arguments:
         if skip:
@@ -229,43 +250,51 @@ def _command_in(arguments: list[str]) -> str | None:
 
 
 def _import(path: str, command: str) -> Any:
+    """Import a command's module. Raises `CommandError` that names a missing package."""
     try:
         return importlib.import_module(path)
     except ModuleNotFoundError as error:
         if error.name == path:
             raise exits.CommandError(f"{command}: not in this version of camtopod") from None
         raise exits.CommandError(
-            f"{command} needs the package {error.name!r}, which is not installed; see README, 'Packages'"
+            f"{command} needs the package {error.name!r}, which is not installed; "
+            "see README, 'Packages'"
         ) from None
 
 
 def _add_common(parser: argparse.ArgumentParser, top: bool) -> None:
-    """The common options; after the command's name they default to what stood before it."""
+    """Add the common options; after the command's name they default to the values before it."""
     group = parser.add_argument_group("common options")
     default: Any = None if top else argparse.SUPPRESS
     group.add_argument(
         "--config", type=Path, metavar="FILE", default=default, help="configuration, a TOML file"
     )
     group.add_argument(
-        "--site", metavar="NAME", default=default, help="name of the site, second part of every key"
+        "--site",
+        metavar="NAME",
+        default=default,
+        help="name of the site, the second part of every key on the bus",
     )
     group.add_argument(
         "--connect",
         metavar="ENDPOINT",
         action="append",
         default=default,
-        help="zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated",
+        help="zenoh endpoint to connect to, for example tcp/192.168.1.5:7447; may be repeated",
     )
     group.add_argument(
         "--log-format",
         choices=LOG_FORMATS,
         default="text" if top else argparse.SUPPRESS,
-        help="form of the messages on standard error (default: text)",
+        help="format of the messages on standard error (default: text)",
     )
 
 
 def _os_error(error: OSError) -> tuple[str, int]:
-    """An error nobody nearer translated: with a file name it is an input that cannot be read."""
+    """Return (message, exit status) of an OSError that no command translated.
+
+    With a file name it is an input that cannot be read.
+    """
     if error.filename is not None:
         return f"cannot read {error.filename}: {error.strerror}", exits.INPUT
     if error.errno == errno.EBADF:
@@ -275,6 +304,7 @@ def _os_error(error: OSError) -> tuple[str, int]:
 
 
 def _fail(message: str, status: int, form: str) -> int:
+    """Print an error in the chosen log format and return ``status``."""
     message = redact(message)
     if form == "json":
         line = visible(json.dumps({"level": "error", "message": message}, ensure_ascii=False))
@@ -287,6 +317,6 @@ def _fail(message: str, status: int, form: str) -> int:
 
 
 _DESCRIPTION = (
-    "Learns from anonymous entry and exit events how the cameras of a site hang together, and predicts where "
-    "an object that leaves one camera appears next."
+    "Learns the topology of a camera network from anonymous entry and exit events, and predicts "
+    "in which camera an object that leaves a view appears next."
 )

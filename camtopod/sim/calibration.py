@@ -1,6 +1,4 @@
-"""Is what is stated as a probability as often true? Expected calibration error, and what chance
-alone makes of it.
-"""
+"""Expected calibration error: how far stated probabilities are from observed frequencies."""
 
 from __future__ import annotations
 
@@ -11,11 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 CALIBRATION_BINS = 10
+"""Number of equal bins of probability."""
 
 
 def calibration_error(probability: Sequence[float], happened: Sequence[bool]) -> float:
-    """Expected calibration error: over equal bins of probability, the mean of |stated - happened|,
-    weighted by how many lie in each; nan without any."""
+    """Return the expected calibration error; nan without any probability.
+
+    It is |mean stated probability - observed frequency| of equal bins of probability, averaged with
+    the number of outcomes in each bin as weight.
+    """
     if not probability:
         return math.nan
     stated, came = np.array(probability), np.array(happened, dtype=float)
@@ -24,8 +26,11 @@ def calibration_error(probability: Sequence[float], happened: Sequence[bool]) ->
 
 
 def calibration_floor(probability: Sequence[float]) -> float:
-    """Expected calibration error if all happens as often as it is said to: as large as that is no
-    error; nan without any."""
+    """Return the expected calibration error of as many perfectly calibrated probabilities; nan
+    without any.
+
+    An error of this size is explained by chance alone.
+    """
     if not probability:
         return math.nan
     stated = np.array(probability)

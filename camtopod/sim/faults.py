@@ -1,6 +1,4 @@
-"""The made-up network of `SimSettings`: its layout and what is wrong with it, before anybody
-walks.
-"""
+"""Layout and disturbances of a simulated network, fixed before anyone walks."""
 
 from __future__ import annotations
 
@@ -21,17 +19,22 @@ from camtopod.sim.layout import (
 from camtopod.sim.settings import SimSettings
 
 TURNED_RADIANS = (0.7, 2.4)
+"""Range of the angle by which a turned camera rotates its zones about the image's centre."""
 TURNED_SCALE = 0.8
-"""A camera that was turned shows its zones rotated about the image's centre, and nearer to it."""
+"""Factor on the distance of a turned camera's zones from the image's centre."""
 
 Ways = set[tuple[int, int]]
+"""Set of directed paths (from zone, to zone)."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """The layout; the ways (from, to) that close and that open; each camera's clock offset,
-    (cameras,) seconds; the cameras that are turned: from when (seconds after the start) and by
-    which matrix."""
+    """Layout and disturbances of a network.
+
+    closing, opening: directed paths that close and that open during the recording.
+    offsets (cameras,) seconds: clock offset of each camera.
+    turned: camera index -> (time of turning, seconds after the start; matrix of the turn).
+    """
 
     layout: Layout
     closing: Ways
@@ -41,7 +44,7 @@ class Setup:
 
 
 def make_setup(settings: SimSettings, rng: np.random.Generator) -> Setup:
-    """Raises ValueError for cameras that there are not."""
+    """Return the network of the settings. Raises ValueError for a camera that does not exist."""
     s = settings
     layout = make_layout(
         s.cameras, rng, s.overlap_share, s.u_turn, s.zone_separation, s.zone_stretch
@@ -50,13 +53,18 @@ def make_setup(settings: SimSettings, rng: np.random.Generator) -> Setup:
         if camera not in layout.cameras:
             known = f"{layout.cameras[0]} to {layout.cameras[-1]}"
             raise ValueError(f"no camera {camera!r} to lose or move; there are {known}")
+
+    # Doors and clocks.
     closing, opening = _doors(layout, s, rng)
     offsets = s.clock_sd * rng.standard_normal(s.cameras)
+    # A random stream of its own: older settings keep their networks.
     later = np.random.default_rng(
         (s.seed, 4)
     )  # a stream of its own: older settings keep their networks
     off = later.permutation(s.cameras) < round(s.clock_share * s.cameras)
     offsets = offsets + np.where(off, later.uniform(-s.clock_max, s.clock_max, s.cameras), 0.0)
+
+    # Turned cameras and changes of the layout.
     turned = {layout.cameras.index(camera): (since, _turn(later)) for camera, since in s.moved}
     if s.fire_doors:
         layout = with_fire_doors(layout, s.fire_doors, later)
@@ -68,7 +76,9 @@ def make_setup(settings: SimSettings, rng: np.random.Generator) -> Setup:
 
 
 def _doors(layout: Layout, settings: SimSettings, rng: np.random.Generator) -> tuple[Ways, Ways]:
-    """The (from, to) that close and those that open: both directions of some unseen paths."""
+    """Return the directed paths that close and those that open: both directions of some unseen
+    paths.
+    """
     ways = layout.onward
     open_ = np.argwhere((ways.probability > 0) & (ways.metres > 0))
     paths = sorted(
@@ -82,10 +92,12 @@ def _doors(layout: Layout, settings: SimSettings, rng: np.random.Generator) -> t
 
 
 def _both(paths: list[tuple[int, int]], chosen: list[int]) -> Ways:
+    """Return the chosen paths in both directions."""
     return {way for k in chosen for way in (paths[k], paths[k][::-1])}
 
 
 def _turn(rng: np.random.Generator) -> Floats:
+    """Return the matrix of a random turn."""
     angle = rng.choice((-1.0, 1.0)) * rng.uniform(*TURNED_RADIANS)
     return TURNED_SCALE * np.array(
         ((math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle)))
@@ -93,6 +105,6 @@ def _turn(rng: np.random.Generator) -> Floats:
 
 
 def turned(at: Floats, turn: Floats) -> Floats:
-    """Image places (n, 2) as they are after a camera was turned by a matrix."""
+    """Return image positions (n, 2) as they are after a camera was turned by a matrix."""
     result: Floats = np.clip(0.5 + (at - 0.5) @ turn.T, 0.0, 1.0)
     return result

@@ -1,9 +1,8 @@
-"""A small site for the demo: a floor plan, cameras that look at it, people who walk about, and the
-truth.
+"""Small site of the demo: floor plan, cameras, people who walk through it, and the ground truth.
 
-The plan's coordinates are metres, x to the east and y to the north. What is true (zones, links,
-transit times) is read off the recorded walks: who was in which camera's view when, and which way
-they came and went.
+Coordinates of the plan are metres, x to the east and y to the north. The ground truth (zones,
+links, transit times) is read off the recorded walks: who was in which view when, and on which path
+they entered and left it.
 """
 
 from __future__ import annotations
@@ -21,23 +20,30 @@ from camtopod.sim.truth import TRUTH_SCHEMA, TrueLink, TrueZone, Truth, pairs_of
 WIDTH, HEIGHT = 192, 144
 """Size of the cameras' pictures, pixels."""
 FPS = 7.0
+"""Frames per second."""
 PERSON_METRES, SHOULDER_METRES = 1.75, 0.2
-"""Height and half the width of a person."""
+"""Height and half the width of a person, metres."""
 STEP_METRES = 0.1
+"""Distance of the points of a route."""
 CORNER_METRES = 1.5
-"""Over this length people cut a corner."""
+"""Length over which people cut a corner."""
 WALKING_SPEED, SPEED_SD = 1.35, 0.2
+"""Median speed (metres per second) and its spread (log scale)."""
 KEEP_RIGHT_METRES, LANE_SD_METRES = 0.2, 0.3
+"""Mean and standard deviation of the distance to the right of the middle of a path."""
 STREET_WEIGHT = 0.7
-"""How much rather than another way people take one that leads outside."""
+"""Weight of a path that leads outside, relative to another path."""
 CROSSINGS_MAX = 12
+"""Number of stops after which people prefer paths that lead outside."""
 WARM_UP_SECONDS = 60.0
+"""People start this long before the recording, so that it begins with people under way."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A camera on a pole: looks at ``target`` (x, y) from ``distance`` metres away, towards
-    ``heading``.
+    """Camera on a pole that looks at ``target`` (x, y) from ``distance`` metres away.
+
+    ``heading`` (radians) is the direction of view on the plan, ``height`` is in metres.
     """
 
     camera: str
@@ -46,13 +52,15 @@ class View:
     height: float = 8.0
     distance: float = 5.0
     focal: float = 1.15
-    """Focal length in widths of the picture."""
+    """Focal length as a multiple of the picture's width."""
 
     def project(self, points: Floats) -> Floats:
-        """World points (n, 3) to (n, 3): x, y as fractions of the picture, metres along the line of
-        sight.
+        """Project world points (n, 3) to (n, 3): x and y as fractions of the picture, depth in
+        metres.
         """
         ahead = np.array((math.cos(self.heading), math.sin(self.heading), 0.0))
+
+        # Camera axes.
         position = (
             np.array((*self.target, 0.0)) - self.distance * ahead + np.array((0, 0, self.height))
         )
@@ -61,6 +69,8 @@ class View:
         right = np.cross(forward, (0.0, 0.0, 1.0))
         right /= np.linalg.norm(right)
         down = np.cross(forward, right)
+
+        # Perspective projection.
         seen = (points - position) @ np.stack([right, down, forward], axis=1)
         depth = np.maximum(seen[:, 2], 1e-3)
         x = 0.5 + self.focal * seen[:, 0] / depth
@@ -68,12 +78,12 @@ class View:
         return np.column_stack([x, y, seen[:, 2]])
 
     def feet(self, floor: Floats) -> Floats:
-        """Floor points (n, 2) to picture fractions and depth, (n, 3)."""
+        """Project floor points (n, 2) to picture fractions and depth, (n, 3)."""
         return self.project(np.column_stack([floor, np.zeros(len(floor))]))
 
     def sees(self, floor: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Of people at floor points (n, 2), which are in the picture, at least with a part of the
-        body.
+        """Return for people at floor points (n, 2) whether any part of the body is in the
+        picture.
         """
         x, y, depth = self.feet(floor).T
         head_x, head_y, _ = self.project(
@@ -87,7 +97,9 @@ class View:
         return seen
 
     def footprint(self) -> Floats:
-        """The floor that is in the picture: its four corners in metres, (4, 2)."""
+        """Return the corners of the floor that is in the picture, (4, 2) metres."""
+
+        # Solve for the homography from the floor to the picture.
         here = np.array([(-3, -3), (3, -3), (3, 3), (-3, 3)], dtype=float) + self.target
         seen = self.feet(here)[:, :2]
         rows = [
@@ -97,6 +109,8 @@ class View:
             (0, 0, 0, x, y, 1, -v * x, -v * y) for (x, y), (_, v) in zip(here, seen, strict=True)
         ]
         homography = np.append(np.linalg.solve(np.array(rows), seen.T.ravel()), 1.0).reshape(3, 3)
+
+        # Map the picture's corners back to the floor.
         corners = (
             np.array([(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]) @ np.linalg.inv(homography).T
         )
@@ -105,11 +119,12 @@ class View:
 
 
 Floor = Literal["wood", "stone", "brick", "grass"]
+"""Kind of floor."""
 
 
 @dataclass(frozen=True)
 class Area:
-    """A rectangle of floor: west, south, east, north in metres."""
+    """Rectangle of floor: west, south, east, north in metres."""
 
     floor: Floor
     box: tuple[float, float, float, float]
@@ -117,7 +132,7 @@ class Area:
 
 @dataclass(frozen=True)
 class Plan:
-    """Places (metres; corners too), ways between them (pairs of names), the floor and the
+    """Floor plan: places (metres; corners, too), paths between them (pairs of names), floor,
     cameras.
     """
 
@@ -127,18 +142,18 @@ class Plan:
     views: list[View]
 
     def streets(self) -> list[str]:
-        """Places with one way only: people come from there and go there."""
+        """Return the places with a single path: people come from there and go there."""
         return [name for name in self.places if len(self.around(name)) == 1]
 
     def around(self, place: str) -> list[str]:
-        """Places that a way leads to from ``place``, in the order of the ways."""
+        """Return the places that a path joins to ``place``, in the order of the paths."""
         return [b if a == place else a for a, b in self.ways if place in (a, b)]
 
 
 @dataclass(frozen=True)
 class Walk:
-    """One person's walk: ``t`` (n,) seconds since the start, ``floor`` (n, 2) metres, ``way``
-    (n,).
+    """One person's walk: ``t`` (n,) seconds since the start, ``floor`` (n, 2) metres, ``way`` (n,)
+    path.
     """
 
     t: Floats
@@ -148,8 +163,10 @@ class Walk:
 
 @dataclass(frozen=True)
 class Passage:
-    """One person in one camera's view: times (seconds since the start), foot points, ways in and
-    out.
+    """One person's passage through a view.
+
+    Times are seconds since the start, positions of the feet are fractions of the picture,
+    ``way_in`` and ``way_out`` are the numbers of the paths on which the person enters and leaves.
     """
 
     camera: str
@@ -163,8 +180,8 @@ class Passage:
 
 
 def site() -> Plan:
-    """Five cameras around a building: two pairs overlap, four are joined by ways that nobody
-    sees.
+    """Return the plan of five cameras around a building: two pairs overlap, four have unseen
+    paths.
     """
     places = {
         "street west": (-6.0, 12.0),
@@ -208,7 +225,9 @@ def site() -> Plan:
 
 
 def stroll(plan: Plan, seconds: float, rate: float, rng: np.random.Generator) -> list[Walk]:
-    """People who come from the streets, ``rate`` a second, from a minute before the start on."""
+    """Simulate people who come from the streets, ``rate`` per second, from `WARM_UP_SECONDS` before
+    0.
+    """
     starts = np.sort(
         rng.uniform(-WARM_UP_SECONDS, seconds, rng.poisson(rate * (seconds + WARM_UP_SECONDS)))
     )
@@ -216,18 +235,25 @@ def stroll(plan: Plan, seconds: float, rate: float, rng: np.random.Generator) ->
 
 
 def _walk(plan: Plan, start: float, end: float, rng: np.random.Generator) -> Walk:
+    """Return one person's walk from ``start``, sampled at the frames up to ``end``."""
     line, way = _route(plan, rng)
     speed = WALKING_SPEED * math.exp(SPEED_SD * rng.standard_normal())
+
+    # Cut the corners.
     width = max(1, round(CORNER_METRES / STEP_METRES))
     padded = np.pad(line, ((width, width), (0, 0)), mode="edge")
     smooth = np.column_stack(
         [np.convolve(column, np.full(width, 1 / width), "same") for column in padded.T]
     )
     smooth = smooth[width:-width]
+
+    # Keep to the right, more or less.
     ahead = np.gradient(smooth, axis=0)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
     lane = KEEP_RIGHT_METRES + LANE_SD_METRES * rng.standard_normal()
     smooth = smooth + lane * np.column_stack([ahead[:, 1], -ahead[:, 0]])
+
+    # Sample positions at the frames.
     metres = STEP_METRES * np.arange(len(line))
     first, last = (
         math.ceil(max(start, 0.0) * FPS),
@@ -240,7 +266,11 @@ def _walk(plan: Plan, start: float, end: float, rng: np.random.Generator) -> Wal
 
 
 def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Longs]:
-    """A line every 10 cm from street to street, (n, 2), and the way each point lies on, (n,)."""
+    """Return a route from street to street: points every `STEP_METRES`, (n, 2), and their paths,
+    (n,).
+    """
+
+    # Choose the next stop at random, without turning back, until a street is reached.
     streets = set(plan.streets())
     stops = [str(rng.choice(sorted(streets)))]
     while len(stops) < 2 or stops[-1] not in streets:
@@ -257,6 +287,8 @@ def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Longs]:
             ]
         )
         stops.append(onward[int(rng.choice(len(onward), p=weight / weight.sum()))])
+
+    # Sample the straight lines between the stops.
     points, ways = [], []
     for a, b in pairwise(stops):
         begin, end = np.array(plan.places[a]), np.array(plan.places[b])
@@ -267,7 +299,7 @@ def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Longs]:
 
 
 def passages(plan: Plan, walks: list[Walk]) -> list[Passage]:
-    """Who was in whose view when, by walker and time: begun and ended within the recording."""
+    """Return all passages that begin and end within the recording, by walker and time."""
     result = []
     for walker, walk in enumerate(walks):
         for view in plan.views:
@@ -296,9 +328,12 @@ def passages(plan: Plan, walks: list[Walk]) -> list[Passage]:
 
 
 def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
-    """Zones where a camera's picture cuts a way, links where people went from one to another, as
-    walked.
+    """Return the ground truth of the recorded passages.
+
+    Zones are where the edge of a picture cuts a path, links are transitions that were walked.
     """
+
+    # Collect positions by zone, exits by zone, and lags by pair of zones.
     points: dict[tuple[str, int], list[tuple[float, float]]] = {}
     exits: dict[tuple[str, int], int] = {}
     lags: dict[tuple[tuple[str, int], tuple[str, int]], list[float]] = {}
@@ -311,6 +346,8 @@ def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
         if before.walker == after.walker:
             key = (before.camera, before.way_out), (after.camera, after.way_in)
             lags.setdefault(key, []).append(after.t_in - before.t_out)
+
+    # Zones, numbered within their camera.
     order = {view.camera: k for k, view in enumerate(plan.views)}
     keys = sorted(points, key=lambda key: (order[key[0]], key[1]))
     ids: dict[tuple[str, int], str] = {}
@@ -319,6 +356,8 @@ def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
             f"{camera}/{1 + sum(zone.startswith(camera + '/') for zone in ids.values())}"
         )
     zones = [_zone(ids[key], key[0], np.array(points[key])) for key in keys]
+
+    # Links with the transit times that were walked.
     links = [
         TrueLink(
             from_=ids[u],
@@ -337,6 +376,7 @@ def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
 
 
 def _zone(name: str, camera: str, at: Floats) -> TrueZone:
+    """Return a zone with the mean and covariance of its positions (n, 2)."""
     cov = np.cov(at.T) if len(at) > 1 else np.zeros((2, 2))
     x, y = at.mean(0)
     return TrueZone(

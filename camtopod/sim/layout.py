@@ -1,6 +1,4 @@
-"""A made-up camera network: where the zones lie, which paths join them, who goes where how
-often.
-"""
+"""Layout of a simulated network: zones, the paths that join them, and how often each is walked."""
 
 from __future__ import annotations
 
@@ -14,35 +12,41 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from camtopod.arrays import Floats, Longs
 
 ZONES_MIN, ZONES_MAX = 2, 5
+"""Least and largest number of zones of a camera."""
 ZONE_SEPARATION = 0.25
 """Least distance of two zones of one camera, fraction of the image."""
 ZONE_SDS_APART = 5.0
-"""The same in mean standard deviations along the line that joins them."""
+"""Least distance of two zones of one camera, in mean standard deviations along their line."""
 PLACES_MAX = 1000
-"""Places tried for a camera's zones before it starts again."""
+"""Positions tried for a camera's zones before starting again."""
 ZONE_SD_MIN, ZONE_SD_MAX = 0.015, 0.04
+"""Range of a zone's standard deviations, fraction of the image."""
 DOOR_SHARE = 0.2
 """Share of the zones in mid-view; the others lie along the image's border."""
 STREET_SHARE = 0.2
 """Share of the zones that lead outside."""
 WALKING_SPEED = 1.3
-"""Metres a second, the median walker."""
+"""Speed of the median walker, metres per second."""
 PATH_SECONDS = (3.0, 60.0)
+"""Range of an unseen path's length, seconds at the median speed."""
 OVERLAP_SECONDS = (1.0, 5.0)
+"""Range of an overlap's length, seconds at the median speed."""
 VIEW_METRES = (10.0, 25.0)
+"""Range of a view's width."""
 U_TURN_METRES = 4.0
+"""Length of the way through a view that is left where it was entered."""
 PATHS_PER_ZONE_MAX = 3
+"""Most paths of a zone."""
 RARE_SHARE = 0.01
 """Share of a camera's people that leave at its fire door."""
 
 
 @dataclass(frozen=True)
 class Choices:
-    """For each zone what may come next: ``target``, ``probability`` and ``metres``, each (zones,
-    options).
+    """Next zones of each zone: ``target``, ``probability`` and ``metres``, each (zones, options).
 
     Unused options have probability 0. Metres are negative for an overlap: how far before leaving
-    the one view an object appears in the other.
+    one view an object appears in the other.
     """
 
     target: Longs
@@ -50,8 +54,10 @@ class Choices:
     metres: Floats
 
     def without(self, closed: set[tuple[int, int]]) -> Choices:
-        """The same with some (from, to) gone; who would have taken them takes another way, or
-        leaves.
+        """Return the choices without the directed paths ``closed``.
+
+        Their probability goes to the zone's other paths; where there are none, walkers leave the
+        site.
         """
         open_ = np.array(
             [[(u, int(v)) not in closed for v in row] for u, row in enumerate(self.target)],
@@ -65,8 +71,12 @@ class Choices:
 
 @dataclass(frozen=True)
 class Layout:
-    """Zones (camera index, centre, covariance), ways through and between views, where walkers come
-    from.
+    """Zones, paths through and between views, and where walkers come from.
+
+    camera (zones,): index of each zone's camera.
+    centre (zones, 2), cov (zones, 2, 2): position of each zone in the image.
+    through, onward: choices inside a view, and from one view to the next.
+    arrivals (zones,): probability that a walker enters the network there.
     """
 
     cameras: list[str]
@@ -86,19 +96,27 @@ def make_layout(
     separation: float = ZONE_SEPARATION,
     stretch: float = 1.0,
 ) -> Layout:
-    """A connected network of ``cameras`` (> 0) views with ``overlap_share * cameras`` overlapping
-    pairs.
+    """Return a connected network of ``cameras`` (> 0) views.
 
-    Zones of one camera are at least ``separation`` apart and ``stretch`` times as long as usual.
+    overlap_share: overlapping pairs of cameras, per camera.
+    u_turn: probability of leaving a view in the zone of entry.
+    separation: least distance of the zones of one camera, fraction of the image.
+    stretch: factor on the length of the zones.
     """
+
+    # Zones.
     counts = rng.integers(ZONES_MIN, ZONES_MAX + 1, cameras)
     camera = np.repeat(np.arange(cameras), counts)
     centre, cov = _zones(counts, separation, stretch, rng)
     street = _streets(camera, cameras, rng)
+
+    # Paths between the zones.
     paths = _Paths(camera, street, rng.random((cameras, 2)), rng)
     paths.overlaps(round(overlap_share * cameras), max(1, math.ceil(2 * overlap_share)))
     paths.connect()
     paths.branch()
+
+    # Probabilities of leaving and of entering the site.
     leave = np.where(
         street, rng.uniform(0.4, 0.8, len(camera)), rng.uniform(0.02, 0.1, len(camera))
     )
@@ -116,7 +134,7 @@ def make_layout(
 
 
 def without_ways(layout: Layout) -> Layout:
-    """The same views with no way from one to another: whoever leaves one is gone."""
+    """Return the layout without paths between views: whoever leaves one has left the site."""
     onward = replace(layout.onward, probability=np.zeros_like(layout.onward.probability))
     return replace(
         layout, onward=onward, arrivals=np.full(len(layout.camera), 1 / len(layout.camera))
@@ -124,8 +142,8 @@ def without_ways(layout: Layout) -> Layout:
 
 
 def with_fire_doors(layout: Layout, count: int, rng: np.random.Generator) -> Layout:
-    """The same, where in ``count`` cameras (or as many as can) hardly anybody uses a certain way
-    out of the network.
+    """Return the layout with a rarely used exit in ``count`` cameras (or in as many as can have
+    one).
     """
     outside = layout.onward.probability.sum(1) == 0
     zones = np.bincount(layout.camera)
@@ -148,16 +166,14 @@ def with_fire_doors(layout: Layout, count: int, rng: np.random.Generator) -> Lay
 
 
 def with_uneven_ways(layout: Layout, spread: float, rng: np.random.Generator) -> Layout:
-    """The same, where each direction of a way between cameras is longer or shorter by a factor of
-    its own.
-    """
+    """Return the layout with the length of each directed path multiplied by a random factor."""
     metres = layout.onward.metres * np.exp(spread * rng.standard_normal(layout.onward.metres.shape))
     return replace(layout, onward=replace(layout.onward, metres=metres))
 
 
 def with_one_way(layout: Layout, share: float, rng: np.random.Generator) -> Layout:
-    """The same, where ``share`` of the unseen ways are taken in one direction only, as through a
-    turnstile.
+    """Return the layout with ``share`` of the unseen paths walked in one direction only
+    (turnstiles).
     """
     onward = layout.onward
     rows, options = np.nonzero((onward.probability > 0) & (onward.metres > 0))
@@ -171,7 +187,9 @@ def with_one_way(layout: Layout, share: float, rng: np.random.Generator) -> Layo
 def _zones(
     counts: Longs, separation: float, stretch: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Centres (zones, 2) and covariances (zones, 2, 2), the zones of one camera well apart."""
+    """Return centres (zones, 2) and covariances (zones, 2, 2); zones of one camera are well
+    apart.
+    """
     zones: list[tuple[Floats, Floats]] = []
     for count in counts:
         mine: list[tuple[Floats, Floats]] = []
@@ -190,7 +208,7 @@ def _zones(
 
 
 def _apart(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> bool:
-    """Whether two zones (centre, covariance) can be told apart."""
+    """Return True if two zones (centre, covariance) can be distinguished."""
     between = other[0] - one[0]
     distance = float(np.linalg.norm(between))
     sds = [math.sqrt(between @ cov @ between) / distance for _, cov in (one, other)]
@@ -198,7 +216,7 @@ def _apart(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> bool:
 
 
 def _place(rng: np.random.Generator) -> tuple[Floats, float]:
-    """A zone's centre and the direction it stretches in: along the border, or any for a door in
+    """Return a zone's centre and direction: along the border, or any direction for a door in
     mid-view.
     """
     if rng.random() < DOOR_SHARE:
@@ -210,6 +228,7 @@ def _place(rng: np.random.Generator) -> tuple[Floats, float]:
 
 
 def _ellipse(angle: float, stretch: float, rng: np.random.Generator) -> Floats:
+    """Return a random covariance, (2, 2), with its long axis at ``angle`` (radians)."""
     minor = rng.uniform(ZONE_SD_MIN, 0.5 * (ZONE_SD_MIN + ZONE_SD_MAX))
     major = stretch * rng.uniform(minor, ZONE_SD_MAX)
     turn = np.array(((math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))))
@@ -218,8 +237,9 @@ def _ellipse(angle: float, stretch: float, rng: np.random.Generator) -> Floats:
 
 
 def _streets(camera: Longs, cameras: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Which zones lead outside: at least two of the network, never all of a camera's (unless it is
-    alone).
+    """Return which zones lead outside.
+
+    At least two zones of the network do, and never all of a camera's unless it is the only one.
     """
     street = rng.random(len(camera)) < STREET_SHARE
     if cameras == 1:
@@ -237,8 +257,8 @@ def _streets(camera: Longs, cameras: int, rng: np.random.Generator) -> NDArray[n
 
 
 class _Paths:
-    """Joins zones of different cameras, near ones first. ``options[u]`` lists (v, metres) of each
-    zone.
+    """Joins zones of different cameras, near ones first; ``options[u]`` lists (v, metres) of zone
+    u.
     """
 
     def __init__(
@@ -251,8 +271,9 @@ class _Paths:
         self._joined: set[tuple[int, int]] = set()
 
     def overlaps(self, count: int, each: int) -> None:
-        """The nearest ``count`` pairs of cameras with a zone to spare see a piece of the same
-        floor; at most ``each`` per camera."""
+        """Let the nearest ``count`` pairs of cameras with a free zone overlap, at most ``each`` per
+        camera.
+        """
         order = np.argsort(self._distance, axis=None, kind="stable")
         for a, b in zip(*np.unravel_index(order, self._distance.shape), strict=True):
             if count == 0:
@@ -265,7 +286,9 @@ class _Paths:
                 count -= 1
 
     def _spare(self, camera: int, each: int) -> list[int]:
-        """Inner zones without a path, of a camera that overlaps fewer than ``each`` others yet."""
+        """Return inner zones without a path, of a camera with fewer than ``each`` overlaps so
+        far.
+        """
         mine = self._of(camera)
         taken = sum(u in self._exclusive for u in mine)
         if taken >= each or (taken and len(mine) - taken < 2):  # a zone stays for other paths
@@ -273,7 +296,9 @@ class _Paths:
         return [u for u in mine if not self.options[u] and not self._street[u]]
 
     def connect(self) -> None:
-        """Unseen paths along a spanning tree of the cameras, so that the network hangs together."""
+        """Add unseen paths along a spanning tree of the cameras, so that the network is
+        connected.
+        """
         tree = minimum_spanning_tree(self._distance).tocoo()
         for a, b in zip(tree.row, tree.col, strict=True):
             if (min(a, b), max(a, b)) not in self._joined:
@@ -282,7 +307,7 @@ class _Paths:
                 )
 
     def branch(self) -> None:
-        """Every inner zone leads somewhere, and two in five to one place more."""
+        """Give every inner zone a path, and two in five another one."""
         for u in self._rng.permutation(len(self._camera)):
             extra = int(self._rng.random() < 0.4)
             wanted = 0 if self._street[u] else max(1, len(self.options[u]) + extra)
@@ -295,7 +320,7 @@ class _Paths:
                 self._join(int(u), v, self._log_uniform(PATH_SECONDS))
 
     def _nearby(self, u: int) -> int | None:
-        """A zone of a near camera that has room for another path."""
+        """Return a zone of a near camera that can have another path."""
         for c in np.argsort(self._distance[self._camera[u]], kind="stable")[1:6]:
             known = {v for v, _ in self.options[u]}
             free = [v for v in self._of(int(c)) if v not in known and v not in self._exclusive]
@@ -307,10 +332,11 @@ class _Paths:
         return None
 
     def _of(self, camera: int) -> list[int]:
+        """Return the zones of a camera."""
         return [int(u) for u in np.flatnonzero(self._camera == camera)]
 
     def _least(self, camera: int) -> int:
-        """The zone with the fewest paths, inner ones first."""
+        """Return the zone with the fewest paths, inner ones first."""
         free = [u for u in self._of(camera) if u not in self._exclusive]
         return min(
             free,
@@ -318,12 +344,14 @@ class _Paths:
         )
 
     def _join(self, u: int, v: int, metres: float) -> None:
+        """Join two zones by a path."""
         self.options[u].append((v, metres))
         self.options[v].append((u, metres))
         a, b = sorted((int(self._camera[u]), int(self._camera[v])))
         self._joined.add((a, b))
 
     def _log_uniform(self, seconds: tuple[float, float]) -> float:
+        """Return a random length in metres, log-uniform in the time of the median walker."""
         return WALKING_SPEED * math.exp(
             self._rng.uniform(math.log(seconds[0]), math.log(seconds[1]))
         )
@@ -332,7 +360,7 @@ class _Paths:
 def _onward(
     options: list[list[tuple[int, float]]], leave: Floats, rng: np.random.Generator
 ) -> Choices:
-    """Where walkers go after leaving at a zone; what is missing from 1 leaves the network."""
+    """Return where walkers go after leaving at a zone; the rest to 1 leaves the site."""
     rows = []
     for zone, ways in enumerate(options):
         shares = 0.15 + rng.dirichlet(np.full(max(1, len(ways)), 3.0))
@@ -342,7 +370,7 @@ def _onward(
 
 
 def _through(camera: Longs, centre: Floats, u_turn: float, rng: np.random.Generator) -> Choices:
-    """Where walkers who appear at a zone leave the view; each row sums to 1."""
+    """Return where walkers who enter at a zone leave the view; each row sums to 1."""
     rows = []
     for zone, c in enumerate(camera):
         others = [int(v) for v in np.flatnonzero(camera == c) if v != zone]
@@ -361,6 +389,7 @@ def _through(camera: Longs, centre: Floats, u_turn: float, rng: np.random.Genera
 
 
 def _table(rows: list[list[tuple[int, float, float]]]) -> Choices:
+    """Return the rows of (target, probability, metres) as arrays padded with probability 0."""
     options = max(1, max(len(row) for row in rows))
     padded = np.array([row + [(0, 0.0, 0.0)] * (options - len(row)) for row in rows])
     return Choices(padded[..., 0].astype(np.int64), padded[..., 1], padded[..., 2])

@@ -1,4 +1,4 @@
-"""The demo's picture: the true map beside the learned one, and the learned zones on each camera's
+"""Picture of the demo: the true and the learned map, and the learned zones in each camera's
 view.
 """
 
@@ -27,13 +27,19 @@ from camtopod.sim.score import ZONE_TOLERANCE, match_zones
 from camtopod.sim.truth import TrueLink, Truth
 
 MAP_WIDTH, MAP_HEIGHT = 776, 560
+"""Size of each map, pixels."""
 THUMB_WIDTH, THUMBS_PER_ROW = 300, 5
+"""Width of a camera's picture (pixels), and how many stand in a row."""
 FRAME = 16
-"""Paper around a camera's view, so that zones at its border are seen whole."""
+"""Margin around a camera's picture, pixels, so that zones at its border are fully visible."""
 GAP = 16
+"""Space between the parts, pixels."""
 BORDER_METRES = 3.0
+"""Margin of the map around the cameras' footprints."""
 NARROW_PIXELS = 120
+"""Distance of two cameras up to which the label of their link is raised."""
 HEADER, TITLE, LINE = 58, 34, 22
+"""Heights of the header, of a title and of a line of notes, pixels."""
 INK: Colour = (40, 40, 40)
 PAPER: Colour = (250, 250, 250)
 BLACK: Colour = (20, 20, 20)
@@ -47,8 +53,9 @@ ZONES_LEGEND = (
 )
 LEGEND = "black: views overlap   grey: unseen path   seconds left to right / right to left"
 Point = tuple[float, float]
+"""Position in pixels."""
 Times = dict[tuple[str, str], tuple[bool, float]]
-"""(from camera, to camera) -> (overlapped?, most popular transit time in seconds)."""
+"""(from camera, to camera) -> (True if the views overlap, mode of the transit times in seconds)."""
 
 
 def write_map(
@@ -60,11 +67,15 @@ def write_map(
     notes: Sequence[str],
 ) -> None:
     """Write the picture as PNG; ``notes`` are lines of text below it. Raises OSError."""
+
+    # An empty sheet.
     rows = -(-len(plan.views) // THUMBS_PER_ROW)
     thumb_height = THUMB_WIDTH * HEIGHT // WIDTH
     width = 2 * MAP_WIDTH + 3 * GAP
     height = HEADER + MAP_HEIGHT + GAP + rows * (TITLE + thumb_height) + LINE * (len(notes) + 2)
     sheet: Picture = np.full((height, width, 3), PAPER, dtype=np.uint8)
+
+    # The two maps.
     camera = {zone.id: zone.camera for zone in truth.zones}
     true_times = camera_times(truth.links, camera)
     camera = {zone.id: zone.camera for zone in topology.zones}
@@ -77,6 +88,8 @@ def write_map(
         sheet[HEADER : HEADER + MAP_HEIGHT, left : left + MAP_WIDTH] = ground
         _text(sheet, f"{title} map", (left + 2, HEADER - 16), 0.75)
         _text(sheet, LEGEND, (left + 180, HEADER - 16), 0.42)
+
+    # The cameras' pictures with learned zones.
     matched = set(match_zones(topology.zones, truth.zones, ZONE_TOLERANCE).values())
     top = HEADER + MAP_HEIGHT + GAP + TITLE
     for k, view in enumerate(plan.views):
@@ -90,6 +103,8 @@ def write_map(
         _zones(thumb, view.camera, topology, truth, matched)
         sheet[y : y + thumb_height, left : left + THUMB_WIDTH] = thumb
         _text(sheet, f"{view.camera}: learned zones", (left + FRAME, y + 4), 0.48)
+
+    # Legend and notes.
     bottom = height - LINE * (len(notes) + 1)
     for k, note in enumerate([ZONES_LEGEND, *notes]):
         _text(sheet, note, (GAP + 2, bottom + k * LINE), 0.5)
@@ -98,9 +113,7 @@ def write_map(
 
 
 def camera_times(links: Sequence[Link] | Sequence[TrueLink], camera: dict[str, str]) -> Times:
-    """Each direction between two cameras: do the views overlap, and the time of the link most
-    walked.
-    """
+    """Return, for each direction between two cameras, relation and mode of the link walked most."""
     best: dict[tuple[str, str], tuple[bool, float, float]] = {}
     for link in links:
         key = camera[link.from_], camera[link.to]
@@ -111,7 +124,7 @@ def camera_times(links: Sequence[Link] | Sequence[TrueLink], camera: dict[str, s
 
 
 def _window(plan: Plan) -> tuple[float, float, float]:
-    """The part of the plan that the map shows: west and north end in metres, pixels per metre."""
+    """Return the part of the plan on the map: west and north end in metres, pixels per metre."""
     seen = np.concatenate([view.footprint() for view in plan.views])
     low, high = seen.min(0) - BORDER_METRES, seen.max(0) + BORDER_METRES
     scale = float(min(MAP_WIDTH / (high[0] - low[0]), MAP_HEIGHT / (high[1] - low[1])))
@@ -124,7 +137,7 @@ def _window(plan: Plan) -> tuple[float, float, float]:
 
 
 def _places(plan: Plan) -> dict[str, Point]:
-    """Where each camera's view is on the map, pixels."""
+    """Return the position of each camera's view on the map, pixels."""
     west, north, scale = _window(plan)
     return {
         v.camera: ((v.target[0] - west) * scale, (north - v.target[1]) * scale) for v in plan.views
@@ -132,15 +145,19 @@ def _places(plan: Plan) -> dict[str, Point]:
 
 
 def _ground(plan: Plan, faded: float) -> Picture:
-    """The floor plan and what each camera sees of it, as a background."""
+    """Return the background of a map: the floor plan and the cameras' footprints."""
     west, north, scale = _window(plan)
     edge_west, _, _, edge_north = plan_corner(plan)
     zoom = scale / PIXELS_PER_METRE
     shift = np.array(
         [[zoom, 0, (edge_west - west) * scale], [0, zoom, (north - edge_north) * scale]]
     )
+
+    # The floor at the scale of the map.
     smooth = cv2.GaussianBlur(floor_picture(plan), (3, 3), 0)
     floor = cv2.warpAffine(smooth, shift, (MAP_WIDTH, MAP_HEIGHT), borderMode=cv2.BORDER_REPLICATE)
+
+    # Footprints.
     seen, outlines = floor.copy(), []
     for view in plan.views:
         outlines.append(
@@ -157,7 +174,7 @@ def _ground(plan: Plan, faded: float) -> Picture:
 
 
 def _network(picture: Picture, place: dict[str, Point], times: Times, true_times: Times) -> None:
-    """Edges, then nodes and labels on top. A pair that is not related in truth has a red label."""
+    """Draw links, then cameras and labels; a pair that is not related in truth has a red label."""
     labels = []
     for pair in sorted({(min(key), max(key)) for key in times}):
         a, b = sorted(pair, key=lambda name: place[name])
@@ -180,7 +197,7 @@ def _network(picture: Picture, place: dict[str, Point], times: Times, true_times
 
 
 def _curve(a: Point, b: Point, others: list[Point]) -> Floats:
-    """A line from a to b, (n, 2); it bends where it would run through another node."""
+    """Return a line from a to b, (n, 2), bent if it would run through another camera."""
     start, end = np.array(a), np.array(b)
     along = end - start
     length = float(np.linalg.norm(along))
@@ -199,7 +216,7 @@ def _curve(a: Point, b: Point, others: list[Point]) -> Floats:
 def _zones(
     picture: NDArray[Any], camera: str, topology: Topology, truth: Truth, matched: set[str]
 ) -> None:
-    """Learned zones as ellipses (two standard deviations), green if true; true centres as
+    """Draw learned zones as ellipses (two standard deviations), green if true; true centres as
     diamonds.
     """
     height, width = picture.shape[0] - 2 * FRAME, picture.shape[1] - 2 * FRAME
@@ -232,6 +249,7 @@ def _text(
     centred: bool = False,
     halo: bool = False,
 ) -> None:
+    """Write ``text``; ``at`` is its left end, or its middle if ``centred``."""
     (width, _), _ = cv2.getTextSize(text, FONT, size, 1)
     origin = round(at[0] - (width / 2 if centred else 0)), round(at[1])
     for dx, dy in (

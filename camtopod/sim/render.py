@@ -1,4 +1,4 @@
-"""Walkers on the floor plan to the pictures and videos of its cameras."""
+"""Renderer of the demo: walks on the floor plan become the cameras' pictures and videos."""
 
 from __future__ import annotations
 
@@ -13,23 +13,29 @@ from camtopod.arrays import Floats
 from camtopod.sim.floor import FPS, HEIGHT, PERSON_METRES, WIDTH, Area, Floor, Plan, View, Walk
 
 Picture = NDArray[np.uint8]
+"""Picture (height, width, 3), BGR."""
 Colour = tuple[int, int, int]
+"""Blue, green, red."""
 
 PIXELS_PER_METRE = 24
+"""Resolution of the floor's picture."""
 MARGIN_METRES = 8.0
+"""Margin of the floor's picture around the places of the plan."""
 _FLOORS: dict[Floor, tuple[Colour, Colour, tuple[float, float]]] = {
     "stone": ((172, 178, 180), (150, 156, 158), (1.0, 1.0)),
     "grass": ((96, 150, 128), (88, 140, 118), (0.35, 0.6)),
     "wood": ((140, 172, 202), (118, 150, 180), (2.4, 0.4)),
     "brick": ((130, 150, 190), (112, 132, 172), (0.8, 0.4)),
 }
-"""Colour, colour of the seams, and the size of a slab in metres."""
+"""Kind of floor -> colour, colour of the seams, and size of a slab in metres."""
 NOISE_SD = 2.5
 """Standard deviation of the pictures' noise, grey levels."""
 NOISE_PICTURES = 8
+"""Number of noise pictures that a video draws from."""
 STRIDE_METRES = 0.75
+"""Length of a step."""
 CODEC, SUFFIX = "mp4v", ".mp4"
-"""The pair that encodes and decodes fastest at this size."""
+"""Codec and file name suffix that encode and decode fastest at this size."""
 _SUBPIXEL = 4
 """Fractional bits of drawing coordinates."""
 _CLOTHES: tuple[Colour, ...] = (
@@ -48,7 +54,7 @@ _SKIN: tuple[Colour, ...] = ((150, 180, 220), (110, 140, 190), (60, 85, 130))
 
 
 class _Figure(NamedTuple):
-    """One person in one picture: foot and head in pixels, swing of the legs in [-1, 1], who."""
+    """One person in one picture: foot and head in pixels, swing of the legs in [-1, 1], walker."""
 
     depth: float
     foot: tuple[float, float]
@@ -58,7 +64,7 @@ class _Figure(NamedTuple):
 
 
 def plan_corner(plan: Plan) -> tuple[float, float, float, float]:
-    """West, south, east and north ends of the plan's picture, metres."""
+    """Return west, south, east and north ends of the floor's picture, metres."""
     x, y = np.array(list(plan.places.values())).T
     return (
         float(x.min()) - MARGIN_METRES,
@@ -69,7 +75,7 @@ def plan_corner(plan: Plan) -> tuple[float, float, float, float]:
 
 
 def floor_picture(plan: Plan) -> Picture:
-    """The floor from above, `PIXELS_PER_METRE`, north up: slabs, stains, the ways worn lighter."""
+    """Return the floor from above, north up: slabs, stains and lighter paths."""
     west, south, east, north = plan_corner(plan)
     corner = west, north
     shape = round((north - south) * PIXELS_PER_METRE), round((east - west) * PIXELS_PER_METRE), 3
@@ -87,12 +93,13 @@ def floor_picture(plan: Plan) -> Picture:
 
 
 def _grey_levels(values: NDArray[Any]) -> Picture:
+    """Return values clipped to 0 to 255."""
     result: Picture = np.clip(values, 0, 255).astype(np.uint8)
     return result
 
 
 def _pave(picture: Picture, corner: tuple[float, float], area: Area) -> None:
-    """Slabs with seams, every other row half a slab on."""
+    """Draw slabs with seams, every other row shifted by half a slab."""
     west, south, east, north = area.box
     colour, seam, (length, depth) = _FLOORS[area.floor]
     cv2.rectangle(
@@ -114,16 +121,16 @@ def _pave(picture: Picture, corner: tuple[float, float], area: Area) -> None:
 
 
 def _on_plan(corner: tuple[float, float], place: tuple[float, float]) -> tuple[int, int]:
-    """Pixels of a place in metres; ``corner``: west and north end of the picture."""
+    """Return the pixels of a place in metres; ``corner``: west and north end of the picture."""
     return round((place[0] - corner[0]) * PIXELS_PER_METRE), round(
         (corner[1] - place[1]) * PIXELS_PER_METRE
     )
 
 
 def scene(plan: Plan, view: View) -> Picture:
-    """What a camera sees when nobody is there, (HEIGHT, WIDTH, 3) BGR: the floor through its
-    homography.
-    """
+    """Return a camera's picture without people, (HEIGHT, WIDTH, 3) BGR."""
+
+    # The homography from the floor's picture to the view at twice the size.
     west, _, _, north = plan_corner(plan)
     corners = np.array(view.target) + np.array([(-3, -3), (3, -3), (3, 3), (-3, 3)], dtype=float)
     there = np.array(
@@ -132,6 +139,8 @@ def scene(plan: Plan, view: View) -> Picture:
     here = (view.feet(corners)[:, :2] * (2 * WIDTH, 2 * HEIGHT)).astype(np.float32)
     homography = cv2.getPerspectiveTransform(there, here)
     size = 2 * WIDTH, 2 * HEIGHT
+
+    # Warp, shade and shrink.
     large = cv2.warpPerspective(
         floor_picture(plan), homography, size, borderMode=cv2.BORDER_REFLECT
     )
@@ -142,9 +151,11 @@ def scene(plan: Plan, view: View) -> Picture:
 def render(
     plan: Plan, view: View, walks: list[Walk], seconds: float, path: Path, seed: int
 ) -> None:
-    """Write the camera's video, from second 0 to ``seconds``. Raises OSError if it cannot be
+    """Write the camera's video from second 0 to ``seconds``. Raises OSError if it cannot be
     written.
     """
+
+    # Prepare noisy pictures of the empty scene.
     frames = _figures(view, walks, round(seconds * FPS))
     empty = scene(plan, view)
     rng = np.random.default_rng(seed)
@@ -156,6 +167,8 @@ def render(
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*CODEC), FPS, (WIDTH, HEIGHT))
     if not writer.isOpened():
         raise OSError(f"cannot write the video {path}")
+
+    # Draw the people of each frame.
     order = rng.integers(0, NOISE_PICTURES, len(frames))
     for figures, k in zip(frames, order, strict=True):
         picture = grain[k]
@@ -168,7 +181,7 @@ def render(
 
 
 def busy_scene(plan: Plan, view: View, walks: list[Walk]) -> Picture:
-    """What a camera sees at a moment when most people are well inside its picture."""
+    """Return a camera's picture at a moment when most people are well inside it."""
     end = max((float(walk.t[-1]) for walk in walks if len(walk.t)), default=0.0)
     frames = _figures(view, walks, round(end * FPS) + 1)
     inside = [
@@ -182,7 +195,7 @@ def busy_scene(plan: Plan, view: View, walks: list[Walk]) -> Picture:
 
 
 def _figures(view: View, walks: list[Walk], frames: int) -> list[list[_Figure]]:
-    """Who is in each frame, at least with a part of the body."""
+    """Return the people of each frame; people near its edge are included."""
     result: list[list[_Figure]] = [[] for _ in range(frames)]
     scale = np.array((WIDTH, HEIGHT))
     for walker, walk in enumerate(walks):
@@ -202,11 +215,12 @@ def _figures(view: View, walks: list[Walk], frames: int) -> list[list[_Figure]]:
 
 
 def _pair(point: Floats) -> tuple[float, float]:
+    """Return a point (2,) as a tuple."""
     return float(point[0]), float(point[1])
 
 
 def _draw(picture: Picture, figure: _Figure) -> None:
-    """A person: shadow, two legs, a body with arms, a head; sizes go with the height in the
+    """Draw a person (shadow, legs, body with arms, head) in proportion to the height in the
     picture.
     """
     (fx, fy), (hx, hy) = figure.foot, figure.head

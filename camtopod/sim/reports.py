@@ -1,4 +1,4 @@
-"""What the cameras of a made-up network report of those who walk there, and the truth about it."""
+"""Events that the cameras of a simulated network report, and the ground truth about them."""
 
 from __future__ import annotations
 
@@ -22,17 +22,21 @@ from camtopod.sim.truth import (
 from camtopod.sim.walkers import Passages, jitter, paces
 
 TRANSIT_DRAWS = 20_000
+"""Random walkers from which the true transit times are computed."""
 CLUTTER_TRACK_SHARE = 0.5
+"""Share of the clutter with a track."""
 
 
 def report(
     passages: Passages, setup: Setup, settings: SimSettings, rng: np.random.Generator
 ) -> tuple[list[Event], Longs]:
-    """What the cameras say, sorted by time, and (events, 3) owners: walker, number of the passage,
+    """Return events sorted by time, and their owners (events, 3): walker, number of the passage,
     zone.
     """
     layout = setup.layout
     n = len(passages.t_in)
+
+    # Columns of entries, exits and clutter, in this order.
     extra = round(settings.clutter / (1 - settings.clutter) * 2 * n)
     zone = np.concatenate([passages.zone_in, passages.zone_out])
     camera = np.concatenate([layout.camera[zone], rng.integers(0, settings.cameras, extra)])
@@ -47,12 +51,16 @@ def report(
     owner[: 2 * n] = np.column_stack(
         [np.tile(passages.walker, 2), np.tile(passages.number, 2), zone]
     )
+
+    # Lost and turned cameras, and clock offsets.
     inside = ~_lost(camera, t, layout, settings)
     for moved, (since, turn) in setup.turned.items():
         then = (camera == moved) & (t >= since)
         place[then] = turned(place[then], turn)
     t = np.round(t + setup.offsets[camera] + settings.start, 6)
     order = np.flatnonzero(inside)[np.argsort(t[inside], kind="stable")]
+
+    # Leave out positions and tracks if asked to.
     if not settings.positions:
         place = np.full_like(place, np.nan)
     if not settings.tracks:
@@ -64,7 +72,7 @@ def report(
 def _positions(
     layout: Layout, zone: Longs, settings: SimSettings, rng: np.random.Generator
 ) -> Floats:
-    """A point of each zone's normal distribution, inside the image."""
+    """Draw a position from each zone's normal distribution, clipped to the image."""
     spread = np.linalg.cholesky(layout.cov)
     at = layout.centre[zone] + np.einsum(
         "nij,nj->ni", spread[zone], rng.standard_normal((len(zone), 2))
@@ -75,6 +83,7 @@ def _positions(
 
 
 def _lost(camera: Longs, t: Floats, layout: Layout, settings: SimSettings) -> NDArray[np.bool_]:
+    """Return which events fall into the outage of a camera."""
     gone = np.zeros(len(t), dtype=bool)
     for name, begin, end in settings.lost:
         gone |= (camera == layout.cameras.index(name)) & (t >= begin) & (t < end)
@@ -82,7 +91,7 @@ def _lost(camera: Longs, t: Floats, layout: Layout, settings: SimSettings) -> ND
 
 
 def truth_of(setup: Setup, settings: SimSettings, recorded: Passages, owners: Longs) -> Truth:
-    """The network as it is at the end of the recording, and who caused each event."""
+    """Return the network as it is at the end of the recording, and who caused each event."""
     layout = setup.layout
     first = np.r_[0, np.flatnonzero(np.diff(layout.camera)) + 1]
     number = np.arange(len(layout.camera)) - first[layout.camera] + 1
@@ -105,6 +114,7 @@ def truth_of(setup: Setup, settings: SimSettings, recorded: Passages, owners: Lo
 
 
 def _zone(setup: Setup, settings: SimSettings, zone: int, name: str) -> TrueZone:
+    """Return a zone, with its former position if the camera was turned."""
     camera = int(setup.layout.camera[zone])
     if not settings.positions:
         return TrueZone(id=name, camera=setup.layout.cameras[camera])
@@ -124,9 +134,7 @@ def _zone(setup: Setup, settings: SimSettings, zone: int, name: str) -> TrueZone
 def _links(
     setup: Setup, settings: SimSettings, ids: list[str], recorded: Passages
 ) -> list[TrueLink]:
-    """Every way with its probability, the time for it, and how often it was walked in the
-    recording.
-    """
+    """Return every path as a link: probability, transit times, and recorded transitions."""
     layout = setup.layout
     rng = np.random.default_rng((settings.seed, 3))
     forward = paces(settings, rng, TRANSIT_DRAWS) * jitter(settings, rng, TRANSIT_DRAWS)
@@ -157,7 +165,7 @@ def _links(
 
 
 def _times(one: Transit, metres: float) -> Transit:
-    """A metre's figures scaled to a way's length."""
+    """Scale the transit time of one metre to a path's length."""
     return Transit(
         *(
             round(time * metres, 4)
@@ -167,7 +175,7 @@ def _times(one: Transit, metres: float) -> Transit:
 
 
 def _walked(recorded: Passages) -> dict[tuple[bool, int, int], int]:
-    """How often (through a view?, from, to) happened with both ends recorded."""
+    """Return (through a view?, from, to) -> number of walks with both ends recorded."""
     order = np.lexsort((recorded.number, recorded.walker))
     p = recorded.take(order)
     next_ = (p.walker[1:] == p.walker[:-1]) & (p.number[1:] == p.number[:-1] + 1)
@@ -190,8 +198,11 @@ def events_of(
     track: Longs,
     order: Longs,
 ) -> list[Event]:
-    """Events in ``order`` from columns: (n,) camera, entry or exit, event time, (n, 2) place or
-    nan, track or -1.
+    """Return events from columns, in ``order``.
+
+    camera, entry, t (n,): camera index, True for an entry, event time.
+    at (n, 2): position in the image, or nan.
+    track (n,): track number, or -1.
     """
     names = _track_names(camera, track, order)
     xy, when, placed = np.round(at, 4), np.round(t, 6), np.isfinite(at[:, 0])
@@ -209,7 +220,7 @@ def events_of(
 
 
 def _track_names(camera: Longs, track: Longs, order: Longs) -> list[str | None]:
-    """Tracks numbered within their camera in the order they are first seen, as a tracker would."""
+    """Number the tracks of each camera in the order they first appear, as a tracker would."""
     names: dict[int, str] = {}
     counts: dict[int, int] = {}
     result: list[str | None] = []

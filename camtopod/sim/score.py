@@ -1,4 +1,4 @@
-"""How near a learned topology, and predictions made with it, come to the truth."""
+"""Score of a learned topology, and of predictions made with it, against the ground truth."""
 
 from __future__ import annotations
 
@@ -15,23 +15,19 @@ from camtopod.sim.calibration import calibration_error, calibration_floor
 from camtopod.sim.truth import CLUTTER, TrueLink, TrueZone, Truth
 
 ZONE_TOLERANCE = 0.1
-"""A learned zone is a true one when their centres are at most this far apart, fraction of the
-image.
-"""
+"""Largest distance between the centres of matching zones, fraction of the image."""
 COVERED_SDS = 1.96
-"""An error within so many stated standard deviations is covered; 95 % should be."""
+"""An error within this many stated standard deviations is covered; 95 % should be."""
 TRANSIT_FLOOR_SECONDS = 1.0
-"""Errors of shorter transit times are relative to this, as a fraction of next to nothing says
-nothing.
-"""
+"""Errors of transit times shorter than this are relative to it; near 0 a ratio means nothing."""
 PROBABILITY_FLOOR = 1e-6
-"""Least probability in the log loss: an outcome held impossible costs 13.8 nats, not infinitely
-many.
-"""
+"""Least probability in the log loss: an outcome stated as impossible costs 13.8 nats."""
 
 
 class Score(Struct, frozen=True):
-    """Counts and errors; shares of nothing are 1.0 (nothing missed), errors of nothing are nan."""
+    """Counts and errors of a topology; shares of nothing are 1.0 (nothing missed), errors of
+    nothing nan.
+    """
 
     cameras: int
     cameras_right: int
@@ -40,37 +36,40 @@ class Score(Struct, frozen=True):
     zones_learned: int
     zones_matched: int
     links_true: int
-    """Unseen and overlapped links that were walked at all."""
+    """True links (unseen and overlapped) that were walked at all."""
     links_learned: int
     links_found: int
     links_right: int
     """Learned links that are true ones."""
     relations_right: int
-    """Of these, how many have the true relation (unseen or overlapped)."""
+    """Right links with the true relation (unseen or overlapped)."""
     mode_error: float
-    """Median over the right links of |learned - true| / max(|true|, 1 s) of the transit times'
-    modes.
+    """Median over the right links of |learned - true| / max(|true|, 1 s) of the mode of transit
+    times.
     """
     mean_error: float
+    """As `mode_error`, for the mean of transit times."""
     median_error: float
-    """The same of the medians."""
+    """As `mode_error`, for the median of transit times."""
     median_error_mean: float
-    """Mean of the medians' errors: it counts the links that are far off, too."""
+    """Mean of the errors of the medians, which also counts links that are far off."""
     median_covered: float
-    """Share of the right links with the true median within `COVERED_SDS` stated standard errors;
-    nan without any.
+    """Share of the right links whose true median is within `COVERED_SDS` stated standard errors.
+
+    It is nan without any.
     """
     mean_covered: float
-    """The same of the means."""
+    """As `median_covered`, for the mean of transit times."""
     pairs_true: int
     pairs_learned: int
     pairs_right: int
     """Learned pairs of cameras that are related in truth."""
     pair_relations_right: int
+    """Right pairs of cameras with the true relation."""
     pairs_walked: int
-    """Pairs of cameras that somebody walked between, both ends recorded, or that were learned."""
+    """Pairs of cameras that were learned, or walked between with both ends recorded."""
     links_false: int
-    """Learned links that are none in truth."""
+    """Learned links that are not true ones."""
 
     @property
     def link_precision(self) -> float:
@@ -84,15 +83,13 @@ class Score(Struct, frozen=True):
 
     @property
     def link_f1(self) -> float:
-        """Harmonic mean of precision and recall."""
+        """Harmonic mean of `link_precision` and `link_recall`."""
         both = self.link_precision + self.link_recall
         return 2 * self.link_precision * self.link_recall / both if both else 0.0
 
     @property
     def relation_right(self) -> float:
-        """Share of the pairs of cameras, walked or learned, that are learned with their true
-        relation.
-        """
+        """Share of `pairs_walked` that are learned with their true relation."""
         return _share(self.pair_relations_right, self.pairs_walked)
 
     @property
@@ -107,57 +104,61 @@ class Score(Struct, frozen=True):
 
     @property
     def pair_f1(self) -> float:
-        """Harmonic mean of the two."""
+        """Harmonic mean of `pair_precision` and `pair_recall`."""
         both = self.pair_precision + self.pair_recall
         return 2 * self.pair_precision * self.pair_recall / both if both else 0.0
 
     def text(self) -> str:
-        """A few lines for a person."""
+        """Return a few lines for people."""
         return (
-            f"zones    {self.zones_matched} of {self.zones_true} found, {self.zones_learned} learned;"
-            f" {self.cameras_right} of {self.cameras} cameras all right\n"
-            f"links    {self.links_found} of {self.links_true} found (recall {self.link_recall:.2f}),"
-            f" {self.links_right} of {self.links_learned} learned true (precision {self.link_precision:.2f});"
-            f" relation right in {self.relations_right}\n"
+            f"zones    {self.zones_matched} of {self.zones_true} found, {self.zones_learned} "
+            f"learned; {self.cameras_right} of {self.cameras} cameras all right\n"
+            f"links    {self.links_found} of {self.links_true} found (recall "
+            f"{self.link_recall:.2f}), {self.links_right} of {self.links_learned} learned true "
+            f"(precision {self.link_precision:.2f}); relation right in {self.relations_right}\n"
             f"transit  median error {_percent(self.mode_error)} (most popular time),"
             f" {_percent(self.mean_error)} (mean)\n"
-            f"pairs    {self.pairs_right} of {self.pairs_true} found (recall {self.pair_recall:.2f}),"
-            f" {self.pairs_learned} learned (precision {self.pair_precision:.2f});"
-            f" overlapped or unseen right in {self.pair_relations_right}"
+            f"pairs    {self.pairs_right} of {self.pairs_true} found (recall "
+            f"{self.pair_recall:.2f}), {self.pairs_learned} learned (precision "
+            f"{self.pair_precision:.2f}); overlapped or unseen right in {self.pair_relations_right}"
         )
 
 
 class PredictionScore(Struct, frozen=True):
-    """How often the next camera was named, over exits that belong to somebody."""
+    """Score of predictions of the next camera, over exits that belong to an object."""
 
     exits: int
-    """Exits scored."""
+    """Number of exits scored."""
     followed: int
-    """Of these, how many objects were recorded again."""
+    """Number of them whose object was recorded again."""
     top1: float
-    """Share of the followed ones whose next camera had the highest probability."""
+    """Share of the followed exits whose next camera had the highest probability."""
     top3: float
+    """Share of the followed exits whose next camera was among the three likeliest."""
     log_loss: float
-    """Mean of -ln(probability of what happened: that camera, or not seen again) over all exits,
+    """Mean of -ln(probability of the outcome: that camera, or not seen again) over all exits,
     nats.
     """
     calibration_error: float = math.nan
-    """Expected calibration error of all stated probabilities, that of leaving included. Most of
-    them are next to 0, where nobody is far off."""
-    first_calibration_error: float = math.nan
-    """The same of the first guess alone: the likeliest outcome, which may be leaving."""
-    first_calibration_floor: float = math.nan
-    """What chance would make of that on as many exits if every probability were right."""
-    first_calibration_error_all: float = math.nan
-    """The same over all exits, those of nobody too, after which nobody comes: who predicts cannot
-    know which they are, so over the others alone what is right over all looks too careful."""
-    window_coverage: float = math.nan
-    """Share of the followed ones, next camera named at all, that came between the stated q10 and
-    q90.
+    """Expected calibration error of all stated probabilities, that of leaving the site included.
+
+    Most of them are close to 0, where no method is far off.
     """
+    first_calibration_error: float = math.nan
+    """Expected calibration error of the likeliest outcome alone, which may be leaving the site."""
+    first_calibration_floor: float = math.nan
+    """Value of `first_calibration_error` that chance would give if every probability were right."""
+    first_calibration_error_all: float = math.nan
+    """As `first_calibration_error`, over all exits, those of clutter included.
+
+    A prediction cannot know which exits are clutter (no object arrives after them). Right
+    probabilities over all exits therefore look too cautious over the exits of objects alone.
+    """
+    window_coverage: float = math.nan
+    """Share of followed exits with the next camera stated whose arrival is between q10 and q90."""
 
     def text(self) -> str:
-        """A line for a person."""
+        """Return one line for people."""
         return (
             f"{self.exits} exits, {self.followed} seen again: next camera right {self.top1:.3f},"
             f" among the first three {self.top3:.3f}; log loss {self.log_loss:.3f}"
@@ -165,12 +166,16 @@ class PredictionScore(Struct, frozen=True):
 
 
 def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -> Score:
-    """Hold a topology against the truth. Links count at the level of zones, those through a view do
-    not.
+    """Compare a topology with the ground truth, at the level of zones; links through a view do not
+    count.
     """
     match = match_zones(topology.zones, truth.zones, tolerance)
+
+    # Zones.
     true_count, learned_count = (_per_camera(zones) for zones in (truth.zones, topology.zones))
     matched_count = _per_camera([zone for zone in truth.zones if zone.id in match])
+
+    # Links.
     true_links = _projected([link for link in truth.links if link.relation != "visible"], match)
     learned = [link for link in topology.links if link.relation != "visible"]
     right = [
@@ -182,6 +187,8 @@ def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -
     walked = [link for link in truth.links if link.relation != "visible" and link.transitions > 0]
     camera_of = {zone.id: zone.camera for zone in truth.zones}
     walked_pairs = {tuple(sorted((camera_of[link.from_], camera_of[link.to]))) for link in walked}
+
+    # Pairs of cameras.
     learned_pairs = {pair.cameras: pair.relation for pair in topology.pairs}
     true_pairs = {pair.cameras: pair.relation for pair in truth.pairs}
     expected = walked_pairs if truth.links else true_pairs.keys()
@@ -216,10 +223,9 @@ def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -
 
 
 def clock_errors(topology: Topology, truth: Truth) -> dict[str, float]:
-    """Learned minus true clock offset of each learned camera, seconds.
+    """Return learned minus true clock offset of each learned camera, seconds.
 
-    Only differences between clocks can be learned, so the median of the errors is taken out of all
-    of them.
+    Only differences between clocks can be learned, so the median error is subtracted from all.
     """
     error = {c.id: c.clock_offset - truth.clock_offsets.get(c.id, 0.0) for c in topology.cameras}
     gauge = float(np.median(list(error.values()))) if error else 0.0
@@ -229,7 +235,8 @@ def clock_errors(topology: Topology, truth: Truth) -> dict[str, float]:
 def match_zones(
     learned: Sequence[Zone], true: Sequence[TrueZone], tolerance: float
 ) -> dict[str, str]:
-    """True zone -> learned zone, one to one within each camera, least total distance (Hungarian).
+    """Return true zone -> learned zone, one to one within a camera, least total distance
+    (Hungarian).
 
     A learned zone without positions stands for the whole camera, so for all its true zones.
     """
@@ -255,9 +262,11 @@ def match_zones(
 
 
 def next_entries(events: Sequence[Event], truth: Truth) -> list[int]:
-    """For each event, if it is somebody's exit: index of the entry with which they appear next;
-    else -1.
+    """Return for each exit of an object the index of the entry where it appears next; otherwise
+    -1.
     """
+
+    # Entries of each walker, by number of the passage.
     entries: dict[int, list[tuple[int, int]]] = {}
     for index, (event, who, number) in enumerate(
         zip(events, truth.identity, truth.passage, strict=True)
@@ -266,6 +275,8 @@ def next_entries(events: Sequence[Event], truth: Truth) -> list[int]:
             entries.setdefault(who, []).append((number, index))
     for passages in entries.values():
         passages.sort()
+
+    # The first entry after each exit.
     result = []
     for event, who, number in zip(events, truth.identity, truth.passage, strict=True):
         later = (
@@ -284,15 +295,19 @@ def score_predictions(
     since: float = -math.inf,
     zone_of: Callable[[Event], str | None] | None = None,
 ) -> PredictionScore:
-    """Score one prediction for each exit line of ``events``, in order; exits before ``since`` do
-    not count.
+    """Score one prediction for each exit of ``events``, in order; exits before ``since`` do not
+    count.
 
-    ``zone_of`` names the zone of an entry, so that its own time window is looked at; without it,
-    that of the likeliest zone of its camera is. Raises ValueError when the predictions do not
-    belong to these events.
+    zone_of: returns the zone of an entry, whose time window is then checked; without it, the window
+    of the camera's likeliest zone is. Raises ValueError if the predictions are not for these
+    events.
     """
+
+    # What happened after each exit.
     following = next_entries(events, truth)
     exits = [index for index, event in enumerate(events) if event.kind == "exit"]
+
+    # Compare each prediction with it.
     top1 = top3 = followed = scored = 0
     loss = 0.0
     stated: list[float] = []
@@ -303,7 +318,8 @@ def score_predictions(
         event = events[index]
         if prediction.camera != event.camera or abs(prediction.t - event.t) > 1e-5:
             raise ValueError(
-                f"the prediction for {prediction.camera} at {prediction.t} is not for exit line {index + 1}"
+                f"the prediction for {prediction.camera} at {prediction.t} is not for exit line "
+                f"{index + 1}"
             )
         if event.t < since:
             continue
@@ -326,6 +342,8 @@ def score_predictions(
             *(entry is not None and camera == entry.camera for camera in by_camera),
             entry is None,
         ]
+
+    # Average over the exits.
     somebody = [guess for guess in firsts if not guess.clutter]
     return PredictionScore(
         exits=scored,
@@ -342,8 +360,8 @@ def score_predictions(
 
 
 class _Guess(NamedTuple):
-    """The likeliest outcome of an exit: its probability, whether it came so, whether the exit
-    belonged to nobody.
+    """Likeliest outcome of an exit: its probability, whether it happened, whether the exit was
+    clutter.
     """
 
     stated: float
@@ -352,6 +370,7 @@ class _Guess(NamedTuple):
 
 
 def _first(leave: float, by_camera: dict[str, float], entry: Event | None, clutter: bool) -> _Guess:
+    """Return the likeliest outcome of a prediction."""
     camera = max(by_camera, key=lambda name: by_camera[name], default=None)
     if camera is None or leave > by_camera[camera]:
         return _Guess(leave, entry is None, clutter)
@@ -359,12 +378,14 @@ def _first(leave: float, by_camera: dict[str, float], entry: Event | None, clutt
 
 
 def _calibration_error(guesses: Sequence[_Guess]) -> float:
+    """Return the expected calibration error of the likeliest outcomes."""
     return calibration_error(
         [guess.stated for guess in guesses], [guess.happened for guess in guesses]
     )
 
 
 def _by_camera(prediction: Prediction) -> dict[str, float]:
+    """Return camera -> probability of being next."""
     result: dict[str, float] = {}
     for choice in prediction.next_:
         result[choice.camera] = result.get(choice.camera, 0.0) + choice.probability
@@ -372,8 +393,10 @@ def _by_camera(prediction: Prediction) -> dict[str, float]:
 
 
 def _within(prediction: Prediction, entry: Event, zone: str | None) -> list[bool]:
-    """Whether the entry came in the window of its zone, else of the likeliest of its camera; empty:
-    not named.
+    """Return [whether the entry is in the stated window of its zone]; [] if its camera is not
+    stated.
+
+    Without a zone it is the window of the camera's likeliest zone.
     """
     named = [choice for choice in prediction.next_ if choice.camera == entry.camera]
     for choice in [choice for choice in named if choice.zone == zone] or named:
@@ -382,6 +405,7 @@ def _within(prediction: Prediction, entry: Event, zone: str | None) -> list[bool
 
 
 def _per_camera(zones: Sequence[Zone] | Sequence[TrueZone]) -> dict[str, int]:
+    """Return camera -> number of zones."""
     result: dict[str, int] = {}
     for zone in zones:
         result[zone.camera] = result.get(zone.camera, 0) + 1
@@ -389,7 +413,7 @@ def _per_camera(zones: Sequence[Zone] | Sequence[TrueZone]) -> dict[str, int]:
 
 
 def _projected(links: list[TrueLink], match: dict[str, str]) -> dict[tuple[str, str], TrueLink]:
-    """True links between learned zones; where several fall together, the one walked most."""
+    """Return the true links between learned zones; where several coincide, the one walked most."""
     result: dict[tuple[str, str], TrueLink] = {}
     for link in sorted(links, key=lambda link: link.transitions):
         if link.from_ in match and link.to in match:
@@ -402,6 +426,8 @@ def _error(
     figure: str,
     together: Callable[[list[float]], np.floating[Any]] = np.median,
 ) -> float:
+    """Return the median (or ``together``) of the relative errors of a figure of transit times."""
+
     def value(transit: Transit) -> float:
         return float(getattr(transit, figure))
 
@@ -414,6 +440,9 @@ def _error(
 
 
 def _covered(right: list[tuple[Link, TrueLink]], figure: str) -> float:
+    """Return the share of right links whose true ``figure`` is within `COVERED_SDS` stated
+    errors.
+    """
     covered = [
         abs(getattr(link.transit, figure) - getattr(true.transit, figure)) <= COVERED_SDS * sd
         for link, true in right
@@ -423,8 +452,10 @@ def _covered(right: list[tuple[Link, TrueLink]], figure: str) -> float:
 
 
 def _share(part: int, whole: int) -> float:
+    """Return part / whole, 1.0 of nothing."""
     return part / whole if whole else 1.0
 
 
 def _percent(value: float) -> str:
+    """Return a share in percent, "-" for nan."""
     return "-" if math.isnan(value) else f"{100 * value:.0f} %"

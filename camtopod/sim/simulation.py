@@ -1,7 +1,7 @@
-"""A made-up camera network at work: walkers, what the cameras report of them, and the truth.
+"""Simulation of a camera network: walkers, the events the cameras report, and the ground truth.
 
-Pure: the same settings give the same events. Walkers arrive as a Poisson process, follow a
-first-order chain over zones, and each keeps a speed of their own; the disturbances of real
+It is pure: the same settings give the same events. Walkers arrive as a Poisson process, follow a
+first-order Markov chain over zones, and each keeps a speed of their own; the disturbances of real
 installations are settings.
 """
 
@@ -20,7 +20,9 @@ __all__ = ["SimSettings", "simulate"]
 
 
 def simulate(settings: SimSettings) -> tuple[list[Event], Truth]:
-    """Events sorted by time, and the truth. Raises ValueError for settings that make no sense."""
+    """Return events sorted by time, and the ground truth. Raises ValueError for invalid
+    settings.
+    """
     check(settings)
     structure, chance = (np.random.default_rng((settings.seed, part)) for part in (1, 2))
     setup = make_setup(settings, structure)

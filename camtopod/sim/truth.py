@@ -1,4 +1,4 @@
-"""What is true of a made-up camera network: the answer that a learned topology is held against."""
+"""Ground truth of a simulated camera network, against which a learned topology is scored."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from camtopod.arrays import Floats
 from camtopod.records import Pair, Relation, Transit
 
 TRUTH_SCHEMA = "camtopod/truth/1"
+"""Name and version of the file format."""
 CLUTTER = -1
-"""In `Truth.identity`, `Truth.passage` and `Truth.zone`: the event belongs to nobody."""
+"""Value in `Truth.identity`, `Truth.passage` and `Truth.zone` of an event that belongs to no
+object.
+"""
 
 
 class TrueZone(Struct, frozen=True, omit_defaults=True):
-    """An entry/exit zone; centre and covariance in fractions of the image, `None` without
-    positions.
+    """Entry/exit zone; centre and covariance in fractions of the image, None without positions.
 
-    ``moved_at``: seconds since the epoch before which it lay at ``was`` in the image, as the camera
-    was turned.
+    ``moved_at``: time (seconds since the epoch) at which the camera was turned; before it, the zone
+    was at ``was`` in the image.
     """
 
     id: str
@@ -32,9 +34,12 @@ class TrueZone(Struct, frozen=True, omit_defaults=True):
 
 
 class TrueLink(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
-    """A directed link. ``probability`` is a walker's, whether or not the next passage is recorded;
-    ``transitions`` is how often it was walked, both ends recorded, in these events. ``closed_at``
-    (``opened_at``): seconds since the epoch after (before) which nobody takes it."""
+    """Directed link.
+
+    probability: that a walker takes it, whether or not the next passage is recorded.
+    transitions: number of walks in these events with both ends recorded.
+    closed_at, opened_at: seconds since the epoch after, or before, which nobody takes it.
+    """
 
     from_: str
     to: str
@@ -47,11 +52,14 @@ class TrueLink(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}
 
 
 class Truth(Struct, frozen=True, omit_defaults=True):
-    """The network and, per event line, who caused it.
+    """Network and, for each event line, who caused it.
 
-    ``identity[i]`` is the walker of event ``i``, ``passage[i]`` the number of the passage within
-    the walk (it rises along the walk, unrecorded passages count too) and ``zone[i]`` the index into
-    ``zones``; `CLUTTER` for clutter.
+    identity[i]: walker of event ``i``.
+    passage[i]: number of the passage within the walk; it rises along the walk, and unrecorded
+        passages count, too.
+    zone[i]: index into ``zones``.
+
+    All three are `CLUTTER` for clutter.
     """
 
     schema: str
@@ -70,15 +78,15 @@ class Truth(Struct, frozen=True, omit_defaults=True):
 
 
 def transit_of(seconds: Floats) -> Transit:
-    """Figures of a sample of transit times, (n,) with n > 0."""
+    """Return the statistics of a sample of transit times, (n,) with n > 0."""
     q10, q50, q90 = np.quantile(seconds, (0.1, 0.5, 0.9))
     figures = (mode_of(seconds), np.mean(seconds), np.std(seconds), q10, q50, q90)
     return Transit(*(round(float(figure), 6) for figure in figures))
 
 
 def mode_of(values: Floats) -> float:
-    """Where a Gaussian kernel density (Silverman's bandwidth) is highest, to a 200th of the
-    spread.
+    """Return the maximum of a Gaussian kernel density (Silverman's bandwidth), on a grid of 201
+    points.
     """
     low, high = np.quantile(values, (0.02, 0.98))
     width = min(
@@ -96,7 +104,7 @@ def mode_of(values: Floats) -> float:
 
 
 def pairs_of(links: list[TrueLink], camera_of: dict[str, str]) -> list[Pair]:
-    """Related pairs of cameras: overlapped where any of their links is, else joined by an unseen
+    """Return the related pairs of cameras: overlapped if any of their links is, else unseen
     path.
     """
     overlapped: dict[tuple[str, str], bool] = {}

@@ -1,6 +1,4 @@
-"""People walk about in a made-up network: when they come, where they go, how long it takes them,
-with whom.
-"""
+"""Walkers of a simulated network: when they come, where they go, how long it takes, with whom."""
 
 from __future__ import annotations
 
@@ -14,18 +12,21 @@ from camtopod.sim.layout import WALKING_SPEED, Choices
 from camtopod.sim.settings import SimSettings
 
 PASSAGES_MAX = 100
-"""A walker leaves the network after this many passages at the latest."""
+"""Most passages of a walker, who then leaves the network."""
 WARM_UP_SECONDS = 1200.0
 """Walkers start this long before the recording, so that it begins with a full network."""
 DAY_SECONDS = 86_400.0
+"""Seconds of a day."""
 SLOW_FACTOR = 0.45
+"""Factor on the speed of slow walkers."""
 LINGER_FACTOR = (5.0, 30.0)
+"""Range of the factor on the dwell times of loiterers."""
 HEADWAY_SECONDS = 1.5
 """Mean time between the walkers of a platoon."""
 
 
 class Passages(Struct):
-    """Passages as columns: who, the number within the walk, zones and times of entry and exit."""
+    """Passages as columns: walker, number within the walk, zones and times of entry and exit."""
 
     walker: Longs
     number: Longs
@@ -35,13 +36,19 @@ class Passages(Struct):
     t_out: Floats
 
     def take(self, index: Longs | NDArray[np.bool_]) -> Passages:
-        """Those at ``index`` (numbers in any order) or where it (n,) is true."""
+        """Return those at ``index`` (numbers in any order), or where a boolean ``index`` (n,) is
+        true.
+        """
         return Passages(*(getattr(self, name)[index] for name in self.__struct_fields__))
 
 
 def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passages:
-    """All walks, one passage of every walker under way at a time."""
+    """Return all passages; each turn of the loop simulates one passage of every walker still under
+    way.
+    """
     layout = setup.layout
+
+    # Who comes, when, where, and how fast.
     t = _arrivals(settings, rng)
     walker = np.arange(len(t))
     zone = rng.choice(len(layout.camera), len(t), p=layout.arrivals)
@@ -49,6 +56,8 @@ def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passa
     pace = paces(settings, rng, len(t))
     linger = rng.uniform(*LINGER_FACTOR, len(t))
     linger = np.where(rng.random(len(t)) < settings.loiterers, linger, 1.0)
+
+    # Passage by passage until all have left.
     parts: list[Passages] = []
     for number in range(PASSAGES_MAX):
         if len(t) == 0:
@@ -72,14 +81,14 @@ def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passa
 
 
 def paces(settings: SimSettings, rng: np.random.Generator, n: int) -> Floats:
-    """Seconds a metre of ``n`` walkers."""
+    """Return the pace of ``n`` walkers, seconds per metre."""
     pace = 1 / (WALKING_SPEED * np.exp(settings.speed_sd * rng.standard_normal(n)))
     return np.where(rng.random(n) < settings.slow_share, pace / SLOW_FACTOR, pace)
 
 
 def _onward(setup: Setup, settings: SimSettings, zone: Longs, t: Floats, draw: Floats) -> Longs:
-    """Index of the way that people who are at a zone at some time take, -1 for none; doors close
-    and open.
+    """Return the index of the path that walkers at ``zone`` take at ``t``, -1 for none; doors may
+    be shut.
     """
     shut, unopened = t >= settings.closing(), t < settings.opening()
     result = np.zeros(len(zone), dtype=np.int64)
@@ -94,7 +103,7 @@ def _onward(setup: Setup, settings: SimSettings, zone: Longs, t: Floats, draw: F
 
 
 def _in_platoons(t: Floats, zone: Longs, settings: SimSettings) -> tuple[Floats, Longs]:
-    """Times and zones at which people come, where a share of them comes in bunches."""
+    """Return times and zones of arrival with a share of the walkers moved into platoons."""
     rng = np.random.default_rng((settings.seed, 5))
     member = np.flatnonzero(rng.random(len(t)) < settings.platoons)
     bunch = np.cumsum(rng.random(len(member)) < 1 / settings.platoon_size)
@@ -114,7 +123,7 @@ def _in_platoons(t: Floats, zone: Longs, settings: SimSettings) -> tuple[Floats,
 
 
 def _arrivals(settings: SimSettings, rng: np.random.Generator) -> Floats:
-    """Poisson arrival times; the rhythm thins a faster process."""
+    """Return Poisson arrival times; the rhythm thins a faster process."""
     rate = settings.objects_per_second or 0.4 * settings.cameras / 12
     begin, end = -WARM_UP_SECONDS, settings.hours * 3600.0
     times = np.sort(
@@ -126,25 +135,26 @@ def _arrivals(settings: SimSettings, rng: np.random.Generator) -> Floats:
 
 
 def jitter(settings: SimSettings, rng: np.random.Generator, n: int) -> Floats:
-    """How many times as long as usual ``n`` ways take."""
+    """Return a random factor on the usual time of each of ``n`` paths."""
     result: Floats = np.exp(settings.path_sd * rng.standard_normal(n))
     return result
 
 
 def _option(choices: Choices, zone: Longs, draw: Floats) -> Longs:
-    """Index of the option that a uniform draw picks in each zone's row, -1 for none."""
+    """Return the index of the option that a uniform draw picks in each zone's row, -1 for none."""
     index = (np.cumsum(choices.probability[zone], 1) <= draw[:, None]).sum(1)
     return np.where(index < choices.probability.shape[1], index, -1)
 
 
 def _choose(choices: Choices, zone: Longs, rng: np.random.Generator) -> tuple[Longs, Floats]:
-    """Target and metres where one option is always taken (rows sum to 1 up to rounding)."""
+    """Return target and metres where one option is always taken (rows sum to 1 up to rounding)."""
     total = choices.probability.sum(1)[zone]
     option = _option(choices, zone, rng.random(len(zone)) * total * (1 - 1e-12))
     return choices.target[zone, option], choices.metres[zone, option]
 
 
 def _join(parts: list[Passages]) -> Passages:
+    """Concatenate passages."""
     if not parts:
         none = np.zeros(0, dtype=np.int64)
         return Passages(none, none, none, none, none.astype(float), none.astype(float))
@@ -159,7 +169,7 @@ def _join(parts: list[Passages]) -> Passages:
 def with_companions(
     passages: Passages, settings: SimSettings, rng: np.random.Generator
 ) -> Passages:
-    """Groups: companions walk the leader's way, each a step (0.3 to 2 s) behind the one before."""
+    """Add companions who walk the leader's way, each a step (0.3 to 2 s) behind the one before."""
     walkers = int(passages.walker.max(initial=-1)) + 1
     size = np.where(rng.random(walkers) < settings.group_share, rng.integers(1, 4, walkers), 0)
     parts, fresh, behind = [passages], walkers, np.zeros(walkers)

@@ -297,7 +297,9 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
             monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
         assert main(arguments) == 0
         assert daemon.status()["events"]["stored"] == len(EVENTS)
-    assert (Said("ended", "20 events wait for the daemon") in said) == (above == "supervisor")
+    assert (Said("ended", "waiting for the daemon to acknowledge 20 events") in said) == (
+        above == "supervisor"
+    )
     os.close(ear.child_fd)
     ear.close()
 
@@ -371,5 +373,5 @@ def test_ingest_counts_bad_lines_with_file_and_line(
     assert f"{path}:4: " in err
     assert f"{path}:5: " not in err, "one of a kind is enough"
     assert "p@ss" not in err
-    assert "3 of 8 lines changed nothing: bad-value 1, malformed 2" in err
+    assert "3 of 8 lines were rejected: bad-value 1, malformed 2" in err
     assert main(["ingest", "jsonl", str(tmp_path / "none")]) == 66

@@ -96,7 +96,7 @@ def test_learn_says_in_a_pipe_how_far_it_has_come(
 ) -> None:
     monkeypatch.setattr(progress, "PIPED_SECONDS", 0.0)
     _, _, said = run("learn", recording)
-    assert re.search(r"^camtopod: \d+ lines, \d+ %, \d+ s until all are read$", said, re.M)
+    assert re.search(r"^camtopod: \d+ lines, \d+ %, \d+ s left$", said, re.M)
     assert re.search(r"^camtopod: version 1, step 4 of 8: joint fit$", said, re.M)
     _, _, said = run("learn", "-", stdin=recording.read_bytes())
     assert re.search(r"^camtopod: \d+ lines$", said, re.M), "nobody knows how much is to come"
@@ -137,7 +137,7 @@ def test_lines_that_do_not_fit_are_counted_and_quoted_once(run: Run, topology: P
     raw = lines(EVENTS[:50]) + noise + late + late + lines(EVENTS[50:])
     status, printed, said = run("learn", "-", stdin=raw)
     assert (status, printed) == (0, topology.read_bytes())
-    assert f"5 of {len(EVENTS) + 5} lines changed nothing: bad-value 2, late 2, malformed 1" in said
+    assert f"5 of {len(EVENTS) + 5} lines were rejected: bad-value 2, late 2, malformed 1" in said
     assert said.count("a b") == 1
     assert "c d" not in said
     assert "-:51: " in said
@@ -161,7 +161,7 @@ def test_out_of_order_within_the_lateness(run: Run, topology: Path) -> None:
     assert mixed != EVENTS
     _, printed, said = run("learn", "-", stdin=lines(mixed))
     assert read(Topology, printed).digest == read(Topology, topology.read_bytes()).digest
-    assert "changed nothing" not in said
+    assert "were rejected" not in said
 
 
 @pytest.mark.parametrize("command", ["learn", "predict"])
@@ -178,8 +178,8 @@ def test_an_input_that_cannot_be_read(
 def test_nothing_to_learn_from(run: Run) -> None:
     status, printed, said = run("learn", "-", stdin=b"\n\nnonsense\n")
     assert (status, printed) == (exits.INPUT, b"")
-    assert "nothing to learn from" in said
-    assert "1 of 1 lines changed nothing" in said
+    assert "nothing to learn" in said
+    assert "1 of 1 lines were rejected" in said
 
 
 def test_an_output_that_cannot_be_written(run: Run, recording: Path, tmp_path: Path) -> None:
@@ -258,7 +258,7 @@ def test_predict_counts_what_does_not_fit(run: Run, topology: Path) -> None:
     status, printed, said = run("predict", topology, "-", stdin=b"nonsense\n" + lines(EVENTS[:20]))
     assert status == 0
     assert len(printed.splitlines()) == sum(event.kind == "exit" for event in EVENTS[:20])
-    assert "1 of 21 lines changed nothing: malformed 1" in said
+    assert "1 of 21 lines were rejected: malformed 1" in said
     assert run("predict", topology, "-", stdin=b"")[:2] == (0, b"")
 
 
@@ -309,5 +309,5 @@ def test_secrets_in_a_quoted_line_stay_secret(capsys: pytest.CaptureFixture[str]
     reader = LineReader()
     assert list(reader.lines("f", io.BytesIO(b"rtsp://admin:hunter2@cam/1\n"))) == []
     assert "hunter2" not in capsys.readouterr().err
-    assert reader.summary() == "1 of 1 lines changed nothing: malformed 1"
+    assert reader.summary() == "1 of 1 lines were rejected: malformed 1"
     assert LineReader().summary() is None

@@ -18,7 +18,7 @@ from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 
 CAMERAS = ("hall", "lobby", "yard")
-GONE, BACK = "events wait in the spool", "the daemon is reached again"
+GONE, BACK = "events are kept in the spool", "connected to the daemon again"
 
 
 class Grabber:
@@ -84,7 +84,7 @@ def test_each_way_is_one_sentence(alone: bool, tmp_path: Path, started: list[Gra
             assert len(grabber.said(GONE)) == count
     grabber.end()
     assert len(grabber.said(BACK)) == 2
-    assert all("is not reached any more" in line for line in grabber.said(GONE)[:2]), grabber.log
+    assert all("is lost" in line for line in grabber.said(GONE)[:2]), grabber.log
 
 
 @pytest.mark.parametrize("alone", [True, False])
@@ -136,16 +136,16 @@ def test_connections_that_go_and_come_at_different_moments(
     assert hold(5.0, a="", b="") == []
     assert hold(2.0, a="gone", b="") == [], "the other may be late"
     assert hold(SETTLE_SECONDS + 1, a="gone", b="gone") == [
-        "gone; events wait in the spools of all cameras"
+        "gone; events are kept in the spools of all cameras"
     ]
     assert hold(60.0, a="other words", b="gone") == []
     assert hold(60.0, a="gone") == [], "one is started again"
     assert hold(5.0) == []
     assert hold(5.0, a="", b="gone") == []
-    assert hold(5.0, a="", b="") == ["the daemon is reached again"]
+    assert hold(5.0, a="", b="") == ["connected to the daemon again"]
     (said,) = hold(PARTIAL_SECONDS + 5, a="", b="no certificate", c="")
     assert said == "1 of 3 cameras do not reach the daemon: b (no certificate)"
-    assert hold(5.0, a="", b="", c="") == ["the daemon is reached again"]
+    assert hold(5.0, a="", b="", c="") == ["connected to the daemon again"]
     assert hold(0.5, a="gone", b="gone") == []
     assert hold(5.0, a="", b="") == [], "a moment is not worth a word"
 

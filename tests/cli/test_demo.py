@@ -27,7 +27,8 @@ from camtopod.sim.truth import TRUTH_SCHEMA, Truth
 
 UNEVEN = """
 import sys
-from camtopod.cli import demo, main
+from camtopod.cli import main
+from camtopod.cli.commands import demo
 demo.LATENESS_SECONDS = 100.0
 sys.executable = sys.argv.pop(1)
 main.console()
@@ -146,7 +147,7 @@ def test_a_terminated_demo_leaves_nothing_behind(tmp_path: Path) -> None:
     ) as running:
         assert running.stderr is not None
         lines = iter(running.stderr.readline, "")
-        assert any("watching" in line for line in lines)
+        assert any("playing the videos" in line for line in lines)
         running.terminate()
         rest = running.stderr.read()
     assert running.returncode == 1

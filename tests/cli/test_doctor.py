@@ -242,8 +242,11 @@ def test_what_a_certificate_does_not_show_is_not_called_away(
     monkeypatch.setattr(doctor, "dial", lambda config: _Blind())
     assert main(["--config", str(path), "doctor"]) == 0
     text = capsys.readouterr().out
-    assert "daemons there: none seen, which a camera's certificate is not shown\n" in text
-    assert "nobody answers for a status, which a camera's certificate is not shown\n" in text
+    assert "daemons there: none seen, as a camera's certificate may not see this\n" in text
+    assert (
+        "no program answers a query for its status, as a camera's certificate may not see this\n"
+        in text
+    )
 
 
 def test_the_clock_s_keeper_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

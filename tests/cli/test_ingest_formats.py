@@ -52,7 +52,7 @@ def test_lines_without_a_bus(
     assert f"{recording}:5: is not of .../events: frigate/tracked_object_update ..." in err
     assert f"{recording}:6: " not in err, "one of a kind is enough"
     assert f"{recording}:10: Input data was truncated: frigate/events ..." in err
-    assert "3 of 33 lines changed nothing: malformed 1, other-topic 2" in err
+    assert "3 of 33 lines were rejected: malformed 1, other-topic 2" in err
     assert "Jane" not in err + out.read_text()
 
 
@@ -121,7 +121,7 @@ def test_lines_that_come_to_nothing_are_not_passed_over_in_silence(
     assert main(["ingest", name, str(tmp_path / "lines"), *options, "--out", "-"]) == exits.DONE
     out, err = capsys.readouterr()
     assert out == ""
-    assert "no event came of 2 lines" in err
+    assert "2 lines gave no event" in err
     assert because in err
 
 
@@ -133,14 +133,17 @@ def test_lines_that_come_to_nothing_are_not_passed_over_in_silence(
         (["mot", "x.txt", "--camera", "a", "--fps", "-5", "--size", "4x4"], "above 0"),
         (["mot", "x.txt", "--camera", "a", "--fps", "0", "--size", "4x4"], "above 0"),
         (["mot", "x.txt", "--camera", "", "--fps", "5", "--size", "4x4"], "1 to 64"),
-        (["mot", "x.txt", "--camera", "a", "--fps", "5", "--size", "b=4x4"], "not of camera a"),
+        (
+            ["mot", "x.txt", "--camera", "a", "--fps", "5", "--size", "b=4x4"],
+            "is for another camera than a",
+        ),
         (["frigate", "x.txt", "--size", "4by4"], "write it like 1280x720"),
         (["frigate", "x.txt", "--fps", "5"], "--fps is for mot, not frigate"),
         (["jsonl", "x.txt", "--size", "4x4"], "not jsonl"),
-        (["scenescape", "x.txt", "--ca", "y.pem"], "are for mqtt://"),
+        (["scenescape", "x.txt", "--ca", "y.pem"], "are for mqtt[s]:// only"),
         (
             ["mot", "mqtt://h/frigate", "--camera", "a", "--fps", "5", "--size", "4x4"],
-            "does not come by MQTT",
+            "cannot be read from MQTT",
         ),
         (["frigate", "mqtt://u:hunter2@h/frigate"], "put it in a file"),
         (["frigate", "mqtt://h"], "topic prefix"),
@@ -201,7 +204,7 @@ def test_reading_that_fails_in_the_middle_is_no_success(
     assert main(["ingest", "frigate", str(recording), "--out", str(tmp_path / "x")]) == exits.FAILED
     err = capsys.readouterr().err
     assert "nobody expected this" in err
-    assert "reading ended in the middle" in err
+    assert "reading failed before the end" in err
 
 
 def test_what_adapters_write_is_what_learn_reads(recording: Path, tmp_path: Path) -> None:

@@ -213,9 +213,7 @@ def test_passwords_go_into_files_of_their_own(
     host.close()
     out, err = capsys.readouterr()
     assert out == ""
-    assert (
-        "front.door  cannot be opened: the camera refuses the user name or password (401)" in err
-    )
+    assert "front.door  cannot be opened: the camera refuses the user name or password (401)" in err
     assert "yard        MPEG-4, 192x144, 7 frames a second" in err
     assert err.endswith(
         "    camtopod --config site/camtopod.toml run\n    camtopod --config site/camtopod.toml grab\n"
@@ -307,7 +305,7 @@ def test_nothing_is_overwritten_unless_told(
     assert set(before) == {"camtopod.toml", "secrets/lobby"}
     assert main(["init", "rtsp://other/x"]) == 1
     assert main(["init", "lobby=rtsp://u:second@h/x", "--out", "other.toml"]) == 1
-    assert "secrets/lobby: there already; --force overwrites" in capsys.readouterr().err
+    assert "secrets/lobby: exists already; overwrite with --force" in capsys.readouterr().err
     assert everything_below(tmp_path) == before
     assert main(["init", "--force", "lobby=rtsp://u:second@h/x"]) == 0
     assert everything_below(tmp_path)["secrets/lobby"] == (0o600, "rtsp://u:second@h/x\n")
@@ -380,7 +378,7 @@ def test_a_picture_is_kept_when_asked_for_and_not_otherwise(
     capsys.readouterr()
     (tmp_path / "other.toml").unlink()
     assert main(arguments) == 1, "it may be the operator's own"
-    assert "yard.jpg: there already; --force overwrites" in capsys.readouterr().err
+    assert "yard.jpg: exists already; overwrite with --force" in capsys.readouterr().err
     (folder / "yard.jpg").write_bytes(b"old")
     assert main(["check", "camtopod.toml", "--probe", "--pictures", str(folder)]) == 69
     assert (folder / "yard.jpg").read_bytes()[:3] == b"\xff\xd8\xff", "a newer one"
@@ -407,7 +405,7 @@ def test_pictures_that_cannot_be_kept(
     assert not (tmp_path / "camtopod.toml").exists()
     assert main(["init", str(film)]) == 0
     assert main(["check", "camtopod.toml", "--pictures", "folder"]) == 2
-    assert "--pictures is for --probe" in capsys.readouterr().err
+    assert "--pictures needs --probe" in capsys.readouterr().err
     assert not (tmp_path / "folder").exists()
 
 
@@ -426,14 +424,14 @@ def test_check_probe_opens_the_cameras_and_the_bus(
         out, err = capsys.readouterr()
         assert out == ""
         assert f"{path}:4: cameras.yard: MPEG-4, 192x144, 7 frames a second\n" in err
-        assert f"{path}: bus: {daemon.endpoint} is reached, site site\n" in err
+        assert f"{path}: bus: connected to {daemon.endpoint}, site site\n" in err
         path.write_text(
             f'{bus}[site]\nname = "other"\n{cameras}[cameras.gone]\nsource_file = "none"\n'
         )
         assert main(["check", str(path), "--probe"]) == 69
         err = capsys.readouterr().err
         assert f"{path}:8: cameras.gone: cannot read {tmp_path}/none: No such file" in err
-        assert "is reached, but no daemon of site other is there" in err
+        assert ", but no daemon of site other is there" in err
         path.write_text('[cameras.gone]\nsource_file = "$NOT_SET_AT_ALL/gone"\n')
         assert main(["check", str(path), "--probe", "--connect", daemon.endpoint]) == 66
         assert (
@@ -446,7 +444,7 @@ def test_check_probe_opens_the_cameras_and_the_bus(
             == 69
         )
         assert (
-            f"{daemon.endpoint} is reached, but no daemon of site other is there"
+            f"connected to {daemon.endpoint}, but no daemon of site other is there"
             in capsys.readouterr().err
         )
         assert main(["check", str(path), "--connect", "nowhere"]) == 2

@@ -135,7 +135,7 @@ def test_what_cannot_be_read_or_written_is_told(
         ([str(strange)], exits.INPUT, f"there is no zone '{SITE.zones[0].id}' in it"),
         ([str(source), "--updates", str(bad)], exits.INPUT, "line 1 is not a topology"),
         ([str(source), "--updates", str(tmp_path / "none")], exits.INPUT, "cannot read"),
-        ([str(source), "--pictures", str(tmp_path / "none")], exits.INPUT, "no such folder"),
+        ([str(source), "--pictures", str(tmp_path / "none")], exits.INPUT, "no such directory"),
         ([str(source), "--out", str(tmp_path / "none" / "x.html")], exits.FAILED, "cannot write"),
     ):
         assert main.main(["report", *options]) == status

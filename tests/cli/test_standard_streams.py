@@ -212,7 +212,7 @@ def test_with_too_few_files_it_says_so_and_ends(tmp_path: Path) -> None:
         )
         assert done.returncode == 1
         assert (
-            "this process may have 32 files open at a time, and needs 64"
+            "this process may have 32 files open at a time, but needs 64"
             in done.stderr.splitlines()[-1]
         )
         assert "panic" not in done.stderr

@@ -224,7 +224,7 @@ def test_a_file_that_was_begun_is_not_begun_again(
         ("hangs", "hung for 1 s while running"),
     ):
         said = re.compile(
-            rf"camera {camera}: {why}; a file is not begun again, or its events would count twice"
+            rf"camera {camera}: {why}; not restarted, as the events of a file would count twice"
         )
         assert any(said.search(text) for text in caplog.messages), caplog.messages
 
@@ -325,7 +325,7 @@ def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:
     assert f"restarted {status['restarts']} times, last: failed (status 1)" in status["reason"]
     assert status["state"] in ("restarting", "connecting")
     failed = next(s for s in said if s["state"] == "failed")
-    assert failed["reason"] == "refused the configuration (status 78); it is not started again"
+    assert failed["reason"] == "refused the configuration (status 78); it is not restarted"
     answers = [msgspec.msgpack.decode(raw) for _, raw in meeting.ask("status/hopeless")]
     assert [answer["state"] for answer in answers] == ["failed"]
     assert not any(s["camera"] == "good" for s in said), "it speaks for itself"

@@ -164,7 +164,7 @@ def test_who_sees_somebody_now_is_said_first() -> None:
 def test_the_score_is_shown_beside_its_baseline() -> None:
     text = shown(topology(0, SCORE))
     assert (
-        "next camera right 0.81 (the usual one 0.55), among three 0.93, log loss 1.25 (1.75)"
+        "next camera right 0.81 (baseline 0.55), among the first three 0.93, log loss 1.25 (baseline 1.75)"
         in text
     )
     assert "200 exits since version 3" in text
@@ -190,9 +190,12 @@ def test_who_is_not_heard_any_more_is_silent_whatever_was_said_last() -> None:
     steady.now += SILENT_SECONDS + 1.0
     told(board, "cam0001", state="running", reason="")
     view = board.view(None, "hq", NOW)
-    assert (view.state, view.reason) == ("silent", "not heard for 6 s; what is below may be old")
+    assert (view.state, view.reason) == (
+        "silent",
+        "no status for 6 s; what is shown below may be outdated",
+    )
     states = {camera.name: (camera.state, camera.reason) for camera in view.cameras}
-    assert states["cam0000"] == ("silent", "not heard for 6 s")
+    assert states["cam0000"] == ("silent", "no status for 6 s")
     assert states["cam0001"] == ("running", "")
     assert states["film"][0] == "ended"
 
@@ -260,7 +263,7 @@ def test_of_many_cameras_those_that_are_not_well_come_first() -> None:
     assert len(rows) > 10
     assert all("! stalled" in row for row in rows)
     [more] = [line for line in text if line.startswith("and ")]
-    assert more.split() == ["and", str(1000 - len(rows)), "more", str(100 - len(rows)), "wrong"]
+    assert more.split() == ["and", str(1000 - len(rows)), "more", str(100 - len(rows)), "faulty"]
     assert len(text) - heading <= REASON_ROWS_MAX * len(rows) + 20
     quiet = [camera for camera in view.cameras if not camera.wrong]
     text = on_screen(view._replace(cameras=quiet), 100, 50)
@@ -269,7 +272,7 @@ def test_of_many_cameras_those_that_are_not_well_come_first() -> None:
         "cam0001",
         "cam0002",
     ]
-    assert any(re.fullmatch(r"and \d+ more +well", line) for line in text)
+    assert any(re.fullmatch(r"and \d+ more +ok", line) for line in text)
 
 
 # --- a terminal ----------------------------------------------------------------------------------

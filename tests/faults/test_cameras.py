@@ -345,7 +345,7 @@ def test_lines_to_standard_output_say_what_is_wrong_with_the_camera(
         lines = [line.partition("; trying")[0] for line in log.read_text().splitlines()]
         spoken[out[0]] = [line for line in lines if line.startswith("camera lobby is ")]
         assert process.returncode == (66 if out[0] == "--out" else 0)
-        assert ("error: camera lobby has given no picture" in log.read_text()) == (
+        assert ("error: camera lobby gave no picture" in log.read_text()) == (
             out[0] == "--out"
         )
         assert "p@ssw0rd" not in log.read_text()

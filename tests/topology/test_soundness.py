@@ -214,7 +214,7 @@ def test_too_little_memory_is_said(
 
     monkeypatch.setattr(export, "load", huge)
     assert main(["export", "x", "--format", "svg"]) == 1
-    assert capsys.readouterr().err == "camtopod: there is not enough memory for this\n"
+    assert capsys.readouterr().err == "camtopod: not enough memory\n"
 
 
 @pytest.mark.parametrize(

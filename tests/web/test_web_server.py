@@ -379,7 +379,7 @@ def test_it_says_where_it_is_and_ends_when_told(tmp_path: Path) -> None:
         line = process.stderr.readline().decode()
         assert (
             line
-            == f"warning: --pictures {tmp_path}/none: there is no such folder; cameras have no picture yet\n"
+            == f"warning: --pictures {tmp_path}/none: no such directory; cameras are shown without pictures\n"
         )
         line = process.stderr.readline().decode()
         assert line.startswith("the page is at http://127.0.0.1:"), line

@@ -1,4 +1,10 @@
-"""cameras"""
+"""Supervision of camera processes: `camtopod grab` runs one process per camera.
+
+Read `supervisor` first (all cameras of a configuration), then `camera_process` (start, watchdog and
+restart of one process), `heartbeat` (the pipe between the two), `status_reporter` (status of
+cameras whose process cannot publish it) and `daemon_reach` (log lines about a lost daemon). `probe`
+opens cameras once, for `camtopod init` and `check --probe`.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""Whether the cameras of a box reach the daemon, said once for all of them: each has a connection
-of its own, and they are lost and made again at different moments.
+"""Log lines about the connection of a machine's cameras to the daemon, once for all cameras.
+
+Each camera has a connection of its own, and they are lost and restored at different moments.
 """
 
 from __future__ import annotations
@@ -10,27 +11,31 @@ from collections.abc import Mapping
 log = logging.getLogger(__name__)
 
 SETTLE_SECONDS = 1.0
-"""What holds for all cameras is said when it has held for this long."""
+"""Time that a state of all cameras must last before it is logged."""
 PARTIAL_SECONDS = 15.0
-"""The same where only some are concerned; connections come back within a few seconds of each
-other.
+"""Time that a state of only some cameras must last before it is logged.
+
+Connections are restored within a few seconds of each other.
 """
 NAMED_MAX = 10
+"""Most cameras named in a log line."""
 _ALL = frozenset({"*"})
+"""Stands for all cameras."""
 
 
 class Reach:
-    """Time is an argument, in seconds of a clock that never steps."""
+    """Logs changes in whether the cameras reach the daemon; times are monotonic seconds."""
 
     def __init__(self) -> None:
         self._now: frozenset[str] = frozenset()
-        """The cameras that do not reach the daemon, or `_ALL`."""
+        """Cameras that do not reach the daemon, or `_ALL`."""
         self._since = 0.0
         self._said: frozenset[str] = frozenset()
 
     def tell(self, known: Mapping[str, str], now: float) -> None:
-        """``known``: why a camera does not reach the daemon, "" if it does; of those of which it is
-        known.
+        """Update with the cameras whose connection is known, and log a change that has lasted.
+
+        known: camera -> why it does not reach the daemon, "" if it does.
         """
         away = {camera: why for camera, why in known.items() if why}
         if not known:
@@ -38,6 +43,8 @@ class Reach:
         found = _ALL if len(away) == len(known) else frozenset(away)
         if found != self._now:
             self._now, self._since = found, now
+
+        # Log it once it has lasted.
         partial = found not in (_ALL, frozenset())
         if found == self._said or now - self._since < (
             PARTIAL_SECONDS if partial else SETTLE_SECONDS
@@ -46,9 +53,11 @@ class Reach:
 
         self._said = found
         if not away:
-            log.info("the daemon is reached again")
+            log.info("connected to the daemon again")
         elif not partial:
-            log.warning("%s; events wait in the spools of all cameras", next(iter(away.values())))
+            log.warning(
+                "%s; events are kept in the spools of all cameras", next(iter(away.values()))
+            )
         else:
             names = ", ".join(sorted(away)[:NAMED_MAX]) + (
                 " and others" if len(away) > NAMED_MAX else ""

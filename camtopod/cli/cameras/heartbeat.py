@@ -1,5 +1,6 @@
-"""A camera's process tells the one above it, or systemd, that its work gets on; lines of JSON
-through a pipe.
+"""Heartbeats of a camera's process to its supervisor, or to systemd.
+
+They show that its work is making progress; they are lines of JSON through a pipe.
 """
 
 from __future__ import annotations
@@ -14,27 +15,25 @@ from camtopod.redact import redact
 from camtopod.serve.runtime import systemd
 
 REASON_CHARACTERS_MAX = 300
+"""Longest reason in a heartbeat."""
 _READ_BYTES = 65536
+"""Most bytes read at a time, and most of an unfinished line."""
 
 
 class Said(Struct, frozen=True):
-    """What a camera's process says of itself."""
+    """Content of a heartbeat: the state of the camera's process."""
 
     state: str
     reason: str
     daemon: str | None = None
-    """Why the daemon is not reached; "" if it is, None where that is not known yet."""
+    """Reason why the daemon is not reached; "" if it is reached, None while that is not known."""
 
 
 class Heart:
-    """In the camera's process: `beat` at every turn of the loop that reads frames, as long as that
-    gets on.
-    """
+    """Sender, in the camera's process: `beat` in every turn of the loop that reads frames."""
 
     def __init__(self, fd: int | None) -> None:
-        """``fd``: the end of the pipe to write to, from the process above; None: there is only
-        systemd.
-        """
+        """fd: write end of the supervisor's pipe; None if there is only systemd."""
         self._fd = fd
         self._said = Said("", "")
         self._next = 0.0
@@ -43,7 +42,7 @@ class Heart:
             os.set_inheritable(fd, False)
 
     def beat(self, state: str, reason: str, daemon: str | None = None) -> None:
-        """It gets on; never blocks."""
+        """Send a heartbeat unless nothing changed and the last one is recent; never blocks."""
         now = time.monotonic()
         reached = None if daemon is None else redact(daemon)[:REASON_CHARACTERS_MAX]
         said = Said(state, redact(reason)[:REASON_CHARACTERS_MAX], reached)
@@ -56,23 +55,23 @@ class Heart:
             return
         try:
             os.write(self._fd, msgspec.json.encode(said) + b"\n")
-        except BlockingIOError:  # the process above does not read; it will
+        except BlockingIOError:  # the supervisor is not reading at the moment
             pass
-        except BrokenPipeError:  # it has gone, which somebody else looks after
+        except BrokenPipeError:  # the supervisor has gone; `leaving` ends this process
             self._fd = None
 
 
 class Ear:
-    """In the process above: the other end of the pipe."""
+    """Receiver, in the supervisor: the other end of the pipe."""
 
     def __init__(self) -> None:
         self._fd, self.child_fd = os.pipe()
-        """``child_fd`` is for the child, to be closed here when the child has it."""
+        """Descriptor for the child; close it here once the child has it."""
         os.set_blocking(self._fd, False)
         self._rest = b""
 
     def listen(self) -> Said | None:
-        """What was said last since the last time; None if nothing was. Never blocks."""
+        """Return the newest heartbeat since the last call; None if there was none. Never blocks."""
         try:
             heard = os.read(self._fd, _READ_BYTES)
         except BlockingIOError:
@@ -88,5 +87,5 @@ class Ear:
         return None
 
     def close(self) -> None:
-        """The child has ended."""
+        """Close the pipe once the child has ended."""
         os.close(self._fd)

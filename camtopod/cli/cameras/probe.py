@@ -1,4 +1,4 @@
-"""A look at several cameras at once, each in a process of its own, which may hang or crash."""
+"""Probe several cameras at once, each in a process of its own, which may hang or crash."""
 
 from __future__ import annotations
 
@@ -24,9 +24,11 @@ from camtopod.vision.source import LOOK_SECONDS, Probe, Question
 from camtopod.web import pictures
 
 PROGRAM = "camtopod.vision.source.probe"
+"""Module that the process runs."""
 PROCESSES_MAX = 8
+"""Most processes at a time."""
 START_SECONDS = 30.0
-"""What a process may take beyond its look, to load its libraries on a machine that is busy."""
+"""Time allowed beyond the probe itself, to load libraries on a busy machine."""
 
 
 def probe_all(
@@ -35,16 +37,19 @@ def probe_all(
     on_probe: Callable[[str, Probe], None],
     folder: Path | None = None,
 ) -> dict[str, Probe]:
-    """What each source is like, by the camera's id; ``on_probe`` is told as soon as one is known.
+    """Probe each source; return the results by camera id.
 
-    A picture of each camera that gives one is kept in ``folder``. Raises `CommandError` if that
-    cannot be.
+    on_probe: called with each result as soon as it is known.
+    folder: where to keep a picture of each camera that gives one. Raises `CommandError` if it
+        cannot be written.
     """
     for source in sources.values():
         remember(source)
     if folder is not None:
         with _writing(folder):
             pictures.make(folder)
+
+    # Probe all, and handle each result as soon as it is known.
     with ThreadPoolExecutor(PROCESSES_MAX) as pool:
         looks = {
             pool.submit(_probe, source, settings, folder is not None): name
@@ -63,6 +68,7 @@ def probe_all(
 
 @contextlib.contextmanager
 def _writing(folder: Path) -> Iterator[None]:
+    """Turn an OSError of the block into a `CommandError` about --pictures."""
     try:
         yield
     except OSError as error:
@@ -72,7 +78,7 @@ def _writing(folder: Path) -> Iterator[None]:
 
 
 def _probe(source: str, settings: VisionSettings, picture: bool) -> Probe:
-    """The source goes to the process through a pipe, as everybody can read a command line."""
+    """Probe one source in a process, which gets it through a pipe: command lines are public."""
     seconds = (
         settings.open_timeout_seconds + settings.read_timeout_seconds + LOOK_SECONDS + START_SECONDS
     )
@@ -85,22 +91,21 @@ def _probe(source: str, settings: VisionSettings, picture: bool) -> Probe:
             env={
                 **os.environ,
                 "PYTHONPATH": os.pathsep.join(sys.path),
-            },  # it finds the same modules as this process
+            },  # so that it finds the same modules
             timeout=seconds,
             check=False,
         )
     except subprocess.TimeoutExpired:
         return Probe(f"no answer within {seconds:.0f} s")
     if done.returncode != 0:
-        return Probe(f"the process that looked at it {in_words(done.returncode)}")
+        return Probe(f"the process that probed it {in_words(done.returncode)}")
     return msgspec.json.decode(done.stdout, type=Probe)
 
 
 def check_site(path: Path, config: Config, folder: Path | None) -> int:
-    """Open every camera and the bus; what is found goes to standard error, a line each. The worst
-    exit status.
+    """Open every camera and the bus, print one line about each, and return the worst exit status.
 
-    Pictures of the cameras are kept in ``folder``.
+    folder: where to keep pictures of the cameras, or None.
     """
     lines = toml_lines.key_lines(path.read_text(encoding="utf-8"))
     status = exits.DONE
@@ -111,6 +116,7 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
         where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
         print(visible(redact(f"{where}: {'; '.join(probe.words)}")), file=sys.stderr, flush=True)
 
+    # Read the sources, then open cameras and bus.
     sources = {}
     for camera in config.cameras:
         try:
@@ -124,17 +130,17 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
 
 
 def _bus(config: Config) -> tuple[str, str]:
-    """What is wrong with the bus, or "", and what is there."""
+    """Return (problem or "", state) of the bus."""
     camera = next(iter(config.cameras), "")
     try:
         with dial(config.certified(camera)) as bus:
-            if (
-                not bus.present("daemon") and not config.bus.tls.ca
-            ):  # which a camera's certificate is not shown
+            # A camera's certificate does not allow to see whether a daemon is there.
+            if not bus.present("daemon") and not config.bus.tls.ca:
                 return (
-                    f"{bus.endpoint} is reached, but no daemon of site {bus.site} is there: `camtopod run`",
+                    f"connected to {bus.endpoint}, but no daemon of site {bus.site} is there: "
+                    f"start it with `camtopod run`",
                     "",
                 )
-            return "", f"{bus.endpoint} is reached, site {bus.site}"
+            return "", f"connected to {bus.endpoint}, site {bus.site}"
     except BusError as error:
         return str(error), ""

@@ -1,4 +1,4 @@
-"""``status/{camera}`` for those cameras whose own process cannot say it: it died, hung, or does not
+"""Publish ``status/{camera}`` for cameras whose own process cannot: it died, hung or does not
 start.
 """
 
@@ -14,11 +14,13 @@ from camtopod.serve.runtime import clock
 log = logging.getLogger(__name__)
 
 CLOSE_SECONDS = 2.0
+"""Time to wait for the thread at the end."""
 
 
 class Speaker:
-    """A thread of its own, so that a bus that is away holds no camera up. It dials when there is
-    something to say.
+    """Publishes statuses from a thread of its own, so that a blocked bus delays no camera.
+
+    It connects only when there is a status to publish.
     """
 
     def __init__(self, config: Config) -> None:
@@ -30,25 +32,26 @@ class Speaker:
         self._thread.start()
 
     def say(self, statuses: dict[str, dict[str, Any]]) -> None:
-        """From now on this, of these cameras and no others. Never blocks."""
+        """Publish these statuses from now on, and no others; never blocks."""
         self._statuses = statuses
         if statuses:
             self._something.set()
 
     def close(self) -> bool:
-        """Nothing more; False if the bus blocks and is left as it is."""
+        """Stop publishing; return False if the bus blocks and is left open."""
         self._closed.set()
         self._something.set()
         self._thread.join(CLOSE_SECONDS)
         return not self._thread.is_alive()
 
     def _speak(self) -> None:
+        """Connect for each camera, and publish its status until the end."""
         self._something.wait()
         if self._closed.is_set():
             return
         from camtopod.serve.bus import Bus, dial
 
-        buses: dict[str, Bus] = {}  # one a camera: each may have a certificate of its own
+        buses: dict[str, Bus] = {}  # one per camera, which may have a certificate of its own
         while not self._closed.is_set():
             statuses = self._statuses
             for camera in buses.keys() - statuses.keys():
@@ -59,15 +62,16 @@ class Speaker:
                         buses[camera] = bus = dial(self._config.certified(camera))
                         bus.answer(f"status/{camera}", lambda key, _: self._of(key), "status")
                     buses[camera].put(f"status/{camera}", self._of(f"status/{camera}"), "status")
-                except (
-                    OSError
-                ) as error:  # the bus is away, which the cameras' own processes say, or a key is
+                except OSError as error:
+                    # No bus, as the cameras' own processes report, or no readable key.
                     log.debug("the status of camera %s cannot be published: %s", camera, error)
             self._closed.wait(self._config.limits.status_seconds)
         for bus in buses.values():
             bus.close()
 
     def _of(self, key: str) -> dict[str, Any] | None:
-        """The status on ``key``; None, which is no answer, for a camera that speaks for itself."""
+        """Return the status on ``key``; None, which sends no reply, if the camera's process answers
+        itself.
+        """
         status = self._statuses.get(key.removeprefix("status/"))
         return None if status is None else {**status, "t": clock.wall()}

@@ -1,5 +1,6 @@
-"""All cameras of a configuration, a process each: one that fails or hangs is started again and
-harms no other.
+"""Supervisor of all cameras of a configuration, one process per camera.
+
+A process that fails or hangs is restarted and affects no other camera.
 """
 
 from __future__ import annotations
@@ -24,17 +25,18 @@ from camtopod.serve.runtime import systemd
 log = logging.getLogger(__name__)
 
 _LOOK_SECONDS = 0.1
+"""Interval at which the processes are checked."""
 _SPEAK_SECONDS = 0.5
+"""Interval at which the statuses of silent cameras are updated."""
 _OF_ALL = ("site", "bus", "state", "vision", "limits")
-"""Tables that every camera's process reads."""
+"""Tables that every camera's process reads: a change restarts all cameras."""
 
 
 def supervise(args: argparse.Namespace, config: Config, text: bytes, told: Told) -> int:
-    """Run `camtopod grab` for every camera until all have ended or a signal comes; the worst
-    status.
+    """Run `camtopod grab` for every camera until all have ended or a signal arrives.
 
-    ``text`` is the configuration's: each process gets it from here, so that none comes to read a
-    file that has been changed, perhaps for the worse, and not been accepted yet.
+    Returns the worst exit status. ``text`` is the content of the configuration; each process gets
+    it from here, so that none reads a file that has been changed since but not accepted yet.
     """
     site = _Cameras(args, config, text)
     try:
@@ -55,7 +57,7 @@ def supervise(args: argparse.Namespace, config: Config, text: bytes, told: Told)
 
 
 class _Cameras:
-    """The processes of all cameras, and what is said about them."""
+    """Processes of all cameras, and what is reported about them."""
 
     def __init__(self, args: argparse.Namespace, config: Config, text: bytes) -> None:
         self._args, self._config = args, config
@@ -71,22 +73,26 @@ class _Cameras:
 
     @property
     def over(self) -> bool:
-        """All have ended, and none is to be started again."""
+        """Return True if all processes have ended and none is to be restarted."""
         return all(child.over for child in [*self._children.values(), *self._leaving])
 
     @property
     def status(self) -> int:
-        """The worst of the exit statuses."""
+        """Return the worst exit status."""
         return max((child.status for child in self._children.values()), default=0)
 
     def look_after(self) -> None:
-        """One turn; never waits for a camera."""
+        """Check every process once; never waits for a camera."""
         for child in [*self._leaving, *self._children.values()]:
             child.look_after(time.monotonic(), self._command, self._config_fd)
         self._leaving = [child for child in self._leaving if not child.over]
+
+        # Log whether the daemon is reached.
         now = time.monotonic()
         known = {name: child.daemon for name, child in self._children.items()}
         self._reach.tell({name: why for name, why in known.items() if why is not None}, now)
+
+        # Publish the status of cameras whose process cannot.
         if now >= self._next_word:
             self._next_word = now + _SPEAK_SECONDS
             silent = [child for child in self._children.values() if child.silent]
@@ -97,30 +103,39 @@ class _Cameras:
                     if child.restarts or child.over
                 }
             )
+
+        # Report to systemd.
         if now >= self._next_feeding:
             self._next_feeding = now + systemd.feed_seconds()
             systemd.notify("WATCHDOG=1")
         self._tell_systemd(now)
 
     def reload(self) -> None:
-        """Read the configuration anew: what changed starts anew, what is gone ends, the rest is not
-        touched.
+        """Reload the configuration.
+
+        Changed cameras restart, removed ones end, new ones start, and the others are not touched.
         """
         try:
             config, text = accepted(self._args)
         except CommandError as error:
-            log.error("the old configuration stays: %s", " ".join(str(error).splitlines()))
+            log.error("the old configuration stays in use: %s", " ".join(str(error).splitlines()))
             self._summary = ""
             return
+
+        # Switch to the new configuration.
         now = time.monotonic()
         old, self._config = self._config, config
         os.close(self._config_fd)
         self._config_fd = _in_memory(text)
         every = any(getattr(old, table) != getattr(config, table) for table in _OF_ALL)
+
+        # End the removed cameras.
         for name in [name for name in self._children if name not in config.cameras]:
             child = self._children.pop(name)
             child.tell_to_end(now)
             self._leaving.append(child)
+
+        # Start new cameras, restart changed ones.
         started: list[str] = []
         anew: list[str] = []
         ending = {child.camera: child for child in self._leaving}
@@ -134,19 +149,24 @@ class _Cameras:
             child.renew(camera, config.health, now, changed)
             self._children[name] = child
         self._leaving = list(ending.values())
+
+        # Publish statuses on the new bus.
         if (old.site, old.bus) != (config.site, config.bus):
             self._speaker.close()
             self._speaker = Speaker(config)
+
+        # Log what happens.
         gone = [child.camera for child in self._leaving]
         log.info(
-            "the configuration is read anew; cameras that start: %s; start anew: %s; end: %s",
+            "the configuration is reloaded; cameras started: %s; restarted: %s; ended: %s",
             *(", ".join(names) or "none" for names in (started, anew, gone)),
         )
         self._summary = ""
 
     def end(self) -> bool:
-        """All together; whoever has not ended by the deadline is killed. False if the bus blocks
-        and stays open.
+        """End all processes, killing those that do not end in time.
+
+        Returns False if the bus blocks and is left open.
         """
         systemd.notify("STOPPING=1")
         everyone = [*self._children.values(), *self._leaving]
@@ -161,7 +181,7 @@ class _Cameras:
         return self._speaker.close()
 
     def _tell_systemd(self, now: float) -> None:
-        """What `systemctl status` shows: how many run, and what is wrong with the others."""
+        """Report to `systemctl status` how many cameras run, and the state of the others."""
         running = sum(child.state == "running" for child in self._children.values())
         wrong = [
             f"{child.camera}: {child.state}"
@@ -176,6 +196,7 @@ class _Cameras:
             systemd.notify("READY=1", systemd.status(summary))
 
     def _command(self, camera: str, restarts: int, last_end: str, beat_fd: int) -> Sequence[str]:
+        """Return the command line of a camera's process."""
         return command(camera, self._args, self._config_fd, restarts, last_end, beat_fd)
 
 
@@ -187,7 +208,7 @@ def command(
     last_end: str,
     beat_fd: int,
 ) -> list[str]:
-    """The command line of one camera's process: no source in it, so no password either."""
+    """Return the command line of a camera's process; it contains no source, so no password."""
     line = [
         sys.executable,
         "-m",
@@ -212,17 +233,15 @@ def command(
 
 
 def _filled(config: Config, camera: str) -> CameraSettings:
-    """The camera's settings with its source, which may be in a file of its own, to see whether it
-    changes.
-    """
+    """Return the camera's settings with its source, which may be in a file, to notice changes."""
     try:
         return config.for_camera(camera).cameras[camera]
-    except OSError:  # its own process says so, and tries again
+    except OSError:  # its own process reports this and tries again
         return config.cameras[camera]
 
 
 def _in_memory(text: bytes) -> int:
-    """A file descriptor to read ``text`` from, any number of times, by opening /proc/self/fd/N."""
+    """Return a descriptor of ``text``, readable any number of times through /proc/self/fd/N."""
     fd = os.memfd_create("camtopod.toml", os.MFD_CLOEXEC)
     with open(fd, "wb", closefd=False) as out:
         out.write(text)

@@ -1,4 +1,4 @@
-"""`camtopod bridge`: the site in Home Assistant, through an MQTT broker."""
+"""`camtopod bridge`: show the site in Home Assistant, through an MQTT broker."""
 
 from __future__ import annotations
 
@@ -20,21 +20,24 @@ from camtopod.serve.bus import Bus, BusError, QueryError, TopologyView, dial
 from camtopod.serve.runtime import Progress
 
 LOOK_SECONDS = 1.0
-"""How often what has changed is published."""
+"""Interval at which changes are published."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Add `bridge`."""
     parser = subparsers.add_parser(
         "bridge",
-        help="cameras, alarms and predictions in Home Assistant, by MQTT",
-        description="Publishes what is known of the site at an MQTT broker, in the form of Home Assistant's discovery, "
-        "until interrupted: there a device for the daemon and one for each camera appear by themselves.",
+        help="show cameras, alarms and predictions in Home Assistant, through MQTT",
+        description="Publishes the state of the site to an MQTT broker until interrupted. It uses "
+        "Home Assistant's MQTT discovery: a device for the daemon and one for each camera appear "
+        "there without further configuration.",
+        epilog="example: camtopod bridge mqtt://camtopod@homeassistant.local",
     )
     parser.add_argument(
         "url",
         metavar="URL",
-        help=f"mqtt[s]://[USER@]HOST[:PORT][/PREFIX]; PREFIX of the topics: {homeassistant.PREFIX}",
+        help="broker as mqtt[s]://[USER@]HOST[:PORT][/PREFIX]; default PREFIX of the topics: "
+        f"{homeassistant.PREFIX}",
     )
     parser.add_argument(
         "--discovery",
@@ -46,9 +49,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 class Site:
-    """What is known of the site at the moment; filled by the bus's threads. At most ``cameras_max``
-    cameras.
-    """
+    """Newest state of the site, filled by the bus's threads; at most ``cameras_max`` cameras."""
 
     def __init__(self, bus: Bus, topics: homeassistant.Topics, cameras_max: int) -> None:
         self._topics, self._cameras_max = topics, cameras_max
@@ -68,8 +69,10 @@ class Site:
                 self._on_status(key, payload)
 
     def messages(self) -> homeassistant.Messages:
-        """Everything there is to say, by topic."""
+        """Return the payload of every MQTT topic."""
         self._view.update()
+
+        # Take a consistent copy of the state.
         topics, topology = self._topics, self._view.topology
         zones = (
             {}
@@ -83,10 +86,14 @@ class Site:
                 bool(self._daemons),
                 self._site,
             )
+
+        # Cameras, from any source, in a stable order; a new set needs new discovery messages.
         known = (name for name in {*said, *site.cameras, *zones} if re.match(CAMERA_PATTERN, name))
         cameras = sorted(known)[: self._cameras_max]
         if cameras != self._cameras:
             self._cameras, self._discovery = cameras, homeassistant.discovery(topics, cameras)
+
+        # Messages of the site, then of each camera.
         messages = self._discovery | homeassistant.site_state(topics, alive, site, topology)
         for camera in cameras:
             counted = site.cameras.get(camera, homeassistant.Counted())
@@ -117,7 +124,7 @@ class Site:
                 self._keep(self._predictions, camera, prediction)
 
     def _keep(self, where: dict[str, Any], camera: str, noun: Any) -> None:
-        """The newest of each camera."""
+        """Store the newest ``noun`` of a camera, unless there are too many cameras."""
         with self._mutex:
             if camera in where or len(where) < self._cameras_max:
                 where[camera] = noun
@@ -126,11 +133,13 @@ class Site:
 def run(args: argparse.Namespace) -> int:
     """Publish until SIGTERM or SIGINT."""
     start_logging(args)
-    faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
+    faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
     descriptors.raise_limit()
     config = configuration(args)
     target = broker_options.named(args, args.url, homeassistant.PREFIX)
     topics = homeassistant.Topics(config.site.name, target.prefix, args.discovery.strip("/"))
+
+    # Connect to the bus and the broker, then publish changes.
     with contextlib.ExitStack() as stack, until_signal() as stop:
         try:
             bus = stack.enter_context(dial(config))

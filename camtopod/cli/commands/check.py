@@ -1,5 +1,5 @@
-"""`camtopod check`: every mistake in a configuration, in one pass, and what of it is there; or an
-example.
+"""`camtopod check`: list all mistakes in a configuration; with --probe, open its cameras and the
+bus.
 """
 
 from __future__ import annotations
@@ -18,34 +18,46 @@ from camtopod.serve.bus import access
 
 def add_parser(subparsers: Any) -> None:
     """Add `check`."""
-    summary = "every mistake in a configuration, in one pass"
-    parser = subparsers.add_parser("check", help=summary, description=summary.capitalize() + ".")
+    parser = subparsers.add_parser(
+        "check",
+        help="check a configuration and list all mistakes",
+        description="Checks a configuration and lists all mistakes in one pass.",
+        epilog="example: camtopod check camtopod.toml --probe",
+    )
     parser.add_argument(
-        "file", nargs="?", type=Path, metavar="CONFIG", help="the configuration (or --config)"
+        "file",
+        nargs="?",
+        type=Path,
+        metavar="CONFIG",
+        help="the configuration file (default: that of --config)",
     )
     parser.add_argument(
         "--example",
         action="store_true",
-        help="write an example with every setting, its default and its unit",
+        help="print an example configuration with every setting, its default and its unit",
     )
     parser.add_argument(
-        "--probe", action="store_true", help="also open every camera of it, and the bus"
+        "--probe", action="store_true", help="also open each of its cameras, and the bus"
     )
     parser.add_argument(
         "--pictures",
         metavar="DIR",
         type=Path,
-        help="with --probe: keep a picture of each camera here, DIR/NAME.jpg instead of an older one, which "
-        "`camtopod web` and `report` draw on; it is stored here only and not sent",
+        help="with --probe: store a picture of each camera as DIR/NAME.jpg, replacing an older "
+        "one; `camtopod web` and `report` draw zones on it. It is stored only there and not sent",
     )
     parser.add_argument(
-        "--schema", action="store_true", help="write the configuration's JSON Schema, for editors"
+        "--schema",
+        action="store_true",
+        help="print the JSON Schema of the configuration, for editors",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Mistakes go to standard error as ``file:line: what``, and so do warnings of what is open to
-    others.
+    """Check the configuration.
+
+    Mistakes go to standard error as ``file:line: what``, as do warnings of files and a bus that are
+    open to others.
     """
     if args.example:
         from camtopod.cli.generated import example
@@ -57,13 +69,15 @@ def run(args: argparse.Namespace) -> int:
 
         sys.stdout.write(text())
         return exits.DONE
+
+    # Load the configuration, or list its mistakes.
     if args.pictures is not None and not args.probe:
         raise CommandError(
-            "--pictures is for --probe, which opens the cameras: give both", exits.USAGE
+            "--pictures needs --probe, which opens the cameras: give both", exits.USAGE
         )
     path = args.file or args.config
     if path is None:
-        raise CommandError("which configuration? camtopod check CONFIG", exits.USAGE)
+        raise CommandError("no configuration given: camtopod check CONFIG", exits.USAGE)
     try:
         loaded = with_options(args, settings.load(path))
     except settings.ConfigError as error:
@@ -71,6 +85,8 @@ def run(args: argparse.Namespace) -> int:
         return exits.CONFIG
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
+
+    # Warn of files and a bus that are open to others.
     warnings = secret_files.exposed(loaded.secrets(path))
     warnings += [] if (open_to := access.openness(loaded)) is None else [open_to]
     for warning in warnings:

@@ -1,7 +1,6 @@
-"""`camtopod completion`: the file that makes a shell complete camtopod's commands and options.
+"""`camtopod completion`: print a script that completes camtopod's commands and options in a shell.
 
-The files are made from the parser by `deploy/generate.py`, so that nothing has to be installed for
-them.
+`deploy/generate.py` makes the scripts from the parser, so nothing has to be installed to use them.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from camtopod.cli import exits
 
 SHELLS = {
     "bash": "~/.local/share/bash-completion/completions/camtopod",
-    "zsh": "a folder of $fpath, as _camtopod",
+    "zsh": "_camtopod, in a directory of $fpath",
     "fish": "~/.config/fish/completions/camtopod.fish",
 }
-"""Shell -> where it looks for the file."""
+"""Shell -> where it looks for the script."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -26,14 +25,16 @@ def add_parser(subparsers: Any) -> None:
     places = "; ".join(f"{shell}: {place}" for shell, place in SHELLS.items())
     parser = subparsers.add_parser(
         "completion",
-        help="makes the shell complete commands and options",
-        description=f"Writes what completes camtopod's commands and options in a shell. It belongs into: {places}.",
+        help="print a script that completes commands and options in a shell",
+        description="Prints a script that completes camtopod's commands and options in a shell. "
+        f"Save it as: {places}.",
+        epilog=f"example: camtopod completion fish > {SHELLS['fish']}",
     )
-    parser.add_argument("shell", choices=tuple(SHELLS), help="for which shell")
+    parser.add_argument("shell", choices=tuple(SHELLS), help="shell to print the script for")
 
 
 def run(args: argparse.Namespace) -> int:
-    """The file as it is."""
+    """Print the script."""
     file = resources.files("camtopod.cli") / "completions" / f"camtopod.{args.shell}"
     sys.stdout.write(file.read_text(encoding="utf-8"))
     return exits.DONE

@@ -1,10 +1,10 @@
-"""`camtopod demo`: the whole system on one machine with nothing to configure.
+"""`camtopod demo`: run the whole system on one machine without any configuration.
 
-Made-up people walk past five rendered cameras. One real grabber a camera, each a process of its
-own, watches its video at many times its pace; the real daemon, in this process, learns from their
-events over a real bus. On a slow or busy machine they take longer, and those that are ahead wait
-for the others. The daemon's clock is the demo's, so that it looks like an ordinary recording that
-began a while ago.
+Simulated people walk past five rendered cameras. One real grabber per camera, each a process of its
+own, reads its video at many times real time; the real daemon, in this process, learns from their
+events over a real bus. On a slow or busy machine grabbers fall behind, and the faster ones are
+paused. The daemon runs on the demo's clock, so the recording looks like an ordinary one that began
+a while ago.
 """
 
 from __future__ import annotations
@@ -56,30 +56,35 @@ from camtopod.sim import (
 )
 
 WALKERS_PER_SECOND = 0.1
+"""Mean number of people who come from the streets per second."""
 MINUTES = 18.0
+"""Default length of the recording."""
 SITE = "demo"
+"""Name of the site."""
 SPEED = 60.0
-"""The videos are played at this many times their pace, if the machine is fast enough."""
+"""Factor on the pace of the videos, if the machine is fast enough."""
 AHEAD_SECONDS = 30.0
-"""A grabber that is this much further than the last one, in event time, waits for it."""
+"""A grabber that is this much ahead of the last one, in event time, is paused."""
 LATENESS_SECONDS = 180.0
-"""Event time by which the grabbers may be apart: what they may be ahead, what they do until that is
-known, and the time after which a tracker gives up somebody it has lost."""
-AFTERWARDS_SECONDS = 3600.0
-"""When the recording is over the demo's clock jumps this far, so that nothing is waited for any
-more.
+"""Event time by which the grabbers may be apart.
+
+It covers how far one may be ahead, how far it runs until that is noticed, and the time after which
+a tracker gives up a lost object.
 """
+AFTERWARDS_SECONDS = 3600.0
+"""Jump of the demo's clock at the end of the recording, so that no more events are waited for."""
 QUIET_SECONDS = 1.0
-"""So long nothing more has to come in before all is taken as learned."""
+"""Everything counts as learned once no event has arrived for this long."""
 PATIENCE_SECONDS = 60.0
-"""The demo gives up when nothing has got on for this long."""
+"""The demo gives up when there has been no progress for this long."""
 _TICK_SECONDS = 0.1
+"""Interval at which progress is checked and, on a terminal, shown."""
 _LINE_SECONDS = 2.0
-"""Between two lines of progress where standard error is no terminal."""
+"""Interval between lines of progress where standard error is no terminal."""
 
 
 class Recording(Struct):
-    """The people and what is true about them, and the videos of the cameras."""
+    """Simulated people, their ground truth, and the cameras' videos of ``seconds`` length."""
 
     plan: Plan
     walks: list[Walk]
@@ -89,8 +94,8 @@ class Recording(Struct):
 
 
 class DemoClock:
-    """Seconds since the epoch as the demo's daemon sees them: ``speed`` times as fast, from
-    ``start`` on.
+    """Clock of the demo's daemon: seconds since the epoch, from ``start`` on, ``speed`` times as
+    fast.
     """
 
     def __init__(self, start: float, speed: float) -> None:
@@ -100,33 +105,45 @@ class DemoClock:
         return self._start + self._speed * (time.monotonic() - self._begin)
 
     def skip(self, seconds: float) -> None:
-        """Let this much time pass at once."""
+        """Advance the clock by ``seconds`` at once."""
         self._start += seconds
 
 
 def add_parser(subparsers: Any) -> None:
     """Add `demo`."""
-    summary = "the whole system on one machine: rendered cameras, real grabbers, a real bus, the real daemon"
-    parser = subparsers.add_parser("demo", help=summary, description=summary.capitalize() + ".")
+    parser = subparsers.add_parser(
+        "demo",
+        help="run the whole system on simulated cameras, without any configuration",
+        description="Runs the whole system on one machine: simulated people, rendered cameras, "
+        "real grabbers, a real bus and the real daemon. Writes the learned topology, the ground "
+        "truth and a picture of both.",
+        epilog="example: camtopod demo --out my-demo --minutes 18",
+    )
     shown = " (default: %(default)s)"
     parser.add_argument(
         "--out",
         type=Path,
         default=Path("camtopod-demo"),
         metavar="DIR",
-        help="results go here" + shown,
+        help="directory for the results" + shown,
     )
-    parser.add_argument("--seed", type=int, default=1, help="other people, same site" + shown)
+    parser.add_argument(
+        "--seed", type=int, default=1, help="seed of the simulated people; same site" + shown
+    )
     parser.add_argument(
         "--minutes", type=float, default=MINUTES, help="length of the recording" + shown
     )
-    parser.add_argument("--keep", action="store_true", help="keep the videos and the state too")
+    parser.add_argument("--keep", action="store_true", help="also keep the videos and the state")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the demo; raises `exits.CommandError` when a part of it fails."""
+    """Run the demo. Raises `exits.CommandError` if a part of it fails."""
     if not 1 <= args.minutes <= 600 or args.seed < 0:
-        raise exits.CommandError("demo: 1 to 600 minutes, and a seed from 0 on", exits.USAGE)
+        raise exits.CommandError(
+            "demo: --minutes must be from 1 to 600, --seed 0 or more", exits.USAGE
+        )
+
+    # Record, play the recording to the system, and score the topology that it learns.
     begin = time.monotonic()
     try:
         args.out.mkdir(parents=True, exist_ok=True)
@@ -136,6 +153,8 @@ def run(args: argparse.Namespace) -> int:
         recording = _record(work, 60.0 * args.minutes, args.seed)
         topology = _watch(recording, work)
     result = score(topology, recording.truth)
+
+    # Write the results.
     (args.out / "topology.json").write_bytes(to_json(topology) + b"\n")
     (args.out / "truth.json").write_bytes(to_json(recording.truth) + b"\n")
     picture = args.out / "map.png"
@@ -149,14 +168,15 @@ def run(args: argparse.Namespace) -> int:
     )
     print("\n".join([*_table(recording.truth, topology), "", result.text()]))
     _say(
-        f"picture in {picture}, topology in {args.out / 'topology.json'}; {time.monotonic() - begin:.0f} s"
+        f"picture in {picture}, topology in {args.out / 'topology.json'}; "
+        f"{time.monotonic() - begin:.0f} s"
     )
     return exits.DONE
 
 
 @contextlib.contextmanager
 def _terminated_as_interrupted() -> Iterator[None]:
-    """SIGTERM ends the block as Ctrl-C does, so that no process and no directory stays behind."""
+    """Let SIGTERM end the block as Ctrl-C does, so that no process or directory is left behind."""
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
@@ -170,7 +190,7 @@ def _terminated_as_interrupted() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _work_directory(out: Path, keep: bool) -> Iterator[Path]:
-    """Where videos and state go: beside the results to be kept, or somewhere that vanishes."""
+    """Yield a directory for videos and state: inside ``out`` if ``keep``, else a temporary one."""
     if keep:
         yield Path(tempfile.mkdtemp(prefix="work-", dir=out))
         return
@@ -179,11 +199,13 @@ def _work_directory(out: Path, keep: bool) -> Iterator[Path]:
 
 
 def _record(work: Path, seconds: float, seed: int) -> Recording:
-    """Walk, and render every camera's video, on all cores."""
+    """Simulate the walks, and render the video of every camera on all cores."""
     plan = site()
     walks = stroll(plan, seconds, WALKERS_PER_SECOND, np.random.default_rng(seed))
     truth = truth_of(plan, passages(plan, walks))
     videos = {view.camera: work / f"{view.camera}{SUFFIX}" for view in plan.views}
+
+    # Render, a process per camera.
     _say(f"rendering {len(videos)} cameras, {seconds / 60:g} minutes, {len(walks)} people")
     context = multiprocessing.get_context("spawn")
     workers = min(len(videos), os.cpu_count() or 1)
@@ -203,16 +225,18 @@ def _record(work: Path, seconds: float, seed: int) -> Recording:
 
 
 def _leave_interrupts_to_the_parent() -> None:
+    """Ignore SIGINT in a rendering process: the parent ends it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _watch(recording: Recording, work: Path) -> Topology:
-    """Play the videos to the grabbers and let the daemon learn; returns what it has learned."""
-    start = clocks.wall() - 2 * (
-        recording.seconds + AFTERWARDS_SECONDS
-    )  # nothing lies in the future
+    """Play the videos to the grabbers while the daemon learns; return the topology."""
+    # Start the demo's clock early enough that no event lies in the future.
+    start = clocks.wall() - 2 * (recording.seconds + AFTERWARDS_SECONDS)
     clock = DemoClock(start, SPEED)
+
+    # The daemon's settings: a free port, and state in the work directory.
     config = Config(
         site=SiteSettings(SITE),
         bus=BusSettings(listen=("tcp/127.0.0.1:0",)),
@@ -220,6 +244,8 @@ def _watch(recording: Recording, work: Path) -> Topology:
         learn=Settings(lateness_seconds=LATENESS_SECONDS, refit_share=0.03),
         limits=Limits(future_seconds_max=AFTERWARDS_SECONDS, settle_seconds=recording.seconds),
     )
+
+    # Play the videos to their end, then let the daemon learn the last events.
     try:
         with (
             _openness_said(config),
@@ -227,7 +253,7 @@ def _watch(recording: Recording, work: Path) -> Topology:
             dial(replace(config, bus=BusSettings(connect=(daemon.endpoint,)))) as bus,
             _grabbers(recording, start, daemon.endpoint, work) as grabbers,
         ):
-            _say(f"watching them at {SPEED:g} times their pace")
+            _say(f"playing the videos at up to {SPEED:g} times real time")
             _until(daemon, _Together(bus, grabbers, start))
             _check(grabbers, work)
             clock.skip(AFTERWARDS_SECONDS + recording.seconds)
@@ -235,18 +261,18 @@ def _watch(recording: Recording, work: Path) -> Topology:
             topology = daemon.topology
             late = daemon.status()["learner"]["late"]
             if late:
-                _say(f"{late} events came too late to be learned: the machine was very busy")
+                _say(f"{late} events were too late and not learned: the machine was very busy")
     except BusError as error:
         raise exits.CommandError(f"demo: {error}", exits.BUS) from None
     if topology is None:
-        raise exits.CommandError("demo: nothing was learned")
+        raise exits.CommandError("demo: no topology was learned; try more --minutes")
     return topology
 
 
 @contextlib.contextmanager
 def _openness_said(config: Config) -> Iterator[None]:
-    """In the block the daemon does not warn of a bus without certificates: said here, for a bus
-    that soon ends.
+    """Say once that the bus has no certificates, instead of the daemon's longer warning, in the
+    block.
     """
     warning = access.openness(config)
     log = logging.getLogger(buses.__name__)
@@ -254,9 +280,7 @@ def _openness_said(config: Config) -> Iterator[None]:
     def other(record: logging.LogRecord) -> bool:
         return record.getMessage() != warning
 
-    _say(
-        "the bus is for programs of this machine only, any of them, as it has no certificates; it ends with the demo"
-    )
+    _say("the bus has no certificates: any program on this machine can use it until the demo ends")
     log.addFilter(other)
     try:
         yield
@@ -268,7 +292,7 @@ def _openness_said(config: Config) -> Iterator[None]:
 def _grabbers(
     recording: Recording, start: float, endpoint: str, work: Path
 ) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
-    """One `camtopod grab` process a camera; whatever happens, they end with the block."""
+    """Run one `camtopod grab` process per camera; they end with the block, whatever happens."""
     environment = {
         **os.environ,
         "XDG_STATE_HOME": str(work),
@@ -276,6 +300,8 @@ def _grabbers(
         "OPENBLAS_NUM_THREADS": "1",
     }
     environment.pop("STATE_DIRECTORY", None)
+
+    # Start them, each with a log file.
     running: dict[str, subprocess.Popen[bytes]] = {}
     try:
         for camera, video in recording.videos.items():
@@ -288,6 +314,7 @@ def _grabbers(
                 )
         yield running
     finally:
+        # End them; a paused process has to continue to receive SIGTERM.
         for grabber in running.values():
             if grabber.poll() is None:
                 grabber.terminate()
@@ -300,7 +327,7 @@ def _grabbers(
 
 
 def _check(grabbers: dict[str, subprocess.Popen[bytes]], work: Path) -> None:
-    """Raise for a grabber that failed, with what it said last."""
+    """Raise `exits.CommandError` for a grabber that failed, with its last lines of output."""
     for camera, grabber in grabbers.items():
         if grabber.poll() not in (0, None):
             said = (work / f"{camera}.log").read_text("utf-8", "replace").strip().splitlines()
@@ -309,8 +336,9 @@ def _check(grabbers: dict[str, subprocess.Popen[bytes]], work: Path) -> None:
 
 
 class _Together:
-    """Whether all grabbers have ended; until then those that are ahead are held, or the others'
-    events came late.
+    """Return True once all grabbers have ended; until then, pause those that are ahead.
+
+    Otherwise the events of slower grabbers would be late.
     """
 
     def __init__(
@@ -322,6 +350,7 @@ class _Together:
         bus.subscribe("status/*", self._heard)
 
     def _heard(self, key: str, payload: bytes) -> None:
+        """Note how far a grabber has come, from its status."""
         camera = key.removeprefix("status/")
         if camera in self._reached:
             self._reached[camera] = msgspec.msgpack.decode(payload).get(
@@ -343,8 +372,8 @@ class _Together:
 
 
 class _Learned:
-    """Whether all that has come is learned and published, and for `QUIET_SECONDS` nothing more has
-    come in.
+    """Return True once all events are learned and published and none has arrived for
+    `QUIET_SECONDS`.
     """
 
     def __init__(self, daemon: Daemon) -> None:
@@ -364,23 +393,27 @@ class _Learned:
 
 
 def _until(daemon: Daemon, done: Callable[[], bool]) -> None:
-    """Show progress until ``done()``; raises when there is none for too long or the daemon
-    fails.
+    """Show progress until ``done()`` returns True.
+
+    Raises `exits.CommandError` if there is no progress for `PATIENCE_SECONDS` or the daemon fails.
     """
     terminal = sys.stderr.isatty()
     begin, end, pause = ("\r\033[K", "", _TICK_SECONDS) if terminal else ("", "\n", _LINE_SECONDS)
     shown, line, moved = 0.0, "", time.monotonic()
     said = line
+
     while not done():
         if time.monotonic() > moved + PATIENCE_SECONDS:
             raise exits.CommandError(
-                f"demo: nothing got on for {PATIENCE_SECONDS:g} s; is the machine busy?"
+                f"demo: no progress for {PATIENCE_SECONDS:g} s; is the machine too busy?"
             )
         if daemon.wait(_TICK_SECONDS):
             raise exits.CommandError("demo: the daemon has failed")
         before, line = line, _progress(daemon)
         if line != before:
             moved = time.monotonic()
+
+        # Show the progress, less often where every line stays.
         if line != said and time.monotonic() - shown > pause:
             print(f"{begin}{line}", end=end, file=sys.stderr, flush=True)
             shown, said = time.monotonic(), line
@@ -389,23 +422,29 @@ def _until(daemon: Daemon, done: Callable[[], bool]) -> None:
 
 
 def _progress(daemon: Daemon) -> str:
+    """Return one line about the events and the newest topology."""
     status = daemon.status()
     topology = daemon.topology
     events = f"{len(status['cameras'])} cameras, {status['events']['stored']} events"
     if topology is None:
         return f"{events}, nothing learned yet"
     links = sum(link.relation != "visible" for link in topology.links)
-    return f"{events}, version {topology.version}: {len(topology.zones)} zones, {links} links, {len(topology.pairs)} pairs"
+    return (
+        f"{events}, version {topology.version}: "
+        f"{len(topology.zones)} zones, {links} links, {len(topology.pairs)} camera pairs"
+    )
 
 
 def _table(truth: Truth, topology: Topology) -> list[str]:
-    """Both maps side by side, a pair of cameras a line."""
+    """Return the true and the learned map as text, a pair of cameras per line."""
     camera = {zone.id: zone.camera for zone in truth.zones}
     true = camera_times(truth.links, camera)
     camera = {zone.id: zone.camera for zone in topology.zones}
     learned = camera_times(topology.links, camera)
     pairs = sorted({(min(key), max(key)) for key in [*true, *learned]})
-    lines = [f"{'cameras':24}{'true map':32}learned map (most popular seconds there and back)"]
+    lines = [
+        f"{'cameras':24}{'true map':32}learned map (mode of transit times, s, both directions)"
+    ]
     lines += [
         f"{f'{a} - {b}':24}{_relation(true, a, b):32}{_relation(learned, a, b)}" for a, b in pairs
     ]
@@ -413,6 +452,9 @@ def _table(truth: Truth, topology: Topology) -> list[str]:
 
 
 def _relation(times: Times, a: str, b: str) -> str:
+    """Return the relation of two cameras and the modes of their transit times in both
+    directions.
+    """
     ways = [times.get((a, b)), times.get((b, a))]
     if ways == [None, None]:
         return "-"

@@ -1,5 +1,6 @@
-"""`camtopod doctor`: what a bug report needs, without a secret. Everything goes through
-`camtopod.redact`, twice: each value by itself, and the whole text.
+"""`camtopod doctor`: collect diagnostics for a bug report, without secrets.
+
+`camtopod.redact` processes everything twice: each value by itself, and the whole text.
 """
 
 from __future__ import annotations
@@ -32,38 +33,51 @@ from camtopod.serve.storage import StateError, inspect_state
 from camtopod.visible import visible
 
 FILES_MAX = 200
-"""Of the state directory."""
+"""Most files of the state directory that are listed."""
 _BUNDLES = (".tar.gz", ".tgz")
+"""File names that ask for an archive with one file per part."""
 _LOOKS = {"journal.db": inspect_state.journal, "spools-of-*/*.db": inspect_state.spool}
+"""Pattern of a database's path -> function that returns its counts."""
 _SECRET_NAME = re.compile(r"(?i)pass|pwd|secret|token|credential")
+"""Names of environment variables whose values are secrets."""
 _SECRET_CHARACTERS_MIN = 6
-"""Of an environment variable: 'true' and 'false' are no secrets."""
+"""Least length of a secret in an environment variable; 'true' and 'false' are none."""
 _REFUSALS = ("rejects", "refused", "reject_samples")
+"""Keys of a status that say what was refused."""
 _QUOTED = re.compile(r""": ['"].*""", re.DOTALL)
+"""The quoted part of a refused message, which is not reported."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Add `doctor`."""
     parser = subparsers.add_parser(
         "doctor",
-        help="what a bug report needs, without secrets",
-        description="Collects what somebody who helps wants to know: versions, machine, clock, configuration, what is "
-        "on disk, and what the daemon and the cameras say of themselves. Passwords, keys and events are not in it; "
-        "look through it all the same before you hand it on. Nothing is changed.",
+        help="collect diagnostics for a bug report, without secrets",
+        description="Collects diagnostics for a bug report: versions, machine, clock, "
+        "configuration, files on disk, and the statuses of the daemon and the cameras. It contains "
+        "no passwords, keys or events; look through it all the same before you share it. Nothing "
+        "is changed.",
+        epilog="example: camtopod --config camtopod.toml doctor --out report.tar.gz",
     )
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="write it here; with .tar.gz a file for each part"
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="write the report to FILE; if it ends in .tar.gz, one file per part "
+        "(default: standard output)",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """To standard output, unless --out says otherwise."""
+    """Write the report to standard output, or to the file of --out."""
     try:
         config, mistakes = configuration(args), ""
     except CommandError as error:
         config, mistakes = Config(), str(error)
         with contextlib.suppress(CommandError):
             config = with_options(args, config)
+
+    # Collect the parts of the report.
     _remember_secrets(config)
     parts: dict[str, Callable[[], list[str]]] = {
         "versions": machine_report.versions,
@@ -78,6 +92,8 @@ def run(args: argparse.Namespace) -> int:
         name: redact("\n".join(visible(line) for line in part())) + "\n"
         for name, part in parts.items()
     }
+
+    # Write it.
     text = "\n".join(f"== {name} ==\n{part}" for name, part in report.items())
     if args.out is None:
         sys.stdout.write(text)
@@ -87,12 +103,12 @@ def run(args: argparse.Namespace) -> int:
         secret_files.write(args.out, content)
     except OSError as error:
         raise CommandError(f"cannot write {args.out}: {error.strerror}") from None
-    print(f"{args.out} is written; look through it before you hand it on", file=sys.stderr)
+    print(f"{args.out} is written; look through it before you share it", file=sys.stderr)
     return exits.DONE
 
 
 def _remember_secrets(config: Config) -> None:
-    """So that they are hidden wherever they may turn up."""
+    """Remember every secret in reach, so that `redact` hides it wherever it appears."""
     for camera in config.cameras:
         try:
             config.for_camera(camera)
@@ -123,10 +139,8 @@ def _video() -> list[str]:
 
 
 def _configuration(config: Config, path: Path | None) -> Iterator[str]:
-    """Settings that are not the defaults, and whether others can read or reach what they should
-    not.
-    """
-    yield f"file: {path} ({_mode(path)})" if path else "no file"
+    """Yield settings other than the defaults, and warnings of files or a bus open to others."""
+    yield f"file: {path} ({_mode(path)})" if path else "no configuration file"
     given = {name: _at(config, name) for name in TABLES} | {
         f"cameras.{n}": c for n, c in config.cameras.items()
     }
@@ -143,7 +157,7 @@ def _configuration(config: Config, path: Path | None) -> Iterator[str]:
 
 
 def _at(config: Config, name: str) -> Any:
-    """The table of this dotted name."""
+    """Return the table with this dotted name."""
     value: Any = config
     for part in name.split("."):
         value = getattr(value, part)
@@ -151,7 +165,7 @@ def _at(config: Config, name: str) -> Any:
 
 
 def _state(config: Config) -> Iterator[str]:
-    """Sizes and permissions of what is on disk, and how much the databases hold."""
+    """Yield size and permissions of the files on disk, and the counts of the databases."""
     directory = config.state_directory
     yield f"{directory} ({_mode(directory)})"
     try:
@@ -174,20 +188,23 @@ def _state(config: Config) -> Iterator[str]:
 
 
 def _mode(path: Path) -> str:
+    """Return permissions, owner, size and age of a file in words."""
     try:
         found = path.stat()
     except OSError as error:
         return str(error.strerror)
     age = max(0.0, clock.wall() - found.st_mtime)
     return (
-        f"{stat.filemode(found.st_mode)}, user {found.st_uid}{' (this one)' if found.st_uid == os.geteuid() else ''}, "
+        f"{stat.filemode(found.st_mode)}, "
+        f"user {found.st_uid}{' (this one)' if found.st_uid == os.geteuid() else ''}, "
         f"{found.st_size} bytes, changed {age:.0f} s ago"
     )
 
 
 def _bus(config: Config) -> Iterator[str]:
-    """Whether it answers, who is there, and what they say of themselves; of what was refused the
-    reasons only.
+    """Yield whether the bus answers, who is there, and their statuses.
+
+    Of refused messages only the reasons are reported.
     """
     began = time.monotonic()
     try:
@@ -195,7 +212,7 @@ def _bus(config: Config) -> Iterator[str]:
     except BusError as error:
         yield str(error)
         return
-    hidden = ", which a camera's certificate is not shown" if config.bus.tls.ca else ""
+    hidden = ", as a camera's certificate may not see this" if config.bus.tls.ca else ""
     with bus:
         yield f"{bus.endpoint} is reached after {time.monotonic() - began:.2f} s, site {bus.site}"
         for role in ("daemon", "grabber"):
@@ -205,16 +222,17 @@ def _bus(config: Config) -> Iterator[str]:
         refusals = {key: status.pop(key) for key in _REFUSALS if key in status}
         yield f"{name}: {json.dumps(_clean(status))}"
         if refusals:
-            samples = refusals.get("reject_samples", {})  # with what was refused behind the reason
+            samples = refusals.get("reject_samples", {})  # each quotes the refused text at its end
             refusals["reject_samples"] = {
                 why: [_QUOTED.sub("", one) for one in each] for why, each in samples.items()
             }
             yield f"{name} refused: {json.dumps(_clean(refusals))}"
     if not statuses:
-        yield f"nobody answers for a status{hidden}"
+        yield f"no program answers a query for its status{hidden}"
 
 
 def _status(raw: bytes) -> dict[str, Any]:
+    """Return a decoded status, or the reason why it cannot be read."""
     try:
         return msgspec.msgpack.decode(raw, type=dict[str, Any])
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
@@ -222,7 +240,7 @@ def _status(raw: bytes) -> dict[str, Any]:
 
 
 def _clean(value: Any) -> Any:
-    """Without secrets, before quoting changes how they are spelled."""
+    """Return ``value`` without secrets; must run before JSON quoting changes their spelling."""
     if isinstance(value, str):
         return redact(value)
     if isinstance(value, dict):
@@ -231,7 +249,7 @@ def _clean(value: Any) -> Any:
 
 
 def _bundle(report: dict[str, str]) -> bytes:
-    """A file for each part."""
+    """Return the report as a .tar.gz archive with one file per part."""
     out = io.BytesIO()
     with tarfile.open(fileobj=out, mode="w:gz") as bundle:
         for name, text in report.items():

@@ -1,4 +1,4 @@
-"""`camtopod export`: a topology as a picture or in an exchange format."""
+"""`camtopod export`: convert a topology to a picture or an exchange format."""
 
 from __future__ import annotations
 
@@ -16,24 +16,35 @@ from camtopod.export import FORMATS, camera_numbers
 from camtopod.records import Topology
 
 TOPOLOGY_BYTES_MAX = 512 * 1024**2
-"""Of a file; that of a site with a thousand cameras has some tens of millions."""
+"""Largest topology file; that of a site with a thousand cameras has some tens of millions of bytes.
+"""
 TOO_LONG = f"it has more than {TOPOLOGY_BYTES_MAX} bytes"
+"""Reason for refusing a larger file."""
 _PIECE_BYTES = 1 << 20
+"""Bytes read at a time."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Add `export`."""
-    summary = "a topology as a picture or in an exchange format"
-    parser = subparsers.add_parser("export", help=summary, description=summary.capitalize() + ".")
-    parser.add_argument(
-        "topology", metavar="TOPOLOGY.json", help="what `learn` wrote ('-': standard input)"
+    parser = subparsers.add_parser(
+        "export",
+        help="convert a topology to a picture or an exchange format",
+        description="Converts a topology to a picture or an exchange format.",
+        epilog="example: camtopod export topology.json --format dot --out topology.dot",
     )
-    parser.add_argument("--format", choices=FORMATS, required=True)
-    parser.add_argument("--out", metavar="FILE", default="-", help="default: standard output")
+    parser.add_argument(
+        "topology",
+        metavar="TOPOLOGY.json",
+        help="topology as `camtopod learn` writes it ('-': standard input)",
+    )
+    parser.add_argument("--format", choices=FORMATS, required=True, help="format of the output")
+    parser.add_argument(
+        "--out", metavar="FILE", default="-", help="write to FILE (default: standard output)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the export; raises `exits.InputError` when the topology cannot be read."""
+    """Write the export. Raises `exits.InputError` if the topology cannot be read."""
     topology = load(args.topology)
     text = FORMATS[args.format](topology)
     if args.out == "-":
@@ -46,12 +57,12 @@ def run(args: argparse.Namespace) -> int:
     numbers = camera_numbers(topology) if args.format == "aicity" else {}
     if any(str(number) != name for name, number in numbers.items()):
         shown = ", ".join(f"{number} is {name}" for name, number in numbers.items())
-        print(f"export: the format numbers cameras: {shown}", file=sys.stderr)
+        print(f"export: cameras are numbered in this format: {shown}", file=sys.stderr)
     return exits.DONE
 
 
 def load(path: str) -> Topology:
-    """A topology from a JSON file ('-': standard input); raises `exits.InputError`."""
+    """Return a topology from a JSON file ('-': standard input). Raises `exits.InputError`."""
     file = open_input(path)
     with contextlib.nullcontext() if path == "-" else file:
         try:
@@ -65,8 +76,9 @@ def load(path: str) -> Topology:
 
 
 def _content(file: BinaryIO) -> bytes:
-    """All of it. Raises `Rejected` where that is more than `TOPOLOGY_BYTES_MAX`, before it is in
-    memory.
+    """Return the whole content.
+
+    Raises `Rejected` as soon as more than `TOPOLOGY_BYTES_MAX` have been read, to bound memory.
     """
     pieces: list[bytes] = []
     total = 0

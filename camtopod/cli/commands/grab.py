@@ -1,5 +1,6 @@
-"""`camtopod grab`: one camera to events, on the bus or as lines; or all cameras of a
-configuration.
+"""`camtopod grab`: turn the video of a camera into events, on the bus or as lines of a file.
+
+Without ``--camera`` it supervises one such process for each camera of a configuration.
 """
 
 from __future__ import annotations
@@ -44,82 +45,93 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 DRAIN_SECONDS = 10.0
-"""How long a file's grabber waits at the end for its last events to be acknowledged, if nobody
-looks after it.
+"""Time that the grabber of a file waits at its end for acknowledgements, unless it is supervised.
 """
 _DRAIN_LOOK_SECONDS = 0.2
+"""Interval at which it checks for acknowledgements."""
 DAEMON_SECONDS = 5.0
-"""How long after it has reached the bus a grabber waits for a daemon before it says that there is
-none.
-"""
+"""Time after connecting to the bus until a missing daemon is reported."""
 _DAEMON_LOOK_SECONDS = 0.5
+"""Interval at which it looks for the daemon."""
 LEAVE_SECONDS = 4.0
-"""After a signal, how long a source that blocks may hold up the end."""
+"""Time that a blocking source may delay the end after a signal."""
 HANDOVER_SECONDS = LEAVE_SECONDS + 2.0
-"""How long the processes of a grabber that was killed, and started again at once, may take to
-end.
-"""
+"""Time to wait for the processes of a grabber that was killed and started again at once."""
 _HANDOVER_LOOK_SECONDS = 0.2
+"""Interval at which their spools are checked."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Add `grab`."""
     parser = subparsers.add_parser(
         "grab",
-        help="one camera to entry and exit events",
-        description="Watches one camera and publishes an event for whoever enters or leaves its view. "
-        "Without --camera it runs all cameras of --config, a process each.",
+        help="turn the video of one camera, or of all configured ones, into entry and exit events",
+        description="Watches one camera and publishes an event for each person who enters or "
+        "leaves its view. Without --camera it runs all cameras of --config, one process per "
+        "camera.",
+        epilog="example: camtopod grab --camera lobby rtsp://192.0.2.10/stream1",
     )
     parser.add_argument(
         "source", nargs="?", metavar="SOURCE", help="rtsp:// URL, video file or device number"
     )
     parser.add_argument("--camera", metavar="ID", help="the camera's id, [A-Za-z0-9_.-]{1,64}")
     parser.add_argument(
-        "--out", metavar="FILE", help="write event lines here ('-': standard output), use no bus"
+        "--out",
+        metavar="FILE",
+        help="write event lines to FILE ('-': standard output) instead of the bus",
     )
     parser.add_argument(
-        "--start", type=float, metavar="SECONDS", help="a file: time of its first frame (default 0)"
+        "--start",
+        type=float,
+        metavar="SECONDS",
+        help="video file: event time of its first frame (default 0)",
     )
     parser.add_argument(
-        "--realtime", action="store_true", default=None, help="a file: at its own pace"
+        "--realtime",
+        action="store_true",
+        default=None,
+        help="video file: read it in real time instead of as fast as possible",
     )
     parser.add_argument(
-        "--speed", type=float, metavar="FACTOR", help="a file: with --realtime, times its own pace"
+        "--speed",
+        type=float,
+        metavar="FACTOR",
+        help="video file: with --realtime, read it FACTOR times as fast",
     )
     parser.add_argument(
-        "--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)"
+        "--state",
+        metavar="DIRECTORY",
+        help="directory of the spool (default: [state] directory)",
     )
-    given = (
-        "with-parent",
-        "config-fd",
-        "beat-fd",
-        "restarts",
-    )  # to a camera's process by the one above it
+    # Options that the supervisor passes to a camera's process.
+    given = ("with-parent", "config-fd", "beat-fd", "restarts")
     for option in given:
         parser.add_argument(f"--{option}", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--last-end", default="", help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Grab until the file ends or a signal comes."""
+    """Grab until the file ends or a signal arrives."""
     start_logging(args)
-    faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
+    faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
     descriptors.raise_limit()
     with signals() as told:
         if args.camera is None:
             return _all(args, told)
-        faulthandler.register(signal.SIGUSR1, file=2)  # to tell where it hangs before it is killed
+        # The supervisor sends SIGUSR1 before it kills a hung process, to log where it hangs.
+        faulthandler.register(signal.SIGUSR1, file=2)
         with leaving(told.stop, LEAVE_SECONDS, args.with_parent) as left:
             return _one(args, told, left)
 
 
 def _all(args: argparse.Namespace, told: Told) -> int:
+    """Supervise one process for each camera of the configuration."""
     config, text = accepted(args)
     if args.source is not None or args.out is not None:
-        raise CommandError("which camera is it? add --camera ID", exits.USAGE)
+        raise CommandError("SOURCE and --out need a camera: add --camera ID", exits.USAGE)
     if not config.cameras:
         raise CommandError(
-            "nothing to grab: name --camera ID SOURCE, or a --config with cameras", exits.USAGE
+            "no camera given: add --camera ID SOURCE, or a --config with cameras", exits.USAGE
         )
     _refuse_a_second(config, told.stop)
     from camtopod.cli.cameras import supervise
@@ -128,8 +140,9 @@ def _all(args: argparse.Namespace, told: Told) -> int:
 
 
 def _refuse_a_second(config: Config, stop: threading.Event) -> None:
-    """Raises `CommandError` if another grabber has the spool of a camera and does not end within
-    `HANDOVER_SECONDS`.
+    """Wait until no other grabber holds the spool of a camera.
+
+    Raises `CommandError` if one still does after `HANDOVER_SECONDS`.
     """
     from camtopod.serve.outbox import spool_path
     from camtopod.serve.storage import held_by
@@ -145,16 +158,17 @@ def _refuse_a_second(config: Config, stop: threading.Event) -> None:
 
 
 def _one(args: argparse.Namespace, told: Told, left: Leaving) -> int:
+    """Grab one camera, to the bus or to event lines."""
     config = configuration(args)
     settings = _camera(args, config)
     redact.remember(settings.source)
     with contextlib.ExitStack() as stack:
+        # Save standard output: from here on FFmpeg's messages arrive on it.
         output = stack.enter_context(os.fdopen(os.dup(1), "wb")) if args.out == "-" else None
-        heard = stack.enter_context(
-            ffmpeg_log.listening()
-        )  # FFmpeg talks on standard output from here on
+        heard = stack.enter_context(ffmpeg_log.listening())
         from camtopod.vision import Grabber
 
+        # Open the camera.
         heart = Heart(args.beat_fd)
         heart.beat("connecting", "not opened yet")
         grabber = Grabber(
@@ -168,6 +182,7 @@ def _one(args: argparse.Namespace, told: Told, left: Leaving) -> int:
             complaints=heard,
         )
         stack.enter_context(contextlib.closing(grabber))
+
         if args.out is not None:
             return _to_lines(
                 grabber, output or stack.enter_context(_file(args.out)), told.stop, left
@@ -176,18 +191,24 @@ def _one(args: argparse.Namespace, told: Told, left: Leaving) -> int:
 
 
 def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
-    """The camera's settings: the configuration's, with the command line on top."""
+    """Return the camera's settings: those of the configuration, overridden by the command line."""
     if args.camera in RESERVED:
-        raise CommandError(f"--camera {args.camera}: this name is taken on the bus", exits.USAGE)
+        raise CommandError(
+            f"--camera {args.camera}: this name is reserved on the bus, use another", exits.USAGE
+        )
     if not re.match(CAMERA_PATTERN, args.camera):
         raise CommandError(
-            f"--camera {args.camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
+            f"--camera {args.camera!r}: use 1 to 64 of the characters A-Z a-z 0-9 _ . -",
+            exits.USAGE,
         )
     known = config.cameras.get(args.camera)
     if args.source is None and known is None:
         raise CommandError(
-            f"camera {args.camera} has no SOURCE, and no configuration names it", exits.USAGE
+            f"camera {args.camera} has no source: give SOURCE, or a --config with this camera",
+            exits.USAGE,
         )
+
+    # Apply the options of the command line.
     given: dict[str, Any] = {
         name: getattr(args, name, None) for name in CameraSettings.__struct_fields__
     }
@@ -200,6 +221,7 @@ def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
 
 
 def _file(path: str) -> BinaryIO:
+    """Open a file for writing. Raises `CommandError`."""
     try:
         return open(path, "wb")
     except OSError as error:
@@ -207,11 +229,13 @@ def _file(path: str) -> BinaryIO:
 
 
 def _to_lines(grabber: Grabber, out: BinaryIO, stop: threading.Event, left: Leaving) -> int:
-    """Event lines, each out at once. The exit status, which is 66 if there was not one picture."""
+    """Write event lines, each flushed at once; return the exit status (66 if there was no
+    picture).
+    """
     said = _Said(grabber)
-    events = (
-        grabber.events()
-    )  # kept until the return, as closing it may wait for OpenCV longer than there is time
+    # The generator is kept until the return: closing it may wait for OpenCV longer than there is
+    # time.
+    events = grabber.events()
     for event in events:
         said.tell()
         if event is not None:
@@ -221,12 +245,12 @@ def _to_lines(grabber: Grabber, out: BinaryIO, stop: threading.Event, left: Leav
             break
     if grabber.state == "connecting":
         left.status = exits.INPUT
-        log.error("camera %s has given no picture: %s", grabber.camera, grabber.reason)
+        log.error("camera %s gave no picture: %s", grabber.camera, grabber.reason)
     return left.status
 
 
 class _Said:
-    """Says what state a camera is in: when that changes, and each reason for a state once."""
+    """Logs the state of a camera when it changes, and each reason for a state once."""
 
     def __init__(self, grabber: Grabber) -> None:
         self._grabber = grabber
@@ -234,9 +258,9 @@ class _Said:
         self._reasons: set[str] = set()
 
     def tell(self) -> None:
-        """Say it if it is new."""
+        """Log state and reason if they are new."""
         camera, state, reason = self._grabber.camera, self._grabber.state, self._grabber.reason
-        cause = reason.partition(AGAIN)[0]  # when it is tried again is another time each time
+        cause = reason.partition(AGAIN)[0]  # without the time of the next attempt
         if state != self._state:
             self._state = state
             self._reasons.clear()
@@ -254,34 +278,39 @@ def _to_bus(
     told: Told,
     heart: Heart,
 ) -> int:
+    """Publish the camera's events, and wait for acknowledgements at the end of a file."""
     from camtopod.serve.bus import BusError, dial
     from camtopod.serve.outbox import Publisher, open_spool
     from camtopod.serve.storage import StateError
 
     with contextlib.ExitStack() as stack:
+        # Open the spool.
         try:
             spool = open_spool(config.state_directory, config.site.name, args.camera, config.limits)
         except StateError as error:
             raise CommandError(str(error), exits.STATE) from None
         stack.callback(spool.close)
         publisher = Publisher(spool, config.limits.spool_batch_events)
+
+        # Connect: a live camera does not wait for the bus, a file can.
         connection = _Connection(config, grabber, publisher, args)
         stack.callback(connection.close)
-        if (
-            kind_of(settings.source) != "file"
-        ):  # it goes on whether the bus is there or not; a file can wait
+        if kind_of(settings.source) != "file":
             connection.keep_dialling()
         else:
             try:
                 connection.use(dial(config))
             except BusError as error:
                 raise CommandError(str(error), exits.BUS) from None
+
+        # Publish, then wait for acknowledgements.
         _publish_all(grabber, publisher, connection, config, told, heart)
         _drain(grabber, publisher, connection, args, told, heart)
         if publisher.unacknowledged and not told.stop.is_set():
             raise CommandError(
-                f"{publisher.unacknowledged} events are not acknowledged: is `camtopod run` running for site "
-                f"{config.site.name}? They wait in {spool.path} and go out when this camera is grabbed again"
+                f"{publisher.unacknowledged} events are not acknowledged: is `camtopod run` "
+                f"running for site {config.site.name}? They are kept in {spool.path} and published "
+                f"when this camera is grabbed again"
             )
     return exits.DONE
 
@@ -294,11 +323,12 @@ def _publish_all(
     told: Told,
     heart: Heart,
 ) -> None:
+    """Publish events and statuses until the source ends or a signal arrives."""
     said, next_status = _Said(grabber), 0.0
     heart.beat(grabber.state, grabber.reason, connection.daemon)
     for event in grabber.events():
-        if grabber.overdue_seconds == 0.0:  # else whoever hears no beat ends this process
-            # Before the event: from then on a file has been begun.
+        if grabber.overdue_seconds == 0.0:  # otherwise the watchdog ends this process
+            # Before the event: once a beat says "running", a file is not read again.
             heart.beat(grabber.state, grabber.reason, connection.daemon)
         if event is not None:
             publisher.publish(event)
@@ -312,7 +342,7 @@ def _publish_all(
         if told.reload.is_set():
             told.reload.clear()
             log.warning(
-                "camera %s: the configuration is read at the start only; start it again",
+                "camera %s: the configuration is read only at the start; restart the command",
                 grabber.camera,
             )
         if told.stop.is_set():
@@ -330,10 +360,10 @@ def _drain(
     told: Told,
     heart: Heart,
 ) -> None:
-    """At a file's end, wait until its events are acknowledged, for `DRAIN_SECONDS`.
+    """Wait at the end of a file until its events are acknowledged, for at most `DRAIN_SECONDS`.
 
-    Whoever is looked after waits for as long as it takes: it would be started again, and its events
-    count twice.
+    A supervised process waits for as long as it takes: it would be started again, and its events
+    would count twice.
     """
     looked_after = args.beat_fd is not None or systemd.SOCKET_VARIABLE in os.environ
     deadline = time.monotonic() + DRAIN_SECONDS
@@ -344,33 +374,34 @@ def _drain(
         connection.tell_status()
         heart.beat(
             grabber.state,
-            f"{publisher.unacknowledged} events wait for the daemon",
+            f"waiting for the daemon to acknowledge {publisher.unacknowledged} events",
             connection.daemon,
         )
 
 
 class _Connection:
-    """The grabber's way to the bus, which may come later than the first events, and whether the
-    daemon is there.
+    """Connection of the grabber to the bus, which may come later than the first events.
+
+    It also tracks whether the daemon is reachable.
     """
 
     def __init__(
         self, config: Config, grabber: Grabber, publisher: Publisher, args: argparse.Namespace
     ) -> None:
         self._config, self._grabber, self._publisher = config, grabber, publisher
-        self._tells = (
-            args.beat_fd is None
-        )  # otherwise the process above tells it, once for all cameras
+        # With a heartbeat the supervisor logs a lost daemon, once for all cameras.
+        self._tells = args.beat_fd is None
         self._daemons: set[str] = set()
         self.daemon: str | None = None
-        """Why the daemon is not reached; "" if it is, None where that is not known yet."""
+        """Reason why the daemon is not reached; "" if it is reached, None while that is not known.
+        """
         self._restarts, self._last_end = args.restarts or 0, args.last_end
         self._bus: Bus | None = None
         self._closed = threading.Event()
         self._mutex = threading.Lock()
 
     def use(self, bus: Bus) -> None:
-        """Publish there from now on."""
+        """Publish on ``bus`` from now on."""
         with self._mutex:
             if self._closed.is_set():
                 bus.close()
@@ -385,7 +416,7 @@ class _Connection:
         threading.Thread(target=self._look, args=[bus], name="reach", daemon=True).start()
 
     def keep_dialling(self) -> None:
-        """Dial in the background until there is a bus; events wait in the spool."""
+        """Connect in the background; until then events wait in the spool."""
 
         def keep() -> None:
             from camtopod.serve.bus import BusError, dial
@@ -403,33 +434,34 @@ class _Connection:
         (self._daemons.add if alive else self._daemons.discard)(name)
 
     def _look(self, bus: Bus) -> None:
-        """Note whether the daemon is reached, until the end."""
+        """Track until the end whether the daemon is reached."""
         reached_at = time.monotonic()
         while not self._closed.wait(_DAEMON_LOOK_SECONDS):
             if not bus.connected:
                 reached_at = math.inf
-                self._note(f"the daemon at {bus.endpoint} is not reached any more")
+                self._note(f"the connection to the daemon at {bus.endpoint} is lost")
             elif self._daemons or self._config.bus.tls.ca:
                 self._note("")
             else:
                 reached_at = min(reached_at, time.monotonic())
                 if time.monotonic() - reached_at >= DAEMON_SECONDS:
                     self._note(
-                        f"the bus at {bus.endpoint} is reached, but no daemon of site {bus.site} is there"
+                        f"connected to the bus at {bus.endpoint}, but no daemon of site {bus.site} "
+                        f"is there"
                     )
 
     def _note(self, why: str) -> None:
-        """Say it when it changes; ``why`` the daemon is not reached, "" if it is."""
+        """Store why the daemon is not reached ("" if it is), and log a change."""
         before, self.daemon = self.daemon, why
         if not self._tells or bool(why) == bool(before):
             return
         if why:
-            log.warning("%s; events wait in the spool", why)
+            log.warning("%s; events are kept in the spool", why)
         elif before:
-            log.info("the daemon is reached again")
+            log.info("connected to the daemon again")
 
     def status(self) -> dict[str, Any]:
-        """What ``status/{camera}`` says."""
+        """Return the content of ``status/{camera}``."""
         return {
             "camera": self._grabber.camera,
             "state": self._grabber.state,
@@ -444,12 +476,12 @@ class _Connection:
         }
 
     def tell_status(self) -> None:
-        """Publish the status, if there is a bus."""
+        """Publish the status if there is a connection."""
         if self._bus is not None:
             self._bus.put(f"status/{self._grabber.camera}", self.status(), "status")
 
     def close(self) -> None:
-        """Close the bus, now or as soon as it is reached."""
+        """Close the bus, now or as soon as it is connected."""
         self._closed.set()
         with self._mutex:
             if self._bus is not None:

@@ -1,4 +1,4 @@
-"""`camtopod ingest`: other programs' events onto the bus, or into a file."""
+"""`camtopod ingest`: publish events from other programs on the bus, or write them to a file."""
 
 from __future__ import annotations
 
@@ -40,66 +40,78 @@ from camtopod.serve.storage import StateError
 log = logging.getLogger(__name__)
 
 UNACKNOWLEDGED_MAX = 50_000
-"""Reading waits while this many events are not acknowledged."""
+"""Reading pauses while this many events are not acknowledged."""
 PATIENCE_SECONDS = 10.0
-"""Without a daemon in sight nor a single acknowledgement for this long there is none. One in sight
-is waited for: it may be fitting, or its disk be full, and says so in its status.
+"""Time without an acknowledgement after which a daemon that is not visible counts as absent.
+
+A visible daemon is waited for: it may be busy with a refit, or its disk may be full, as its status
+says.
 """
 _TICK_SECONDS = 0.2
+"""Interval at which input, acknowledgements and progress are checked."""
 _NO_EVENTS = {
-    "frigate": "nobody has come in or left, or only objects that stand or are not among --label",
-    "mot": "boxes with an id below 0 (detections, which no tracker has seen) or a confidence of 0 are of no track",
-    "scenescape": "nobody has come in or left, or only objects that are not among --label",
+    "frigate": "no object entered or left, or only objects that are stationary or not among "
+    "--label",
+    "mot": "boxes with an id below 0 (untracked detections) or a confidence of 0 belong to no "
+    "track",
+    "scenescape": "no object entered or left, or only objects that are not among --label",
 }
-"""Why lines that fit may come to nothing, by format."""
+"""Format -> why well-formed lines may give no events."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Add `ingest`."""
     parser = subparsers.add_parser(
         "ingest",
-        help="other programs' events onto the bus",
+        help="publish events from other programs",
         description="Publishes events on the bus, and ends when the daemon has stored them all. "
-        "jsonl: event lines as `camtopod grab --out` writes them. frigate: messages of frigate/events, a line each "
-        "(mosquitto_sub -t frigate/events). mot: a MOTChallenge text file. scenescape: messages of "
-        "scenescape/data/camera/ID, a line each.",
+        "Formats: jsonl, event lines as `camtopod grab --out` writes them; frigate, messages of "
+        "frigate/events, one a line (mosquitto_sub -t frigate/events); mot, a MOTChallenge text "
+        "file; scenescape, messages of scenescape/data/camera/ID, one a line.",
+        epilog="example: camtopod ingest jsonl events.jsonl --site hq",
     )
     parser.add_argument(
         "format", choices=FORMATS, metavar="FORMAT", help=f"one of: {', '.join(FORMATS)}"
     )
     parser.add_argument(
-        "file", nargs="?", default="-", metavar="FILE", help="default: standard input"
+        "file", nargs="?", default="-", metavar="FILE", help="input (default: standard input)"
     )
     parser.add_argument(
-        "--out", metavar="FILE", help="write event lines here ('-': standard output), use no bus"
+        "--out",
+        metavar="FILE",
+        help="write event lines to FILE ('-': standard output) instead of the bus",
     )
     parser.add_argument(
-        "--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)"
+        "--state",
+        metavar="DIRECTORY",
+        help="directory of the spool (default: [state] directory)",
     )
     parser.add_argument(
         "--boot",
         metavar="NAME",
-        help="number the events under this name, so that they count once however often they are ingested (default: a "
-        "regular file's digest)",
+        help="number the events under this name, so that they count once however often they are "
+        "ingested (default: digest of a regular file)",
     )
     parser.add_argument(
         "--anew",
         action="store_true",
-        help="count a regular file's events again, as if they were new",
+        help="count the events of a regular file again, as if they were new",
     )
     add_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, publish, wait for the acknowledgements; or write."""
+    """Read events and publish them until all are acknowledged, or write them to a file."""
     start_logging(args)
     config = configuration(args)
     if args.boot is not None and args.anew:
         raise CommandError("--anew and --boot contradict each other", exits.USAGE)
     if args.boot is not None and not re.match(CAMERA_PATTERN, args.boot):
         raise CommandError(
-            f"--boot {args.boot!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
+            f"--boot {args.boot!r}: use 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
         )
+
+    # Read and publish, or write.
     reader = LineReader()
     with contextlib.ExitStack() as stack, until_signal() as stop, Progress() as progress:
 
@@ -116,18 +128,24 @@ def run(args: argparse.Namespace) -> int:
             _write(args.out, read)
         else:
             status = _publish(config, read, stack, stop, progress)
+
+    # Report what was not used.
     if (summary := reader.summary()) is not None:
         log.warning("%s", summary)
     if reader.read and sum(reader.rejected.values()) == reader.read:
-        raise InputError(f"no line of {args.file} fits: nothing to ingest")
+        raise InputError(
+            f"no line of {args.file} is valid {args.format}: nothing to ingest, see above"
+        )
     if reader.read and not reader.events:
-        log.warning("no event came of %d lines: %s", reader.read, _NO_EVENTS[args.format])
+        log.warning("%d lines gave no event: %s", reader.read, _NO_EVENTS[args.format])
     return status
 
 
 def _digest(args: argparse.Namespace) -> str | None:
-    """The boot of a regular file's events: they count once, however often it is ingested. None for
-    a pipe, which can be read once only, and if that is not wanted.
+    """Return the boot of a regular file's events, so that they count once however often it is
+    ingested.
+
+    None for a pipe, which can be read only once, and with --anew or --out.
     """
     if args.anew or args.out is not None or not Path(args.file).is_file():
         return None
@@ -139,7 +157,7 @@ def _digest(args: argparse.Namespace) -> str | None:
 
 
 def numbered_by(boot: str, source: Iterator[Event]) -> Iterator[Event]:
-    """Each camera's events counted from 0, but for those that have numbers."""
+    """Number each camera's events from 0 under ``boot``, except those that have a boot already."""
     counts: Counter[str] = Counter()
     for event in source:
         if event.boot is None:
@@ -150,7 +168,7 @@ def numbered_by(boot: str, source: Iterator[Event]) -> Iterator[Event]:
 
 
 def _write(path: str, source: Iterator[list[Event]]) -> None:
-    """Event lines, out as soon as they are there."""
+    """Write event lines, flushed batch by batch."""
     with contextlib.ExitStack() as stack:
         out: BinaryIO = sys.stdout.buffer
         if path != "-":
@@ -170,9 +188,8 @@ def _publish(
     stop: threading.Event,
     progress: Progress,
 ) -> int:
-    """Publish, wait until everything is stored, and say what became of it; returns the exit
-    status.
-    """
+    """Publish events, wait until all are stored and log the outcome; return the exit status."""
+    # Open the spool and connect to the bus.
     try:
         spool = open_spool(config.state_directory, config.site.name, "ingest", config.limits)
     except StateError as error:
@@ -182,13 +199,15 @@ def _publish(
         bus = dial(config)
     except BusError as error:
         raise CommandError(str(error), exits.BUS) from None
-    stack.callback(bus.close)  # before the spool, which may be asked until then
+    stack.callback(bus.close)  # closed before the spool, which answers queries until then
     outcome = Outcome()
     publisher = Publisher(spool, config.limits.spool_batch_events, outcome.on_ack)
     publisher.attach(bus)
     daemons: set[str] = set()
     bus.watch_alive("daemon", lambda name, alive: (daemons.add if alive else daemons.discard)(name))
 
+    # Publish batch by batch. Events with a boot may be stored already: first let the daemon report
+    # its counts of new cameras.
     for batch in source:
         if new := outcome.new_cameras(batch):
             publisher.attach(bus, sorted(new))
@@ -199,6 +218,7 @@ def _publish(
         _wait(publisher, UNACKNOWLEDGED_MAX, stop, config.site.name, daemons, progress)
     _wait(publisher, 0, stop, config.site.name, daemons, progress)
 
+    # Report the outcome.
     log.info(
         "%d events published, %d not acknowledged", publisher.published, publisher.unacknowledged
     )
@@ -212,10 +232,11 @@ def _publish(
 def batches(
     events: Iterator[Event], most: int, stop: threading.Event, tell: Callable[[], None]
 ) -> Iterator[list[Event]]:
-    """What is there already, at most ``most``: lines that trickle in go out at once, a file in
-    bulk. ``tell`` is called while nothing comes: of some files all events come at the end.
+    """Yield batches of at most ``most`` events: those available now, so that slow input is not
+    delayed.
 
-    Raises `CommandError` when what it is read from fails; the thread that reads says why.
+    ``tell`` is called while no events come: some files give all their events at the end. Raises
+    `CommandError` if reading fails; the reading thread prints why.
     """
     waiting: queue.Queue[Event | None] = queue.Queue(2 * most)
     whole = threading.Event()
@@ -229,6 +250,8 @@ def batches(
             waiting.put(None)
 
     threading.Thread(target=read, daemon=True).start()
+
+    # A batch ends when it is full or no event is waiting.
     batch: list[Event] = []
     while not stop.is_set():
         try:
@@ -248,7 +271,7 @@ def batches(
     if batch:
         yield batch
     if not whole.is_set() and not stop.is_set():
-        raise CommandError("reading ended in the middle, see above")
+        raise CommandError("reading failed before the end of the input, see above")
 
 
 def _wait(
@@ -259,8 +282,9 @@ def _wait(
     daemons: set[str],
     progress: Progress,
 ) -> None:
-    """Until at most ``most`` events are not acknowledged. Raises `CommandError` when there is
-    nobody to do it.
+    """Wait until at most ``most`` events are not acknowledged.
+
+    Raises `CommandError` if no daemon acknowledges any.
     """
     patience, before = PATIENCE_SECONDS, publisher.unacknowledged
     while not stop.is_set():
@@ -276,6 +300,6 @@ def _wait(
         if patience <= 0:
             raise CommandError(
                 f"{now} events are not acknowledged: is `camtopod run` running for site {site}? "
-                f"They wait in the spool and go out with the next ingest",
+                f"They are kept in the spool and published with the next ingest",
                 exits.BUS,
             )

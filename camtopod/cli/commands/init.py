@@ -1,6 +1,4 @@
-"""`camtopod init`: looks at cameras and writes a configuration with them, their passwords in files
-beside it.
-"""
+"""`camtopod init`: probe cameras and write a configuration, with passwords in files beside it."""
 
 from __future__ import annotations
 
@@ -26,65 +24,69 @@ from camtopod.vision.source import kind_of, percent_encoded
 from camtopod.web import pictures
 
 SECRETS = "secrets"
-"""The folder of the passwords, beside the configuration."""
+"""Folder of the passwords, beside the configuration."""
 CREDENTIALS = "$CREDENTIALS_DIRECTORY"
-"""Where systemd hands a service's files to it: the units of deploy/ take them from `SECRETS`."""
+"""Directory in which systemd gives a service its files; deploy's units take them from `SECRETS`."""
 HEALTH = "127.0.0.1:8787"
-"""Where a daemon that is a service answers."""
+"""Address at which a daemon run as a service reports its health."""
 NAME_CHARACTERS_MAX = 64
+"""Longest camera id."""
 _GIVEN = re.compile(r"([A-Za-z0-9_.-]{1,64})=(.+)", re.DOTALL)
+"""Argument of the form NAME=SOURCE."""
 _HEAD = """\
-# Made by `camtopod init`. `camtopod check FILE` says whether it is right, with --probe also whether
-# its cameras are there; `camtopod check --example` shows every other setting.
+# Made by `camtopod init`. `camtopod check FILE` checks it, with --probe also its cameras;
+# `camtopod check --example` shows every other setting.
 """
-_OF_A_FILE = "# a file is read once, as fast as it decodes; with realtime = true at its own pace"
+_OF_A_FILE = "# a file is read once, as fast as possible; with realtime = true in real time"
 
 
 def add_parser(subparsers: Any) -> None:
     """Add `init`."""
     parser = subparsers.add_parser(
         "init",
-        help="looks at cameras and writes a configuration with them",
-        description="Looks at each camera and writes a commented configuration with all of them. A camera is called "
-        "after its host or path, or as you say: lobby=rtsp://... A URL with a password or a token goes into a "
-        f"file of its own in the folder {SECRETS} beside the configuration, which only you can read.",
+        help="probe cameras and write a configuration",
+        description="Probes each camera and writes a commented configuration with all of them. A "
+        "camera is named after its host or path, or as given: lobby=rtsp://... A URL with a "
+        f"password or a token goes into a file of its own in the folder {SECRETS} beside the "
+        "configuration, which only you can read.",
+        epilog="example: camtopod init lobby=rtsp://192.0.2.10/stream1 hall=rtsp://192.0.2.11/",
     )
     parser.add_argument(
         "sources",
         nargs="+",
         metavar="[NAME=]SOURCE",
-        help="rtsp:// URL, video file or device number; '-': read them from standard input, a line each, as others on "
-        "this machine can read passwords on a command line",
+        help="rtsp:// URL, video file or device number; '-': read them from standard input, one a "
+        "line, as other users of this machine can read passwords on a command line",
     )
     parser.add_argument(
         "--out",
         type=Path,
         default=Path("camtopod.toml"),
         metavar="FILE",
-        help="write it here (default: %(default)s)",
+        help="configuration file to write (default: %(default)s)",
     )
     parser.add_argument(
         "--pictures",
         metavar="DIR",
         type=Path,
-        help="also keep a picture of each camera here, DIR/NAME.jpg, which `camtopod web` and `report` draw on; it is "
-        "stored here only and not sent. No other picture is ever stored",
+        help="also store a picture of each camera as DIR/NAME.jpg; `camtopod web` and `report` "
+        "draw zones on it. It is stored only there and not sent; no other picture is ever stored",
     )
     parser.add_argument(
         "--credentials",
         action="store_true",
-        help=f"for systemd's services, whose users cannot read {SECRETS}: every camera's source goes into a file of "
-        f"that folder, and the configuration names it as {CREDENTIALS}/NAME, where systemd hands it to that camera's "
-        f"service; the daemon tells how it is at {HEALTH}",
+        help=f"for systemd services, whose users cannot read {SECRETS}: every camera's source goes "
+        f"into a file of that folder, and the configuration refers to it as {CREDENTIALS}/NAME, "
+        f"where systemd passes it to the camera's service; the daemon reports its health at "
+        f"{HEALTH}",
     )
-    parser.add_argument(
-        "--force", action="store_true", help="overwrite files that are there already"
-    )
+    parser.add_argument("--force", action="store_true", help="overwrite existing files")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Messages go to standard error. A camera that cannot be watched at the moment is in the
-    configuration, too.
+    """Probe the cameras and write the configuration; messages go to standard error.
+
+    A camera that cannot be opened at the moment is in the configuration, too.
     """
     from camtopod.cli.cameras import probe_all
 
@@ -96,6 +98,8 @@ def run(args: argparse.Namespace) -> int:
         for name, source in cameras.items()
         if handed or redact(source) != source
     }
+
+    # Refuse to overwrite files.
     if not args.out.parent.is_dir():
         raise CommandError(f"cannot write {args.out}: {args.out.parent} is no directory")
     kept = (
@@ -104,10 +108,13 @@ def run(args: argparse.Namespace) -> int:
     there = [path for path in (args.out, *secrets.values(), *kept) if path.exists()]
     if there and not args.force:
         raise CommandError(
-            f"{', '.join(map(str, there))}: there already; --force overwrites, --out writes elsewhere"
+            f"{', '.join(map(str, there))}: exists already; overwrite with --force, "
+            f"or write elsewhere with --out"
         )
+
+    # Probe the cameras.
     width = max(map(len, cameras))
-    _say(f"looking at {len(cameras)} {'camera' if len(cameras) == 1 else 'cameras'} ...")
+    _say(f"probing {len(cameras)} {'camera' if len(cameras) == 1 else 'cameras'} ...")
     probes = probe_all(
         cameras,
         settings.vision,
@@ -115,32 +122,36 @@ def run(args: argparse.Namespace) -> int:
         args.pictures,
     )
     words = {name: [visible(word) for word in probe.words] for name, probe in probes.items()}
+
+    # Write the configuration and the secrets.
     text = written(settings, cameras, words, secrets.keys(), handed)
     try:
         _write(args.out, text, {path: _located(cameras[name]) for name, path in secrets.items()})
         if handed:
-            args.out.chmod(
-                0o644
-            )  # the services' users have to read it, and there is no password in it
+            # The services' users have to read it; it contains no password.
+            args.out.chmod(0o644)
     except OSError as error:
         raise CommandError(f"cannot write {error.filename or args.out}: {error.strerror}") from None
+
+    # Say what comes next.
     what = "the sources" if handed else "URLs with secrets"
-    where = f", {what} are in {folder}, for you alone" if secrets else ""
+    where = f"; {what} are in {folder}, readable only by you" if secrets else ""
     _say(f"{args.out} is written{where}")
     _say(_next_services(args.out, settings, cameras) if handed else _next(args.out, settings))
     return exits.INPUT if any(probe.problem for probe in probes.values()) else exits.DONE
 
 
 def named(given: Sequence[tuple[str, str]]) -> dict[str, str]:
-    """Id -> source. A source without a name gets one from its host or path, a number behind it
-    where it is taken.
+    """Return id -> source.
+
+    A source without a name is named after its host or path, with a number where the name is taken.
     """
     short = Counter(_short(source) for name, source in given if not name)
     cameras: dict[str, str] = {}
     for name, source in given:
         if name in (*cameras, *RESERVED, ".", ".."):
             raise CommandError(
-                f"{name}: two cameras cannot have this name, or it is taken; use another",
+                f"{name}: this name is given twice or reserved; use another",
                 exits.USAGE,
             )
         if not name:
@@ -162,13 +173,18 @@ def written(
     secret: Collection[str],
     handed: bool = False,
 ) -> str:
-    """The configuration; of those in ``secret`` it names the file that has the source, ``handed``
-    to a service.
+    """Return the text of the configuration.
+
+    secret: cameras whose source is in a file of its own, which the configuration names.
+    handed: systemd passes these files to the services.
     """
+    # Site.
     bus = {"connect": settings.bus.connect} if settings.bus.connect else {}
     parts = [_HEAD, table("site", TABLES["site"], {"name": settings.site.name})]
+
+    # Cameras.
     parts.append(
-        "# One table a camera; its name is the camera's id on the bus. Call it as you like."
+        "# One table per camera; its name is the camera's id on the bus and free to choose."
     )
     folder = CREDENTIALS if handed else SECRETS
     for name, source in cameras.items():
@@ -181,28 +197,30 @@ def written(
         parts.append(
             "\n".join([*lines, f"{where[0]} = {json.dumps(where[1], ensure_ascii=False)}"])
         )
+
+    # Bus, state and health.
     parts += [table("bus", TABLES["bus"], bus), table("state", TABLES["state"], {})]
-    if handed and not settings.bus.connect:  # else the daemon is elsewhere
+    if handed and not settings.bus.connect:  # otherwise the daemon is on another machine
         parts.append(table("health", TABLES["health"], {"listen": HEALTH}))
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 
 
 def _given(arguments: Sequence[str]) -> list[tuple[str, str]]:
-    """(name or "", source) of each; ``-`` stands for the lines of standard input."""
+    """Return (name or "", source) of each argument; ``-`` stands for lines of standard input."""
     found: list[tuple[str, str]] = []
     for argument in arguments:
         for line in sys.stdin if argument == "-" else [argument]:
             if not (text := line.strip()).isprintable():
-                raise CommandError(f"{text!a}: no source has such characters in it", exits.USAGE)
+                raise CommandError(f"{text!a}: a source has printable characters only", exits.USAGE)
             match = _GIVEN.fullmatch(text)
             found += [(match[1], match[2])] if match else [("", text)] if text else []
     if not found:
-        raise InputError("no camera was named on standard input")
+        raise InputError("no camera given on standard input")
     return found
 
 
 def _short(source: str) -> str:
-    """A camera's id from its host, or where that is this machine from its path."""
+    """Return a camera's id from its host, or from its path if the host is this machine."""
     kind = kind_of(source)
     if kind == "device":
         return f"device-{int(source)}"
@@ -218,13 +236,14 @@ def _short(source: str) -> str:
 
 
 def _long(source: str) -> str:
-    """The same where several have the same host."""
+    """Return a longer id, with the path, for cameras that share a host."""
     return (
         _id(f"{_host(source)} {_path(source)}") if kind_of(source) == "stream" else _short(source)
     )
 
 
 def _host(source: str) -> str:
+    """Return the host of a URL, "" if it has none."""
     try:
         return urlsplit(percent_encoded(source)).hostname or ""
     except ValueError:
@@ -232,7 +251,7 @@ def _host(source: str) -> str:
 
 
 def _path(source: str) -> str:
-    """The URL's path, if there is no secret in it."""
+    """Return the path of a URL, "" if it contains a secret."""
     try:
         path = urlsplit(percent_encoded(source)).path
     except ValueError:
@@ -241,11 +260,12 @@ def _path(source: str) -> str:
 
 
 def _id(text: str) -> str:
+    """Return ``text`` as an id: other characters become hyphens."""
     return re.sub(r"[^A-Za-z0-9_]+", "-", text).strip("-")[:NAME_CHARACTERS_MAX] or "camera"
 
 
 def _located(source: str) -> str:
-    """A file is found from wherever the program is started."""
+    """Return the source, a file with its absolute path: programs may start in another directory."""
     return (
         str(Path(source.removeprefix("file://")).absolute())
         if kind_of(source) == "file"
@@ -254,6 +274,7 @@ def _located(source: str) -> str:
 
 
 def _write(out: Path, text: str, secrets: Mapping[Path, str]) -> None:
+    """Write the secrets, readable by this user only, and the configuration."""
     for path, source in secrets.items():
         path.parent.mkdir(mode=0o700, exist_ok=True)
         secret_files.write(path, source.encode() + b"\n")
@@ -261,20 +282,22 @@ def _write(out: Path, text: str, secrets: Mapping[Path, str]) -> None:
 
 
 def _next(out: Path, settings: Config) -> str:
-    """The two commands that come now; where another machine has the daemon, it is asked for
-    first.
-    """
+    """Return the next commands; a daemon on another machine is checked first."""
     if settings.bus.connect:
         return f"next:\n    camtopod check {out} --probe\n    camtopod --config {out} grab"
-    return f"next, each in a terminal of its own:\n    camtopod --config {out} run\n    camtopod --config {out} grab"
+    return (
+        f"next, each in a terminal of its own:\n    camtopod --config {out} run\n"
+        f"    camtopod --config {out} grab"
+    )
 
 
 def _next_services(out: Path, settings: Config, cameras: Collection[str]) -> str:
-    """The same where they are services."""
+    """Return the next commands for an installation with systemd."""
     daemon = "" if settings.bus.connect else "camtopod camtopod-web "
     services = daemon + " ".join(f"camtopod-grab@{name}" for name in cameras)
     return (
-        f"next, with the units of deploy/ installed as its README says:\n    systemctl enable --now {services}\n"
+        f"next, with the units of deploy/ installed as described in deploy/README.md:\n"
+        f"    systemctl enable --now {services}\n"
         f"    {CREDENTIALS[1:]}={(out.parent / SECRETS).absolute()} camtopod check {out} --probe"
     )
 

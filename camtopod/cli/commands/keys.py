@@ -1,6 +1,4 @@
-"""`camtopod keys`: a private authority for a site, and a certificate for each that may be on its
-bus.
-"""
+"""`camtopod keys`: create a private authority for a site and certificates for its bus."""
 
 from __future__ import annotations
 
@@ -30,11 +28,15 @@ from camtopod.keys import (
 from camtopod.serve.runtime import clock
 
 DEFAULT_FOLDER = Path("camtopod-keys")
+"""Folder of the authority and the certificates."""
 DAYS = 5 * 365
+"""Default validity of a certificate."""
 AUTHORITY_DAYS = 20 * 365
+"""Default validity of the authority."""
 _DAYS_MAX = 100 * 365
+"""Longest validity."""
 _INSTALLED = "keys"
-"""Where the folders are copied to, beside the configuration."""
+"""Directory beside the configuration to which certificate folders are copied."""
 
 _ROLES: dict[str, rules.Role] = {
     "init": "daemon",
@@ -42,44 +44,48 @@ _ROLES: dict[str, rules.Role] = {
     "camera": "camera",
     "reader": "reader",
 }
-"""The certificates that a command gives out."""
+"""Subcommand -> role of the certificate that it issues."""
 
 
 def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
-    """Add `keys` with its own commands, which it returns."""
+    """Add `keys` with its subcommands; return their parsers."""
     parser = subparsers.add_parser(
         "keys",
-        help="certificates for the bus",
-        description="Makes a private authority for a site and gives out certificates. Each has a folder of its own, "
-        "which is all that is copied to where it is used. The daemon has the list of who may do what (access.json): "
-        "copy it again and restart the daemon after every change.",
+        help="create a private certificate authority and certificates for the bus",
+        description="Creates a private certificate authority for a site and issues certificates. "
+        "Each has a folder of its own; copy only this folder to the machine that uses it. The "
+        "daemon needs the list of who may do what (access.json): copy it again and restart the "
+        "daemon after every change.",
+        epilog="example: camtopod keys camera lobby hall",
     )
     commands = parser.add_subparsers(dest="keys_command", metavar="WHAT", required=True)
-    init = commands.add_parser("init", help="a new authority, and the daemon's certificate")
+    init = commands.add_parser("init", help="create an authority and the daemon's certificate")
     init.add_argument(
         "--authority-days",
         type=_days,
         default=AUTHORITY_DAYS,
         metavar="N",
-        help="default: %(default)s",
+        help="validity of the authority, days (default: %(default)s)",
     )
-    daemon = commands.add_parser("daemon", help="a new certificate for the daemon, or for a router")
-    camera = commands.add_parser("camera", help="a certificate for each camera")
+    daemon = commands.add_parser(
+        "daemon", help="issue a new certificate for the daemon, or for a zenoh router"
+    )
+    camera = commands.add_parser("camera", help="issue a certificate for each camera")
     camera.add_argument(
         "--for",
         dest="cameras",
         action="append",
         default=[],
         metavar="CAMERA",
-        help="NAME is no camera but a program with events of several (`camtopod ingest`), of which this is one; "
-        "may be repeated",
+        help="NAME is a program that publishes events of several cameras (`camtopod ingest`), and "
+        "CAMERA is one of them; may be repeated",
     )
     reader = commands.add_parser(
-        "reader", help="a certificate for a program that reads topology and predictions"
+        "reader", help="issue a certificate for a program that reads topology and predictions"
     )
-    revoke = commands.add_parser("revoke", help="take a camera's or a reader's rights away")
-    listing = commands.add_parser("list", help="who has what, and until when")
-    revoke.add_argument("role", choices=("camera", "reader"))
+    revoke = commands.add_parser("revoke", help="revoke the certificate of a camera or reader")
+    listing = commands.add_parser("list", help="list all certificates and when they expire")
+    revoke.add_argument("role", choices=("camera", "reader"), help="role of the certificate")
     for named in (camera, reader, revoke):
         named.add_argument(
             "names", nargs="+", metavar="NAME", help="the camera's id, or any name for a reader"
@@ -90,7 +96,8 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
             action="append",
             default=[],
             metavar="NAME",
-            help=f"name or address under which the others dial the daemon; may be repeated{default}",
+            help="host name or address at which others connect to the daemon; may be "
+            f"repeated{default}",
         )
     for made in (init, daemon, camera, reader):
         made.add_argument(
@@ -98,21 +105,27 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
             type=_days,
             default=DAYS,
             metavar="N",
-            help="valid for so long (default: %(default)s)",
+            help="validity of the certificate, days (default: %(default)s)",
         )
         made.add_argument(
-            "--replace", action="store_true", help="make it anew; the old one loses its rights"
+            "--replace",
+            action="store_true",
+            help="replace the existing one, which loses its rights",
         )
     inner = [init, daemon, camera, reader, revoke, listing]
     for its, folder in [(parser, DEFAULT_FOLDER), *((each, argparse.SUPPRESS) for each in inner)]:
         its.add_argument(
-            "--keys", type=Path, default=folder, metavar="FOLDER", help=f"default: {DEFAULT_FOLDER}"
+            "--keys",
+            type=Path,
+            default=folder,
+            metavar="FOLDER",
+            help=f"folder of the authority and the certificates (default: {DEFAULT_FOLDER})",
         )
     return inner
 
 
 def run(args: argparse.Namespace) -> int:
-    """What it did goes to standard error, the list to standard output."""
+    """Run a subcommand; messages go to standard error, the list to standard output."""
     config = configuration(args)
     try:
         return _run(args, config)
@@ -123,6 +136,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(args: argparse.Namespace, config: Config) -> int:
+    """Open or create the authority, then issue, revoke or list certificates."""
     what, folder, now = args.keys_command, args.keys, clock.wall()
     if what == "init":
         check_hosts(args.host)
@@ -132,7 +146,8 @@ def _run(args: argparse.Namespace, config: Config) -> int:
             )
         authority = Authority.make(folder, config.site.name, now, args.authority_days, args.replace)
         _say(
-            f"a new authority for site {authority.site} in {folder / 'authority'}: its key never has to leave it"
+            f"created an authority for site {authority.site} in {folder / 'authority'}: "
+            f"its private key need never leave this folder"
         )
     else:
         authority = Authority(folder, now)
@@ -140,6 +155,8 @@ def _run(args: argparse.Namespace, config: Config) -> int:
             raise KeysError(
                 f"{folder} is the authority of site {authority.site}, not of {args.site}"
             )
+
+    # Check all names before the first certificate is issued or revoked.
     if what == "list":
         return _list(authority, now)
     names = [DAEMON] if what in ("init", "daemon") else args.names
@@ -148,19 +165,21 @@ def _run(args: argparse.Namespace, config: Config) -> int:
     if what == "camera" and args.cameras:
         check_cameras(args.cameras)
         if len(names) > 1:
-            raise KeysError("--for goes with one NAME: that of the program which has the events")
-    for name in names:  # all or none
+            raise KeysError("--for needs exactly one NAME: the program that publishes the events")
+    for name in names:
         if what == "revoke":
             authority.must_have(args.role, name)
         else:
             authority.next_name(_ROLES[what], name, args.days, args.replace)
+
+    # Issue or revoke; the access list is written even if this fails half-way.
     try:
         for name in names:
             if what == "revoke":
                 authority.revoke(args.role, name)
             else:
                 _give(authority, args, config, _ROLES[what], name)
-    finally:  # the list is never behind what has been given out or taken away
+    finally:
         _write_access(authority, config)
     if what not in ("init", "daemon"):
         _say(f"now copy {folder / DAEMON / ACCESS} to the daemon and restart it")
@@ -170,6 +189,7 @@ def _run(args: argparse.Namespace, config: Config) -> int:
 def _give(
     authority: Authority, args: argparse.Namespace, config: Config, role: rules.Role, name: str
 ) -> None:
+    """Issue one certificate, with an example configuration in its folder."""
     hosts = args.host if role == "daemon" else []
     cameras = args.cameras if role == "camera" else []
     folder = authority.issue(role, name, args.days, args.replace, hosts, cameras)
@@ -178,19 +198,20 @@ def _give(
     who = name if role == "daemon" else f"{role} {name}"
     expires = authority.issued[-1].certificate.expires
     _say(
-        f"{who}: {folder}, until {day(expires)}; copy this folder, with camtopod.toml as an example"
+        f"{who}: {folder}, valid until {day(expires)}; copy this folder to the machine that uses "
+        f"it (camtopod.toml in it is an example)"
     )
     if role == "daemon":
         where = ", ".join(host for host in authority.hosts if host not in LOCAL_HOSTS)
         _say(
-            f"to be dialled as {where}"
+            f"valid for connections to {where}"
             if where
-            else "good on its own machine only: name others with --host"
+            else "valid on this machine only: add host names or addresses with --host"
         )
 
 
 def _write_access(authority: Authority, config: Config) -> None:
-    """Who may do what, for the daemon that is the meeting point, and for a router of its own."""
+    """Write the access list, for the daemon and for a separate zenoh router."""
     folder = authority.folder / DAEMON
     write_public(
         folder / ACCESS,
@@ -206,8 +227,9 @@ def _write_access(authority: Authority, config: Config) -> None:
 
 
 def _example(site: str, config: Config, role: rules.Role, name: str, several: bool) -> str:
-    """A configuration for where the folder is copied to; ``several``: of a program with several
-    cameras.
+    """Return an example configuration for the machine that a certificate folder is copied to.
+
+    several: the certificate is for a program with events of several cameras.
     """
     own = {"daemon": DAEMON, "camera": name if several else "{camera}", "reader": name}[role]
     lines = [f'[site]\nname = "{site}"\n', "[bus]"]
@@ -227,7 +249,8 @@ def _example(site: str, config: Config, role: rules.Role, name: str, several: bo
         lines.append(f'access = "{_INSTALLED}/{own}/{ACCESS}"')
     if role == "camera" and not several:
         lines.append(
-            f'\n[cameras.{_toml_key(name)}]\nsource_file = "secrets/{name}"   # holds the rtsp:// URL; mode 600'
+            f"\n[cameras.{_toml_key(name)}]\n"
+            f'source_file = "secrets/{name}"   # contains the rtsp:// URL; mode 600'
         )
     return "\n".join(lines) + "\n"
 
@@ -236,30 +259,37 @@ _FILES = {"ca": "ca.pem", "certificate": "certificate.pem", "private_key": "priv
 
 
 def _toml_key(name: str) -> str:
+    """Return a camera's id as a TOML key."""
     return f'"{name}"' if "." in name else name
 
 
 def _list(authority: Authority, now: float) -> int:
+    """Print all certificates, with a warning for those that expire soon."""
     ending = {certificate.name for certificate, _ in rules.expiring(authority.access, now)}
     print(f"{'name':<20} {'role':<7} {'certificate':<24} {'until':<10} {'days':>6}")
     for issued in authority.issued:
         certificate = issued.certificate
         days = (certificate.expires - now) / 86400.0
-        remark = "withdrawn" if not issued.valid else ""
+        remark = "revoked" if not issued.valid else ""
         if issued.valid and certificate.name in ending:
             remark = "EXPIRED" if days < 0 else "EXPIRES SOON"
             _say(
-                f"warning: {certificate.role} {issued.of}: {remark.lower()}, {day(certificate.expires)}; use --replace"
+                f"warning: {certificate.role} {issued.of}: {remark.lower()}, "
+                f"{day(certificate.expires)}; renew it with --replace"
             )
-        line = f"{issued.of:<20} {certificate.role:<7} {certificate.name:<24} {day(certificate.expires):<10} {days:>6.0f}"
+        line = (
+            f"{issued.of:<20} {certificate.role:<7} {certificate.name:<24} "
+            f"{day(certificate.expires):<10} {days:>6.0f}"
+        )
         several = f"for {', '.join(certificate.cameras)}" if certificate.cameras else ""
         print(" ".join(filter(None, (line, several, remark))))
     return exits.DONE
 
 
 def _days(text: str) -> int:
+    """Parse a number of days."""
     if not text.isdigit() or not 1 <= int(text) <= _DAYS_MAX:
-        raise argparse.ArgumentTypeError(f"a whole number of days from 1 to {_DAYS_MAX}")
+        raise argparse.ArgumentTypeError(f"must be a whole number of days from 1 to {_DAYS_MAX}")
     return int(text)
 
 

@@ -1,8 +1,8 @@
-"""`camtopod learn`: the daemon's learner over recorded event lines.
+"""`camtopod learn`: learn the topology from recorded event lines, as the daemon does.
 
-With ``--updates`` every version that the daemon would have published is made, each with a fit of
-its own. Without, the last one alone, in one fit of the last window. With ``--state`` a daemon can
-go on from there.
+With ``--updates`` every version that the daemon would have published is learned, each with a fit of
+its own; otherwise only the last one, in one fit of the last window. With ``--state`` a daemon can
+continue from the result.
 """
 
 from __future__ import annotations
@@ -28,38 +28,47 @@ from camtopod.serve.runtime import wall
 from camtopod.serve.storage import StateError
 
 EPOCH = "recording"
-"""Epoch of a topology learned from files: the same files give the same bytes."""
+"""Epoch of a topology learned from files, constant so that the same files give the same bytes."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Add `learn`."""
-    summary = "the same learner over recorded event lines"
     about = (
-        f"{summary.capitalize()}: in one fit of the last window or, with --updates, with every version that the daemon "
-        "would have published on the way, which takes many times as long. The one fit has a version count and zone "
-        "numbers of its own, and leaves out the score of its own predictions and clocks that changed, which only "
-        "several versions tell."
+        "Learns the topology from recorded event lines with the daemon's learner: in one fit of "
+        "the last window or, with --updates, with every version that the daemon would have "
+        "published on the way, which takes many times as long. The single fit has a version count "
+        "and zone numbers of its own, and has no score of its predictions and no clock changes, "
+        "which only several versions show."
     )
-    parser = subparsers.add_parser("learn", help=summary, description=about)
+    parser = subparsers.add_parser(
+        "learn",
+        help="learn the topology from recorded event lines",
+        description=about,
+        epilog="example: camtopod learn events.jsonl --topology topology.json",
+    )
     parser.add_argument(
         "events", nargs="+", metavar="EVENTS", help="files of event lines ('-': standard input)"
     )
     parser.add_argument(
-        "--topology", metavar="OUT.json", help="the final topology goes here ('-': standard output)"
+        "--topology",
+        metavar="OUT.json",
+        help="write the final topology to this file ('-': standard output)",
     )
     parser.add_argument(
-        "--updates", metavar="OUT.jsonl", help="every version on the way, one a line"
+        "--updates", metavar="OUT.jsonl", help="write every version to this file, one a line"
     )
-    state = "a new state directory, for a daemon that goes on from there (its [state] directory)"
+    state = "create a state directory from which a daemon can continue (its [state] directory)"
     parser.add_argument("--state", metavar="DIR", type=Path, help=state)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Learn; the topology goes to a file, or to standard output when no file is named."""
+    """Learn; write the topology to a file, or to standard output if no file is named."""
     config = configuration(args)
     reader = LineReader()
     if args.topology:
         check_output(args.topology)
+
+    # Feed all events to the learner.
     with ExitStack() as stack:
         state = stack.enter_context(_new_state(args.state, config)) if args.state else None
         epoch = EPOCH if state is None else state.epoch
@@ -71,24 +80,29 @@ def run(args: argparse.Namespace) -> int:
             _feed(learner, reader, args.events, updates, state)
         except StateError as error:
             raise CommandError(str(error), STATE) from None
+
+    # Report what was not learned from.
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
     if surplus := learner.statistics()["surplus"]:
         most = f"more than {EVENTS_PER_SECOND_MAX:.0f} events a second of one camera"
         print(
-            f"camtopod: {surplus} events are not learned from: {most}, of which the newest count",
+            f"camtopod: {surplus} events are not learned: {most}; only the newest of these count",
             file=sys.stderr,
         )
     topology = learner.topology
     if topology is None and args.state and learner.statistics()["accepted"]:
         print(
-            "camtopod: nothing learned yet: all events are of the last moments, in which earlier ones may still come "
-            f"(learn.lateness_seconds). The daemon that starts in {args.state} learns them with its next events",
+            "camtopod: nothing learned yet: all events are within the lateness of the last one "
+            f"(learn.lateness_seconds), so earlier ones may still arrive. A daemon started in "
+            f"{args.state} learns them with its next events",
             file=sys.stderr,
         )
         return 0
+
+    # Write the topology.
     if topology is None:
-        raise InputError("no event lines in " + ", ".join(args.events) + ": nothing to learn from")
+        raise InputError("no event lines in " + ", ".join(args.events) + ": nothing to learn")
     if args.topology or not (args.updates or args.state):
         with open_output(args.topology or "-") as out:
             out.write(to_json(topology) + b"\n")
@@ -97,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _new_state(directory: Path, config: Config) -> RecordedState:
-    """Raises `CommandError`."""
+    """Create a state directory for a daemon. Raises `CommandError`."""
     try:
         return RecordedState(directory, config.keep, wall())
     except StateError as error:
@@ -111,7 +125,7 @@ def _feed(
     updates: BinaryIO | None,
     state: RecordedState | None,
 ) -> None:
-    """Pass every line to the learner, write each version and each event of the state, and report
+    """Pass every line to the learner, write each version and each event of the state, show
     progress.
     """
     with Progress(piped=True) as progress:
@@ -134,45 +148,46 @@ def _feed(
             _write(learner, updates)
         if state is None:
             learner.flush()
-        else:  # what the lateness still holds back is learned by the daemon, with the events that come then
+        else:  # the daemon learns events that are still within the lateness
             learner.refresh()
             state.finish(learner)
         _write(learner, updates)
 
 
 def _left(share: float | None, seconds: float) -> str:
-    """The share of the input read in ``seconds``, and the time left, as text."""
+    """Return the share of the input read in ``seconds`` and the time left, in words."""
     if not share:
         return ""
-    return f", {100 * share:.0f} %, {seconds * (1 / share - 1):.0f} s until all are read"
+    return f", {100 * share:.0f} %, {seconds * (1 / share - 1):.0f} s left"
 
 
 _WHY = {
     "late": "later than the lateness allows (learn.lateness_seconds)",
-    "duplicate": "the same boot and seq came before",
+    "duplicate": "same boot and seq as an earlier event",
     "refused": "more cameras than learn.cameras_max",
 }
+"""Verdict of the learner -> reason in words."""
 
 
 def _write(learner: Learner, updates: BinaryIO | None) -> None:
+    """Take new versions from the learner, and write them if asked to."""
     for topology in learner.updates():
         if updates is not None:
             updates.write(to_json(topology) + b"\n")
 
 
 def describe(topology: Topology) -> str:
-    """One line on a topology for people."""
+    """Return one line about a topology."""
     between = sum(link.relation != "visible" for link in topology.links)
     return (
         f"version {topology.version}: {topology.events} events, {len(topology.cameras)} cameras, "
-        f"{len(topology.zones)} zones, {between} links between views, {len(topology.pairs)} related pairs of cameras"
+        f"{len(topology.zones)} zones, {between} links between views, "
+        f"{len(topology.pairs)} related pairs of cameras"
     )
 
 
 def check_output(path: str) -> None:
-    """Say before long work, not after it, that its result cannot be written. Raises
-    `CommandError`.
-    """
+    """Raise `CommandError` before long work if its result could not be written."""
     folder = Path(path).parent
     if path != "-" and not folder.is_dir():
         raise CommandError(f"cannot write {path}: {folder} is no directory")
@@ -181,8 +196,9 @@ def check_output(path: str) -> None:
 
 
 def open_output(path: str) -> Any:
-    """A file for writing bytes; ``-`` is standard output, which is left open. Raises
-    `CommandError`.
+    """Open a file for writing bytes; ``-`` is standard output, which is left open.
+
+    Raises `CommandError`.
     """
     if path == "-":
         return ExitStack().enter_context(_StandardOutput())
@@ -193,7 +209,7 @@ def open_output(path: str) -> Any:
 
 
 class _StandardOutput:
-    """Standard output as a context that does not close it."""
+    """Context manager that flushes standard output and leaves it open."""
 
     def __enter__(self) -> _StandardOutput:
         return self

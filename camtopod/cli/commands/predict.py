@@ -1,4 +1,4 @@
-"""`camtopod predict`: for each exit of recorded events, where the object will appear next."""
+"""`camtopod predict`: for each exit of recorded events, predict where the object appears next."""
 
 from __future__ import annotations
 
@@ -16,22 +16,31 @@ from camtopod.predict import Predictor
 
 def add_parser(subparsers: Any) -> None:
     """Add `predict`."""
-    summary = "for each exit of recorded events, where the object appears next"
-    parser = subparsers.add_parser("predict", help=summary, description=summary.capitalize() + ".")
-    parser.add_argument("topology", metavar="TOPOLOGY.json", help="as `learn` writes it")
-    parser.add_argument("events", metavar="EVENTS", help="event lines ('-': standard input)")
+    parser = subparsers.add_parser(
+        "predict",
+        help="predict for each recorded exit where the object appears next",
+        description="Predicts for each exit of recorded events where the object appears next, and "
+        "prints one prediction per line.",
+        epilog="example: camtopod predict topology.json events.jsonl > predictions.jsonl",
+    )
+    parser.add_argument(
+        "topology", metavar="TOPOLOGY.json", help="topology as `camtopod learn` writes it"
+    )
+    parser.add_argument(
+        "events", metavar="EVENTS", help="file of event lines ('-': standard input)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """One prediction line for each exit line, in input order; each uses only lines with an earlier
-    time.
-    """
+    """Print a prediction line for each exit line, in input order; each uses only earlier events."""
     predictor = Predictor(load(args.topology))
     reader = LineReader()
     lines = list(reader.merged([args.events]))
     if reader.read and not lines:
         print(f"camtopod: {reader.summary()}", file=sys.stderr)
         raise InputError(f"no event lines in {args.events}: nothing to predict")
+
+    # Predict in the order of time.
     by_time = sorted(range(len(lines)), key=lambda k: lines[k].event.t)
     answers: dict[int, bytes] = {}
     waiting: list[int] = []
@@ -43,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
                 answers[k] = to_json(predictor.predict(lines[k].event))
             waiting.append(k)
             progress.show("%d exits predicted of %d lines", len(answers), len(lines))
+
+    # Print in the order of the input.
     for k in sorted(answers):
         sys.stdout.buffer.write(answers[k] + b"\n")
     sys.stdout.buffer.flush()
@@ -52,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _observe(predictor: Predictor, lines: list[Line], waiting: list[int]) -> None:
-    """Events of one moment become known only when time has moved on."""
+    """Feed waiting events: those of one moment become known only when time has moved on."""
     for k in waiting:
         predictor.observe(lines[k].event)
     waiting.clear()

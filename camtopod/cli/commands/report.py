@@ -1,4 +1,4 @@
-"""`camtopod report`: the page of one topology as a file that needs no server."""
+"""`camtopod report`: write the web page of one topology to a file that needs no server."""
 
 from __future__ import annotations
 
@@ -17,41 +17,46 @@ from camtopod.records import Topology
 from camtopod.web import gather, page
 
 OLDER_MAX = 200
-"""Older versions on the time line; each is as large as the topology."""
+"""Most earlier versions on the time line; each takes as much memory as the topology."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Add `report`."""
     parser = subparsers.add_parser(
         "report",
-        help="the page of one topology as a file",
-        description="Writes what `camtopod web` shows of a topology as one HTML file: map, cameras, links, versions. "
-        "It needs no server and loads nothing from elsewhere.",
+        help="write the web page of one topology to a file",
+        description="Writes what `camtopod web` shows of a topology to one HTML file: map, "
+        "cameras, links, versions. It needs no server and loads nothing from other sites.",
+        epilog="example: camtopod report topology.json --out report.html",
     )
     parser.add_argument(
-        "topology", metavar="TOPOLOGY.json", help="what `learn` wrote ('-': standard input)"
+        "topology",
+        metavar="TOPOLOGY.json",
+        help="topology as `camtopod learn` writes it ('-': standard input)",
     )
-    parser.add_argument("--out", metavar="FILE", default="-", help="default: standard output")
+    parser.add_argument(
+        "--out", metavar="FILE", default="-", help="write to FILE (default: standard output)"
+    )
     parser.add_argument(
         "--updates",
         metavar="FILE",
         type=Path,
-        help="the versions before it, what `learn --updates` wrote",
+        help="earlier versions, as `camtopod learn --updates` writes them",
     )
     parser.add_argument(
         "--pictures",
         metavar="DIR",
         type=Path,
-        help="a folder with a picture a camera, CAMERA.jpg or CAMERA.png (`camtopod init --pictures` makes them); "
-        "they are in the file then",
+        help="directory with a picture of each camera, CAMERA.jpg or CAMERA.png (`camtopod init "
+        "--pictures` makes them), to include in the file",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the report; raises `CommandError`."""
+    """Write the report. Raises `CommandError`."""
     topology = load(args.topology)
     if args.pictures is not None and not args.pictures.is_dir():
-        raise InputError(f"--pictures {args.pictures}: there is no such folder")
+        raise InputError(f"--pictures {args.pictures}: no such directory")
     older = [] if args.updates is None else _older(args.updates, topology)
     with Progress() as progress:
         text = page(
@@ -73,9 +78,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _older(path: Path, topology: Topology) -> list[Topology]:
-    """The versions of the same epoch before ``topology``, the newest `OLDER_MAX`."""
+    """Return the earlier versions of the topology's epoch, the newest `OLDER_MAX`."""
     found: dict[int, Topology] = {}
-    with path.open("rb") as file:  # an OSError is told by the caller of every command
+    with path.open("rb") as file:  # `main` reports an OSError
         for number, line in numbered(file, TOPOLOGY_BYTES_MAX):
             try:
                 if len(line) > TOPOLOGY_BYTES_MAX:

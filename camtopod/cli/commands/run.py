@@ -1,4 +1,4 @@
-"""`camtopod run`: the daemon."""
+"""`camtopod run`: run the daemon."""
 
 from __future__ import annotations
 
@@ -22,62 +22,69 @@ from camtopod.serve.storage import StateError
 log = logging.getLogger(__name__)
 
 LEAVE_SECONDS = 8.0
-"""After a signal, how long a part that blocks may hold up the end; systemd kills after
-TimeoutStopSec=10.
+"""Time that a blocking part may delay the end after a signal; systemd kills at TimeoutStopSec=10.
 """
 SWITCH_SECONDS = 0.0005
-"""How long a thread may keep the interpreter from another that wants it: an exit must not wait the
-usual 5 ms for what is being stored.
+"""Longest time that a thread keeps the GIL while another waits for it.
+
+The default of 5 ms would delay the prediction for an exit while events are being stored.
 """
 _LOOK_SECONDS = 0.2
+"""Interval at which signals and the daemon's state are checked."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Add `run`."""
     parser = subparsers.add_parser(
         "run",
-        help="the daemon",
-        description="Learns the topology from the events on the bus, publishes it and predicts. "
-        "With no endpoint configured it is the meeting point for all other programs of this machine. "
-        "SIGHUP reads the configuration anew.",
+        help="run the daemon: learn the topology from events on the bus and predict",
+        description="Runs the daemon: it learns the topology from the events on the bus, publishes "
+        "it and predicts. With no endpoint configured, all other programs of this machine connect "
+        "to it. SIGHUP reloads the configuration.",
+        epilog="example: camtopod --config camtopod.toml run",
     )
     parser.add_argument(
         "--state",
         metavar="DIRECTORY",
-        help="where the journal is kept (default: [state] directory)",
+        help="directory of the journal (default: [state] directory)",
     )
     parser.add_argument(
         "--shard",
         metavar="I/N",
         type=_shard,
-        help="share the site's cameras with N - 1 others; I from 0",
+        help="be shard I (from 0) of N daemons that share the cameras of the site",
     )
 
 
 def _shard(text: str) -> tuple[int, int]:
-    """``2/8``: a shard's number and how many there are."""
+    """Parse ``2/8``: a shard's number and the number of shards."""
     found = re.fullmatch("([0-9]{1,4})/([1-9][0-9]{0,3})", text)
     if found is None or int(found[1]) >= int(found[2]):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a shard: of 8 there are 0/8 to 7/8")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a shard; the shards of 8 are 0/8 to 7/8")
     return int(found[1]), int(found[2])
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until SIGTERM or SIGINT."""
+    """Run the daemon until SIGTERM or SIGINT."""
+    # Tune memory and thread switching before any work.
     memory.limit_arenas()
     memory.keep_large_apart()
     memory.collect_rarely()
     sys.setswitchinterval(SWITCH_SECONDS)
     start_logging(args)
-    faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
+    faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
     descriptors.raise_limit()
+
+    # Load the configuration, then run with health page and watchdog.
     with signals() as told, leaving(told.stop, LEAVE_SECONDS):
         config = configuration(args)
         if args.shard and args.shard[1] > config.shards.districts:
             raise CommandError(
-                f"--shard: {args.shard[1]} shards cannot share the {config.shards.districts} of [shards] districts",
+                f"--shard: {args.shard[1]} shards cannot share {config.shards.districts} "
+                f"districts: use fewer shards or more [shards] districts",
                 exits.USAGE,
             )
+
         daemon = Daemon(config, shard=args.shard)
         pages = {"/metrics": lambda: metrics.page(daemon, config.limits.cameras_max)}
         try:
@@ -103,6 +110,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(daemon: Daemon, args: argparse.Namespace, config: Config, told: Told) -> None:
+    """Start the daemon, then reload on SIGHUP until a signal ends it or a part of it fails."""
     if not daemon.start(told.stop):
         return
     memory.settle()
@@ -110,7 +118,7 @@ def _run(daemon: Daemon, args: argparse.Namespace, config: Config, told: Told) -
         systemd.notify("READY=1", systemd.status(f"running at {daemon.endpoint}"))
         while not told.stop.wait(_LOOK_SECONDS):
             if daemon.wait(0):
-                raise CommandError("a part of the daemon has failed, see above; start it again")
+                raise CommandError("a part of the daemon failed, see above; start it again")
             if told.reload.is_set():
                 told.reload.clear()
                 systemd.reloading()
@@ -122,15 +130,15 @@ def _run(daemon: Daemon, args: argparse.Namespace, config: Config, told: Told) -
 
 
 def _reloaded(daemon: Daemon, args: argparse.Namespace, config: Config) -> Config:
-    """The configuration from now on; a wrong one is reported and changes nothing."""
+    """Return the new configuration; one with mistakes is reported and the old one stays."""
     try:
         new = configuration(args)
     except CommandError as error:
-        log.error("the old configuration stays: %s", " ".join(str(error).splitlines()))
+        log.error("the old configuration stays in use: %s", " ".join(str(error).splitlines()))
         return config
     waiting = daemon.reconfigure(new)
     if waiting:
-        log.warning("the configuration is read anew; these need a restart: %s", ", ".join(waiting))
+        log.warning("the configuration is reloaded; these need a restart: %s", ", ".join(waiting))
     else:
-        log.info("the configuration is read anew")
+        log.info("the configuration is reloaded")
     return new

@@ -1,4 +1,4 @@
-"""`camtopod simulate`: a made-up camera network, its events and the truth about it."""
+"""`camtopod simulate`: simulate a camera network; write its events and their ground truth."""
 
 from __future__ import annotations
 
@@ -14,61 +14,67 @@ from camtopod.records import Event
 from camtopod.sim import SimSettings, simulate
 
 BLOCK_LINES = 10_000
+"""Event lines written at a time."""
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add `simulate`; every option but the files is a setting of `SimSettings`."""
-    summary = "a made-up camera network: event lines and the truth about them"
-    parser = subparsers.add_parser("simulate", help=summary, description=summary.capitalize() + ".")
+    """Add `simulate`; every option except the files is a setting of `SimSettings`."""
+    parser = subparsers.add_parser(
+        "simulate",
+        help="simulate a camera network: event lines and their ground truth",
+        description="Simulates a camera network, and writes event lines and their ground truth.",
+        epilog="example: camtopod simulate --events events.jsonl --truth truth.json --hours 4",
+    )
     default = SimSettings()
     parser.add_argument(
         "--events",
         required=True,
         metavar="E.jsonl",
-        help="event lines go here ('-': standard output)",
+        help="write event lines to this file ('-': standard output)",
     )
-    parser.add_argument("--truth", metavar="T.json", help="the truth goes here")
+    parser.add_argument("--truth", metavar="T.json", help="write the ground truth to this file")
+    # Options that set one number of `SimSettings` each.
     for flag, kind, help_ in (
         ("--cameras", int, "number of cameras"),
         ("--hours", float, "length of the recording, hours"),
-        ("--seed", int, "same seed, same events"),
-        ("--start", float, "event time at which it begins, seconds since the epoch"),
+        ("--seed", int, "seed of the random numbers; the same seed gives the same events"),
+        ("--start", float, "event time at which the recording begins, seconds since the epoch"),
         (
             "--objects-per-second",
             float,
-            "walkers that enter the network (default 0.4 for 12 cameras, in proportion)",
+            "walkers that enter the network per second (default 0.4 for 12 cameras, in proportion)",
         ),
-        ("--missed", float, "share of the passages that are not recorded"),
-        ("--clutter", float, "share of the events that belong to nobody"),
+        ("--missed", float, "share of the passages that are not recorded (missed detections)"),
+        ("--clutter", float, "share of the events that belong to no object"),
         ("--overlap-share", float, "overlapping pairs of cameras per camera"),
         (
             "--zone-separation",
             float,
             "least distance of two zones of a camera, fraction of the image",
         ),
-        ("--zone-stretch", float, "how many times as long the zones are"),
-        ("--fire-doors", int, "cameras with a zone that sees 1 %% of their events"),
-        ("--uneven", float, "spread of a way's length in each direction (log scale)"),
-        ("--one-way", float, "share of the ways taken in one direction only"),
-        ("--u-turn", float, "probability of leaving a view where one came in"),
+        ("--zone-stretch", float, "factor on the length of the zones"),
+        ("--fire-doors", int, "cameras with a zone that has 1 %% of their events"),
+        ("--uneven", float, "spread of a path's length in each direction (log scale)"),
+        ("--one-way", float, "share of the paths walked in one direction only"),
+        ("--u-turn", float, "probability of leaving a view in the zone of entry"),
         ("--speed-sd", float, "spread of the walkers' speeds (log scale)"),
-        ("--path-sd", float, "spread of one walker's time over one way (log scale)"),
+        ("--path-sd", float, "spread of one walker's time over one path (log scale)"),
         ("--position-noise", float, "standard deviation added to positions, fraction of the image"),
         ("--clock-sd", float, "standard deviation of the cameras' clock offsets, seconds"),
-        ("--clock-max", float, "clocks of a share of the cameras are off by up to this, seconds"),
-        ("--clock-share", float, "that share"),
+        ("--clock-max", float, "largest further clock offset of some of the cameras, seconds"),
+        ("--clock-share", float, "share of the cameras with such an offset"),
         ("--rhythm", float, "amplitude of the day/night rhythm, a share of the rate"),
-        ("--rhythm-hours", float, "its period, hours"),
-        ("--platoons", float, "share of the walkers that come in bunches"),
-        ("--platoon-size", float, "walkers in a bunch"),
-        ("--platoon-cycle", float, "seconds between bunches at one place"),
+        ("--rhythm-hours", float, "period of the day/night rhythm, hours"),
+        ("--platoons", float, "share of the walkers that come in platoons"),
+        ("--platoon-size", float, "mean number of walkers in a platoon"),
+        ("--platoon-cycle", float, "seconds between platoons in one zone"),
         ("--group-share", float, "share of the walkers with companions"),
-        ("--loiterers", float, "share of the walkers that linger"),
+        ("--loiterers", float, "share of the walkers with 5 to 30 times the dwell time"),
         ("--slow-share", float, "share of the walkers at less than half the speed"),
-        ("--doors-closed", int, "paths that close"),
-        ("--close-after-hours", float, "when they close (default half-way)"),
-        ("--doors-opened", int, "paths that open"),
-        ("--open-after-hours", float, "when they open (default half-way)"),
+        ("--doors-closed", int, "number of paths that close"),
+        ("--close-after-hours", float, "hours after which they close (default half-way)"),
+        ("--doors-opened", int, "number of paths that open"),
+        ("--open-after-hours", float, "hours after which they open (default half-way)"),
     ):
         value = getattr(default, _name(flag))
         shown = "" if value is None else f" (default {value:g})"
@@ -83,7 +89,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _add_special(parser: argparse.ArgumentParser) -> None:
-    """Options that are not plain numbers. Only those given are in the parsed arguments."""
+    """Add options that are not plain numbers; only those given are in the parsed arguments."""
     absent = argparse.SUPPRESS
     parser.add_argument(
         "--lost",
@@ -99,10 +105,10 @@ def _add_special(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=absent,
         metavar="CAMERA:AT",
-        help="a camera is turned elsewhere AT seconds after the start; may be repeated",
+        help="a camera is turned AT seconds after the start, so its zones move; may be repeated",
     )
     for flag, name, help_ in (
-        ("--no-links", "linked", "no ways between cameras: everybody appears at one camera only"),
+        ("--no-links", "linked", "no paths between cameras: each walker appears in one view only"),
         ("--no-track", "tracks", "events without track"),
         ("--no-positions", "positions", "events without x and y"),
     ):
@@ -110,13 +116,17 @@ def _add_special(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the files; raises `exits.CommandError` for settings without sense and files it cannot
-    write.
+    """Simulate and write the files.
+
+    Raises `exits.CommandError` for invalid settings and files that cannot be written.
     """
+    # Simulate.
     try:
         events, truth = simulate(_given(args))
     except ValueError as error:
         raise exits.CommandError(f"simulate: {error}", exits.USAGE) from None
+
+    # Write the files.
     try:
         with Progress() as progress:
             if args.events == "-":
@@ -132,17 +142,20 @@ def run(args: argparse.Namespace) -> int:
         raise exits.CommandError(
             f"simulate: cannot write {error.filename}: {error.strerror}"
         ) from None
+
+    # Summarise.
     links = sum(link.relation != "visible" for link in truth.links)
     print(
-        f"{len(events)} events of {len(set(truth.identity) - {-1})} walkers past {len(truth.cameras)} cameras"
-        f" with {len(truth.zones)} zones, {links} links, {len(truth.pairs)} pairs",
+        f"{len(events)} events of {len(set(truth.identity) - {-1})} walkers past "
+        f"{len(truth.cameras)} cameras with {len(truth.zones)} zones, {links} links, "
+        f"{len(truth.pairs)} camera pairs",
         file=sys.stderr,
     )
     return exits.DONE
 
 
 def _write(events: list[Event], file: IO[bytes], progress: Progress) -> None:
-    """Event lines, a block of them at a time."""
+    """Write event lines, a block at a time."""
     for begin in range(0, len(events), BLOCK_LINES):
         file.write(
             b"".join(to_json(event) + b"\n" for event in events[begin : begin + BLOCK_LINES])
@@ -151,7 +164,7 @@ def _write(events: list[Event], file: IO[bytes], progress: Progress) -> None:
 
 
 def _given(args: argparse.Namespace) -> SimSettings:
-    """The settings given on the command line, the others at their defaults."""
+    """Return the settings with those given on the command line."""
     values = {
         name: getattr(args, name) for name in SimSettings.__struct_fields__ if hasattr(args, name)
     }
@@ -161,10 +174,12 @@ def _given(args: argparse.Namespace) -> SimSettings:
 
 
 def _name(flag: str) -> str:
+    """Return the name of the setting that an option sets."""
     return flag.removeprefix("--").replace("-", "_")
 
 
 def _interval(text: str) -> tuple[str, float, float]:
+    """Parse CAMERA:FROM:TO."""
     try:
         camera, begin, end = text.rsplit(":", 2)
         return camera, float(begin), float(end)
@@ -173,6 +188,7 @@ def _interval(text: str) -> tuple[str, float, float]:
 
 
 def _moment(text: str) -> tuple[str, float]:
+    """Parse CAMERA:AT."""
     try:
         camera, since = text.rsplit(":", 1)
         return camera, float(since)

@@ -1,4 +1,4 @@
-"""`camtopod watch`: live view of cameras, topology and predictions in the terminal."""
+"""`camtopod watch`: show cameras, topology and predictions live in the terminal."""
 
 from __future__ import annotations
 
@@ -30,28 +30,33 @@ from camtopod.serve.runtime import clock
 from camtopod.visible import visible
 
 REFRESH_SECONDS = 0.5
+"""Interval between two drawings of the plain view."""
 FOLLOW_SECONDS = 0.25
+"""Interval at which new versions are fetched."""
 ONCE_SECONDS = 3.0
-"""How long --once waits for something to show."""
+"""Time that --once waits for a first status."""
 PREDICTIONS_SHOWN = 8
+"""Newest predictions in the plain view."""
 LINKS_SHOWN = 20
+"""Busiest links in the plain view."""
 _CLEAR = "\x1b[H\x1b[J"
+"""Control sequence that empties the terminal."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Add `watch`."""
     parser = subparsers.add_parser(
         "watch",
-        help="live view in the terminal",
-        description="Shows cameras, the learned topology and predictions as they come, until interrupted.",
+        help="show cameras, topology and predictions live in the terminal",
+        description="Shows cameras, the learned topology and predictions as they arrive, until "
+        "interrupted.",
+        epilog="example: camtopod --site hq watch",
     )
-    parser.add_argument(
-        "--once", action="store_true", help="show the state once, without waiting for more, and end"
-    )
+    parser.add_argument("--once", action="store_true", help="show the state once and end")
     parser.add_argument(
         "--plain",
         action="store_true",
-        help="lines of text, also where rich ([terminal]) is installed",
+        help="show plain lines of text, even if rich ([terminal]) is installed",
     )
 
 
@@ -65,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
     except BusError as error:
         raise CommandError(str(error), exits.BUS) from None
     with bus, until_signal() as stop:
+        # Subscribe first, then ask for the newest statuses.
         bus.subscribe("status/*", board.on_status)
         bus.subscribe("prediction/*", board.on_prediction)
         topology = TopologyView(bus)
@@ -88,6 +94,7 @@ def run(args: argparse.Namespace) -> int:
 def _once(
     board: Board, topology: TopologyView, look: Callable[[], View], stop: threading.Event
 ) -> None:
+    """Print the state once, as soon as a status has arrived."""
     until = time.monotonic() + ONCE_SECONDS
     topology.update()
     while board.empty and time.monotonic() < until and not stop.wait(FOLLOW_SECONDS):
@@ -97,9 +104,7 @@ def _once(
 
 @contextlib.contextmanager
 def _following(topology: TopologyView, stop: threading.Event) -> Any:
-    """New versions are fetched while the block runs, by a thread of their own: a daemon that is
-    away takes time.
-    """
+    """Fetch new versions while the block runs, in a thread: an absent daemon takes time."""
 
     def follow() -> None:
         while not stop.wait(FOLLOW_SECONDS):
@@ -116,9 +121,7 @@ def _following(topology: TopologyView, stop: threading.Event) -> Any:
 
 
 def _on_screen(look: Callable[[], View], stop: threading.Event) -> bool:
-    """Draw with rich until ``stop``; False, at once, where that is not installed or there is no
-    terminal for it.
-    """
+    """Draw with rich until ``stop``; return False at once if rich or a terminal is missing."""
     if not sys.stdout.isatty():
         return False
     try:
@@ -131,7 +134,7 @@ def _on_screen(look: Callable[[], View], stop: threading.Event) -> bool:
 
 
 def _show(view: View) -> None:
-    """Lines, over those of before in a terminal."""
+    """Print the plain view, over the last one if this is a terminal."""
     width, height = shutil.get_terminal_size()
     text = lines(view)
     if sys.stdout.isatty():
@@ -142,7 +145,7 @@ def _show(view: View) -> None:
 
 
 def lines(view: View) -> list[str]:
-    """The whole view as text, in which nothing that others said acts on a terminal."""
+    """Return the whole view as lines; control sequences in others' texts are made visible."""
     text = [
         daemon_line(view),
         *topology_lines(view.topology),
@@ -159,6 +162,7 @@ def lines(view: View) -> list[str]:
 
 
 def _cameras(view: View) -> list[str]:
+    """Return the table of cameras."""
     rows = [f"{'CAMERA':<20} {'STATE':<11} {'EVENTS':>8} {'LAST':>9}  REASON"]
     for camera in view.cameras:
         last = "" if camera.last is None else f"{camera.last:.0f} s"
@@ -169,10 +173,12 @@ def _cameras(view: View) -> list[str]:
 
 
 def _links(view: View) -> list[str]:
+    """Return the table of links."""
     rows = [f"{'FROM':<20} {'TO':<20} {'RELATION':<10} {'SHARE':>6} {'TRANSIT (q10 to q90)':>23}"]
     links = busiest_links(view.topology)
     rows += [
-        f"{link.from_:<20} {link.to:<20} {link.relation:<10} {link.probability:>6.2f} {transit(link):>23}"
+        f"{link.from_:<20} {link.to:<20} {link.relation:<10} "
+        f"{link.probability:>6.2f} {transit(link):>23}"
         for link in links[:LINKS_SHOWN]
     ]
     if len(links) > LINKS_SHOWN:
@@ -181,5 +187,6 @@ def _links(view: View) -> list[str]:
 
 
 def _alarms(view: View) -> list[str]:
+    """Return the newest alarms, with a heading."""
     alarms = newest_alarms(view.topology)
     return ["ALARMS", *(alarm_line(alarm, view.now) for alarm in alarms), ""] if alarms else []

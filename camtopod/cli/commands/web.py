@@ -1,4 +1,4 @@
-"""`camtopod web`: the page."""
+"""`camtopod web`: serve the web page."""
 
 from __future__ import annotations
 
@@ -23,44 +23,49 @@ from camtopod.serve.runtime import Progress, clock
 log = logging.getLogger(__name__)
 
 LISTEN = "127.0.0.1:8780"
+"""Default address."""
 LEAVE_SECONDS = 5.0
+"""Time that a blocking part may delay the end after a signal."""
 _LOOK_SECONDS = 1.0
+"""Interval at which the server's state is checked."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Add `web`."""
     parser = subparsers.add_parser(
         "web",
-        help="the page: map, cameras, links, versions and health in a browser",
-        description="Shows what the daemon has learned, and predictions as they come, in a browser. It only reads. "
-        "Nothing is loaded from elsewhere.",
+        help="serve a web page: map, cameras, links, versions and health",
+        description="Serves a web page with the learned topology and with predictions as they "
+        "arrive. The page is read-only and loads nothing from other sites.",
+        epilog="example: camtopod --config camtopod.toml web --listen 127.0.0.1:8780",
     )
     parser.add_argument(
         "--listen",
         metavar="HOST:PORT",
         default=LISTEN,
-        help=f"where (default: {LISTEN}, this machine only; port 0: a free one)",
+        help=f"address to listen on (default: {LISTEN}, this machine only; port 0: a free one)",
     )
     parser.add_argument(
         "--name",
         metavar="NAME",
         action="append",
         default=[],
-        help="a further name that it is asked for by, behind a proxy say (addresses need none; repeat for several)",
+        help="additional host name to accept, for example behind a reverse proxy (addresses need "
+        "none); may be repeated",
     )
     parser.add_argument(
         "--pictures",
         metavar="DIR",
         type=Path,
-        help="a folder of this machine with a picture a camera, CAMERA.jpg or CAMERA.png (`camtopod init --pictures` "
-        "makes them; for cameras of other machines copy theirs)",
+        help="directory on this machine with a picture of each camera, CAMERA.jpg or CAMERA.png "
+        "(`camtopod init --pictures` makes them; copy those of other machines)",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until SIGTERM or SIGINT."""
+    """Serve the page until SIGTERM or SIGINT."""
     start_logging(args)
-    faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
+    faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
     descriptors.raise_limit()
     try:
         from camtopod.web import app
@@ -68,13 +73,17 @@ def run(args: argparse.Namespace) -> int:
         if error.name not in ("starlette", "uvicorn"):
             raise
         raise CommandError(
-            "the page needs starlette and uvicorn: pip install 'camtopod[web]'"
+            "the web page needs starlette and uvicorn: pip install 'camtopod[web]'"
         ) from None
+
+    # Check the options.
     config = configuration(args)
     host, port = address(args.listen)
     if args.pictures is not None and not os.access(args.pictures, os.R_OK | os.X_OK):
-        why = "this user may not read it" if args.pictures.exists() else "there is no such folder"
-        log.warning("--pictures %s: %s; cameras have no picture yet", args.pictures, why)
+        why = "no permission to read it" if args.pictures.exists() else "no such directory"
+        log.warning("--pictures %s: %s; cameras are shown without pictures", args.pictures, why)
+
+    # Listen, connect to the bus and serve.
     with until_signal() as stop, leaving(stop, LEAVE_SECONDS), contextlib.ExitStack() as stack:
         listener = stack.enter_context(listening(host, port))
         try:
@@ -99,16 +108,17 @@ def run(args: argparse.Namespace) -> int:
         log.info("the page is at http://%s/", _shown(listener))
         if not is_loopback(host):
             log.warning(
-                "anybody who reaches %s can read it: there is no password", _shown(listener)
+                "there is no password: anyone who can connect to %s can read the page",
+                _shown(listener),
             )
         while not stop.wait(_LOOK_SECONDS):
-            if not running():  # its traceback has been written
-                raise CommandError("a part of the page's server has failed")
+            if not running():  # it has printed its traceback
+                raise CommandError("the web server has failed, see above; start it again")
     return exits.DONE
 
 
 def address(text: str) -> tuple[str, int]:
-    """HOST:PORT, ``[::1]:8780`` for IPv6. Raises `CommandError`."""
+    """Parse HOST:PORT (``[::1]:8780`` for IPv6). Raises `CommandError`."""
     match = re.fullmatch(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):([0-9]{1,5})", text)
     if match is None or int(match[2]) > 65535:
         raise CommandError(
@@ -118,8 +128,10 @@ def address(text: str) -> tuple[str, int]:
 
 
 def names(host: str, further: Sequence[str] = ()) -> list[str]:
-    """Names to answer to: else the page of another site could read this one through a name that
-    leads here.
+    """Return the host names to answer to.
+
+    Others are refused: through a name that resolves to this machine, the page of another site could
+    read this one (DNS rebinding).
     """
     ours = ["localhost", "127.0.0.1", "[::1]", host, *further]
     return (
@@ -130,7 +142,7 @@ def names(host: str, further: Sequence[str] = ()) -> list[str]:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches ``host``."""
+    """Return True if only this machine can reach ``host``."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -138,7 +150,7 @@ def is_loopback(host: str) -> bool:
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """A socket that listens there. Raises `CommandError`."""
+    """Return a listening socket. Raises `CommandError`."""
     try:
         return socket.create_server(
             (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -150,5 +162,6 @@ def listening(host: str, port: int) -> socket.socket:
 
 
 def _shown(listener: socket.socket) -> str:
+    """Return the socket's address as HOST:PORT."""
     host, port = listener.getsockname()[:2]
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -20,13 +20,13 @@ _shtab_camtopod_commands() {
     ingest:'publish events from other programs'
     init:'probe cameras and write a configuration'
     keys:'create a private certificate authority and certificates for the bus'
-    learn:'the same learner over recorded event lines'
-    predict:'for each exit of recorded events, where the object appears next'
-    report:'the page of one topology as a file'
-    run:'the daemon'
-    simulate:'a made-up camera network: event lines and the truth about them'
-    watch:'live view in the terminal'
-    web:'the page: map, cameras, links, versions and health in a browser'
+    learn:'learn the topology from recorded event lines'
+    predict:'predict for each recorded exit where the object appears next'
+    report:'write the web page of one topology to a file'
+    run:'run the daemon: learn the topology from events on the bus and predict'
+    simulate:'simulate a camera network: event lines and their ground truth'
+    watch:'show cameras, topology and predictions live in the terminal'
+    web:'serve a web page: map, cameras, links, versions and health'
   )
   _describe 'camtopod commands' _commands
 }
@@ -58,8 +58,8 @@ _shtab_camtopod_defaults_added=0
 _shtab_camtopod_bridge_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--discovery[Home Assistant\'s discovery prefix (default\: homeassistant)]:PREFIX:"
-  "--password-file[the user\'s password (or in \$CAMTOPOD_MQTT_PASSWORD)]:FILE:_files"
-  "--ca[mqtts\: the authorities to trust (default\: the system\'s)]:FILE:_files"
+  "--password-file[file with the MQTT user\'s password (default\: \$CAMTOPOD_MQTT_PASSWORD)]:FILE:_files"
+  "--ca[mqtts\: file of the certificate authorities to trust (default\: the system\'s)]:FILE:_files"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
@@ -163,14 +163,14 @@ _shtab_camtopod_ingest_options=(
   "--state[directory of the spool (default\: \[state\] directory)]:DIRECTORY:_files -/"
   "--boot[number the events under this name, so that they count once however often they are ingested (default\: digest of a regular file)]:NAME:"
   "--anew[count the events of a regular file again, as if they were new]"
-  "*--size[size of the pictures that the boxes are of, in pixels (frigate\: detect width and height, which a Frigate that sends path_data can do without)\; may be repeated]:[CAMERA=]WxH:"
+  "*--size[size in pixels of the pictures that the boxes refer to (frigate\: detect width and height, not needed if Frigate sends path_data)\; may be repeated]:[CAMERA=]WxH:"
   "*--label[frigate, scenescape\: only objects of this kind (person, car, ...)\; may be repeated]:NAME:"
-  "--tracked[scenescape\: ids are a tracker\'s (gvatrack in the pipeline)]"
+  "--tracked[scenescape\: ids come from a tracker (gvatrack in the pipeline)]"
   "--camera[mot\: the camera\'s id]:ID:"
-  "--fps[mot\: frames a second]:N:"
-  "--start[mot\: time of the first frame (default 0)]:SECONDS:"
-  "--password-file[the user\'s password (or in \$CAMTOPOD_MQTT_PASSWORD)]:FILE:_files"
-  "--ca[mqtts\: the authorities to trust (default\: the system\'s)]:FILE:_files"
+  "--fps[mot\: frames per second]:N:"
+  "--start[mot\: event time of the first frame (default 0)]:SECONDS:"
+  "--password-file[file with the MQTT user\'s password (default\: \$CAMTOPOD_MQTT_PASSWORD)]:FILE:_files"
+  "--ca[mqtts\: file of the certificate authorities to trust (default\: the system\'s)]:FILE:_files"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
@@ -300,9 +300,9 @@ _shtab_camtopod_keys_revoke_defaults_added=0
 
 _shtab_camtopod_learn_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--topology[the final topology goes here (\'-\'\: standard output)]:OUT.json:_files"
-  "--updates[every version on the way, one a line]:OUT.jsonl:_files"
-  "--state[a new state directory, for a daemon that goes on from there (its \[state\] directory)]:DIR:_files -/"
+  "--topology[write the final topology to this file (\'-\'\: standard output)]:OUT.json:_files"
+  "--updates[write every version to this file, one a line]:OUT.jsonl:_files"
+  "--state[create a state directory from which a daemon can continue (its \[state\] directory)]:DIR:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
@@ -319,8 +319,8 @@ _shtab_camtopod_predict_options=(
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  ":as \`learn\` writes it:_files"
-  ":event lines (\'-\'\: standard input):_files"
+  ":topology as \`camtopod learn\` writes it:_files"
+  ":file of event lines (\'-\'\: standard input):_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -328,14 +328,14 @@ _shtab_camtopod_predict_defaults_added=0
 
 _shtab_camtopod_report_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--out[default\: standard output]:FILE:_files"
-  "--updates[the versions before it, what \`learn --updates\` wrote]:FILE:_files"
-  "--pictures[a folder with a picture a camera, CAMERA.jpg or CAMERA.png (\`camtopod init --pictures\` makes them)\; they are in the file then]:DIR:_files -/"
+  "--out[write to FILE (default\: standard output)]:FILE:_files"
+  "--updates[earlier versions, as \`camtopod learn --updates\` writes them]:FILE:_files"
+  "--pictures[directory with a picture of each camera, CAMERA.jpg or CAMERA.png (\`camtopod init --pictures\` makes them), to include in the file]:DIR:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  ":what \`learn\` wrote (\'-\'\: standard input):_files"
+  ":topology as \`camtopod learn\` writes it (\'-\'\: standard input):_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -343,8 +343,8 @@ _shtab_camtopod_report_defaults_added=0
 
 _shtab_camtopod_run_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--state[where the journal is kept (default\: \[state\] directory)]:DIRECTORY:_files -/"
-  "--shard[share the site\'s cameras with N - 1 others\; I from 0]:I/N:"
+  "--state[directory of the journal (default\: \[state\] directory)]:DIRECTORY:_files -/"
+  "--shard[be shard I (from 0) of N daemons that share the cameras of the site]:I/N:"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
@@ -356,43 +356,43 @@ _shtab_camtopod_run_defaults_added=0
 
 _shtab_camtopod_simulate_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--events[event lines go here (\'-\'\: standard output)]:E.jsonl:_files"
-  "--truth[the truth goes here]:T.json:_files"
+  "--events[write event lines to this file (\'-\'\: standard output)]:E.jsonl:_files"
+  "--truth[write the ground truth to this file]:T.json:_files"
   "--cameras[number of cameras (default 12)]:INT:"
   "--hours[length of the recording, hours (default 1.5)]:FLOAT:"
-  "--seed[same seed, same events (default 0)]:INT:"
-  "--start[event time at which it begins, seconds since the epoch (default 1.7e\+09)]:FLOAT:"
-  "--objects-per-second[walkers that enter the network (default 0.4 for 12 cameras, in proportion)]:FLOAT:"
-  "--missed[share of the passages that are not recorded (default 0.1)]:FLOAT:"
-  "--clutter[share of the events that belong to nobody (default 0.1)]:FLOAT:"
+  "--seed[seed of the random numbers\; the same seed gives the same events (default 0)]:INT:"
+  "--start[event time at which the recording begins, seconds since the epoch (default 1.7e\+09)]:FLOAT:"
+  "--objects-per-second[walkers that enter the network per second (default 0.4 for 12 cameras, in proportion)]:FLOAT:"
+  "--missed[share of the passages that are not recorded (missed detections) (default 0.1)]:FLOAT:"
+  "--clutter[share of the events that belong to no object (default 0.1)]:FLOAT:"
   "--overlap-share[overlapping pairs of cameras per camera (default 0.25)]:FLOAT:"
   "--zone-separation[least distance of two zones of a camera, fraction of the image (default 0.25)]:FLOAT:"
-  "--zone-stretch[how many times as long the zones are (default 1)]:FLOAT:"
-  "--fire-doors[cameras with a zone that sees 1 \% of their events (default 0)]:INT:"
-  "--uneven[spread of a way\'s length in each direction (log scale) (default 0)]:FLOAT:"
-  "--one-way[share of the ways taken in one direction only (default 0)]:FLOAT:"
-  "--u-turn[probability of leaving a view where one came in (default 0.03)]:FLOAT:"
+  "--zone-stretch[factor on the length of the zones (default 1)]:FLOAT:"
+  "--fire-doors[cameras with a zone that has 1 \% of their events (default 0)]:INT:"
+  "--uneven[spread of a path\'s length in each direction (log scale) (default 0)]:FLOAT:"
+  "--one-way[share of the paths walked in one direction only (default 0)]:FLOAT:"
+  "--u-turn[probability of leaving a view in the zone of entry (default 0.03)]:FLOAT:"
   "--speed-sd[spread of the walkers\' speeds (log scale) (default 0.3)]:FLOAT:"
-  "--path-sd[spread of one walker\'s time over one way (log scale) (default 0.1)]:FLOAT:"
+  "--path-sd[spread of one walker\'s time over one path (log scale) (default 0.1)]:FLOAT:"
   "--position-noise[standard deviation added to positions, fraction of the image (default 0)]:FLOAT:"
   "--clock-sd[standard deviation of the cameras\' clock offsets, seconds (default 0)]:FLOAT:"
-  "--clock-max[clocks of a share of the cameras are off by up to this, seconds (default 0)]:FLOAT:"
-  "--clock-share[that share (default 0.33)]:FLOAT:"
+  "--clock-max[largest further clock offset of some of the cameras, seconds (default 0)]:FLOAT:"
+  "--clock-share[share of the cameras with such an offset (default 0.33)]:FLOAT:"
   "--rhythm[amplitude of the day\/night rhythm, a share of the rate (default 0)]:FLOAT:"
-  "--rhythm-hours[its period, hours (default 24)]:FLOAT:"
-  "--platoons[share of the walkers that come in bunches (default 0)]:FLOAT:"
-  "--platoon-size[walkers in a bunch (default 10)]:FLOAT:"
-  "--platoon-cycle[seconds between bunches at one place (default 90)]:FLOAT:"
+  "--rhythm-hours[period of the day\/night rhythm, hours (default 24)]:FLOAT:"
+  "--platoons[share of the walkers that come in platoons (default 0)]:FLOAT:"
+  "--platoon-size[mean number of walkers in a platoon (default 10)]:FLOAT:"
+  "--platoon-cycle[seconds between platoons in one zone (default 90)]:FLOAT:"
   "--group-share[share of the walkers with companions (default 0)]:FLOAT:"
-  "--loiterers[share of the walkers that linger (default 0)]:FLOAT:"
+  "--loiterers[share of the walkers with 5 to 30 times the dwell time (default 0)]:FLOAT:"
   "--slow-share[share of the walkers at less than half the speed (default 0)]:FLOAT:"
-  "--doors-closed[paths that close (default 0)]:INT:"
-  "--close-after-hours[when they close (default half-way)]:FLOAT:"
-  "--doors-opened[paths that open (default 0)]:INT:"
-  "--open-after-hours[when they open (default half-way)]:FLOAT:"
+  "--doors-closed[number of paths that close (default 0)]:INT:"
+  "--close-after-hours[hours after which they close (default half-way)]:FLOAT:"
+  "--doors-opened[number of paths that open (default 0)]:INT:"
+  "--open-after-hours[hours after which they open (default half-way)]:FLOAT:"
   "*--lost[a camera reports nothing from FROM to TO seconds after the start\; may be repeated]:CAMERA:FROM:TO:"
-  "*--moved[a camera is turned elsewhere AT seconds after the start\; may be repeated]:CAMERA:AT:"
-  "--no-links[no ways between cameras\: everybody appears at one camera only]"
+  "*--moved[a camera is turned AT seconds after the start, so its zones move\; may be repeated]:CAMERA:AT:"
+  "--no-links[no paths between cameras\: each walker appears in one view only]"
   "--no-track[events without track]"
   "--no-positions[events without x and y]"
   "--config[configuration, a TOML file]:FILE:_files"
@@ -406,8 +406,8 @@ _shtab_camtopod_simulate_defaults_added=0
 
 _shtab_camtopod_watch_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--once[show the state once, without waiting for more, and end]"
-  "--plain[lines of text, also where rich (\[terminal\]) is installed]"
+  "--once[show the state once and end]"
+  "--plain[show plain lines of text, even if rich (\[terminal\]) is installed]"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
@@ -419,9 +419,9 @@ _shtab_camtopod_watch_defaults_added=0
 
 _shtab_camtopod_web_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--listen[where (default\: 127.0.0.1\:8780, this machine only\; port 0\: a free one)]:HOST:PORT:"
-  "*--name[a further name that it is asked for by, behind a proxy say (addresses need none\; repeat for several)]:NAME:"
-  "--pictures[a folder of this machine with a picture a camera, CAMERA.jpg or CAMERA.png (\`camtopod init --pictures\` makes them\; for cameras of other machines copy theirs)]:DIR:_files -/"
+  "--listen[address to listen on (default\: 127.0.0.1\:8780, this machine only\; port 0\: a free one)]:HOST:PORT:"
+  "*--name[additional host name to accept, for example behind a reverse proxy (addresses need none)\; may be repeated]:NAME:"
+  "--pictures[directory on this machine with a picture of each camera, CAMERA.jpg or CAMERA.png (\`camtopod init --pictures\` makes them\; copy those of other machines)]:DIR:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"

@@ -1,4 +1,4 @@
-"""An MQTT broker on the command line: its URL, the password and the authorities to trust."""
+"""Command-line options of an MQTT broker: URL, password and trusted authorities."""
 
 from __future__ import annotations
 
@@ -18,23 +18,26 @@ from camtopod.config import secret_files
 log = logging.getLogger(__name__)
 
 PASSWORD_VARIABLE = "CAMTOPOD_MQTT_PASSWORD"
+"""Environment variable with the password."""
 
 
 def add_options(group: Any) -> None:
-    """The options beside the URL, to a parser or a group of one."""
+    """Add the options beside the URL to a parser or a group."""
     group.add_argument(
         "--password-file",
         type=Path,
         metavar="FILE",
-        help=f"the user's password (or in ${PASSWORD_VARIABLE})",
+        help=f"file with the MQTT user's password (default: ${PASSWORD_VARIABLE})",
     )
     group.add_argument(
-        "--ca", metavar="FILE", help="mqtts: the authorities to trust (default: the system's)"
+        "--ca",
+        metavar="FILE",
+        help="mqtts: file of the certificate authorities to trust (default: the system's)",
     )
 
 
 def named(args: argparse.Namespace, url: str, prefix: str = "") -> mqtt.Broker:
-    """The broker at ``url``; ``prefix`` stands for one that is left out. Raises `CommandError`."""
+    """Return the broker at ``url``; ``prefix`` is for a URL without one. Raises `CommandError`."""
     password = os.environ.get(PASSWORD_VARIABLE) or None
     if args.password_file is not None:
         try:
@@ -51,8 +54,8 @@ def named(args: argparse.Namespace, url: str, prefix: str = "") -> mqtt.Broker:
 
 @contextlib.contextmanager
 def connecting(status: int) -> Iterator[None]:
-    """A broker that cannot be reached ends the command with ``status``, and it is said which extra
-    is missing.
+    """Turn an unreachable broker into a `CommandError` with ``status``, and a missing paho-mqtt,
+    too.
     """
     try:
         yield

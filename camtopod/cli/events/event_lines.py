@@ -1,5 +1,6 @@
-"""Event lines from files and pipes: what fits becomes events, what does not is counted and quoted
-once per reason.
+"""Reader of event lines from files and pipes.
+
+Valid lines become events; others are counted, and the first one of each reason is quoted.
 """
 
 from __future__ import annotations
@@ -20,10 +21,11 @@ from camtopod.redact import redact
 from camtopod.visible import visible
 
 QUOTE_CHARACTERS_MAX = 120
+"""Most bytes of a rejected line that are quoted."""
 
 
 class Line(NamedTuple):
-    """An event and where it stands."""
+    """An event with its file and line number."""
 
     event: Event
     file: str
@@ -31,8 +33,10 @@ class Line(NamedTuple):
 
 
 class LineReader:
-    """Reads lines; ``rejected`` counts by reason what did not fit, ``read`` all, ``events`` what
-    came of them.
+    """Reads lines and counts them.
+
+    ``read`` counts all lines, ``events`` the resulting events, ``rejected`` the other lines by
+    reason.
     """
 
     def __init__(self) -> None:
@@ -42,10 +46,10 @@ class LineReader:
         self._files: list[BinaryIO] = []
 
     def merged(self, paths: list[str]) -> Iterator[Line]:
-        """Lines of several files in one stream by time; each file may be out of order as far as its
-        lateness goes.
+        """Yield lines of several files, merged by event time.
 
-        ``-`` is standard input. Raises `InputError` when a file cannot be read.
+        Each file may be out of order within the lateness. ``-`` is standard input. Raises
+        `InputError` if a file cannot be read.
         """
         with ExitStack() as stack:
             files = [(path, stack.enter_context(open_input(path))) for path in paths]
@@ -57,9 +61,7 @@ class LineReader:
                 yield from heapq.merge(*streams, key=lambda line: line.event.t)
 
     def share(self) -> float | None:
-        """How much of the files has been read, 0 to 1; None where that is not known, as of a
-        pipe.
-        """
+        """Return the share of the files that has been read, 0 to 1; None if unknown (a pipe)."""
         try:
             size = sum(os.fstat(file.fileno()).st_size for file in self._files if file.seekable())
             return sum(file.tell() for file in self._files) / size if size else None
@@ -67,7 +69,7 @@ class LineReader:
             return None
 
     def lines(self, path: str, file: BinaryIO) -> Iterator[Line]:
-        """Events of one file in the order of its lines; blank lines are skipped."""
+        """Yield the events of one file in the order of its lines; blank lines are skipped."""
         for number, text in numbered(file, EVENT_BYTES_MAX):
             self.read += 1
             try:
@@ -81,8 +83,9 @@ class LineReader:
     def adapted(
         self, path: str, lines: Iterable[tuple[int, bytes]], adapter: Adapter
     ) -> Iterator[Event]:
-        """Events of another program's numbered lines. Of a line that does not fit no text is
-        quoted, only its form.
+        """Yield events from another program's numbered lines.
+
+        Of a rejected line only its structure is quoted, no text.
         """
         for number, text in lines:
             self.read += 1
@@ -102,29 +105,27 @@ class LineReader:
         yield from events
 
     def reject(self, reason: str, where: str, text: bytes = b"") -> None:
-        """Count a line that changes nothing; the first of each reason is quoted on standard
-        error.
-        """
+        """Count a rejected line; print the first one of each reason to standard error."""
         self.rejected[reason] += 1
         if self.rejected[reason] == 1:
             quoted = text[:QUOTE_CHARACTERS_MAX].decode("utf-8", "backslashreplace")
             message = visible(redact(f"{where}{': ' + quoted if quoted else ''}"))
             print(
-                f"camtopod: {message} (further lines of this kind are only counted)",
+                f"camtopod: {message} (further lines rejected for this reason are only counted)",
                 file=sys.stderr,
             )
 
     def summary(self) -> str | None:
-        """One line about what was rejected; None when everything fitted."""
+        """Return one line about the rejected lines; None if there are none."""
         if not self.rejected:
             return None
         reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(self.rejected.items()))
-        return f"{sum(self.rejected.values())} of {self.read} lines changed nothing: {reasons}"
+        return f"{sum(self.rejected.values())} of {self.read} lines were rejected: {reasons}"
 
 
 def numbered(file: BinaryIO, bytes_max: int) -> Iterator[tuple[int, bytes]]:
-    """The lines that are not blank, with their numbers; of a longer one its first ``bytes_max`` + 1
-    bytes.
+    """Yield the lines that are not blank with their numbers; a longer line is cut to ``bytes_max``
+    + 1.
     """
     number = 0
     while raw := file.readline(bytes_max + 2):
@@ -136,7 +137,7 @@ def numbered(file: BinaryIO, bytes_max: int) -> Iterator[tuple[int, bytes]]:
 
 
 def open_input(path: str) -> BinaryIO:
-    """A file for reading bytes; ``-`` is standard input. Raises `InputError`."""
+    """Open a file for reading bytes; ``-`` is standard input. Raises `InputError`."""
     if path == "-":
         return sys.stdin.buffer
     try:

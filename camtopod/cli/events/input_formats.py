@@ -1,6 +1,4 @@
-"""The formats that `camtopod ingest` reads: which options each has, and where its lines come
-from.
-"""
+"""Input formats of `camtopod ingest`: their options, and where their lines come from."""
 
 from __future__ import annotations
 
@@ -20,6 +18,7 @@ from camtopod.config import RESERVED
 from camtopod.records import Event
 
 FORMATS = ("jsonl", "frigate", "mot", "scenescape")
+"""Names of the formats."""
 _OPTIONS = {
     "size": ("frigate", "mot", "scenescape"),
     "label": ("frigate", "scenescape"),
@@ -28,20 +27,21 @@ _OPTIONS = {
     "fps": ("mot",),
     "start": ("mot",),
 }
-"""Option -> the formats that have it."""
+"""Option -> formats that have it."""
 _SIZE = re.compile(r"(?:([A-Za-z0-9_.-]{1,64})=)?([1-9][0-9]{0,5})x([1-9][0-9]{0,5})")
+"""Value of --size: [CAMERA=]WxH."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """The options of the formats, and of MQTT."""
+    """Add the options of the formats and of MQTT."""
     group = parser.add_argument_group("formats")
     group.add_argument(
         "--size",
         metavar="[CAMERA=]WxH",
         action="append",
         default=[],
-        help="size of the pictures that the boxes are of, in pixels (frigate: detect width and height, which a "
-        "Frigate that sends path_data can do without); may be repeated",
+        help="size in pixels of the pictures that the boxes refer to (frigate: detect width and "
+        "height, not needed if Frigate sends path_data); may be repeated",
     )
     group.add_argument(
         "--label",
@@ -53,12 +53,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--tracked",
         action="store_true",
-        help="scenescape: ids are a tracker's (gvatrack in the pipeline)",
+        help="scenescape: ids come from a tracker (gvatrack in the pipeline)",
     )
     group.add_argument("--camera", metavar="ID", help="mot: the camera's id")
-    group.add_argument("--fps", type=float, metavar="N", help="mot: frames a second")
+    group.add_argument("--fps", type=float, metavar="N", help="mot: frames per second")
     group.add_argument(
-        "--start", type=float, metavar="SECONDS", help="mot: time of the first frame (default 0)"
+        "--start",
+        type=float,
+        metavar="SECONDS",
+        help="mot: event time of the first frame (default 0)",
     )
     group = parser.add_argument_group(
         "MQTT", "FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX (frigate, scenescape)"
@@ -69,18 +72,19 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def events(
     args: argparse.Namespace, reader: LineReader, stack: contextlib.ExitStack, stop: threading.Event
 ) -> Iterator[Event]:
-    """The events of what is named on the command line; files are closed by ``stack``. Raises
-    `CommandError`.
+    """Return the events of the input that the command line names; ``stack`` closes files.
+
+    Raises `CommandError`.
     """
     adapter = adapter_for(args)
     if args.file.startswith(("mqtt:", "mqtts:")):
         if adapter is None or not adapter.topic:
-            raise CommandError(f"{args.format} does not come by MQTT", exits.USAGE)
+            raise CommandError(f"{args.format} cannot be read from MQTT, give a file", exits.USAGE)
         messages = _messages(args, adapter.topic)
         stack.callback(messages.close)
         return reader.adapted(messages.topic, enumerate(messages.read(stop), 1), adapter)
     if args.password_file or args.ca:
-        raise CommandError("--password-file and --ca are for mqtt://", exits.USAGE)
+        raise CommandError("--password-file and --ca are for mqtt[s]:// only", exits.USAGE)
     file = open_input(args.file)
     if args.file != "-":
         stack.callback(file.close)
@@ -90,7 +94,7 @@ def events(
 
 
 def adapter_for(args: argparse.Namespace) -> Adapter | None:
-    """Who reads the format; None for event lines. Raises `CommandError`."""
+    """Return the adapter of the format; None for event lines. Raises `CommandError`."""
     for option, formats in _OPTIONS.items():
         if getattr(args, option) not in (None, False, []) and args.format not in formats:
             raise CommandError(
@@ -105,16 +109,21 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
 
 
 def _mot(args: argparse.Namespace, sizes: dict[str, Size]) -> Mot:
+    """Return the adapter of MOTChallenge files, which needs a camera, a frame rate and a size."""
     missing = [
         f"--{name}" for name in ("camera", "fps", "size") if getattr(args, name) in (None, [])
     ]
     if missing:
         raise CommandError(f"mot needs {' and '.join(missing)}", exits.USAGE)
     if args.camera in RESERVED:
-        raise CommandError(f"--camera {args.camera}: this name is taken on the bus", exits.USAGE)
+        raise CommandError(
+            f"--camera {args.camera}: this name is reserved on the bus, use another", exits.USAGE
+        )
     size = sizes.get(args.camera) or sizes.get(ANY_CAMERA)
     if size is None:
-        raise CommandError(f"--size {args.size[0]} is not of camera {args.camera}", exits.USAGE)
+        raise CommandError(
+            f"--size {args.size[0]} is for another camera than {args.camera}", exits.USAGE
+        )
     try:
         return Mot(args.camera, size, args.fps, args.start or 0.0)
     except ValueError as error:
@@ -122,6 +131,7 @@ def _mot(args: argparse.Namespace, sizes: dict[str, Size]) -> Mot:
 
 
 def _sizes(given: list[str]) -> dict[str, Size]:
+    """Return camera -> size in pixels, from the values of --size."""
     sizes = {}
     for text in given:
         match = _SIZE.fullmatch(text)
@@ -134,6 +144,7 @@ def _sizes(given: list[str]) -> dict[str, Size]:
 
 
 def _messages(args: argparse.Namespace, topic: str) -> mqtt.Messages:
+    """Subscribe to ``topic`` at the broker."""
     source = broker_options.named(args, args.file)
     with broker_options.connecting(exits.INPUT):
         return mqtt.Messages(source, topic)

@@ -1,4 +1,4 @@
-"""What became of the events that one run publishes, from the counters in the daemon's acks."""
+"""Outcome of the events that one run publishes, from counters in the daemon's acknowledgements."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from collections.abc import Sequence
 from camtopod.records import Ack, Event
 
 KNOWN_SECONDS = 0.6
-"""The daemon tells a publisher that appears what it has of its cameras within this time, if it has
+"""Time within which the daemon tells a new publisher what it has stored of its cameras, if
 anything.
 """
 Counts = tuple[int, int, int]
-"""Accepted, late, refused."""
+"""Numbers of accepted, late and refused events."""
 
 
 class Outcome:
-    """Give it every ack, and the events before they are published. Thread-safe."""
+    """Counts what became of published events; needs every acknowledgement and every event.
+    Thread-safe.
+    """
 
     def __init__(self) -> None:
         self._mutex = threading.Lock()
@@ -26,20 +28,22 @@ class Outcome:
         self._published: Counter[tuple[str, str]] = Counter()
         self._cameras: set[str] = set()
         self.told = False
-        """Whether the daemon counts; an older one does not."""
+        """True if the daemon sends counts; older daemons do not."""
 
     def new_cameras(self, events: Sequence[Event]) -> set[str]:
-        """Cameras of these events of which there were none before."""
+        """Return the cameras of these events that have not been published before."""
         return {event.camera for event in events} - self._cameras
 
     def publishing(self, events: Sequence[Event], own_boot: str) -> None:
-        """These are about to be published; ``own_boot`` is that of events which have none."""
+        """Register events that are about to be published; ``own_boot`` is the boot of those without
+        one.
+        """
         with self._mutex:
             self._cameras.update(event.camera for event in events)
             self._published.update((event.camera, event.boot or own_boot) for event in events)
 
     def on_ack(self, ack: Ack) -> None:
-        """What is stored of a camera."""
+        """Store the counts of an acknowledgement."""
         if ack.accepted is None or ack.late is None or ack.refused is None:
             return
         key, counts = (ack.camera, ack.boot), (ack.accepted, ack.late, ack.refused)
@@ -48,13 +52,13 @@ class Outcome:
             (self._now if key in self._published else self._before)[key] = counts
 
     def counted(self) -> tuple[int, int, int, int]:
-        """(accepted, late, refused, duplicate): how many of the published events became what."""
+        """Return how many of the published events were (accepted, late, refused, duplicates)."""
         accepted = late = refused = 0
         with self._mutex:
             for key, now in self._now.items():
                 before = self._before.get(key, (0, 0, 0))
                 if any(after < earlier for earlier, after in zip(before, now, strict=True)):
-                    before = (0, 0, 0)  # the daemon has been started anew
+                    before = (0, 0, 0)  # the daemon has restarted
                 accepted, late, refused = (
                     total + after - earlier
                     for total, earlier, after in zip(
@@ -69,18 +73,18 @@ class Outcome:
             )
 
     def in_words(self) -> str:
-        """For example ``10 accepted, 2 late, 1 duplicate``."""
+        """Return the counts in words, such as ``10 accepted, 1 duplicates (stored before)``."""
         accepted, late, refused, duplicate = self.counted()
         parts = [f"{accepted} accepted"]
         parts += (
-            [f"{late} late (older than what has been learned, so stored and not learned)"]
+            [f"{late} late (older than the events learned last: stored but not learned)"]
             if late
             else []
         )
         parts += (
-            [f"{refused} refused (their camera floods, or they are from the future)"]
+            [f"{refused} refused (too many of one camera, or event times in the future)"]
             if refused
             else []
         )
-        parts += [f"{duplicate} duplicates, stored before"] if duplicate else []
+        parts += [f"{duplicate} duplicates (stored before)"] if duplicate else []
         return ", ".join(parts)

@@ -1,4 +1,8 @@
-"""generated"""
+"""Texts generated from the settings' types, defaults and docstrings.
+
+`example_config` writes the example configuration (`camtopod check --example`), `config_schema` its
+JSON Schema for editors (`camtopod check --schema`).
+"""
 
 from __future__ import annotations
 

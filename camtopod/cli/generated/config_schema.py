@@ -1,6 +1,4 @@
-"""The JSON Schema of the configuration, for editors; made from the settings' own types, defaults
-and docstrings.
-"""
+"""JSON Schema of the configuration, made from the settings' own types, defaults and docstrings."""
 
 from __future__ import annotations
 
@@ -16,13 +14,16 @@ from camtopod.records import CAMERA_PATTERN
 
 
 def text() -> str:
-    """The file ``camtopod.schema.json``, which an editor finds by the first line of the example."""
+    """Return the content of ``camtopod.schema.json``, which the first line of the example refers
+    to.
+    """
     return json.dumps(schema(), indent=1) + "\n"
 
 
 def schema() -> dict[str, Any]:
-    """Draft 7, which every editor knows. It says what a table or a key is; `camtopod check` finds
-    more.
+    """Return the schema (draft 7, which every editor supports).
+
+    It describes tables and keys; `camtopod check` finds more mistakes.
     """
     tables = {name: _table(kind) for name, kind in TABLES.items()}
     for name in [name for name in tables if "." in name]:
@@ -38,13 +39,15 @@ def schema() -> dict[str, Any]:
 
 
 def _cameras() -> dict[str, Any]:
+    """Return the schema of ``[cameras.ID]``; exactly one of source and source_file is required."""
     camera = _table(CameraSettings)
     camera["oneOf"] = [
         {"required": [key], "properties": {key: {"minLength": 1}}}
         for key in ("source", "source_file")
     ]
     return {
-        "description": "[cameras.ID]: the cameras of this box, a table each; the ID is the camera's name on the bus.",
+        "description": "[cameras.ID]: the cameras of this machine, a table each; "
+        "the ID is the camera's name on the bus.",
         "type": "object",
         "propertyNames": {"pattern": _everywhere(CAMERA_PATTERN), "not": {"enum": list(RESERVED)}},
         "additionalProperties": camera,
@@ -52,8 +55,9 @@ def _cameras() -> dict[str, Any]:
 
 
 def _table(kind: type[Struct]) -> dict[str, Any]:
-    """The schema of one table; each key has its description, and no number may be negative if its
-    default is not.
+    """Return the schema of one table, each key with its description.
+
+    A number may not be negative unless its default is.
     """
     table: dict[str, Any] = msgspec.json.schema(kind)["$defs"][kind.__name__]
     documents = attribute_docs(kind)
@@ -77,5 +81,5 @@ def _table(kind: type[Struct]) -> dict[str, Any]:
 
 
 def _everywhere(pattern: str) -> str:
-    r"""A pattern as JavaScript has it, too, which has no ``\Z``."""
+    r"""Return a pattern that JavaScript accepts, too: it has no ``\Z``."""
     return pattern.replace(r"\Z", "$")

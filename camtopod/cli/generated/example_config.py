@@ -1,4 +1,4 @@
-"""An example configuration, made from the settings' own defaults and docstrings."""
+"""Example configuration, made from the settings' own defaults and docstrings."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from camtopod.config import TABLES, CameraSettings
 
 _HEAD = """\
 #:schema ./camtopod.schema.json
-# camtopod: an example configuration. Every setting is here; a line with a leading # shows its
-# default. Made by `camtopod check --example`; see whether yours is right with `camtopod check
-# FILE`.
+# camtopod: example configuration with every setting; a line with a leading # shows the default.
+# Made by `camtopod check --example`; check your own file with `camtopod check FILE`.
 """
 _CAMERAS = """\
 # One table a camera; the name is the camera's id on the bus.
@@ -28,12 +27,11 @@ source = "rtsp://user:password@192.0.2.10:554/stream1"
 source = "rtsp://user:password@192.0.2.11:554/stream1"
 """
 _WIDTH = 110
+"""Columns of the example file."""
 
 
 def example() -> str:
-    """The text of a configuration file which is right as it stands and says what everything
-    means.
-    """
+    """Return a valid configuration file in which every setting is explained."""
     parts = [_HEAD, table("site", TABLES["site"], {"name": "hq"})]
     parts += [table(name, TABLES[name], {}) for name in ("bus", "bus.tls", "state", "keep")]
     parts += [_CAMERAS + "\n".join(_settings(CameraSettings, {}))]
@@ -44,11 +42,12 @@ def example() -> str:
 
 
 def table(name: str, kind: type[Struct], given: dict[str, Any]) -> str:
-    """A table with every setting; those not ``given`` are comments that show the default."""
+    """Return one table with every setting; those not in ``given`` are comments with the default."""
     return "\n".join([f"[{name}]", *_settings(kind, given)])
 
 
 def _settings(kind: type[Struct], given: dict[str, Any]) -> list[str]:
+    """Return the lines of one table: explanation and value of each setting."""
     documents = attribute_docs(kind)
     lines = []
     for field in msgspec.structs.fields(kind):
@@ -63,7 +62,7 @@ def _settings(kind: type[Struct], given: dict[str, Any]) -> list[str]:
 
 
 def attribute_docs(kind: type[Struct]) -> dict[str, str]:
-    """The string literal below each field of a Struct's source."""
+    """Return field -> docstring (the string literal below each field in the source of a Struct)."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
     assert isinstance(body, ast.ClassDef)
     documents = {}
@@ -79,5 +78,5 @@ def attribute_docs(kind: type[Struct]) -> dict[str, str]:
 
 
 def _value(value: Any) -> str:
-    """As TOML writes it; JSON does the same for everything used here."""
+    """Return a value as TOML; JSON is the same for all types used here."""
     return json.dumps(list(value) if isinstance(value, tuple) else value)

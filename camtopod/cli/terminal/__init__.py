@@ -1,4 +1,9 @@
-"""terminal"""
+"""Terminal output: progress lines, the live view of `camtopod watch`, and safe standard streams.
+
+`site_state` collects what `watch` shows and puts it into words, `screen` draws it with rich,
+`progress` writes the progress line of long commands, and `standard_streams` keeps a slow reader of
+the log from blocking a daemon.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""How far long work has come: on a terminal one line of standard error that is written over;
-elsewhere nothing, or, of work that is waited for, a line every few seconds.
+"""Progress of long work on standard error.
+
+On a terminal it is one line that is overwritten; elsewhere nothing, or with ``piped`` a line every
+few seconds.
 """
 
 from __future__ import annotations
@@ -9,14 +11,15 @@ import sys
 import time
 
 SHOW_SECONDS = 0.5
+"""Interval between updates on a terminal."""
 PIPED_SECONDS = 5.0
+"""Interval between lines where there is no terminal."""
 _CLEAR = "\r\x1b[K"
+"""Control sequence that empties the line."""
 
 
 class Progress:
-    """The line on a terminal is gone when the block ends. ``piped``: say it where there is no
-    terminal, too.
-    """
+    """Progress line, cleared when the block ends; with ``piped`` also without a terminal."""
 
     def __init__(self, piped: bool = False) -> None:
         self._terminal = sys.stderr.isatty()
@@ -26,16 +29,16 @@ class Progress:
 
     @property
     def due(self) -> bool:
-        """Whether `show` would say something now."""
+        """Return True if `show` would print now."""
         return time.monotonic() >= self._next
 
     @property
     def seconds(self) -> float:
-        """Since the work began."""
+        """Seconds since the work began."""
         return time.monotonic() - self._began
 
     def show(self, form: str, *values: object) -> None:
-        """Say ``form % values`` if the last time was a while ago; may be called often."""
+        """Print ``form % values`` unless the last line is too recent; may be called often."""
         if not self.due:
             return
         self._next = time.monotonic() + self._every

@@ -1,7 +1,7 @@
-"""`camtopod watch` on a whole terminal. The one home of rich, which is an extra (``[terminal]``).
+"""Full-screen view of `camtopod watch`. Only this module uses rich, an extra (``[terminal]``).
 
-What does not fit is left out from the end: of the cameras those that are well, of the links the
-least used.
+Rows that do not fit are left out from the end of a table: cameras without problems, and the least
+used links.
 """
 
 from __future__ import annotations
@@ -31,43 +31,47 @@ from camtopod.cli.terminal.site_state import (
 from camtopod.visible import visible
 
 DRAW_SECONDS = 0.25
+"""Interval between two drawings."""
 WIDE = 120
-"""With so many columns cameras stand beside the rest, not above it."""
+"""Columns from which the cameras stand beside the rest instead of above it."""
 NARROW = 70
-"""With fewer only what matters most of each camera and link is shown."""
+"""Columns below which each camera and link shows only the essential columns."""
 GUTTER = 2
-"""Columns between the two."""
+"""Columns between the cameras and the rest in a wide terminal."""
 PART_ROWS_MIN = 5
-"""What has fewer rows is left out."""
+"""Rows below which a part is left out."""
 REASON_ROWS_MAX = 3
+"""Most rows of a camera's reason."""
 REASON_COLUMNS_MIN = 8
-"""Of a camera."""
+"""Columns below which the reason of a camera is left out."""
 _COLOURS = {"running": "green", "ended": "dim", "no grabber": "dim"}
+"""Style of a camera's state; other states are `_WRONG`."""
 _WRONG = "bold yellow"
 _CORNER = "dim"
 
 
 class LastWords:
-    """Stands in for standard error while the screen is drawn; its last line is shown at the
-    foot.
-    """
+    """Stand-in for standard error while the screen is drawn; its last line is shown at the top."""
 
     def __init__(self) -> None:
         self.line = ""
 
     def write(self, text: str) -> int:
-        """What the log says."""
+        """Keep the last line of ``text``."""
         self.line = text.strip().splitlines()[-1] if text.strip() else self.line
         return len(text)
 
     def flush(self) -> None:
-        """Nothing waits."""
+        """Do nothing: there is no buffer."""
 
 
 def show(look: Callable[[], View], stop: threading.Event) -> bool:
-    """Draw what ``look`` gives, at most four times a second, until ``stop``; False where the
-    terminal cannot do it.
+    """Draw the views that ``look`` returns, four times a second, until ``stop``.
+
+    Returns False if the terminal cannot do it.
     """
+
+    # Redirect the log, which would disturb the screen.
     console = Console()
     if console.is_dumb_terminal:
         return False
@@ -90,19 +94,24 @@ def show(look: Callable[[], View], stop: threading.Event) -> bool:
 
 
 def drawn(view: View, width: int, height: int, words: str = "") -> RenderableType:
-    """The screen of so many columns and rows."""
+    """Return the screen for a terminal of ``width`` columns and ``height`` rows."""
+    # Rows and columns that are available.
     head = _head(view, words)[: max(1, height // 3)]
     rows = max(1, height - len(head) - 1)
     wide = width >= WIDE
     room = width // 2 if wide else width
+
+    # Stack predictions and links (each with a heading and an empty line).
     wanted = [
         len(view.predictions) + 2,
         len(busiest_links(view.topology)) + 2,
-    ]  # with heading and an empty line
+    ]
     others: list[Callable[[int], Table]] = [
         lambda n: _predictions(view, n),
         lambda n: _links(view, room, n),
     ]
+
+    # Put the cameras beside or above them.
     if wide:
         body = Layout()
         cameras = Padding(_cameras(view, room - GUTTER, rows), (0, GUTTER, 0, 0))
@@ -116,8 +125,10 @@ def drawn(view: View, width: int, height: int, words: str = "") -> RenderableTyp
 
 
 def _stacked(rows: int, wanted: Sequence[int], parts: Sequence[Callable[[int], Table]]) -> Layout:
-    """Parts one above the other: each gets the rows it wants while there is room, else an equal
-    share; those at the end for which a share would be too small are left out.
+    """Stack ``parts`` in ``rows`` rows.
+
+    Each part gets the rows it wants while there is room, else an equal share. Parts at the end are
+    left out if shares would be smaller than `PART_ROWS_MIN`.
     """
     fitting = min(len(parts), max(1, rows // PART_ROWS_MIN))
     pieces = []
@@ -132,6 +143,7 @@ def _stacked(rows: int, wanted: Sequence[int], parts: Sequence[Callable[[int], T
 
 
 def _head(view: View, words: str) -> list[Text]:
+    """Return the lines at the top: daemon, topology, last log line, alarms."""
     lines = [_text(daemon_line(view), "bold" if view.state == "running" else _WRONG)]
     lines += [_text(words, _CORNER)] if words else []
     lines += [
@@ -142,16 +154,16 @@ def _head(view: View, words: str) -> list[Text]:
 
 
 def _text(text: str, style: str = "", whole: bool = False) -> Text:
-    """What others said, harmless to the terminal; on one line unless it is to be there as a
-    ``whole``.
-    """
+    """Return text from others without control sequences; on one line unless ``whole``."""
     return Text(
         visible(text), style=style, no_wrap=not whole, overflow="fold" if whole else "ellipsis"
     )
 
 
 def _table(*columns: str, flexible: str) -> Table:
-    """Without lines; numbers to the right; one column takes the room that is left."""
+    """Return a table without lines; numbers are right-aligned, the ``flexible`` column takes free
+    space.
+    """
     table = Table(box=None, expand=True, pad_edge=False, header_style="bold dim")
     for column in columns:
         right = column in ("EVENTS", "LAST", "SHARE")
@@ -166,9 +178,11 @@ def _table(*columns: str, flexible: str) -> Table:
 
 
 def _cameras(view: View, width: int, rows: int) -> Table:
-    """Those with something wrong first, with the whole reason if it fits, then those that had the
-    newest events.
+    """Return the table of cameras: those with problems first, then those with the newest events.
+
+    The whole reason of a problem is shown if it fits.
     """
+    # Choose the columns.
     cameras = sorted(
         view.cameras, key=lambda one: (not one.wrong, one.last is None, one.last or 0.0, one.name)
     )
@@ -178,7 +192,9 @@ def _cameras(view: View, width: int, rows: int) -> Table:
     columns = ["CAMERA", "STATE", *(() if narrow else ("EVENTS",)), "LAST"]
     columns += ["REASON"] if room >= REASON_COLUMNS_MIN else []
     table = _table(*columns, flexible=columns[-1])
-    shown, left = 0, rows - 3  # the heading, how many more there are, and an empty line
+
+    # Fill the rows; three are the heading, the number of hidden cameras and an empty line.
+    shown, left = 0, rows - 3
     while shown < len(cameras) and left > 0:
         camera = cameras[shown]
         needed = len(textwrap.wrap(camera.reason, max(room, 1)))
@@ -193,11 +209,12 @@ def _cameras(view: View, width: int, rows: int) -> Table:
         }
         table.add_row(*(cells[column] for column in columns))
         shown, left = shown + 1, left - (needed if whole else 1)
+
     if hidden := cameras[shown:]:
         wrong = sum(camera.wrong for camera in hidden)
         table.add_row(
             _text(f"and {len(hidden)} more", _CORNER),
-            _text(f"{wrong} wrong" if wrong else "  well", _CORNER),
+            _text(f"{wrong} faulty" if wrong else "  ok", _CORNER),
         )
     return table
 

@@ -1,6 +1,4 @@
-"""What `camtopod watch` knows at the moment: filled by the bus's threads, and put into words for
-whoever draws it.
-"""
+"""State of the site as `camtopod watch` shows it: filled by the bus's threads, put into words."""
 
 from __future__ import annotations
 
@@ -18,25 +16,29 @@ from camtopod.predict import seen_now
 from camtopod.records import CAMERA_PATTERN, Alarm, Link, Prediction, Topology
 
 PREDICTIONS_KEPT = 30
+"""Newest predictions that are kept."""
 ALARMS_SHOWN = 5
+"""Newest alarms that are shown."""
 NEXT_SHOWN = 3
+"""Likeliest next zones that are shown of a prediction."""
 SILENT_SECONDS = 5.0
-"""Who has not been heard for longer has gone, whatever the last word was; they speak every
-second.
-"""
+"""Time without a status after which its sender counts as silent; statuses come every second."""
 _FINE = ("running", "ended", "no grabber", "unknown")
-"""The last two are cameras of another program, whose events come in without a word of its own."""
+"""States that need no attention.
+
+"no grabber" and "unknown" are cameras of another program, which sends events but no status.
+"""
 
 
 class _Said(Struct, frozen=True):
-    """What a camera's process says of itself."""
+    """Status that a camera's process publishes."""
 
     state: str = ""
     reason: str = ""
 
 
 class _Counted(Struct, frozen=True):
-    """What the daemon says of a camera."""
+    """Counters of one camera in the daemon's status."""
 
     events: int = 0
     newest: float | None = None
@@ -44,12 +46,14 @@ class _Counted(Struct, frozen=True):
 
 
 class _Events(Struct, frozen=True):
+    """Counters of all events in the daemon's status."""
+
     stored: int = 0
     duplicate: int = 0
 
 
 class _DaemonSaid(_Said, frozen=True):
-    """What the daemon says."""
+    """Status that the daemon publishes."""
 
     events: _Events = _Events()
     rejects: dict[str, int] = {}
@@ -57,7 +61,7 @@ class _DaemonSaid(_Said, frozen=True):
 
 
 class CameraLine(NamedTuple):
-    """A camera; ``last``: seconds since its newest event, None where there is none."""
+    """One camera; ``last``: seconds since its newest event, None if there is none."""
 
     name: str
     state: str
@@ -67,12 +71,15 @@ class CameraLine(NamedTuple):
 
     @property
     def wrong(self) -> bool:
-        """Whether somebody should look at it."""
+        """Return True if the camera needs attention."""
         return self.state not in _FINE
 
 
 class View(NamedTuple):
-    """A moment. ``state`` and ``reason`` are the daemon's; ``now``: seconds since the epoch."""
+    """State of the site at one moment.
+
+    ``state`` and ``reason`` are the daemon's; ``now`` is in seconds since the epoch.
+    """
 
     site: str
     now: float
@@ -82,12 +89,13 @@ class View(NamedTuple):
     cameras: list[CameraLine]
     topology: Topology | None
     predictions: list[Prediction]
-    """The newest first."""
+    """Newest first."""
 
 
 class Board:
-    """Statuses and predictions as they come. ``steady``: a clock that does not step, for who has
-    been silent.
+    """Collects statuses and predictions as they arrive; thread-safe.
+
+    steady: monotonic clock in seconds, to notice senders that are silent.
     """
 
     def __init__(self, steady: Callable[[], float] = time.monotonic) -> None:
@@ -95,11 +103,11 @@ class Board:
         self._mutex = threading.Lock()
         self._daemon: tuple[float, _DaemonSaid] | None = None
         self._status: dict[str, tuple[float, _Said]] = {}
-        """By camera. Each with when it was said."""
+        """Camera -> (time of arrival, status)."""
         self._predictions: deque[Prediction] = deque(maxlen=PREDICTIONS_KEPT)
 
     def on_status(self, key: str, payload: bytes) -> None:
-        """A publication on ``status/...``. One that does not fit changes nothing."""
+        """Store a status published on ``status/...``; a malformed one is ignored."""
         name = key.removeprefix("status/")
         if not re.match(CAMERA_PATTERN, name):
             return
@@ -116,7 +124,7 @@ class Board:
             return
 
     def on_prediction(self, key: str, payload: bytes) -> None:
-        """A publication on ``prediction/{camera}``."""
+        """Store a prediction published on ``prediction/{camera}``; a malformed one is ignored."""
         try:
             prediction = codec.read(Prediction, payload, pack=True)
         except codec.Rejected:
@@ -126,22 +134,26 @@ class Board:
 
     @property
     def empty(self) -> bool:
-        """Whether no status has come yet."""
+        """Return True if no status has arrived yet."""
         with self._mutex:
             return self._daemon is None and not self._status
 
     def view(self, topology: Topology | None, site: str, now: float) -> View:
-        """What there is to see now; ``now`` in seconds since the epoch."""
+        """Return the state at ``now`` (seconds since the epoch)."""
         with self._mutex:
             status, said, predictions = dict(self._status), self._daemon, list(self._predictions)
+
+        # State of the daemon.
         steady = self._steady()
         heard, daemon = said or (steady, _DaemonSaid())
         state, reason = daemon.state, daemon.reason
         if steady - heard > SILENT_SECONDS:
             state, reason = (
                 "silent",
-                f"not heard for {steady - heard:.0f} s; what is below may be old",
+                f"no status for {steady - heard:.0f} s; what is shown below may be outdated",
             )
+
+        # State of the cameras: those with a status and those that the daemon counts.
         known = daemon.cameras
         cameras = [
             _camera(name, status.get(name), known.get(name, _Counted()), now, steady)
@@ -155,62 +167,74 @@ class Board:
 def _camera(
     name: str, status: tuple[float, _Said] | None, known: _Counted, now: float, steady: float
 ) -> CameraLine:
-    """``status``: when it spoke itself and what it said; ``known``: what the daemon says of it."""
+    """Return the line of one camera.
+
+    status: (time of arrival, status) from its own process, or None.
+    known: the daemon's counters of the camera.
+    """
     heard, said = status or (steady, _Said())
     state, reason = said.state, said.reason
     if not state:
         state = "unknown" if known.alive else "no grabber"
     elif state != "ended" and steady - heard > SILENT_SECONDS:
-        state, reason = "silent", f"not heard for {steady - heard:.0f} s"
+        state, reason = "silent", f"no status for {steady - heard:.0f} s"
     last = None if known.newest is None or not 0 <= now - known.newest < 1e6 else now - known.newest
     return CameraLine(name, state, reason, known.events, last)
 
 
 def _counts(daemon: _DaemonSaid) -> str:
-    """What it has taken in, and what not."""
+    """Return the daemon's counters of stored, duplicate and rejected events, in words."""
     events = daemon.events
-    return f"{events.stored} events stored, {events.duplicate} duplicates, {sum(daemon.rejects.values())} rejected"
+    return (
+        f"{events.stored} events stored, {events.duplicate} duplicates, "
+        f"{sum(daemon.rejects.values())} rejected"
+    )
 
 
 def daemon_line(view: View) -> str:
-    """Who the daemon is and how it is."""
+    """Return one line with site, state and counters of the daemon."""
     if not view.state:
-        return f"site {view.site}: no daemon has said anything yet"
+        return f"site {view.site}: no status of a daemon received yet"
     because = f" ({view.reason})" if view.reason else ""
     return f"site {view.site}: daemon {view.state}{because}, {view.counts}"
 
 
 def topology_lines(topology: Topology | None) -> list[str]:
-    """What has been learned, and how good its predictions were."""
+    """Return lines about the newest topology and the score of its predictions."""
     if topology is None:
         return ["topology: nothing learned yet"]
     lines = [
-        f"topology: version {topology.version}, {topology.events} events, {len(topology.cameras)} cameras, "
-        f"{len(topology.zones)} zones, {len(topology.links)} links, {topology.digest[:19]}"
+        f"topology: version {topology.version}, {topology.events} events, "
+        f"{len(topology.cameras)} cameras, {len(topology.zones)} zones, "
+        f"{len(topology.links)} links, {topology.digest[:19]}"
     ]
     if (s := topology.score) is not None:
         lines.append(
-            f"predictions: next camera right {s.top1:.2f} (the usual one {s.baseline_top1:.2f}), among three "
-            f"{s.top3:.2f}, log loss {s.log_loss:.2f} ({s.baseline_log_loss:.2f}); "
+            f"predictions: next camera right {s.top1:.2f} (baseline {s.baseline_top1:.2f}), "
+            f"among the first three {s.top3:.2f}, "
+            f"log loss {s.log_loss:.2f} (baseline {s.baseline_log_loss:.2f}); "
             f"{s.exits} exits since version {s.since_version}"
         )
     return lines
 
 
 def newest_alarms(topology: Topology | None) -> list[Alarm]:
-    """The newest first, at most `ALARMS_SHOWN`."""
+    """Return at most `ALARMS_SHOWN` alarms, newest first."""
     return list(
         reversed(((topology.alarms if topology is not None else None) or [])[-ALARMS_SHOWN:])
     )
 
 
 def alarm_line(alarm: Alarm, now: float) -> str:
-    """One alarm."""
-    return f"{(now - alarm.t) / 60:.0f} min ago, version {alarm.version}: {alarm.kind} {alarm.subject}, {alarm.detail}"
+    """Return one alarm in words; ``now`` in seconds since the epoch."""
+    return (
+        f"{(now - alarm.t) / 60:.0f} min ago, version {alarm.version}: "
+        f"{alarm.kind} {alarm.subject}, {alarm.detail}"
+    )
 
 
 def busiest_links(topology: Topology | None) -> list[Link]:
-    """Those between views, the busiest first."""
+    """Return the links between views, busiest first."""
     links = (
         [link for link in topology.links if link.relation != "visible"]
         if topology is not None
@@ -220,20 +244,26 @@ def busiest_links(topology: Topology | None) -> list[Link]:
 
 
 def transit(link: Link) -> str:
-    """How long the way takes: the median, and what four of five take."""
+    """Return a link's transit time in words: median, and the range of four in five."""
     return f"{link.transit.q50:.1f} ({link.transit.q10:.1f} to {link.transit.q90:.1f}) s"
 
 
 def prediction_line(prediction: Prediction) -> str:
-    """Where somebody has left, which cameras see them at that moment, and where to look next."""
+    """Return one prediction in words: departure zone, views that see the object now, and next
+    zones.
+    """
     seen = [
         f"now in view of {one.camera} {one.probability:.2f}"
         for one in seen_now(prediction.in_view or [])
     ]
     following = ", ".join(
-        f"{following.zone} {following.probability:.2f} in {following.q10:.0f} to {following.q90:.0f} s"
+        f"{following.zone} {following.probability:.2f} "
+        f"in {following.q10:.0f} to {following.q90:.0f} s"
         for following in prediction.next_[:NEXT_SHOWN]
     )
     if not seen and not following:
         return f"{prediction.zone or prediction.camera} -> next camera unknown"
-    return f"{prediction.zone or prediction.camera} -> {'; '.join([*seen, following] if following else seen)}"
+    return (
+        f"{prediction.zone or prediction.camera} -> "
+        f"{'; '.join([*seen, following] if following else seen)}"
+    )
