@@ -12,10 +12,12 @@ events give the same versions. In the order in which data flows, which is a good
 * `links`: significance, transit times and missed detections; which links are published
 * `changes`: links that open or close, cameras that move or fall silent; alarms
 * `next_camera`: the posterior for prediction, weak evidence included
-* the modules here: `learner` runs all of this tick by tick, with `settings` and `limits`;
-  `long_paths` extends the joint fit; `assemble` and `prediction_model` make a version of the
-  topology; `self_score` scores predictions; `snapshot` saves the state, `rewinding` takes event
-  time back in it, `retired_cameras` keeps it small
+* `refit`: `association` to `next_camera` as one pure function; `long_paths` extends the joint fit
+* `learner`: decides when to refit and turns the results into versions, within `settings` and
+  `limits`; `assemble` and `prediction_model` make the records of a version
+* `outcomes` and `self_score`: scores of past predictions
+* `snapshot`, `rewinding` and `retired_cameras`: save the state, take event time back, forget
+  cameras
 """
 
 from __future__ import annotations
