@@ -108,6 +108,7 @@ def problems(topology: Topology) -> Iterator[str]:
 
 def _names(topology: Topology) -> Iterator[str]:
     """Check that ids match their patterns, and that each zone belongs to one camera."""
+    # Cameras.
     zones = {zone.id: zone.camera for zone in topology.zones}
     for k, camera in enumerate(topology.cameras):
         if re.match(CAMERA_PATTERN, camera.id) is None:
@@ -117,12 +118,16 @@ def _names(topology: Topology) -> Iterator[str]:
         for zone in camera.zones:
             if zones.get(zone, camera.id) != camera.id:
                 yield f"zone {zone!r} is another camera's - at `$.cameras[{k}].zones`"
+
+    # Zones.
     for k, one in enumerate(topology.zones):
         if re.match(ZONE_PATTERN, one.id) is None or one.id.rpartition("/")[0] != one.camera:
             yield (
                 f"{one.id[:CAMERA_CHARACTERS_MAX]!r} is no zone's id, which is CAMERA/NUMBER"
                 f" - at `$.zones[{k}].id`"
             )
+
+    # Pairs.
     for k, pair in enumerate(topology.pairs):
         if pair.cameras[0] >= pair.cameras[1]:
             yield f"the cameras are not two, sorted - at `$.pairs[{k}].cameras`"
@@ -130,6 +135,7 @@ def _names(topology: Topology) -> Iterator[str]:
 
 def _repeated(topology: Topology) -> Iterator[str]:
     """Check that no item is there twice."""
+    # Collect the keys of the topology's items, then those of the model's.
     keyed: list[tuple[str, Iterable[Any]]] = [
         ("cameras", (camera.id for camera in topology.cameras)),
         ("zones", (zone.id for zone in topology.zones)),
@@ -149,6 +155,8 @@ def _repeated(topology: Topology) -> Iterator[str]:
             (f"model.onward[{k}].next_", (o.to for o in row.next_))
             for k, row in enumerate(model.onward or [])
         ]
+
+    # Report the first key of each list that occurs more than once.
     for place, keys in keyed:
         twice = [key for key, count in Counter(keys).items() if count > 1]
         if twice:
@@ -249,6 +257,8 @@ def _last_bin(model: Model) -> int:
 def _histograms(topology: Topology, model: Model) -> Iterator[str]:
     """Check that the histograms lie on the model's lag bins."""
     first, end = _first_bin(model), _last_bin(model) + 1
+
+    # Collect all histograms.
     held: list[tuple[str, int, Histogram | None]] = [
         ("links", k, link.histogram) for k, link in enumerate(topology.links)
     ]
@@ -259,6 +269,8 @@ def _histograms(topology: Topology, model: Model) -> Iterator[str]:
         for one in row.next_
     ]
     held += [("model.entered", k, kernel.hazard) for k, kernel in enumerate(model.entered or [])]
+
+    # Compare their bins with the model's.
     for place, k, histogram in held:
         if histogram is None or not histogram.mass:
             continue

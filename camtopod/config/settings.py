@@ -410,6 +410,8 @@ class _Reader(TableReader):
         tls = bus.tls
         if tls == TlsSettings():
             return
+
+        # All files are needed.
         for key in ("ca", "certificate", "private_key"):
             if not getattr(tls, key):
                 self.say(
@@ -421,6 +423,8 @@ class _Reader(TableReader):
                 "access is missing: a daemon that is the meeting point has to know who may do what"
             )
             self.say(("bus", "tls"), f"bus.tls: {what}")
+
+        # All endpoints have to use TLS.
         for key in ("listen", "connect"):
             for index, endpoint in enumerate(getattr(bus, key)):
                 if is_endpoint(endpoint) and not endpoint.startswith("tls/"):

@@ -122,6 +122,8 @@ class TableReader:
         Each endpoint of an array is checked by itself.
         """
         title = ".".join(str(part) for part in path[:3])
+
+        # Endpoints: report each bad one, and keep the array.
         if field.type == tuple[Endpoint, ...] and isinstance(value, list):
             for index, endpoint in enumerate(value):
                 if not is_endpoint(endpoint):
@@ -131,6 +133,8 @@ class TableReader:
                     )
                     self.say((*path, index), what)
             return tuple(value)
+
+        # All other types.
         try:
             converted = msgspec.convert(value, field.type)
             _check_number(converted, field.default)

@@ -179,7 +179,7 @@ class Authority:
     ) -> Path:
         """Make a key and a certificate; return their folder.
 
-        replace: withdraw the present certificate.
+        replace: revoke the present certificate.
         hosts: host names and addresses of the daemon.
         cameras: cameras that the program called ``name`` publishes, if it is not a camera itself.
 
@@ -219,7 +219,7 @@ class Authority:
             until = day(next(issued.certificate.expires for issued in old if issued.valid))
             raise KeysError(
                 f"{role} {name} has a certificate (until {until}); --replace makes a new one and"
-                f" withdraws it"
+                f" revokes it"
             )
 
         # A replacement gets a new common name.
@@ -239,7 +239,7 @@ class Authority:
         return common_name
 
     def revoke(self, role: Role, name: str) -> None:
-        """Withdraw the certificate of ``name``.
+        """Revoke the certificate of ``name``.
 
         It takes effect when the daemon has the new access list.
         """

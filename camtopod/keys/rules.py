@@ -98,12 +98,15 @@ def read_access(raw: bytes) -> Access:
 
 def access_control(access: Access) -> Settings:
     """Return settings that allow each certificate's name its keys and deny everything else."""
+    # Each certificate gets its own rules, and a policy that applies them to its name.
     allowed: list[dict[str, Any]] = []
     policies = []
     for certificate in access.certificates:
         mine = _rules(access.site, certificate)
         allowed += mine
         policies.append({"rules": [rule["id"] for rule in mine], "subjects": [certificate.name]})
+
+    # The subject of a policy is the common name, over TLS only.
     subjects = [
         {"id": c.name, "cert_common_names": [c.name], "link_protocols": ["tls"]}
         for c in access.certificates
@@ -171,6 +174,7 @@ def priorities(site: str) -> Settings:
     every link: in the queue of publications, an answer to a reader that has stopped reading would
     delay the publications to all others. Of these messages at most one waits.
     """
+    # Mark messages that are too large.
     marks = [
         {
             "flows": ["ingress"],
@@ -181,6 +185,8 @@ def priorities(site: str) -> Settings:
         }
         for priority, (message, key, size) in MARKS.items()
     ]
+
+    # Keep readers' queries apart from publications.
     answers = {
         "flows": ["ingress"],
         "messages": ["query"],

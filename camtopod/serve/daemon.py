@@ -487,12 +487,15 @@ class Daemon:
 
         Raises `QueryError`.
         """
+        # The newest version is at hand.
         if (newest := self.newest) is None:
             raise QueryError("nothing has been learned yet")
         wanted = parameters.get("version", str(newest.head.version))
         epoch = parameters.get("epoch", newest.head.epoch)
         if (epoch, wanted) == (newest.head.epoch, str(newest.head.version)):
             return newest.topology if parameters.get("format") == JSON else newest.raw
+
+        # Older ones are in the journal or, of a shard, in the merger's.
         try:
             kept = (
                 self._journal
@@ -535,6 +538,8 @@ class Daemon:
         if version.delta is not None:
             self.bus.put_raw("topology/delta", version.delta, "topology-delta")
         self.bus.put_raw("topology", version.packed, "topology")
+
+        # Log the new alarms and the version.
         for alarm in said.alarms:
             if alarm.version == said.version:
                 log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)

@@ -139,7 +139,7 @@ def test_what_a_snapshot_took_is_given_back(monkeypatch: pytest.MonkeyPatch) -> 
     asked: queue.SimpleQueue[Question] = queue.SimpleQueue()
     for question in (Begin(SETTINGS, "s", "E", {}, False), Save(), NewEpoch("F")):
         asked.put(question)
-    with contextlib.closing(Board()) as board, pytest.raises(ValueError, match="nobody has asked"):
+    with contextlib.closing(Board()) as board, pytest.raises(ValueError, match="without a version mismatch"):
         Pupil(asked, -1, board, Learner).work()
     assert done == ["Taught", "Saved", "given back"]
 

@@ -139,6 +139,8 @@ class Merge:
         """
         if horizon == -math.inf:
             return []
+
+        # Merge the cameras by the times of their first waiting events.
         heap = [
             (one.waiting[0][0], camera) for camera, one in self._backlogs.items() if one.waiting
         ]
@@ -151,6 +153,8 @@ class Merge:
                 heapq.heapreplace(heap, (waiting[0][0], heap[0][1]))
             else:
                 heapq.heappop(heap)
+
+        # The merge ends.
         if horizon == math.inf and not heap:
             self._backlogs.clear()
             self._began = None

@@ -144,9 +144,9 @@ class Streams(Generic[T]):
 
         If the gap is still there, the spool cannot fill it.
 
-        knows: the spool knows the boot. One that does not tells nothing about held events. One that
-            does had every event before it was published, so a held event that it lacks twice is
-            nobody's.
+        knows: the spool knows the boot. If it does not, its answer means nothing for held events.
+            If it does, it had every event before it was published, so a held event that is missing
+            there twice is in no spool.
         """
         stream = self._streams.get(key)
         if stream is None or not stream.held or (stream.next or 0) < asked_from:

@@ -101,10 +101,14 @@ class Learning:
             on_deadline,
         )
         self._new_epoch = new_epoch
+
+        # Progress through the journal.
         self._replay_until = self._stored = len(journal)
         self._saved = self.position
         self._due = False
         self._busy = False  # True while the process owes an answer
+
+        # Entries in memory.
         self._queue: queue.SimpleQueue[list[Lesson]] = queue.SimpleQueue()
         self._queued = 0
         self._behind = True  # True while entries after the queue have to be read from the journal
@@ -263,6 +267,8 @@ class Learning:
         """Send a task to the learner and note the progress."""
         taught = self._ask(task, stopping, beat)
         assert isinstance(taught, Taught)
+
+        # Note what it says.
         if taught.statistics.get("refused", 0) > self.statistics.get("refused", 0):
             self._refused_at = time.monotonic()
         self.position, self.statistics, self.epoch = (

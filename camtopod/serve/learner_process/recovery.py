@@ -244,6 +244,8 @@ def _newest_state(
                 " again"
             )
             return None
+
+        # It cannot be used: try the one before, unless the program is too old.
         assert isinstance(answer, Unusable)
         if answer.newer:
             raise StateError(

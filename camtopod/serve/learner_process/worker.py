@@ -110,7 +110,7 @@ class Pupil:
                     self._tell(Saved(self._save()))
                     memory.give_back()  # the packed state took as much as the learner
                 case NewEpoch():
-                    raise ValueError("nobody has asked for an epoch")
+                    raise ValueError("a new epoch was sent without a version mismatch")
 
     def _save(self) -> bytes:
         state = self._learner.save()
@@ -143,7 +143,7 @@ class Pupil:
                     learner.load(state)
                     before = state.line.epoch
                 case _:
-                    raise ValueError("what was loaded is of another kind of learner")
+                    raise ValueError("the loaded state is of another kind of learner")
             if before != given.epoch:
                 self._learner.begin_epoch(given.epoch)
 
@@ -195,6 +195,8 @@ class Pupil:
         unreadable = 0
         for lesson in lessons:
             self._board.at = position + 1
+
+            # An event, a rewind or an advance of event time.
             if isinstance(lesson, bytes):
                 try:
                     event = codec.event_from_bytes(lesson)
@@ -206,6 +208,8 @@ class Pupil:
                 self._rewind(lesson)
             elif lesson is not None:
                 self._learner.advance(lesson)
+
+            # Send new versions, and stop if time is short.
             self._take_versions()
             position += 1
             if self._board.hurry:

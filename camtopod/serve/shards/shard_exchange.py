@@ -48,6 +48,8 @@ class Sharing:
         use: Callable[[Version | Topology], None],
     ) -> None:
         self._bus, self._share, self._learning, self._use = bus, share, learning, use
+
+        # Continue from the learner's last update.
         newest = Told(*share.shard, None) if told is None else codec.read(Told, told, pack=True)
         self._parts = {part.district: part for part in newest.parts}
         self._reached, self._published = newest.reached, 0
