@@ -27,7 +27,7 @@ ENTRY_SECONDS_MAX = 5.0
 An object that begins to move later was standing there before.
 """
 OBJECTS_MAX = 10_000
-"""Objects remembered, the latest heard of, so that a repeated message counts once."""
+"""Objects remembered, the latest ones, so that a repeated message counts once."""
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom, pixels of the picture that Frigate detects in."""
@@ -106,7 +106,7 @@ class Frigate:
         return []
 
     def _met(self, message: _Message) -> _Object:
-        """Return the state of an object not heard of before; it enters if it is new."""
+        """Return the state of an object at its first message; it enters if it is new."""
         if message.type != "new":
             return _Object(None)
         first, now = message.before, message.after

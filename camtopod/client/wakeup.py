@@ -17,7 +17,7 @@ class News:
         self._condition = threading.Condition()
         self._listeners: list[Callable[[], None]] = []
         self.closed = False
-        """Whether there will be no more."""
+        """True once no further changes will be announced."""
 
     def tell(self) -> None:
         """Announce a change. Callable from any thread."""
@@ -30,7 +30,6 @@ class News:
     def close(self) -> None:
         """Announce that no more changes will come and release all waiters."""
         self.closed = True
-        """True once no further changes will be announced."""
         self.tell()
 
     def wait_for(self, found: Callable[[], T | None], seconds: float | None = None) -> T | None:

@@ -36,7 +36,7 @@ CAMERAS_MAX = 5_000
 REASON_CHARACTERS_MAX = 500
 """Characters kept of a camera's state and reason."""
 PREDICTIONS_PER_SECOND_MAX = 25
-"""Predictions forwarded per second, of all cameras together; nobody can follow more."""
+"""Predictions forwarded per second, of all cameras together; people cannot follow more."""
 PREDICTIONS_HELD = 20
 """Predictions kept for pages that connect later."""
 NEXT_SHOWN = 3
@@ -94,7 +94,7 @@ class Feed:
         self._heard: dict[str, float] = {}
         self._silent: set[str] = set()
         self._looked_at_cameras = -1e18
-        self._unheard_since = clock()  # no status can arrive while the bus is not reached
+        self._unheard_since = clock()  # no status can arrive while the bus is unreachable
         self._live: dict[str, Any] = {"live": False, "reason": WAITING, "since": clock()}
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
         self._second, self._this_second = 0, 0

@@ -7,9 +7,9 @@ import threading
 from collections import deque
 
 MESSAGES_MAX = 256
-"""Messages that may wait for a page; beyond it the page is told to fetch everything anew."""
+"""Messages that may wait for a page; beyond it the page must fetch everything anew."""
 BYTES_MAX = 4 << 20
-"""Bytes that may wait for a page; beyond it the page is told to fetch everything anew.
+"""Bytes that may wait for a page; beyond it the page must fetch everything anew.
 
 A version of a large site is half a megabyte. A single message may be larger than this.
 """

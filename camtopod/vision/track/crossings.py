@@ -23,7 +23,7 @@ CUT_SHARE = 0.7
 TOUCH_PIXELS = 1.5
 """Distance from the border (pixels) within which it cuts a box."""
 FOOT_SIGHTINGS = 5
-"""Sightings whose median gives the foot row of somebody cut by the side of the picture."""
+"""Sightings whose median gives the foot row of a person cut by the side of the picture."""
 WHOLE_SHARE = 0.6
 """Least height of these sightings, as a share of the tallest one."""
 EXIT_HEIGHTS_MIN = 0.6
@@ -125,7 +125,7 @@ class Crossings:
     def _event(self, kind: Kind, track: Track, at: Sighting, around: list[Sighting]) -> Event:
         """Return an event at a sighting.
 
-        The foot row of somebody cut by the side of the picture is estimated from the sightings
+        The foot row of a person cut by the side of the picture is estimated from the sightings
         ``around``.
         """
         x, y = at.foot
@@ -149,7 +149,7 @@ def went_somewhere(track: Track) -> bool:
 
 
 def _foot_row(sightings: list[Sighting], latest: bool) -> float:
-    """Return the foot row of somebody cut by the side of the picture.
+    """Return the foot row of a person cut by the side of the picture.
 
     The piece of a person that is seen last need not include a foot.
     """

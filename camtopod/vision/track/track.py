@@ -27,7 +27,7 @@ class Track:
     from_start: bool
     """In view when tracking began, so without an entry."""
     beside_others: bool
-    """Born next to another object: more likely half of a group than somebody new."""
+    """Born next to another object: more likely half of a group than a new person."""
     history: deque[Sighting] = field(default_factory=lambda: deque(maxlen=HISTORY_SIGHTINGS))
     sightings: int = 1
     frames: int = 1

@@ -400,7 +400,7 @@ class Tracker:
                 self.broken.append(track)
         self.active = kept
 
-        # Broken tracks that nobody continued have vanished.
+        # Broken tracks that were not continued have vanished.
         deadline = t - self._settings.stitch_seconds
         vanished = [track for track in self.broken if track.last.t < deadline]
         self.broken = [track for track in self.broken if track.last.t >= deadline]
