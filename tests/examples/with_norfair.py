@@ -9,15 +9,11 @@ from camtopod.client import TrackEvents
 from camtopod.codec import to_json
 
 video = Moving(sys.argv[1])
-tracker = Tracker(
-    "euclidean", distance_threshold=video.size[1] / 8, initialization_delay=0
-)  # TrackEvents waits, too
+tracker = Tracker("euclidean", video.size[1] / 8, initialization_delay=0)  # TrackEvents waits, too
 tracks = TrackEvents("lobby", video.size)
 for t, boxes in video:
     detections = [Detection(box.reshape(2, 2)) for box in boxes]
-    seen = [
-        x for x in tracker.update(detections) if x.last_detection in detections
-    ]  # the others are guessed
+    seen = [x for x in tracker.update(detections) if x.last_detection in detections]  # not guessed
     for event in tracks.update([x.id for x in seen], [x.last_detection.points for x in seen], t):
         print(to_json(event).decode(), flush=True)
 for event in tracks.close():

@@ -1,6 +1,4 @@
-"""supervision's ByteTrack -> event lines: `python with_supervision.py VIDEO | camtopod ingest
-jsonl`.
-"""
+"""supervision -> event lines: `python with_supervision.py VIDEO | camtopod ingest jsonl`."""
 
 import sys
 
@@ -15,10 +13,8 @@ video = Moving(sys.argv[1])
 tracker = sv.ByteTrack(frame_rate=round(video.fps), minimum_matching_threshold=0.95)
 tracks = TrackEvents("lobby", video.size)
 for t, boxes in video:
-    found = sv.Detections(
-        boxes, confidence=np.full(len(boxes), 0.9), class_id=np.zeros(len(boxes), int)
-    )
-    found = tracker.update_with_detections(found)
+    sure, kind = np.full(len(boxes), 0.9), np.zeros(len(boxes), int)
+    found = tracker.update_with_detections(sv.Detections(boxes, confidence=sure, class_id=kind))
     for event in tracks.update(found.tracker_id, found.xyxy, t):
         print(to_json(event).decode(), flush=True)
 for event in tracks.close():
