@@ -220,8 +220,7 @@ class Gate:
 
         The version has the rate of arrivals that no departure explains at all. Spurious transitions
         (`Outcome.doubt`) count as "left the site" for their exits, so their entries count as from
-        outside. Expected
-        arrivals then account for the entries counted.
+        outside. Expected arrivals then account for the entries counted.
         """
         rate = np.array(self._hazards.arrival_rate)
         entries = np.array([float(zone.entries) for zone in self.topology.zones])
