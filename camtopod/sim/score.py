@@ -112,11 +112,11 @@ class Score(Struct, frozen=True):
         """Return a few lines for people."""
         return (
             f"zones    {self.zones_matched} of {self.zones_true} found, {self.zones_learned} "
-            f"learned; {self.cameras_right} of {self.cameras} cameras all right\n"
+            f"learned; {self.cameras_right} of {self.cameras} cameras with all zones right\n"
             f"links    {self.links_found} of {self.links_true} found (recall "
             f"{self.link_recall:.2f}), {self.links_right} of {self.links_learned} learned true "
             f"(precision {self.link_precision:.2f}); relation right in {self.relations_right}\n"
-            f"transit  median error {_percent(self.mode_error)} (most popular time),"
+            f"transit  median error {_percent(self.mode_error)} (mode),"
             f" {_percent(self.mean_error)} (mean)\n"
             f"pairs    {self.pairs_right} of {self.pairs_true} found (recall "
             f"{self.pair_recall:.2f}), {self.pairs_learned} learned (precision "

@@ -71,9 +71,8 @@ def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passa
             * pace
             * jitter(settings, rng, len(t))
         )
-        stay = np.maximum(
-            stay, -1.25 * ahead
-        )  # nobody is in the next view before being in this one
+        # A walker cannot enter the next view before this one.
+        stay = np.maximum(stay, -1.25 * ahead)
         parts.append(Passages(walker, np.full(len(t), number), zone, out, t, t + stay))
         t, zone = (t + stay + ahead)[goes], layout.onward.target[out, option][goes]
         walker, pace, linger = walker[goes], pace[goes], linger[goes]

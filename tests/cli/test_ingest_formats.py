@@ -129,7 +129,7 @@ def test_lines_that_come_to_nothing_are_not_passed_over_in_silence(
     ("arguments", "said"),
     [
         (["mot", "x.txt"], "mot needs --camera and --fps and --size"),
-        (["mot", "x.txt", "--camera", "daemon", "--fps", "5", "--size", "4x4"], "taken on the bus"),
+        (["mot", "x.txt", "--camera", "daemon", "--fps", "5", "--size", "4x4"], "reserved on the bus"),
         (["mot", "x.txt", "--camera", "a", "--fps", "-5", "--size", "4x4"], "above 0"),
         (["mot", "x.txt", "--camera", "a", "--fps", "0", "--size", "4x4"], "above 0"),
         (["mot", "x.txt", "--camera", "", "--fps", "5", "--size", "4x4"], "1 to 64"),
