@@ -6,19 +6,23 @@ and issues and revokes certificates.
 
 from __future__ import annotations
 
-from camtopod.keys import rules
-from camtopod.keys.authority import (
-    ACCESS,
-    DAEMON,
-    LOCAL_HOSTS,
-    Authority,
-    KeysError,
-    check_cameras,
-    check_hosts,
-    day,
-    write_public,
-)
-from camtopod.keys.rules import PREFIX, STATUS
+from typing import TYPE_CHECKING
+
+from camtopod.lazy import names_from
+
+if TYPE_CHECKING:
+    from camtopod.keys.authority import (
+        ACCESS,
+        DAEMON,
+        LOCAL_HOSTS,
+        Authority,
+        KeysError,
+        check_cameras,
+        check_hosts,
+        day,
+        write_public,
+    )
+    from camtopod.keys.rules import PREFIX, STATUS
 
 __all__ = [
     "ACCESS",
@@ -34,3 +38,20 @@ __all__ = [
     "rules",
     "write_public",
 ]
+
+__getattr__ = names_from(
+    __name__,
+    {
+        "ACCESS": "authority",
+        "Authority": "authority",
+        "DAEMON": "authority",
+        "KeysError": "authority",
+        "LOCAL_HOSTS": "authority",
+        "PREFIX": "rules",
+        "STATUS": "rules",
+        "check_cameras": "authority",
+        "check_hosts": "authority",
+        "day": "authority",
+        "write_public": "authority",
+    },
+)

@@ -8,7 +8,7 @@ import pytest
 from paths import ROOT
 
 PACKAGE = ROOT / "camtopod"
-MODULES = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py"))
+MODULES = sorted(path.relative_to(ROOT).as_posix() for path in PACKAGE.rglob("*.py"))
 Documented = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
