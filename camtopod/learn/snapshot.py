@@ -26,8 +26,8 @@ from camtopod.publishers import Publisher
 from camtopod.records import Topology
 
 FORMAT = 1
-"""Format of a snapshot. A higher number is refused; whoever raises it adds the migration from lower
-ones, of which there are none yet.
+"""Format of a snapshot; a higher number is refused. There is no lower one yet: a change that raises
+it must migrate from this one.
 """
 BYTES_MAX = 1 << 30
 """Largest size of an uncompressed snapshot, bytes. One that unpacks to more is damaged."""
