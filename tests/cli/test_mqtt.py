@@ -117,7 +117,7 @@ def test_onto_the_bus(tmp_path: Path) -> None:
         with err.open("wb") as file:
             process = subprocess.Popen([sys.executable, "-m", "camtopod", *command], stderr=file)
         try:
-            wait_for(lambda: "hearing" in err.read_text(), "the subscription")
+            wait_for(lambda: "subscribed to" in err.read_text(), "the subscription")
             broker.publish([line for n in range(50) for line in says.passage(n, T0 + n)])
             wait_for(lambda: daemon.status()["events"]["stored"] == 100, "the events")
             process.send_signal(signal.SIGTERM)
@@ -312,7 +312,7 @@ def test_a_broker_that_speaks_5_does_not_send_a_huge_message(tmp_path: Path) -> 
             publish_huge(other)
         broker.publish(says.passage(1))
         ingest.wait_for_lines(2)
-        assert ingest.said.count("hearing") == 1, "the connection is the same"
+        assert ingest.said.count("subscribed to") == 1, "the connection is the same"
         assert "lost" not in ingest.said
         assert peak_mebibytes(ingest.process) < 150
 
@@ -368,7 +368,7 @@ def test_an_older_broker_that_sends_a_huge_message_is_disconnected(
             f"the broker sends a packet of {HUGE + 16} bytes; at most 2097152 are accepted"
             in ingest.said
         )
-        assert ingest.said.count("hearing") == broker.subscribed == 2
+        assert ingest.said.count("subscribed to") == broker.subscribed == 2
         assert peak_mebibytes(ingest.process) < 150
 
 
