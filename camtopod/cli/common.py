@@ -94,7 +94,7 @@ def with_options(args: argparse.Namespace, loaded: settings.Config) -> settings.
                 )
             if loaded.bus.tls.ca and not endpoint.startswith("tls/"):
                 raise CommandError(
-                    f"--connect {endpoint!r}: must begin with tls/, as [bus.tls] is set",
+                    f"--connect {endpoint!r}: write tls/..., as [bus.tls] is set",
                     exits.USAGE,
                 )
         bus = msgspec.structs.replace(loaded.bus, connect=tuple(args.connect), listen=())

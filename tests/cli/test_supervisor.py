@@ -273,7 +273,7 @@ def test_another_configuration_touches_only_what_changed(
             lambda: bool(box.beats("good-new")) and box.starts("good-changed") == 2, "the new ones"
         )
     wait_for(lambda: not there(gone), "the end of what is gone")
-    assert "start: good-new; start anew: good-changed; end: good-gone" in caplog.text
+    assert "started: good-new; restarted: good-changed; ended: good-gone" in caplog.text
     assert (box.starts("good-same"), box.pid("good-same"), there(same)) == (1, same, True)
 
     caplog.clear()
