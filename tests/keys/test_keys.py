@@ -360,7 +360,7 @@ def test_rules_name_exact_keys_only(authority: Authority) -> None:
 def test_one_certificate_for_several_cameras(authority: Authority) -> None:
     """For events of another program; a box with one camera has no use for it."""
     for name, cameras in (("nvr", ["a/b"]), ("nvr", ["daemon"]), ("nvr", ["hall", "hall"])):
-        with pytest.raises(KeysError, match=r"cannot be a camera's name|taken|twice"):
+        with pytest.raises(KeysError, match=r"cannot be a camera's name|reserved|twice"):
             authority.issue("camera", name, 10, cameras=cameras)
     authority.issue("camera", "nvr", 10, cameras=["hall", "door.1"])
     for name in ("nvr", "nvr~2"):
