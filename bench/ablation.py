@@ -105,7 +105,7 @@ MECHANISMS = [
         "contexts, all", {"learn.next_camera.contexts:Contexts._contexts": _untold(0, 1, 2, 3)}
     ),
     Mechanism(
-        "pace", {"learn.association.joint_fit:persistence": lambda *arguments: NO_PERSISTENCE}
+        "pace", {"learn.association.em:persistence": lambda *arguments: NO_PERSISTENCE}
     ),
     Mechanism("skipped views", {"learn.next_camera.fit:skip_hazards": _no_skips}),
     Mechanism("prior: ways are two-way", {"learn.next_camera.prior:RETURNING": 0.0}),
@@ -134,7 +134,7 @@ MECHANISMS = [
         {"learn.refit:without_missed": lambda between, through, found, *rest: found},
     ),
     Mechanism("changes", {"learn.refit:find_changes": lambda *arguments: []}),
-    Mechanism("longer steps of EM", {"learn.association.joint_fit:STRIDE": 1.0}),
+    Mechanism("longer steps of EM", {"learn.association.em:STRIDE": 1.0}),
     Mechanism("sparse prior", {"learn.association.joint_fit:SPARSITY": 0.0}),
     Mechanism("long ways", {"learn.long_paths:find_long_paths": lambda *arguments: []}),
     Mechanism(

@@ -32,7 +32,8 @@ from numpy.typing import NDArray
 from bench.regimes import REGIMES
 from bench.support.jobs import done
 from bench.support.measure import TRAIN_SHARE, predict, prediction_figures
-from camtopod.arrays import Singles
+from camtopod.arrays import Floats, Singles
+from camtopod.learn.association import Em
 from camtopod.learn.learner import Learner
 from camtopod.learn.next_camera import fit
 from camtopod.learn.next_camera.fit import PosteriorFitter
@@ -62,12 +63,12 @@ class Told:
         }
         self.kept = float("nan")
 
-    def of(self, fitter: PosteriorFitter) -> Singles:
+    def of(self, em: Em) -> Singles:
         """1 for each candidate (M,) that is one object's next appearance, else 0."""
-        c = fitter.candidates
+        c = em.candidates
         left, came = (
             np.rint(t * MICROSECONDS).astype(np.int64).tolist()
-            for t in (fitter.departures.t, fitter.arrivals.t)
+            for t in (em.departures.t, em.arrivals.t)
         )
         pairs = zip(c.departure.tolist(), c.arrival.tolist(), strict=True)
         return np.array([self.next.get(left[d]) == came[a] for d, a in pairs], np.float32)
@@ -75,14 +76,17 @@ class Told:
     @contextmanager
     def at_every_step(self) -> Iterator[None]:
         """Nothing is guessed."""
-        expect = PosteriorFitter._expect
+        of = self.of
 
-        def told(fitter: PosteriorFitter, hazard: Singles) -> None:
-            expect(fitter, hazard)
-            fitter.responsibility = self.of(fitter)
+        class Told(Em):
+            """EM whose E step knows the truth."""
+
+            def expect(self, hazard: Singles) -> None:
+                super().expect(hazard)
+                self.responsibility = of(self)
 
         with (
-            patch.object(PosteriorFitter, "_expect", told),
+            patch.object(fit, "Em", Told),
             patch.object(PosteriorFitter, "sample", lambda _: None),
         ):
             yield
@@ -94,11 +98,12 @@ class Told:
 
         def begin(fitter: PosteriorFitter) -> None:
             if from_truth:
-                fitter.responsibility = self.of(fitter)
+                fitter.em.responsibility = self.of(fitter.em)
             sample(fitter)
 
         def follow(fitter: PosteriorFitter, overlapping: NDArray[np.bool_]) -> NDArray[np.bool_]:
-            fitter.responsibility = np.maximum(fitter.responsibility, self.of(fitter))
+            em = fitter.em
+            em.responsibility = np.maximum(em.responsibility, self.of(em))
             return worth(fitter, overlapping)
 
         with (
@@ -111,14 +116,14 @@ class Told:
     @contextmanager
     def watching(self) -> Iterator[None]:
         """What is believed of the truth is written down."""
-        result = PosteriorFitter.result
+        posterior = PosteriorFitter.posterior
 
-        def watched(fitter: PosteriorFitter) -> object:
-            true = self.of(fitter)
-            self.kept = float(fitter.responsibility @ true / max(true.sum(), 1.0))
-            return result(fitter)
+        def watched(fitter: PosteriorFitter, evidence: Floats) -> fit.Posterior:
+            true = self.of(fitter.em)
+            self.kept = float(fitter.em.responsibility @ true / max(true.sum(), 1.0))
+            return posterior(fitter, evidence)
 
-        with patch.object(PosteriorFitter, "result", watched):
+        with patch.object(PosteriorFitter, "posterior", watched):
             yield
 
 

@@ -23,10 +23,12 @@ class Exit(Protocol):
     """An exit of an object: its time by the camera's own clock, Unix seconds, and its camera."""
 
     @property
-    def t(self) -> float: ...
+    def t(self) -> float:
+        """Event time, Unix seconds."""
 
     @property
-    def camera(self) -> str: ...
+    def camera(self) -> str:
+        """Name of the camera."""
 
 
 def outcomes_of(

@@ -340,7 +340,7 @@ def predict_next(
     known: Known,
     settings: Settings,
 ) -> Predicted:
-    """7. Fit where objects appear next, weak evidence included, and find earlier exits' outcomes."""
+    """Fit where objects appear next, weak evidence included; find outcomes of earlier exits."""
     late, bins, cameras = found.late, lag_bins(settings), window.cameras
     zones = len(late.zone)
     posterior = fit_followed(

@@ -1,8 +1,9 @@
 """Data association: which departure and which arrival are of one object.
 
 Reading order: `candidates` lists every departure and arrival within the range of lags; `exposure`
-counts how many departures could have been seen to arrive after each lag; `joint_fit` estimates the
-responsibility of each candidate and the hazards of each pair of zones by expectation maximisation.
+counts how many departures could have been seen to arrive after each lag; `speed_adjustment`
+corrects lags for each object's speed; `em` estimates responsibilities and hazards by expectation
+maximisation; `joint_fit` runs it for links.
 `screening` goes before the fit on large sites, where there are too many candidates for it.
 """
 
@@ -17,17 +18,9 @@ from camtopod.learn.association.candidates import (
     newest,
     together,
 )
+from camtopod.learn.association.em import NOTHING, START_FLOOR, Em
 from camtopod.learn.association.exposure import exposures
-from camtopod.learn.association.joint_fit import (
-    NOTHING,
-    START_FLOOR,
-    Fit,
-    JointFitter,
-    Tables,
-    adjust,
-    fit_jointly,
-    within,
-)
+from camtopod.learn.association.joint_fit import Fit, fit_jointly, result
 from camtopod.learn.association.screening import (
     Followed,
     Screen,
@@ -37,17 +30,17 @@ from camtopod.learn.association.screening import (
     place,
     whole,
 )
+from camtopod.learn.association.speed_adjustment import adjust
 
 __all__ = [
     "NOTHING",
     "RESPONSIBILITY_MAX",
     "START_FLOOR",
     "Candidates",
+    "Em",
     "Fit",
     "Followed",
-    "JointFitter",
     "Screen",
-    "Tables",
     "adjust",
     "ends_of",
     "exposures",
@@ -59,7 +52,7 @@ __all__ = [
     "newest",
     "not_overlapping",
     "place",
+    "result",
     "together",
     "whole",
-    "within",
 ]

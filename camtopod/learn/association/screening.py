@@ -34,8 +34,8 @@ from camtopod.learn.association.candidates import (
     number_pairs,
     possible,
 )
+from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.exposure import exposures
-from camtopod.learn.association.joint_fit import START_FLOOR
 from camtopod.learn.limits import (
     JUDGED_MAX,
     LOOKED_PER_EVENT_MAX,

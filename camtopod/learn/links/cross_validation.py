@@ -22,11 +22,10 @@ allows.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
-from camtopod.learn.association import Candidates, Fit, JointFitter, adjust
-from camtopod.learn.traffic import Arrivals, Chance, Departures
+from camtopod.learn.association import Candidates, Em, Fit, adjust
+from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import LagBins
 
 PARTS = 8
@@ -126,7 +125,7 @@ class Parts:
         self._exposure = self._exposures()
         self._adjusted = adjust(fit.candidates, departures, arrivals, fit.persistence, bins)
 
-    def take(self, numbers: Longs) -> PartFitter:
+    def take(self, numbers: Longs) -> Em:
         """Return a fitter of the arrivals in these parts; pairs are numbered as in the fit."""
         # Keep the candidates whose arrivals lie in these parts.
         left, came = np.isin(self._left, numbers), np.isin(self._came, numbers)
@@ -141,7 +140,7 @@ class Parts:
             c.target,
         )
 
-        fitter = PartFitter(
+        fitter = Em(
             self.departures,
             self.arrivals.take(came),
             candidates,
@@ -151,7 +150,7 @@ class Parts:
             self._exposure[numbers].sum(axis=0),
             self._adjusted.take(kept),
         )
-        fitter.near = left if left.any() else ~left
+        fitter.near = left if left.any() else None
         return fitter
 
     def _of(self, t: Floats) -> Longs:
@@ -179,19 +178,7 @@ class Parts:
         return result
 
 
-class PartFitter(JointFitter):
-    """A joint fit of the arrivals of some parts to all departures."""
-
-    near: NDArray[np.bool_]
-    """(n,) departures in the same parts, for the rates of the null model; all if there are none."""
-
-    def _chance(self) -> Chance:
-        """Return the null model of departures and arrivals of the same parts."""
-        left, came = self.departures, self.arrivals
-        return Chance(left.t[self.near], left.zone[self.near], came.t, came.zone, self.zones)
-
-
-def _fitted(fitter: JointFitter) -> Singles:
+def _fitted(fitter: Em) -> Singles:
     """Return hazards (P, bins) fitted from scratch.
 
     The sparse prior applies in the last run only.
@@ -199,12 +186,12 @@ def _fitted(fitter: JointFitter) -> Singles:
     fitter.sparsity = 0.0
     hazard = fitter.start()
     for _ in range(ROUNDS):
-        hazard = fitter.run(hazard).hazard
+        hazard = fitter.run(hazard)
     fitter.sparsity = BET_SPARSITY
-    return fitter.run(hazard).hazard
+    return fitter.run(hazard)
 
 
-def _evidence(fitter: JointFitter, hazard: Singles, outside: Floats) -> tuple[Floats, Floats]:
+def _evidence(fitter: Em, hazard: Singles, outside: Floats) -> tuple[Floats, Floats]:
     """Return log likelihood ratios (P,) in nats against each of the two null models.
 
     The first is against no link, the second against a link without a transit time.
@@ -213,7 +200,7 @@ def _evidence(fitter: JointFitter, hazard: Singles, outside: Floats) -> tuple[Fl
     """
     # Responsibilities of the held-out candidates under the given hazards.
     fitter.outside = outside
-    share = np.minimum(fitter.expect_afresh(hazard, SWEEPS), RESPONSIBILITY_MAX)
+    share = np.minimum(fitter.responsibilities_under(hazard, SWEEPS), RESPONSIBILITY_MAX)
     c = fitter.candidates
 
     # Point-process likelihood ratio against no link: arrivals explained, less arrivals expected.

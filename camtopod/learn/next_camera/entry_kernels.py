@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, rows_together
+from camtopod.arrays import Floats, Indices, Singles, rows_together
 from camtopod.learn.association import START_FLOOR, Candidates, first_hazards
 from camtopod.learn.limits import entry_pairs_max
 from camtopod.learn.links import in_view
@@ -20,7 +20,7 @@ from camtopod.learn.traffic import Arrivals, Chance, Departures
 from camtopod.topology import LagBins, smooth
 
 
-class Entering:
+class EntryKernels:
     """Candidates that appear before the exit of a passage with a known entry; their kernels."""
 
     def __init__(
@@ -61,17 +61,17 @@ class Entering:
                 present[usual],
             )
 
-        self.early = early
-        """(m,) rows of these candidates, ascending."""
+        self.rows: Indices = early
+        """(m,) these candidates, ascending."""
         self.source = (present // max(zones, 1)).astype(np.int32)
         """(Q,) zone of entry of each pair."""
         self.target = (present % max(zones, 1)).astype(np.int32)
         """(Q,) zone of the next appearance of each pair."""
         self.cell = number.astype(np.int64) * bins.size + at
         """(m,) index of each candidate in a flattened table of kernels (Q, bins)."""
-        self.hazard, self.own, self.part = np.zeros((3, len(early)))
+        self.hazard, self.own, self.share = np.zeros((3, len(early)))
         """(m,) each. ``hazard``: hazard by the kernel, per second. ``own``: derivative of the log
-        of the smoothed count by the candidate's own weight (for leave-one-out). ``part``: share of
+        of the smoothed count by the candidate's own weight (for leave-one-out). ``share``: share of
         the candidate's hazard that the kernel contributes.
         """
         self._order = np.argsort(self.cell, kind="stable")
@@ -86,12 +86,12 @@ class Entering:
         noise_sd: standard deviations of the null model that are subtracted, too.
         """
         a, order = self._arrivals, np.argsort(self._began, kind="stable")
-        if len(self.early) == 0:
+        if len(self.rows) == 0:
             return
         rates = Chance(
             self._began[order], self._entered[order].astype(np.int32), a.t, a.zone, self._zones
         )
-        for rows, some, seen in self._counts(np.ones(len(self.early))):
+        for rows, some, seen in self._counts(np.ones(len(self.rows))):
             source = self.source[rows]
             chance = rates.of(source, self.target[rows])
             first = first_hazards(
@@ -99,9 +99,18 @@ class Entering:
             )
             self.hazard[some] = first.take(self.cell[some] - rows.start * self._bins.size)
 
-    def learn(self, weight: Floats) -> None:
-        """M step: estimate the kernels from the ``weight`` (m,) of each candidate."""
-        for rows, some, counts in self._counts(weight):
+    def rates(self, here: slice, responsibility: Singles) -> Floats:
+        """Return the hazards of a slice of `rows`, each by the kernel that the others make."""
+        others: Floats = np.maximum(1.0 - responsibility * self.own[here], 0.0)
+        return self.hazard[here] * others
+
+    def after_exit(self, hazard: Singles, rows: slice) -> Singles:
+        """Return the hazards as they are: entry kernels do not count from the exit."""
+        return hazard
+
+    def learn(self, responsibility: Singles) -> None:
+        """M step: estimate the kernels by the responsibilities (M,) of all candidates."""
+        for rows, some, counts in self._counts(self._weight(responsibility)):
             cell = self.cell[some] - rows.start * self._bins.size
             smoothed, stays = smooth(counts)
             self.own[some] = stays.take(cell // self._bins.size) / np.maximum(
@@ -109,13 +118,19 @@ class Entering:
             )
             self.hazard[some] = (smoothed / self._exposed(rows)).take(cell)
 
-    def kernels(self, weight: Floats) -> Floats:
+    def kernels(self, responsibility: Singles) -> Floats:
         """Return the kernels (Q, bins), per second and passage in view.
 
-        weight (m,): weight of each candidate.
+        responsibility (M,): of all candidates.
         """
-        each = [smooth(counts)[0] / self._exposed(rows) for rows, _, counts in self._counts(weight)]
+        counted = self._counts(self._weight(responsibility))
+        each = [smooth(counts)[0] / self._exposed(rows) for rows, _, counts in counted]
         return np.concatenate([np.zeros((0, self._bins.size)), *each])
+
+    def _weight(self, responsibility: Singles) -> Floats:
+        """Return how much (m,) each candidate counts for its kernel."""
+        weight: Floats = responsibility[self.rows] * self.share
+        return weight
 
     def _counts(self, weight: Floats) -> Iterator[tuple[slice, NDArray[np.intp], Floats]]:
         """Yield the counts (rows, bins) of some pairs at a time.

@@ -1,18 +1,21 @@
-"""The posterior for prediction: where objects go next, all weak evidence included.
+"""The posterior for prediction: where objects appear next, all weak evidence included.
 
-What is published as a link must be beyond doubt; a prediction should use everything that is known,
-as far as it is. Beside the hazards of the joint fit this one has
+A published link must be beyond doubt; a prediction uses everything that is known, weighted by its
+evidence. To the joint fit's hazards of pairs of zones (`association.em`) this fit adds
 
-* *entry kernels*: where views overlap, an object often appears in the next view a certain time after it *entered* this
-  one, whenever it will leave it. The hazard of an appearance before the exit is the sum of one that counts from the
-  entry, by zone of entry, and one that counts from the exit. Both start from what exceeds chance: started from the exit
-  alone, views that end where another begins would take each other's arrivals from the views between;
-* *skipped views* (`skipped`): whoever a camera misses is seen next where that camera would have led;
-* a *prior* (`prior`): what leaves elsewhere in the view, and what comes back, foretells what has not been seen yet;
-* *contexts* of a departure (`contexts`), and leaving the network as an outcome like the others;
-* a test of whether two views overlap at all: without it what is seen elsewhere by chance counts for something;
-* *sampling* at the end (`sampling`): what is believed is half of the fit and half of what its samples say;
-* *doubt* (`doubt`): what of it may as well be chance, in which case nobody was seen again.
+* *entry kernels* (`entry_kernels`): where views overlap, an object often appears in the next view a
+  certain time after it *entered* this one, whenever it leaves it;
+* *skipped cameras* (`skip_rate`): an object that a camera misses appears next where that camera
+  would have led;
+* a *prior* (`prior`): departures elsewhere in the view, and return traffic, predict transitions
+  that have not been seen yet;
+* *contexts* of a departure (`contexts`), and leaving the site as an outcome like the others;
+* a test of whether two views overlap at all (`not_overlapping`);
+* *sampling* at the end (`sampling`): the posterior is half the fit and half the mean of samples;
+* the *spurious* share of each pair of zones (`spurious`).
+
+Entry kernels and hazards both start from the excess over the null model. Started from the exit
+alone, views that end where another begins would take each other's arrivals from the views between.
 """
 
 from __future__ import annotations
@@ -22,22 +25,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
-from camtopod.learn.association import (
-    NOTHING,
-    Candidates,
-    Fit,
-    JointFitter,
-    Tables,
-    not_overlapping,
-    within,
-)
+from camtopod.arrays import Floats, Ints, Singles, rows_together
+from camtopod.learn.association import NOTHING, Candidates, Em, Fit, not_overlapping, result
 from camtopod.learn.limits import FOLLOWED_MAX
 from camtopod.learn.next_camera.contexts import Contexts, Counted, Level, multipliers
-from camtopod.learn.next_camera.entry_kernels import Entering
+from camtopod.learn.next_camera.entry_kernels import EntryKernels
 from camtopod.learn.next_camera.prior import Prior
 from camtopod.learn.next_camera.sampling import Sources, with_faint
-from camtopod.learn.next_camera.skip_rate import Skipping
+from camtopod.learn.next_camera.skip_rate import SkippedCameras
 from camtopod.learn.next_camera.skipped_cameras import (
     Legs,
     legs_of,
@@ -50,50 +45,49 @@ from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import LEAVE_FLOOR, LagBins
 
 FIRST_NOISE_SD = 3.0
-"""A fit from nothing starts with what exceeds chance by this many standard deviations."""
+"""Standard deviations of the null model that a first hazard must exceed."""
 FIRST_ROUNDS, FIRST_ITERATIONS = 3, 5
-"""Without contexts; speed is looked at after each round."""
+"""Rounds without contexts, and EM iterations of each; speed is estimated after each round."""
 SCOUT_ITERATIONS = 5
-"""After so many it is asked which candidates are worth following."""
+"""EM iterations before it is decided which candidates are followed."""
 NEGLIGIBLE = 1e-4
-"""Candidates with a smaller responsibility after the first few iterations are left out of the
-others.
-"""
+"""Candidates with a smaller responsibility after those are not followed."""
 ITERATIONS = 8
-"""With contexts, which are learned in every other one."""
+"""EM iterations with contexts, which are estimated in every other one."""
 SWEEPS_MIN, SWEEPS_MAX = 12, 30
-"""Draws of who came from where. The first half of them does not count yet."""
+"""Samples drawn. The first half of them is burn-in."""
 DRAWN_ARRIVALS = 200_000
 """Arrivals drawn over all sweeps: with many arrivals fewer sweeps are enough."""
 SAMPLES_SHARE = 0.5
-"""Of what is believed in the end; the rest is what the fit said."""
+"""Weight of the samples in the posterior; the rest is the fit's."""
 SAMPLING_SEED = 2011
 CONTEXTS_EVERY = 3
-"""Sweeps until contexts are learned again, ..."""
+"""Sweeps between estimates of the contexts."""
 SKIPS_EVERY = 10
-"""... and until skipped views are looked for again."""
+"""Sweeps between estimates of the paths over skipped cameras."""
 
 
 class Posterior(NamedTuple):
-    """What prediction needs."""
+    """What prediction needs of a fit."""
 
     fit: Fit
     """Pairs of zones, hazards counted from the exit, responsibilities."""
     share: Floats
-    """(P,) of the departures at the source, those that appear next at the target."""
+    """(P,) share of the departures at the source that appear next at the target."""
     leave: Floats
-    """(zones,) of the departures, those not seen again."""
+    """(zones,) share of the departures that leave the site."""
     doubt: Floats
-    """(P,) share of what appears at the target that may as well be chance (`doubt`)."""
+    """(P,) spurious share of the transitions to the target (`spurious`)."""
     entry_source: Ints
-    """(Q,) zone of entry ..."""
+    """(Q,) zone of entry of each entry kernel."""
     entry_target: Ints
-    """(Q,) ... and zone of the next appearance."""
+    """(Q,) zone of the next appearance of each entry kernel."""
     entry_hazard: Floats
-    """(Q, bins) per second and passage still in view, counted from the entry."""
+    """(Q, bins) entry kernels, per second and passage still in view, counted from the entry."""
     delay: Floats
-    """(P,) seconds to add to the lags (see `long_ways`)."""
+    """(P,) seconds to add to the lags (`long_paths`)."""
     levels: list[Level]
+    """Departures and transitions by context."""
 
 
 def followed_of(
@@ -105,15 +99,13 @@ def followed_of(
     until: float,
     overlapping: NDArray[np.bool_],
 ) -> Candidates:
-    """The candidates that `fit_followed` is to look at. Who has them need not keep all, which take
-    more memory. ``overlapping`` (cameras, cameras): views that are known to overlap.
+    """Return the candidates that `fit_followed` follows.
+
+    overlapping (cameras, cameras): True where two views are known to overlap.
     """
     scout = PosteriorFitter(departures, arrivals, candidates, bins, zones, until)
-    scout.look()
-    scout.skip()
-    kept = scout.worth_following(overlapping)
-    del scout  # it takes more memory than what is made now
-    return candidates.take(kept)
+    scout.scout()
+    return candidates.take(scout.worth_following(overlapping))
 
 
 def fit_followed(
@@ -126,36 +118,23 @@ def fit_followed(
     evidence: Floats,
     screened: bool = False,
 ) -> Posterior:
-    """The posterior of all that left and came up to ``until`` (seconds), from the candidates of
-    `followed_of`. ``evidence``: that zones are linked, in nats (`cross_evidence`); ``screened``:
-    candidates may be missing.
+    """Fit the posterior of all departures and arrivals up to ``until`` (Unix seconds).
 
-    Always from nothing: one that goes on from the last as events come in believes early mistakes
-    ever more.
+    Every fit begins from nothing: one that goes on from the last believes early mistakes ever more.
+
+    followed: the candidates of `followed_of`.
+    evidence (pairs,): evidence of links, nats (`cross_evidence`).
+    screened: whether unlikely candidates have been left out.
     """
     fitter = PosteriorFitter(departures, arrivals, followed, bins, zones, until)
     fitter.learn()
     fitter.sample()
-    levels = fitter.levels()
-    left = np.bincount(departures.zone, minlength=zones).astype(float)
-    found = fitter.result()
-    doubt = doubts(found.candidates.pair, found.responsibility, fitter.pairs, evidence, left)
-    posterior = Posterior(
-        found,
-        fitter.share,
-        fitter.leave,
-        doubt,
-        fitter.entering.source,
-        fitter.entering.target,
-        fitter.entry_kernels(),
-        np.zeros(fitter.pairs),
-        levels,
-    )
+    posterior = fitter.posterior(evidence)
     return fitter.with_skips(posterior) if screened else posterior
 
 
-class PosteriorFitter(JointFitter):
-    """The fit in progress."""
+class PosteriorFitter:
+    """The fit in progress: EM with its additional terms, and the steps around it."""
 
     def __init__(
         self,
@@ -166,126 +145,130 @@ class PosteriorFitter(JointFitter):
         zones: int,
         until: float,
     ) -> None:
-        super().__init__(departures, arrivals, candidates, bins, zones, until)
-        self._prior = Prior(candidates, self._camera, self.exposure, self._per_zone)
-        self.hazard = np.zeros(0, np.float32)
-        self.share, self.leave = np.zeros(self.pairs), np.ones(zones)
-        self.contexts = Contexts(departures, arrivals, zones, int(self._camera.max(initial=0)) + 1)
+        """Begin from nothing; arguments as of `fit_followed`."""
+        self.em = em = Em(departures, arrivals, candidates, bins, zones, until)
+        self.hazard: Singles = np.zeros((em.pairs, bins.size), np.float32)
+        """(P, bins) hazards counted from the exit, without those of skipped cameras."""
         self._left = np.bincount(departures.zone, minlength=zones).astype(float)
-        self._leaving = np.zeros(0)  # (n,) of each departure, once contexts are known
-        self._through = ways_through(departures, self.contexts.entry, self._camera)
-        self._multiplier: Singles | None = None  # large, so there is none before it is known
-        self._skipping = Skipping(bins)
-        self.entering = Entering(candidates, departures, arrivals, self.contexts.entry, bins, zones)
+        self.share, self.leave = np.zeros(em.pairs), np.ones(zones)
 
-    def look(self) -> None:
-        """A few iterations, to see which candidates are worth following."""
-        self.entering.start(FIRST_NOISE_SD)
-        self.hazard = self.start(FIRST_NOISE_SD)
+        # Contexts, and what is added to the hazards of pairs of zones.
+        cameras = int(em.camera.max(initial=0)) + 1
+        self.contexts = Contexts(departures, arrivals, zones, cameras)
+        entry = self.contexts.entry
+        self._through = ways_through(departures, entry, em.camera)
+        self.entering = EntryKernels(candidates, departures, arrivals, entry, bins, zones)
+        self.skipping = SkippedCameras(bins, self._left[candidates.source])
+        em.terms = (self.entering, self.skipping)
+        em.prior = Prior(candidates, em.camera, em.exposure, em.arrivals_of_zone)
+
+    def scout(self) -> None:
+        """Run a few iterations, enough to decide which candidates are worth following."""
+        self._start()
         self._iterate(SCOUT_ITERATIONS, contexts=False)
 
+        # Paths over skipped cameras count, too.
+        self._find_skips(self.hazard)
+        self.em.expect(self.hazard)
+
     def worth_following(self, overlapping: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The candidates (M,) that are neither negligible nor impossible, the likeliest
-        `FOLLOWED_MAX` of them.
+        """Return the candidates (M,) that are neither negligible nor impossible.
+
+        They are the likeliest `FOLLOWED_MAX` at most.
         """
-        c = self.candidates
+        c, responsibility = self.em.candidates, self.em.responsibility
         impossible = not_overlapping(
-            c, self.departures, self.arrivals, self.responsibility, overlapping
+            c, self.em.departures, self.em.arrivals, responsibility, overlapping
         )
-        kept = (self.responsibility > NEGLIGIBLE) & ~impossible
+        kept = (responsibility > NEGLIGIBLE) & ~impossible
         rows = np.flatnonzero(kept)
         if len(rows) > FOLLOWED_MAX:
-            kept[rows[np.argsort(-self.responsibility[rows], kind="stable")[FOLLOWED_MAX:]]] = False
+            kept[rows[np.argsort(-responsibility[rows], kind="stable")[FOLLOWED_MAX:]]] = False
         return kept
 
-    def skip(self) -> None:
-        """See to it that what appears after a skipped view is worth following, too."""
-        self._find_skips(self.hazard)
-        self._expect(self.hazard)
-
     def learn(self) -> None:
-        """The whole fit."""
-        self.entering.start(FIRST_NOISE_SD)
-        self.hazard = self.start(FIRST_NOISE_SD)
+        """Run the whole fit: rounds without contexts, then iterations with them."""
+        self._start()
         for _ in range(FIRST_ROUNDS):
             self._iterate(FIRST_ITERATIONS, contexts=False)
-            self.hazard = self.use_slowness(self._handed_on())
+            self.hazard = self.em.learn_speed(self.hazard)
             self._find_skips(self.hazard)
         self._iterate(ITERATIONS, contexts=True)
 
     def sample(self) -> None:
-        """Weigh what the fit says with what is believed on average over draws of who came from
-        where.
-        """
-        fitted, entering, skipping = self.responsibility.copy(), self.entering, self._skipping
-        sources = Sources(self.candidates.arrival, len(self.arrivals.t), SAMPLING_SEED)
+        """Average the fit with samples of which departure caused which arrival (`sampling`)."""
+        em, entering, skipping = self.em, self.entering, self.skipping
+        fitted = em.responsibility.copy()
+        sources = Sources(em.candidates.arrival, len(em.arrivals.t), SAMPLING_SEED)
         believed, skipped = np.zeros((2, len(fitted)), np.float32)
-        entered = np.zeros(len(entering.early))
-        sweeps = min(max(DRAWN_ARRIVALS // max(len(self.arrivals.t), 1), SWEEPS_MIN), SWEEPS_MAX)
-        settled = sweeps // 2
+        entered = np.zeros(len(entering.rows))
+        sweeps = min(max(DRAWN_ARRIVALS // max(len(em.arrivals.t), 1), SWEEPS_MIN), SWEEPS_MAX)
+        burn_in = sweeps // 2
+
         for sweep in range(sweeps):
-            self._believe(sources.draw(self.responsibility))
-            hazard = self._with_faint(self._learn_hazards())
+            # Estimate everything from one draw, then what each candidate is under that.
+            em.draw(sources.draw(em.responsibility))
+            hazard = self._with_faint(em.maximise())
             if (sweep + 1) % SKIPS_EVERY == 0:
                 self._find_skips(hazard)
-            self._expect(hazard)
-            del hazard  # as large as the new one
-            self._drawn = None
+            em.expect(hazard)
+            em.end_draw()
             if sweep % CONTEXTS_EVERY == 0:
                 self._learn_contexts()
-            if sweep >= settled:
-                believed += self.responsibility
-                skipped[skipping.some] += self.responsibility[skipping.some] * skipping.part
-                entered += self.responsibility[entering.early] * entering.part
+
+            # Sum over the sweeps after burn-in.
+            if sweep >= burn_in:
+                believed += em.responsibility
+                skipped[skipping.rows] += em.responsibility[skipping.rows] * skipping.share
+                entered += em.responsibility[entering.rows] * entering.share
+
+        # Shares of the terms on average, and responsibilities averaged with those of the fit.
         some = np.flatnonzero(skipped)
         skipping.believe(
             some, (skipped[some] / np.maximum(believed[some], NOTHING)).astype(np.float32)
         )
-        entering.part = entered / np.maximum(believed[entering.early], NOTHING)
-        believed *= SAMPLES_SHARE / (sweeps - settled)
+        entering.share = entered / np.maximum(believed[entering.rows], NOTHING)
+        believed *= SAMPLES_SHARE / (sweeps - burn_in)
         fitted *= 1.0 - SAMPLES_SHARE
-        np.add(believed, fitted, out=self.responsibility)
-        self.hazard = self._with_faint(self._learn_hazards())
+        np.add(believed, fitted, out=em.responsibility)
+        self.hazard = self._with_faint(em.maximise())
 
-    def levels(self) -> list[Level]:
-        """What is known of contexts, and the shares beside them, in the end."""
-        return self.contexts.named(self.candidates, self._count_contexts())
+    def posterior(self, evidence: Floats) -> Posterior:
+        """Return the result; there is no further iteration after this.
 
-    def entry_kernels(self) -> Floats:
-        """Entry kernels (Q, bins) by the responsibilities as they are."""
-        return self.entering.kernels(self._entered())
-
-    def _entered(self) -> Floats:
-        """Responsibilities of the early candidates, as far as their lags count from the entry."""
-        weight: Floats = self.responsibility[self.entering.early] * self.entering.part
-        return weight
-
-    def _with_faint(self, hazard: Singles) -> Singles:
-        return with_faint(hazard, self._some_exposed, self.candidates.source, self.bins)
-
-    def result(self) -> Fit:
-        """All that leaves a view and appears in the next; ``hazard`` is that counted from the exit,
-        ``counts`` nothing, as nobody asks for them. After this there is no further iteration.
+        evidence (pairs,): evidence of links, nats (`cross_evidence`).
         """
-        self._own, self._multiplier = self._own[:0], None
-        hazard = self._after_exit(self.hazard, slice(0, self.pairs))
-        return self.found(Tables(hazard, np.zeros((0, self.bins.size))), self.flatness(hazard))
+        em = self.em
+        levels = self.contexts.named(em.candidates, self._count_contexts())
+        hazard = em.after_exit(self.hazard, slice(0, em.pairs))
+        found = result(em, hazard, np.zeros((0, em.bins.size)))  # nobody asks for the counts
+        doubt = doubts(em.candidates.pair, found.responsibility, em.pairs, evidence, self._left)
+        return Posterior(
+            found,
+            self.share,
+            self.leave,
+            doubt,
+            self.entering.source,
+            self.entering.target,
+            self.entering.kernels(em.responsibility),
+            np.zeros(em.pairs),
+            levels,
+        )
 
     def with_skips(self, posterior: Posterior) -> Posterior:
-        """The posterior with what skipped views lead to beside the pairs of zones that were
-        followed.
-        """
-        c = posterior.fit.candidates
+        """Return the posterior with paths over skipped cameras to pairs that were not followed."""
+        em, c = self.em, posterior.fit.candidates
         source, target, unit = skipped_beside(
-            self._legs(self.hazard), c, self._through, self.bins, self.zones
+            self._legs(self.hazard), c, self._through, em.bins, em.zones
         )
-        hazard = (self._skipping.odds * unit).astype(np.float32)
-        share = hazard @ self.bins.widths
-        key = np.concatenate((c.source, source)).astype(np.int64) * self.zones + np.concatenate(
-            (c.target, target)
-        )
+        hazard = (self.skipping.odds * unit).astype(np.float32)
+        share = hazard @ em.bins.widths
+
+        # Number the pairs of zones anew, by source, then target.
+        sources, targets = np.concatenate((c.source, source)), np.concatenate((c.target, target))
+        key = sources.astype(np.int64) * em.zones + targets
         order = np.argsort(key, kind="stable")
-        number = np.argsort(order)  # where each pair has gone
+        number = np.argsort(order)
 
         def mixed(known: Floats, beside: Floats) -> Floats:
             both: Floats = np.concatenate((known, beside))[order]
@@ -295,11 +278,11 @@ class PosteriorFitter(JointFitter):
             hazard=np.concatenate((posterior.fit.hazard, hazard))[order],
             candidates=c._replace(
                 pair=number[c.pair].astype(np.int32),
-                source=(key[order] // self.zones).astype(np.int32),
-                target=(key[order] % self.zones).astype(np.int32),
+                source=(key[order] // em.zones).astype(np.int32),
+                target=(key[order] % em.zones).astype(np.int32),
             ),
         )
-        gone = posterior.leave - np.bincount(source, share, minlength=self.zones)
+        gone = posterior.leave - np.bincount(source, share, minlength=em.zones)
         return posterior._replace(
             fit=fit,
             share=mixed(posterior.share, share),
@@ -308,122 +291,63 @@ class PosteriorFitter(JointFitter):
             leave=np.maximum(gone, LEAVE_FLOOR),
         )
 
-    def _to_count(self) -> Singles:
-        return np.concatenate([np.zeros(0, np.float32), *map(self._at_exit, self._parts)])
+    def _start(self) -> None:
+        """Set the first hazards and entry kernels."""
+        self.entering.start(FIRST_NOISE_SD)
+        self.hazard = self.em.start(FIRST_NOISE_SD)
 
     def _iterate(self, iterations: int, contexts: bool) -> None:
+        """Run EM iterations, with an estimate of the contexts after every other one if asked."""
         for iteration in range(iterations):
-            self._expect(self.hazard)
-            self.hazard = self._learn_hazards()
+            self.em.expect(self.hazard)
+            self.hazard = self.em.maximise()
             if contexts and iteration % 2 == 0:
                 self._learn_contexts()
 
-    def _learn_hazards(self) -> Singles:
-        """M step: hazards (P, bins) counted from the exit without those of skipped views; and all
-        other tables.
-        """
-        self._handed_on()  # they were as large as the new ones
-        self.entering.learn(self._entered())
-        self._skipping.learn(self.responsibility, self._left[self.candidates.source])
-        self._look_outside()
-        return self._hazards(self._count(map(self._at_exit, self._telling)))
-
-    def _handed_on(self) -> Singles:
-        """The hazards, which the fitter does not have any more."""
-        hazard, self.hazard = self.hazard, np.zeros(0, np.float32)
-        return hazard
-
-    def _at_exit(self, part: slice | Indices) -> Singles:
-        """Responsibilities of a part as far as lags count from the exit and no view is skipped."""
-        shares = self.responsibility[part].copy()
-        other = np.zeros(len(shares), np.float32)
-        for some, elsewhere in (
-            (self._skipping.some, self._skipping.part),
-            (self.entering.early, self.entering.part),
-        ):
-            if isinstance(part, slice):
-                here = within(some, part)
-                other[some[here] - part.start] += elsewhere[here]
-            else:
-                drawn = np.flatnonzero(self.responsibility[some])
-                other[np.searchsorted(part, some[drawn])] += elsewhere[drawn]
-        shares *= np.maximum(1.0 - other, 0.0)
-        return shares
-
-    def _hazards(self, counts: Floats) -> Singles:
-        expected = self._prior.expected(counts)
-        smoothed = self._smoothed(counts)
-        del counts  # they are larger than the hazards
-        hazard = np.empty_like(smoothed)
-        for rows in rows_together(self.pairs):
-            beforehand = expected.of(rows, lambda back: smoothed[back] / self._exposed(back))
-            per_second = (self._exposed(rows) + expected.departures) * self.bins.widths
-            np.divide(smoothed[rows] + beforehand, per_second, out=hazard[rows])
-        return hazard
+    def _with_faint(self, hazard: Singles) -> Singles:
+        """Return the hazards with faint transitions added at every lag (`sampling`)."""
+        em = self.em
+        return with_faint(hazard, em.some_exposed, em.candidates.source, em.bins)
 
     def _find_skips(self, hazard: Singles) -> None:
-        """Hazards of skipped views, by the links and passages as they are known now."""
+        """Find the paths over skipped cameras among links and passages as they are known now."""
+        em = self.em
         pair, unit = skip_hazards(
-            self._legs(hazard), self.candidates, self._through, self.bins, self.zones
+            self._legs(hazard), em.candidates, self._through, em.bins, em.zones
         )
-        self._skipping.use(pair, unit, self.candidates, self._cell, self._parts)
+        self.skipping.use(pair, unit, em.candidates, em.cell, em.parts)
 
     def _legs(self, hazard: Singles) -> Legs:
-        """What appears next, as legs of ways over a skipped view."""
+        """Return the hazards (P, bins) as possible legs of paths over a skipped camera."""
+        em = self.em
         share = np.concatenate(
-            [self._appears(hazard[rows], rows).sum(axis=1) for rows in rows_together(self.pairs)]
+            [em.appears(hazard[rows], rows).sum(axis=1) for rows in rows_together(em.pairs)]
         )
-        return legs_of(
-            share, lambda some: self._appears(hazard[some], some), self.candidates, self.bins
-        )
-
-    def _weights(self, hazard: Singles, part: slice) -> Singles:
-        """Hazard of each candidate of a part that the others make."""
-        weight = super()._weights(hazard, part)
-        entering = self.entering
-        here = within(entering.early, part)
-        early = entering.early[here]
-        others = np.maximum(1.0 - self.responsibility.take(early) * entering.own[here], 0.0)
-        entered = entering.hazard[here] * others
-        if self._agreement is not None:
-            entered *= self._agreement.take(early)
-        weight[early - part.start] += entered
-        skipping = self._skipping
-        there = within(skipping.some, part)
-        some = skipping.some[there].astype(np.intp)
-        skipped = skipping.hazard(there)
-        if self._agreement is not None:
-            skipped *= self._agreement.take(some)
-        weight[some - part.start] += skipped
-        skipping.part[there] = skipped / np.maximum(weight.take(some - part.start), NOTHING)
-        entering.part[here] = entered / np.maximum(weight.take(early - part.start), NOTHING)
-        if self._multiplier is not None:
-            weight *= self._multiplier[part]
-        return weight
-
-    def _after_exit(self, hazard: Singles, rows: slice) -> Singles:
-        return self._skipping.added(hazard[rows], rows)
-
-    def _leave(self, hazard: Singles) -> Floats:
-        return self._leaving if len(self._leaving) else super()._leave(hazard)
+        return legs_of(share, lambda some: em.appears(hazard[some], some), em.candidates, em.bins)
 
     def _learn_contexts(self) -> None:
-        """What contexts make of the shares."""
-        c, counted = self.candidates, self._count_contexts()
-        multiplier = self.contexts.judged(c, self.responsibility, self.share, counted)
-        for part in self._parts:
+        """Estimate by how much its context changes the rate of each candidate."""
+        em, counted = self.em, self._count_contexts()
+        multiplier = self.contexts.judged(em.candidates, em.responsibility, self.share, counted)
+        for part in em.parts:
             multiplier[part] = multipliers(
-                self.share.take(c.pair[part]), multiplier[part].astype(float)
+                self.share.take(em.candidates.pair[part]), multiplier[part].astype(float)
             )
-        self._multiplier = multiplier
+        em.multiplier = multiplier
 
     def _count_contexts(self) -> list[Counted]:
-        """Shares and leaving by zone, then by context."""
-        c, zone = self.candidates, self.departures.zone
+        """Estimate `share` and `leave`, and return departures and transitions by context."""
+        em, c, zone = self.em, self.em.candidates, self.em.departures.zone
         below = np.maximum(self._left, 1e-9)
-        self.share = self._added(c.pair, self.pairs) / below[c.source]
-        gone = 1.0 - np.minimum(self._of_all(self._added(c.departure, len(zone))), 1.0)
-        self.leave = np.maximum(np.bincount(zone, gone, minlength=self.zones) / below, LEAVE_FLOOR)
-        counted, leaving = self.contexts.count(c, self.responsibility, gone, self.leave[zone])
-        self._leaving = np.maximum(leaving, LEAVE_FLOOR)
+
+        # Shares of the departures of each zone: by next zone, and those that leave the site.
+        self.share = em.summed(c.pair, em.pairs) / below[c.source]
+        seen = em.over_copies(em.summed(c.departure, len(zone)))
+        gone = 1.0 - np.minimum(seen, 1.0)
+        leave = np.bincount(zone, gone, minlength=em.zones) / below
+        self.leave = np.maximum(leave, LEAVE_FLOOR)
+
+        # The same by context.
+        counted, leaving = self.contexts.count(c, em.responsibility, gone, self.leave[zone])
+        em.leaving = np.maximum(leaving, LEAVE_FLOOR)
         return counted

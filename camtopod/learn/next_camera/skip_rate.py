@@ -21,20 +21,24 @@ ODDS_PASSAGES = 20.0
 """Weight of the first estimate, in passages recorded on paths that may be skipped."""
 
 
-class Skipping:
+class SkippedCameras:
     """Candidates that may have skipped a camera, and the hazards of that."""
 
-    def __init__(self, bins: LagBins) -> None:
-        self._bins = bins
+    def __init__(self, bins: LagBins, left: Floats) -> None:
+        """Begin with no path over a skipped camera.
+
+        left (P,): departures at the source of each pair of zones.
+        """
+        self._bins, self._left = bins, left
         self.odds = ODDS_FIRST
         """Missed passages for each recorded one, the same for all cameras."""
         self.pair: Longs = np.zeros(0, np.int64)
         """(K,) pairs of zones that a path over a skipped camera joins, ascending."""
         self._unit = np.zeros((0, bins.size), np.float32)  # (K, bins) their hazards at odds of 1
-        self.some: Indices = np.zeros(0, np.int32)
+        self.rows: Indices = np.zeros(0, np.int32)
         """(s,) candidates that may have skipped a camera, ascending."""
         self._cell: Ints = np.zeros(0, np.int32)  # (s,) index of each in the flattened table
-        self.part: Singles = np.zeros(0, np.float32)
+        self.share: Singles = np.zeros(0, np.float32)
         """(s,) share of each candidate's hazard that skipped cameras contribute."""
 
     def use(
@@ -61,19 +65,22 @@ class Skipping:
             occurs = self._unit.take(at) > 0
             some.append((here[occurs] + part.start).astype(np.int32))
             cells.append(at[occurs])
-        self.some, self._cell = np.concatenate(some), np.concatenate(cells)
-        self.part = np.zeros(len(self.some), np.float32)
+        self.rows, self._cell = np.concatenate(some), np.concatenate(cells)
+        self.share = np.zeros(len(self.rows), np.float32)
 
-    def believe(self, some: Indices, part: Singles) -> None:
-        """Set the final candidates ``some`` (s,) and the share ``part`` (s,) of skipped cameras."""
-        self.some, self.part, self._cell = some, part, np.zeros(0, np.int32)
+    def believe(self, rows: Indices, share: Singles) -> None:
+        """Set the final candidates (s,) and the share (s,) of skipped cameras in each."""
+        self.rows, self.share, self._cell = rows, share, np.zeros(0, np.int32)
 
-    def hazard(self, here: slice) -> Singles:
-        """Return the hazards of a slice ``here`` of these candidates at the current odds."""
-        hazard: Singles = self.odds * self._unit.take(self._cell[here])
-        return hazard
+    def rates(self, here: slice, responsibility: Singles) -> Singles:
+        """Return the hazards of a slice of `rows` at the current odds.
 
-    def added(self, hazard: Singles, rows: slice) -> Singles:
+        They come from other pairs of zones, so no candidate is left out of its own.
+        """
+        rates: Singles = self.odds * self._unit.take(self._cell[here])
+        return rates
+
+    def after_exit(self, hazard: Singles, rows: slice) -> Singles:
         """Return the hazards (rows, bins) of some pairs of zones, skipped cameras included."""
         here = slice(*np.searchsorted(self.pair, (rows.start, rows.stop)).tolist())
         if here.start == here.stop:
@@ -82,13 +89,9 @@ class Skipping:
         both[self.pair[here] - rows.start] += self.odds * self._unit[here]
         return both
 
-    def learn(self, responsibility: Singles, left: Floats) -> None:
-        """M step: estimate the odds.
-
-        responsibility (M,): of all candidates.
-        left (P,): departures at the source of each pair.
-        """
-        recorded = float(self._unit @ self._bins.widths @ left[self.pair])
-        skipped = float(responsibility[self.some].astype(float) @ self.part)
+    def learn(self, responsibility: Singles) -> None:
+        """M step: estimate the odds by the responsibilities (M,) of all candidates."""
+        recorded = float(self._unit @ self._bins.widths @ self._left[self.pair])
+        skipped = float(responsibility[self.rows].astype(float) @ self.share)
         odds = (skipped + ODDS_FIRST * ODDS_PASSAGES) / (recorded + ODDS_PASSAGES)
         self.odds = min(odds, ODDS_MAX)

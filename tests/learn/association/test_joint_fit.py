@@ -12,10 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camtopod.learn.association import candidates as candidates_module
-from camtopod.learn.association import joint_fit
+from camtopod.learn.association import em
 from camtopod.learn.association.candidates import Candidates, excess, find_candidates, newest
+from camtopod.learn.association.em import Em
 from camtopod.learn.association.exposure import exposures
-from camtopod.learn.association.joint_fit import Fit, JointFitter, fit_jointly
+from camtopod.learn.association.joint_fit import Fit, fit_jointly
+from camtopod.learn.association.speed_adjustment import adjust
 from camtopod.learn.links.cross_validation import cross_evidence
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
@@ -167,14 +169,14 @@ def test_iterations_equal_their_slow_twin(
     found = find_candidates(departures, arrivals, SHORT, 3)
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(candidates_module, "CANDIDATES_AT_ONCE", at_once)
-        fitter = JointFitter(departures, arrivals, found, SHORT, 3, 60.0)
+        fitter = Em(departures, arrivals, found, SHORT, 3, 60.0)
     fitter.sparsity = sparsity
     hazard = np.random.default_rng(seed).random((fitter.pairs, SHORT.size)) * 0.05
     named = list(zip(found.source.tolist(), found.target.tolist(), strict=True))
     with pytest.MonkeyPatch.context() as limits:
-        limits.setattr(joint_fit, "ITERATIONS", iterations)
-        limits.setattr(joint_fit, "SETTLING_ITERATIONS", iterations)
-        fit = fitter.run(hazard.astype(np.float32))
+        limits.setattr(em, "ITERATIONS", iterations)
+        limits.setattr(em, "SETTLING_ITERATIONS", iterations)
+        hazards = fitter.run(hazard.astype(np.float32))
     responsibility, counts, fresh, outside = naive.joint_fit(
         departures,
         arrivals,
@@ -186,11 +188,13 @@ def test_iterations_equal_their_slow_twin(
         0.5,
         sparsity,
         iterations,
-        (joint_fit.LEAVE_FLOOR, joint_fit.OUTSIDE_FLOOR, SMOOTHING_SD_BINS),
+        (em.LEAVE_FLOOR, em.OUTSIDE_FLOOR, SMOOTHING_SD_BINS),
     )
     assert fitter.responsibility == pytest.approx(np.array(responsibility), rel=SINGLE, abs=SINGLE)
-    assert fit.counts == pytest.approx(np.array([counts[z] for z in named]), rel=SINGLE, abs=SINGLE)
-    assert fit.hazard == pytest.approx(np.array([fresh[z] for z in named]), rel=SINGLE, abs=SINGLE)
+    assert fitter.transitions() == pytest.approx(
+        np.array([counts[z] for z in named]), rel=SINGLE, abs=SINGLE
+    )
+    assert hazards == pytest.approx(np.array([fresh[z] for z in named]), rel=SINGLE, abs=SINGLE)
     assert fitter.outside == pytest.approx(outside, rel=SINGLE)
     exposed = naive.exposures(departures, SHORT, 3, 60.0)[found.source] * SHORT.widths
     view = {
@@ -200,19 +204,16 @@ def test_iterations_equal_their_slow_twin(
     }
     for row, (source, target) in zip(exposed, named, strict=True):
         row[(SHORT.edges[1:] <= 0) & (view[source] == view[target])] = 0.0
-    even = (fit.hazard * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
+    even = (hazards * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
     cells = SHORT.index(found.lag)
-    assert fitter.flatness(fit.hazard) == pytest.approx(
-        [
-            even[p] / max(fit.hazard[p, k], joint_fit.NOTHING)
-            for p, k in zip(found.pair, cells, strict=True)
-        ],
+    assert fitter.flatness(hazards) == pytest.approx(
+        [even[p] / max(hazards[p, k], em.NOTHING) for p, k in zip(found.pair, cells, strict=True)],
         rel=SINGLE,
     )
-    hedged = fitter.hedged(fit.hazard, 0.3)
-    assert hedged == pytest.approx(0.7 * fit.hazard + 0.3 * even[:, None], rel=SINGLE, abs=SINGLE)
+    hedged = fitter.hedged(hazards, 0.3)
+    assert hedged == pytest.approx(0.7 * hazards + 0.3 * even[:, None], rel=SINGLE, abs=SINGLE)
     assert (hedged * exposed).sum(axis=1) == pytest.approx(
-        (fit.hazard * exposed).sum(axis=1), rel=SINGLE
+        (hazards * exposed).sum(axis=1), rel=SINGLE
     )
 
 
@@ -455,12 +456,11 @@ def test_agreement_stays_within_single_precision() -> None:
     departures, arrivals = made(3, 20, 20)
     departures = departures._replace(slow=np.full(len(departures.t), 1.5))
     arrivals = arrivals._replace(slow=np.full(len(arrivals.t), 1.5))
-    fitter = JointFitter(
-        departures, arrivals, find_candidates(departures, arrivals, SHORT, 3), SHORT, 3, 60.0
-    )
-    fitter.use(Persistence(0.0, 0.95, 0.05))
-    tables = fitter.run(fitter.start())
-    assert np.isfinite(tables.hazard).all()
+    found = find_candidates(departures, arrivals, SHORT, 3)
+    fitter = Em(departures, arrivals, found, SHORT, 3, 60.0)
+    persistent = Persistence(0.0, 0.95, 0.05)
+    fitter.use(adjust(found, departures, arrivals, persistent, SHORT))
+    assert np.isfinite(fitter.run(fitter.start())).all()
     assert np.isfinite(fitter.responsibility).all()
     assert fitter.responsibility.any()
 

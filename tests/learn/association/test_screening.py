@@ -18,7 +18,7 @@ from camtopod.learn.association.candidates import (
     find_candidates,
     possible,
 )
-from camtopod.learn.association.joint_fit import START_FLOOR
+from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.screening import (
     Screen,
     _joined,
@@ -452,7 +452,7 @@ def test_where_there_are_no_links_none_is_published(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(module, "LIKELY_MAX", 1)  # a few for each arrival
     network = SimSettings(cameras=24, hours=0.3, seed=2, linked=False, objects_per_second=4.0)
     assert learned(network, SCREENED)[1] == 0
-    monkeypatch.setattr(Learner, "_all_of", lambda _, fit, *__: fit)
+    monkeypatch.setattr("camtopod.learn.refit.with_unlikely", lambda fit, *_: fit)
     assert learned(network, SCREENED)[1] > 0
 
 

@@ -13,7 +13,8 @@ from synthetic_events import LINKED, Views, fit_posterior
 from camtopod.arrays import ROWS_AT_ONCE, rows_together
 from camtopod.learn.association import candidates as module
 from camtopod.learn.association.candidates import find_candidates, together
-from camtopod.learn.association.joint_fit import JointFitter
+from camtopod.learn.association.em import Em
+from camtopod.learn.association.speed_adjustment import adjust
 from camtopod.learn.traffic.speed import Persistence
 from camtopod.topology.lag_bins import LagBins
 
@@ -65,16 +66,17 @@ def test_no_part_of_a_fit_differs() -> None:
         with pytest.MonkeyPatch.context() as limits:
             limits.setattr(module, "CANDIDATES_AT_ONCE", at_once)
             found = find_candidates(departures, arrivals, BINS, 3)
-            fitter = JointFitter(departures, arrivals, found, BINS, 3, 3_200.0)
-            fitter.use(Persistence(0.5, 0.6, 1.0))
-            fit = fitter.run(fitter.start())
+            fitter = Em(departures, arrivals, found, BINS, 3, 3_200.0)
+            persistent = Persistence(0.5, 0.6, 1.0)
+            fitter.use(adjust(found, departures, arrivals, persistent, BINS))
+            hazard = fitter.run(fitter.start())
             joint = (
                 *found,
-                fit.hazard,
-                fit.counts,
+                hazard,
+                fitter.transitions(),
                 fitter.responsibility,
                 fitter.outside,
-                fitter.flatness(fit.hazard),
+                fitter.flatness(hazard),
             )
             posterior = fit_posterior(departures, arrivals, found, BINS, 3, 3_200.0, LINKED)
             results.append((*joint, *posterior.fit[:5], *posterior[1:-1]))

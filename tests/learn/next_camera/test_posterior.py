@@ -177,12 +177,12 @@ def test_views_that_do_not_overlap_take_nothing_ahead_of_the_exit() -> None:
 @pytest.mark.parametrize("known", [(0, 1), (1, 0)])
 def test_views_that_are_known_to_overlap_are_not_asked_again(known: tuple[int, int]) -> None:
     scout = PosteriorFitter(*problem(one_way(4, 300, 4000.0, clutter=300)))
-    scout.look()
+    scout.scout()
     overlapping = np.zeros((scout.contexts.cameras, scout.contexts.cameras), np.bool_)
-    ahead = (scout.candidates.lag < 0) & (scout.responsibility > module.NEGLIGIBLE)
+    ahead = (scout.em.candidates.lag < 0) & (scout.em.responsibility > module.NEGLIGIBLE)
     assert not scout.worth_following(overlapping)[ahead].any()
     overlapping[known] = True
-    c, d, a = scout.candidates, scout.departures, scout.arrivals
+    c, d, a = scout.em.candidates, scout.em.departures, scout.em.arrivals
     between = {0, 1} == set(known) and (d.camera[c.departure] + a.camera[c.arrival] == 1)
     assert scout.worth_following(overlapping)[ahead & between].all()
     assert (ahead & between).any()
@@ -202,23 +202,25 @@ def test_only_what_is_negligible_is_left_out(monkeypatch: pytest.MonkeyPatch) ->
     asked = problem(one_way(8, 400, 8000.0, clutter=100))
     found = fit_posterior(*asked, LINKED)
     scout = PosteriorFitter(*asked)
-    scout.look()
+    scout.scout()
     apart = np.zeros((scout.contexts.cameras, scout.contexts.cameras), np.bool_)
-    kept = scout.candidates.take(scout.worth_following(apart))
-    ahead = scout.candidates.lag < 0
+    kept = scout.em.candidates.take(scout.worth_following(apart))
+    ahead = scout.em.candidates.lag < 0
     left_out = (
-        scout.responsibility[~ahead].sum()
-        - scout.responsibility[~ahead & (scout.responsibility > module.NEGLIGIBLE)].sum()
+        scout.em.responsibility[~ahead].sum()
+        - scout.em.responsibility[~ahead & (scout.em.responsibility > module.NEGLIGIBLE)].sum()
     )
     assert len(kept.lag) < 0.9 * (~ahead).sum()
-    assert left_out < 0.05 * scout.responsibility.sum()
+    assert left_out < 0.05 * scout.em.responsibility.sum()
     assert set(zip(kept.departure.tolist(), kept.arrival.tolist(), strict=True)) == {
         pair
         for pair, r, before in zip(
             zip(
-                scout.candidates.departure.tolist(), scout.candidates.arrival.tolist(), strict=True
+                scout.em.candidates.departure.tolist(),
+                scout.em.candidates.arrival.tolist(),
+                strict=True,
             ),
-            scout.responsibility.tolist(),
+            scout.em.responsibility.tolist(),
             ahead.tolist(),
             strict=True,
         )
@@ -270,6 +272,6 @@ def test_entry_kernels_count_as_by_hand(seed: int, n: int) -> None:
     assert fitter.entering.exposure.tolist() == exposed.tolist()
     pairs = list(zip(fitter.entering.source.tolist(), fitter.entering.target.tolist(), strict=True))
     assert pairs == sorted({pair for pair, _ in early.values()})
-    assert fitter.entering.early.tolist() == sorted(early)
+    assert fitter.entering.rows.tolist() == sorted(early)
     cells = [(pairs[k // bins.size], k % bins.size) for k in fitter.entering.cell.tolist()]
     assert cells == [early[c] for c in sorted(early)]

@@ -37,14 +37,14 @@ def unrelated(seed: int, camera: list[int]) -> PosteriorFitter:
 @given(st.integers(0, 10**6))
 def test_it_equals_its_slow_twins(seed: int) -> None:
     fitter = unrelated(seed, camera := [0, 0, 1, 3])
-    came = [max(int((fitter.arrivals.zone == zone).sum()), 1) for zone in range(4)]
-    prior = Prior(fitter.candidates, np.array(camera), fitter.exposure, np.array(came, float))
+    came = [max(int((fitter.em.arrivals.zone == zone).sum()), 1) for zone in range(4)]
+    prior = Prior(fitter.em.candidates, np.array(camera), fitter.em.exposure, np.array(came, float))
     named = list(
-        zip(fitter.candidates.source.tolist(), fitter.candidates.target.tolist(), strict=True)
+        zip(fitter.em.candidates.source.tolist(), fitter.em.candidates.target.tolist(), strict=True)
     )
     counts, rates = np.random.default_rng(seed).random((2, len(named), SHORT.size))
     pooled = naive.pooled(
-        dict(zip(named, counts, strict=True)), camera, fitter.exposure, came, SMOOTHING_SD_BINS
+        dict(zip(named, counts, strict=True)), camera, fitter.em.exposure, came, SMOOTHING_SD_BINS
     )
     returning = naive.returning(dict(zip(named, rates, strict=True)))
     number = dict(zip(named, counts.sum(axis=1).tolist(), strict=True))

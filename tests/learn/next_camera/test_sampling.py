@@ -67,22 +67,21 @@ def test_a_draw_teaches_what_the_same_responsibilities_do(monkeypatch: pytest.Mo
         learner.receive(event)
     learner.flush()
     fitter = fitters[-1]
-    drawn = Sources(fitter.candidates.arrival, len(fitter.arrivals.t), 1).draw(
-        fitter.responsibility
-    )
+    em = fitter.em
+    drawn = Sources(em.candidates.arrival, len(em.arrivals.t), 1).draw(em.responsibility)
     before, found = copy.deepcopy(fitter), []
-    assert len(drawn) < len(fitter.responsibility) / 2
-    assert len(np.intersect1d(drawn, fitter.entering.early))
-    assert len(np.intersect1d(drawn, fitter._skipping.some))
+    assert len(drawn) < len(em.responsibility) / 2
+    assert len(np.intersect1d(drawn, fitter.entering.rows))
+    assert len(np.intersect1d(drawn, fitter.skipping.rows))
     for few in (True, False):
         fitter = copy.deepcopy(before)
-        fitter._believe(drawn)
-        fitter._drawn = drawn if few else None
-        hazard = fitter._learn_hazards()
-        fitter._expect(hazard)
-        found.append(
-            (hazard, fitter.entering.hazard, fitter.outside, fitter._own, fitter.responsibility)
-        )
+        em = fitter.em
+        em.draw(drawn)
+        if not few:
+            em.end_draw()
+        hazard = em.maximise()
+        em.expect(hazard)
+        found.append((hazard, fitter.entering.hazard, em.outside, em.own, em.responsibility))
     for drawn_only, all_of_them in zip(*found, strict=True):
         assert drawn_only.any()
         assert drawn_only.tobytes() == all_of_them.tobytes()
