@@ -375,7 +375,7 @@ class Daemon:
         limits, share = self._config.limits, self._share
 
         # Predictions, from the newest version until there is another.
-        self._live = Live(self._publish_prediction, share.owns, self._stopping.wait)
+        self._live = Live(self._publish_prediction, share.owns)
         if (
             isinstance(share, Whole)
             and (topology := newest_topology(self._journal, process)) is not None
@@ -511,10 +511,10 @@ class Daemon:
             raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
         raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
 
-    def _on_version(self, version: Version, hurried: bool = False) -> None:
+    def _on_version(self, version: Version) -> None:
         """Store a version that was learned; if it is the site's, prepare predictions with it."""
         if self._sharing is None:
-            self._live.prepare(version.packed, hurried)
+            self._live.prepare(version.packed)
         self._receiver.storing.on_version(version)
 
     def _publish(self, version: Version) -> None:
@@ -529,7 +529,6 @@ class Daemon:
         else:
             self.newest = Newest(head_of(newest), newest)
             self._live.use(newest)
-            self._live.forget_older()
 
     def _announce(self, version: Version) -> None:
         """Predict with a version and publish it, with its delta and its alarms."""
@@ -550,7 +549,6 @@ class Daemon:
             said.zones,
             said.links,
         )
-        self._live.forget_older()
 
     def _publish_prediction(self, prediction: Prediction) -> None:
         self.bus.put(f"prediction/{prediction.camera}", prediction, "prediction")

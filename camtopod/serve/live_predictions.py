@@ -9,31 +9,28 @@ import time
 from collections.abc import Callable, Sequence
 
 from camtopod import codec
-from camtopod.cooperative import Pause, no_pause
 from camtopod.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.ingest import Received
-from camtopod.serve.runtime import Leisure, everything, let_go, memory
+from camtopod.serve.runtime import everything
 from camtopod.serve.storage import for_prediction
 
 
 class Live:
     """Show it events in the order they are stored. Asked from any thread. ``owns``: the cameras
-    whose exits it is for this daemon to answer. ``rest``: as of `Leisure`.
+    whose exits it is for this daemon to answer.
     """
 
     def __init__(
         self,
         publish: Callable[[Prediction], None],
         owns: Callable[[str], bool] = everything,
-        rest: Callable[[float], object] = time.sleep,
     ) -> None:
-        self._publish, self._owns, self._rest = publish, owns, rest
+        self._publish, self._owns = publish, owns
         self._mutex = threading.Lock()
         self._predictor: Predictor | None = None
         self._prepared: tuple[Topology | bytes, Predictor] | None = None
-        self._older: list[object] = []
         self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
 
     def see(self, batch: Sequence[Received], seconds_max: float) -> None:
@@ -69,39 +66,24 @@ class Live:
             if self._predictor is not None:
                 self._predictor.forget()
 
-    def prepare(self, version: Topology | bytes, hurried: bool = False) -> None:
-        """A version that is about to be used, as such or as MessagePack: what takes long is done,
-        and predictions go on meanwhile; none of them is held up unless it is ``hurried``. One
-        thread.
+    def prepare(self, version: Topology | bytes) -> None:
+        """Build the predictor of a version, given as such or as MessagePack, that will be used.
+
+        Predictions by the version before go on meanwhile. To be called from one thread.
         """
-        pause: Pause = no_pause if hurried or self._predictor is None else Leisure(self._rest)
-        read = for_prediction(version, pause) if isinstance(version, bytes) else version
-        prepared = Predictor(read, pause)
-        prepared.make_ready(self._owns, pause)
-        self._prepared = version, prepared
-        if read is not version:
-            wholes: list[object] = [read]
-            del read
-            let_go(wholes, pause)
+        topology = for_prediction(version) if isinstance(version, bytes) else version
+        self._prepared = version, Predictor(topology)
 
     def use(self, version: Topology | bytes) -> None:
-        """Predict from this version on, remembering what was observed; then call `forget_older`."""
-        prepared, newer = self._prepared or (None, None)
-        if newer is None or prepared is not version:
-            newer = Predictor(for_prediction(version) if isinstance(version, bytes) else version)
-        self._prepared = None
+        """Predict with a version from now on; what was observed is kept."""
+        if self._prepared is None or self._prepared[0] is not version:
+            self.prepare(version)
+        assert self._prepared is not None
+        (_, newer), self._prepared = self._prepared, None
         with self._mutex:
-            older = self._predictor
-            if older is not None:
-                newer.take_over(older)
+            if self._predictor is not None:
+                newer.take_over(self._predictor)
             self._predictor = newer
-        if older is not None:
-            self._older.append(older)
-
-    def forget_older(self) -> None:
-        """Let go of what was used before, bit by bit. In the thread of `use`."""
-        let_go(self._older, Leisure(self._rest))
-        memory.give_back()
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction | None:
         """To ``predict/{camera}``: for an exit at x, y at t, or from a zone, by what is known then

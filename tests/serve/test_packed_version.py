@@ -76,5 +76,4 @@ def test_a_predictor_holds_no_topology(learned: Topology) -> None:
     parts = learned, learned.model, learned.links, learned.model.contexts[0], learned.model.onward
     before = [sys.getrefcount(part) for part in parts]
     predictor = Predictor(learned)
-    predictor.make_ready(bool)
     assert [sys.getrefcount(part) for part in parts] == before

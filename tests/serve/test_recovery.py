@@ -68,7 +68,7 @@ class Installation:
             self.journal,
             10**6,
             snapshot_events,
-            lambda version, _: self._versions.append(version),
+            self._versions.append,
             self._snapshot.append,
             lambda _: None,
             self.new_epoch,

@@ -74,7 +74,7 @@ class Learning:
 
     The thread of `work` calls:
 
-    on_version: with each new version, and whether it is hurried.
+    on_version: with each new version.
     on_snapshot: with each snapshot, after the versions it includes.
     on_deadline: with the event time that the learner waits for.
     new_epoch: to begin and store an epoch.
@@ -87,7 +87,7 @@ class Learning:
         journal: Journal,
         events_max: int,
         snapshot_events: int,
-        on_version: Callable[[Version, bool], None],
+        on_version: Callable[[Version], None],
         on_snapshot: Callable[[Snapshot], None],
         on_deadline: Callable[[float | None], None],
         new_epoch: Callable[[], str],
@@ -342,18 +342,14 @@ class Learning:
                     self._process.kill()
 
     def _take(self, made: Made) -> None:
-        """Hand a new version over.
-
-        It may be prepared slowly, unless the journal is replayed and versions follow each other
-        fast.
-        """
+        """Hand a new version over."""
         self._due = True
         self.made += 1
         with _giving_way(), memory.kept(thorough=self.made % THOROUGH_EVERY == 0):
             version = Version(
                 head_of(made.packed), made.content, made.packed, made.delta, made.told
             )
-            self._on_version(version, self.replaying > 0)
+            self._on_version(version)
 
     def _begin_epoch(self, version: int) -> None:
         """Begin an epoch, as a stored version was not reproduced."""

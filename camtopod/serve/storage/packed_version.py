@@ -10,7 +10,6 @@ from typing import NamedTuple
 from msgspec import Raw, Struct
 
 from camtopod import codec
-from camtopod.cooperative import Pause, no_pause
 from camtopod.records import Alarm, SelfScore, Topology
 
 _NOT_FOR_PREDICTION = ("links", "weak_links", "pairs", "chain", "alarms")
@@ -108,9 +107,9 @@ def head_of(topology: Topology | bytes) -> Head:
     )
 
 
-def for_prediction(packed: bytes, pause: Pause = no_pause) -> Topology:
+def for_prediction(packed: bytes) -> Topology:
     """Return a version with the fields that predictions need."""
-    topology: Topology = codec.read_in_parts(Topology, packed, pause, left_out=_NOT_FOR_PREDICTION)
+    topology: Topology = codec.read_in_parts(Topology, packed, left_out=_NOT_FOR_PREDICTION)
     if topology.model is None or topology.model.onward is None:
-        topology = codec.read_in_parts(Topology, packed, pause)
+        topology = codec.read_in_parts(Topology, packed)
     return topology
