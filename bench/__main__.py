@@ -1,5 +1,6 @@
-"""``python -m bench PART [ARGUMENTS]``: each part is a module of this package with ``main(argv) ->
-int``.
+"""Run one part of the bench: ``python -m bench PART [ARGUMENTS]``.
+
+Each part is a module of this package with ``main(argv) -> int``.
 """
 
 from __future__ import annotations

@@ -1,19 +1,18 @@
-"""What each mechanism of the learner is worth: every figure with all of them, and with each left
-out in turn.
+"""Measure the worth of each mechanism of the learner: all figures with it and without it.
 
-    python -m bench ablation [--data FOLDER] [--constants] [--mechanisms a,b] [--regimes a,b] [--seeds N]
-                             [--scale X] [--sampling-seeds N] [--jobs 2] [--json FILE]
+    python -m bench ablation [--data FOLDER] [--constants] [--mechanisms a,b] [--regimes a,b]
+                             [--seeds N] [--scale X] [--sampling-seeds N] [--jobs 2] [--json FILE]
 
-The networks are the real ones of `bench real` (skipped where there is no data) and made-up ones of
-`bench.regimes`. Each is learned in one fit of its first 70 % and judged by the rest. The seed of
-the sampler alone moves the figures of a small network, so each is measured with several and
-averaged. A difference is paired by network: without the mechanism, less with all; for log loss and
-calibration error positive is worse without, for links and top-1 negative. A mechanism earns its
-place when leaving it out costs more than two standard errors on the real networks, or more than
-`REGIME_COST` on a kind of made-up ones and more than two of its standard errors.
+The networks are the real ones of `bench real` (skipped without data) and simulated ones of
+`bench.regimes`. Each is learned in one fit of its first 70 % and scored on the rest. As the seed of
+the sampler alone moves the figures of a small network, each is measured with several seeds and
+averaged. A difference is paired by network: without the mechanism, less with all. For log loss and
+calibration error a positive difference is worse, for links and top-1 a negative one. A mechanism
+earns its place if leaving it out costs more than two standard errors on the real networks, or more
+than `REGIME_COST` and more than two standard errors on one kind of simulated network.
 
-With ``--constants`` nothing is left out: each constant is halved and doubled in turn, and it is
-shown what the value that is best on the other real networks makes of the one left out.
+With ``--constants`` no mechanism is left out; each constant is halved and doubled in turn. The last
+table cross-validates the choice: each real network gets the value that is best on the others.
 """
 
 from __future__ import annotations
@@ -42,21 +41,28 @@ from bench.support.real_figures import calibration_error
 from camtopod.learn.traffic.speed import NO_PERSISTENCE
 
 REAL = "real"
+"""Kind of the real networks."""
 DEFAULT_REGIMES = "hall,crowd,walkway,road,short,dense,platoons,faulty"
 REGIME_COST = 0.01
+"""Least cost that counts on simulated networks, in the figure's unit."""
 TOLD_NATS = 6.0
+"""Evidence from which the events are considered able to tell a link, nats."""
 FIGURES = ("log loss", "leave", "calibration", "top-1", "links")
-"""Log loss and its part of "leaves or not", above a chain that is told identities; calibration
-error of the first guess; top-1 over that chain's; links found, of those that can be told (real) or
-F1 of links or pairs (made up).
+"""Figures of the table.
+
+Log loss, and its part about leaving the site, are above those of an oracle (a chain that is given
+the identities); calibration error is of the first guess; top-1 is relative to the oracle's; links
+are the found ones of those the events can tell (real networks), or F1 of links or camera pairs
+(simulated ones).
 """
 WORSE = (1.0, 1.0, 1.0, -1.0, -1.0)
-"""The sign of a difference that is worse."""
+"""Sign of a difference that is worse, by figure."""
 
 
 class Mechanism(Struct, frozen=True):
-    """One that can be left out: what stands in for which names (``module:name``, below
-    `camtopod`).
+    """A mechanism that can be left out.
+
+    ``replaced`` maps names (``module:name``, below `camtopod`) to their replacements.
     """
 
     name: str
@@ -64,7 +70,7 @@ class Mechanism(Struct, frozen=True):
 
 
 class Task(Struct, frozen=True):
-    """One network, learned without one mechanism."""
+    """One network, learned without one mechanism ("": with all)."""
 
     mechanism: str
     kind: str
@@ -74,7 +80,7 @@ class Task(Struct, frozen=True):
 
 
 def _untold(*levels: int) -> Callable[..., Any]:
-    """Contexts of which some levels say nothing of any departure."""
+    """Return a replacement of `Contexts._contexts` in which some levels are always unknown."""
     every = import_module("camtopod.learn.next_camera.contexts").Contexts._contexts
 
     def others(self: Any, *arguments: Any) -> Any:
@@ -85,6 +91,7 @@ def _untold(*levels: int) -> Callable[..., Any]:
 
 
 def _no_skips(appears: Any, candidates: Any, through: Any, bins: Any, zones: int) -> Any:
+    """Return no hazards of skipped cameras."""
     return np.zeros(0, np.int64), np.zeros((0, bins.size))
 
 
@@ -104,16 +111,14 @@ MECHANISMS = [
     Mechanism(
         "contexts, all", {"learn.next_camera.contexts:Contexts._contexts": _untold(0, 1, 2, 3)}
     ),
-    Mechanism(
-        "pace", {"learn.association.em:persistence": lambda *arguments: NO_PERSISTENCE}
-    ),
-    Mechanism("skipped views", {"learn.next_camera.fit:skip_hazards": _no_skips}),
-    Mechanism("prior: ways are two-way", {"learn.next_camera.prior:RETURNING": 0.0}),
+    Mechanism("speed", {"learn.association.em:persistence": lambda *arguments: NO_PERSISTENCE}),
+    Mechanism("skipped cameras", {"learn.next_camera.fit:skip_hazards": _no_skips}),
+    Mechanism("prior: paths are two-way", {"learn.next_camera.prior:RETURNING": 0.0}),
     Mechanism("prior: zones of a view", {"learn.next_camera.prior:POOLING": 0.0}),
     Mechanism("sampling", {"learn.next_camera.fit:PosteriorFitter.sample": lambda self: None}),
     Mechanism("faint transitions", {"learn.next_camera.sampling:FAINT_TRANSITIONS": 0.0}),
     Mechanism(
-        "doubt",
+        "spurious transitions",
         {
             "learn.next_camera.fit:doubts": lambda pair, responsibility, pairs, *rest: np.zeros(
                 pairs
@@ -127,18 +132,22 @@ MECHANISMS = [
         "test of overlap",
         {"learn.next_camera.fit:not_overlapping": lambda c, *rest: np.zeros(len(c.lag), np.bool_)},
     ),
-    Mechanism("first look at candidates", {"learn.next_camera.fit:NEGLIGIBLE": 0.0}),
-    Mechanism("bets spread over lags", {"learn.links.cross_validation:EVEN_SHARES": (0.0,)}),
+    Mechanism("first pruning of candidates", {"learn.next_camera.fit:NEGLIGIBLE": 0.0}),
     Mechanism(
-        "missed passages",
+        "cross-validation bets spread over lags",
+        {"learn.links.cross_validation:EVEN_SHARES": (0.0,)},
+    ),
+    Mechanism(
+        "missed detections",
         {"learn.refit:without_missed": lambda between, through, found, *rest: found},
     ),
     Mechanism("changes", {"learn.refit:find_changes": lambda *arguments: []}),
-    Mechanism("longer steps of EM", {"learn.association.em:STRIDE": 1.0}),
+    Mechanism("over-relaxed EM", {"learn.association.em:STRIDE": 1.0}),
     Mechanism("sparse prior", {"learn.association.joint_fit:SPARSITY": 0.0}),
-    Mechanism("long ways", {"learn.long_paths:find_long_paths": lambda *arguments: []}),
+    Mechanism("long paths", {"learn.long_paths:find_long_paths": lambda *arguments: []}),
     Mechanism(
-        "usual stays", {"learn.refit:with_usual_stays": lambda departures, through: departures}
+        "usual dwell times",
+        {"learn.refit:with_usual_stays": lambda departures, through: departures},
     ),
     Mechanism(
         "silent cameras",
@@ -146,6 +155,7 @@ MECHANISMS = [
     ),
     Mechanism("seen before the exit", {"predict.exit_tables:Site.before": lambda self, zone: []}),
 ]
+"""The mechanisms that are left out in turn."""
 
 CONSTANTS = (
     ("BACK_OFF_DEPARTURES", ("learn.next_camera.contexts", "predict.contexts")),
@@ -163,8 +173,9 @@ CONSTANTS = (
     ("SAME_SECONDS", ("learn.long_paths",)),
     ("OVERLAP_FALSE", ("learn.association.screening",)),
 )
-"""Name of each, and the modules that have it."""
+"""Constants that are halved and doubled: name, and the modules that hold it."""
 FACTORS = (0.5, 2.0)
+"""Factors by which each constant is scaled."""
 
 
 def _times(name: str, factor: float) -> str:
@@ -182,10 +193,11 @@ SCALED = [
     for name, modules in CONSTANTS
     for factor in FACTORS
 ]
+"""The constants with each factor, in the form of mechanisms."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Measure, print the table; returns the exit status."""
+    """Measure, print the tables and return the exit status."""
     arguments = _parse(argv)
     os.environ.setdefault(
         "OMP_NUM_THREADS", "1"
@@ -193,11 +205,14 @@ def main(argv: Sequence[str]) -> int:
     known = [one.name for one in (SCALED if arguments.constants else MECHANISMS)]
     names = ["", *(arguments.mechanisms.split(",") if arguments.mechanisms else known)]
     if unknown := [name for name in names[1:] if name not in known]:
+        # Report.
         print(
-            f"bench ablation: there is no {', '.join(unknown)}; there are {', '.join(known)}",
+            f"bench ablation: no mechanism {', '.join(unknown)}; choose from {', '.join(known)}",
             file=sys.stderr,
         )
         return 2
+
+    # Networks.
     folders = (
         sorted(path.parent for path in arguments.data.glob("*/identities.csv"))
         if arguments.data
@@ -210,7 +225,9 @@ def main(argv: Sequence[str]) -> int:
         for seed in range(arguments.seeds)
     ]
     if not folders:
-        print("bench ablation: no real networks (--data or CAMTOPOD_REAL_DATA name their folder)")
+        print("bench ablation: no real networks are measured (set --data or CAMTOPOD_REAL_DATA)")
+
+    # Measure, and average over the seeds of the sampler.
     tasks = [
         Task(name, kind, network, seed, arguments.scale)
         for kind, network in networks
@@ -240,7 +257,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def measure(task: Task) -> list[float]:
-    """The `FIGURES` of one network without one mechanism, nan where there is none."""
+    """Return the `FIGURES` of one network without one mechanism; nan where one does not apply."""
     with without(task.mechanism, task.sampling_seed):
         if task.kind == REAL:
             return _real(Path(task.network))
@@ -255,6 +272,7 @@ def measure(task: Task) -> list[float]:
 
 
 def _real(folder: Path) -> list[float]:
+    """Return the `FIGURES` of a real network."""
     found = real.measure(folder)
     links = (
         found.links.found[TOLD_NATS] / found.links.can_be_told[TOLD_NATS]
@@ -276,7 +294,7 @@ def _real(folder: Path) -> list[float]:
 
 @contextlib.contextmanager
 def without(mechanism: str, sampling_seed: int) -> Iterator[None]:
-    """The learner without a mechanism ("": with all), and another seed of the sampler."""
+    """Replace a mechanism ("": none) and the seed of the sampler while the block runs."""
     replaced = {"learn.next_camera.fit:SAMPLING_SEED": sampling_seed}
     for one in (*MECHANISMS, *SCALED):
         if one.name == mechanism:
@@ -295,10 +313,11 @@ def without(mechanism: str, sampling_seed: int) -> Iterator[None]:
 def table(
     means: dict[tuple[str, str, str], Any], names: Sequence[str], verdict: str = "earns its place"
 ) -> list[str]:
-    """One block a kind of network, one row a mechanism; and in the end what each costs most."""
+    """Return one block a kind of network with one row a mechanism, then the significant costs."""
     kinds = list(dict.fromkeys(kind for _, kind, _ in means))
     lines, earns = [], defaultdict[str, list[str]](list)
     for kind in kinds:
+        # Means with all mechanisms.
         networks = [network for name, one, network in means if one == kind and name == ""]
         whole = [
             _mean([means["", kind, network][k] for network in networks])
@@ -307,6 +326,7 @@ def table(
         lines += ["", _row(f"{kind}, {len(networks)} networks", *FIGURES)]
         lines.append(_row("with all", *(f"{value:.3f}" for value in whole)))
         for name in names:
+            # Paired differences without one mechanism, with standard errors.
             apart = np.array(
                 [means[name, kind, network] - means["", kind, network] for network in networks]
             )
@@ -334,8 +354,10 @@ def table(
 
 
 def chosen_on_the_others(means: dict[tuple[str, str, str], Any]) -> list[str]:
-    """One row a constant: the log loss of each real network with the value that is best for the
-    others, less that with the value as it is.
+    """Return one row a constant: the cost of choosing its value on the other real networks.
+
+    The cost is the log loss of each real network with the value that is best for the others, less
+    that with the present value.
     """
     networks = [network for name, kind, network in means if kind == REAL and name == ""]
     lines = ["", _row("real, one network left out", "log loss")]
@@ -352,7 +374,7 @@ def chosen_on_the_others(means: dict[tuple[str, str, str], Any]) -> list[str]:
 
 
 def _mean(values: Sequence[float]) -> float:
-    """Of those that are there."""
+    """Return the mean of the values that are not nan."""
     there = [value for value in values if not math.isnan(value)]
     return sum(there) / len(there) if there else math.nan
 
@@ -364,7 +386,8 @@ def _row(title: str, *cells: object) -> str:
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     named = os.environ.get("CAMTOPOD_REAL_DATA")
     parser = argparse.ArgumentParser(
-        prog="python -m bench ablation", description="The learner without each mechanism."
+        prog="python -m bench ablation",
+        description="Measure the learner without each of its mechanisms.",
     )
     parser.add_argument(
         "--data", type=Path, default=Path(named) if named else None, metavar="FOLDER"
@@ -373,16 +396,18 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         "--constants", action="store_true", help="halve and double constants instead"
     )
     parser.add_argument(
-        "--mechanisms", help="or constants with their factors; comma-separated (default: all)"
+        "--mechanisms", help="mechanisms, or constants with factors; comma-separated (default: all)"
     )
     parser.add_argument(
         "--regimes", default=DEFAULT_REGIMES, help=f"comma-separated (default: {DEFAULT_REGIMES})"
     )
     parser.add_argument("--seeds", type=int, default=3, help="networks per regime (default 3)")
     parser.add_argument(
-        "--scale", type=float, default=0.3, help="length of the made-up recordings (default 0.3)"
+        "--scale", type=float, default=0.3, help="length of the simulated recordings (default 0.3)"
     )
-    parser.add_argument("--sampling-seeds", type=int, default=2, help="of the sampler (default 2)")
+    parser.add_argument(
+        "--sampling-seeds", type=int, default=2, help="seeds of the sampler (default 2)"
+    )
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--json", type=Path, metavar="FILE")
     return parser.parse_args(argv)

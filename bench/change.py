@@ -1,16 +1,16 @@
-"""Doors that close and open, and buildings that stay as they are: how soon it is known, and how
-often wrongly.
+"""Measure how soon changes of paths are detected, and how often falsely.
 
-    python -m bench change [--seeds N] [--first-seed S] [--hours H] [--doors D] [--jobs close,open,steady,score]
-                           [--objects RATE] [--rhythm SHARE] [--groups SHARE]
+    python -m bench change [--seeds N] [--first-seed S] [--hours H] [--doors D]
+                           [--jobs close,open,steady,score] [--objects RATE] [--rhythm SHARE]
+                           [--groups SHARE]
 
-Half-way through a made-up recording some doors (paths, both directions) close, or open. A link is
-*right* from the first version on after which it stays gone, or stays published; one that never is
-counts as taking for ever. What it took is counted in passages: of a closed door those who would
-have taken it (departures at its zone times its earlier share), of an opened one those who did, both
-ends recorded. Versions come as the learner makes them, so passages are lost to waiting for the
-next. `steady` counts versions with an alarm where nothing changes; `score` holds the learner's own
-marks against the truth for the same exits.
+Half-way through a simulated recording some doors (paths, both directions) close, or open. A link is
+*right* from the first version after which it stays gone, or stays published; a link that never is
+counts as infinitely late. Delays are counted in passages: for a closed door those that would have
+taken it (departures at its zone times its earlier share), for an opened one those that did, both
+ends recorded. Versions come as the learner makes them, so the wait for the next one counts.
+`steady` counts versions with an alarm where nothing changes; `score` compares the learner's scores
+of itself with the truth for the same exits.
 """
 
 from __future__ import annotations
@@ -25,20 +25,23 @@ from msgspec.structs import replace
 from camtopod.learn.learner import Learner
 from camtopod.learn.self_score import Guess, Marks, Scorer, marks
 from camtopod.records import Event, Topology
-from camtopod.sim.score import ZONE_TOLERANCE, match_zones, next_entries
+from camtopod.sim.scoring import ZONE_TOLERANCE, match_zones, next_entries
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 from camtopod.sim.truth import TrueLink, Truth
 
 JOBS = ("close", "open", "steady", "score")
+"""Names of the measurements."""
 SOON_PASSAGES = (20, 40, 80)
+"""Numbers of passages after which the share of right links is reported."""
 
 
 class Found(NamedTuple):
-    """What became of one link: passages walked before the change and after it, and until it was
-    right (nan: never).
+    """Outcome of one link: passages before the change, after it, and until it was right (nan:
+    never).
 
-    ``known``: whether a link that closed had been published at all.
+    ``known``: whether a link that closed had been published at all; ``alarmed``: whether it was
+    reported.
     """
 
     known: bool
@@ -50,13 +53,13 @@ class Found(NamedTuple):
 
 
 def main(argv: list[str]) -> int:
-    """Run the jobs; returns the exit status."""
+    """Run the jobs and return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench change")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--hours", type=float, default=1.5)
     parser.add_argument("--doors", type=int, default=2)
-    parser.add_argument("--objects", type=float, help="objects a second that enter the network")
+    parser.add_argument("--objects", type=float, help="objects that enter the network, per second")
     parser.add_argument("--rhythm", type=float, default=0.0)
     parser.add_argument("--groups", type=float, default=0.0)
     parser.add_argument("--jobs", default=",".join(JOBS))
@@ -77,7 +80,7 @@ def main(argv: list[str]) -> int:
 
 
 def versions(events: Sequence[Event]) -> Iterator[Topology]:
-    """Every version, events fed as `camtopod learn` feeds them."""
+    """Yield every version; events are fed as `camtopod learn` feeds them."""
     learner = Learner()
     for event in events:
         learner.receive(event)
@@ -87,6 +90,7 @@ def versions(events: Sequence[Event]) -> Iterator[Topology]:
 
 
 def _doors(job: str, base: SimSettings, seeds: range, doors: int) -> None:
+    """Measure and print the changed links of all seeds."""
     rows: list[Found] = []
     false = 0
     for seed in seeds:
@@ -104,8 +108,9 @@ def _doors(job: str, base: SimSettings, seeds: range, doors: int) -> None:
 
 
 def summary(job: str, rows: Sequence[Found]) -> list[str]:
-    """How soon links were right; how many were so within some passages, of those that had as
-    many.
+    """Return how soon links were right, and the shares that were so within some passages.
+
+    The shares are of links with at least as many passages since the change.
     """
     lines = []
     for least in (0, *SOON_PASSAGES):
@@ -114,8 +119,10 @@ def summary(job: str, rows: Sequence[Found]) -> list[str]:
             continue
         needed = np.array([np.inf if np.isnan(row.needed) else row.needed for row in some])
         low, middle, high = np.quantile(needed, (0.25, 0.5, 0.75), method="higher")
-        line = f"{job}, {len(some)} links of {least} passages or more since: {int(np.isfinite(needed).sum())} found, "
-        line += f"after a median of {middle:.0f} passages (quartiles {low:.0f} to {high:.0f})"
+        line = f"{job}, {len(some)} links of {least} passages or more since: "
+        line += f"{int(np.isfinite(needed).sum())}  found, "
+        line += f"after a median of {middle:.0f} passages "
+        line += f"(quartiles {low:.0f} to {high:.0f})"
         if least:
             line += f", within {least}: {np.mean(needed <= least):.2f}"
         lines.append(f"{line}; {sum(row.alarmed for row in some)} alarms")
@@ -123,6 +130,7 @@ def summary(job: str, rows: Sequence[Found]) -> list[str]:
 
 
 def _measure(job: str, base: SimSettings, seed: int, doors: int) -> tuple[list[Found], int]:
+    """Return the changed links of one network and the number of false alarms."""
     closed, opened = (doors, 0) if job == "close" else (0, doors)
     settings = replace(base, seed=seed, doors_closed=closed, doors_opened=opened)
     events, truth = simulate(settings)
@@ -130,6 +138,8 @@ def _measure(job: str, base: SimSettings, seed: int, doors: int) -> tuple[list[F
     changed = {
         (link.from_, link.to): link for link in truth.links if link.closed_at or link.opened_at
     }
+
+    # Learned zone of each true one, in the newest version that has it.
     ids: dict[str, str] = {}
     for version in reversed(made):
         ids = match_zones(version.zones, truth.zones, ZONE_TOLERANCE) | ids
@@ -137,12 +147,15 @@ def _measure(job: str, base: SimSettings, seed: int, doors: int) -> tuple[list[F
         _found(job, link, ids, events, truth, made, base.start + base.hours * 1800)
         for link in changed.values()
     ]
+
+    # Alarms about other links are false.
     names = {f"{ids.get(link.from_)}->{ids.get(link.to)}" for link in changed.values()}
     kinds = ("link_opened", "link_closed")
     wrong = [a for a in made[-1].alarms or [] if a.kind in kinds and a.subject not in names]
     for alarm in wrong:
         print(
-            f"{job} seed {seed}: other alarm {alarm.kind} {alarm.subject} {alarm.detail} in version {alarm.version}"
+            f"{job} seed {seed}: other alarm {alarm.kind} {alarm.subject} {alarm.detail} "
+            f"in version {alarm.version}"
         )
     return found, len(wrong)
 
@@ -156,6 +169,8 @@ def _found(
     made: list[Topology],
     moment: float,
 ) -> Found:
+    """Return the outcome of one changed link."""
+    # Passages, departures at the zone, and when the link became right.
     walked = np.array(_walked(link, events, truth))
     source = [zone.id for zone in truth.zones].index(link.from_)
     left = np.array(
@@ -171,6 +186,8 @@ def _found(
             right = np.nan
         elif np.isnan(right):
             right = version.as_of
+
+    # Passages before, after, and until then.
     before, after = float(np.sum(walked < moment)), float(np.sum(walked >= moment))
     if job == "close":
         rate = before / max(int(np.sum(left < moment)), 1)
@@ -180,6 +197,8 @@ def _found(
         )
     else:
         needed = float(np.sum((walked >= moment) & (walked <= right))) if right == right else np.nan
+
+    # Alarm, and whether it was published before.
     kind = f"link_{'closed' if job == 'close' else 'opened'}"
     alarmed = any(
         (a.kind, a.subject) == (kind, f"{key[0]}->{key[1]}") for a in made[-1].alarms or []
@@ -190,7 +209,7 @@ def _found(
 
 
 def _walked(link: TrueLink, events: Sequence[Event], truth: Truth) -> list[float]:
-    """When the link was walked with both ends recorded."""
+    """Return the times of departure of the link's transitions with both ends recorded."""
     zones = [zone.id for zone in truth.zones]
     return [
         events[k].t
@@ -203,6 +222,7 @@ def _walked(link: TrueLink, events: Sequence[Event], truth: Truth) -> list[float
 
 
 def _steady(job: str, base: SimSettings, seeds: range, doors: int) -> None:
+    """Print the share of versions with an alarm where nothing changes."""
     total = wrong = 0
     for seed in seeds:
         events, _ = simulate(replace(base, seed=seed))
@@ -212,14 +232,15 @@ def _steady(job: str, base: SimSettings, seeds: range, doors: int) -> None:
         wrong += len({alarm.version for alarm in alarms})
         for alarm in alarms:
             print(
-                f"steady seed {seed}: {alarm.kind} {alarm.subject} {alarm.detail} in version {alarm.version}",
+                f"steady seed {seed}: {alarm.kind} {alarm.subject} {alarm.detail} "
+                f"in version {alarm.version}",
                 flush=True,
             )
     print(f"steady: {wrong} of {total} versions with an alarm")
 
 
 class _Told(Scorer):
-    """A scorer that also marks by what truly happened."""
+    """A scorer that also scores by the ground truth."""
 
     def __init__(self, events: Sequence[Event], truth: Truth) -> None:
         super().__init__()
@@ -238,6 +259,7 @@ class _Told(Scorer):
 
 
 def _score(job: str, base: SimSettings, seeds: range, doors: int) -> None:
+    """Print the learner's scores of itself beside those by the ground truth."""
     names = ("log loss", "top-1", "top-3", "baseline log loss", "baseline top-1")
     rows = []
     for seed in seeds:
@@ -266,6 +288,7 @@ def _score(job: str, base: SimSettings, seeds: range, doors: int) -> None:
 
 
 def _figures(given: list[Marks]) -> list[float]:
+    """Return the means of the scores, in the order of the table."""
     m = {name: sum(getattr(mark, name) for mark in given) for name in Marks._fields}
     followed = max(m["followed"], 1e-9)
     return [

@@ -1,10 +1,9 @@
-"""What a camera costs: CPU seconds a streamed frame of the grabber, of decoding alone and of
-Frigate's way.
+"""Measure the cost of a camera: CPU time a frame of the grabber, of decoding alone, of Frigate.
 
     python -m bench grab [--rounds 7] [--seconds 40] [--crf 20] [--films FOLDER] [--json FILE]
 
-Films of 1080p and 720p at 25 frames a second, H.264, are made up first (two minutes; FOLDER keeps
-them): a busy one with a dozen people on their way at any time, a quiet one that a single person
+Films of 1080p and 720p at 25 frames a second, H.264, are rendered first (two minutes; FOLDER keeps
+them): a busy one that a dozen people cross all the time, and a quiet one that a single person
 crosses now and then. Everything decodes in software. Decoding alone is OpenCV's capture opened as
 the grabber opens it, every frame grabbed, none retrieved. Needs the program ffmpeg with libx264.
 """
@@ -31,15 +30,18 @@ DECODING = "decoding alone"
 GRABBER = "the grabber"
 ROUNDS, SECONDS = 7, 40.0
 SMALL_DETECT = (640, 360)
+"""Second detect size of Frigate, (width, height)."""
 SIZES = {"1080p": (1920, 1080), "720p": (1280, 720)}
+"""Sizes of the films, (width, height)."""
 SCENES = {"busy": (12, 0.5), "quiet": (1, 20.0)}
-"""People, and for how many seconds each stays away."""
+"""People in each scene, and the seconds that each is out of view between two crossings."""
 RATIO_MAX = {
     ("1080p", "busy"): 1.25,
     ("1080p", "quiet"): 1.35,
     ("720p", "busy"): 1.5,
     ("720p", "quiet"): 1.5,
 }
+"""Targets of the grabber's ratio to decoding alone, by size and scene."""
 
 
 class Film(NamedTuple):
@@ -53,26 +55,26 @@ class Film(NamedTuple):
 
     @property
     def title(self) -> str:
-        """With its bit rate."""
+        """Size, scene and bit rate."""
         rate = 8e-6 * self.path.stat().st_size * films.FPS / self.frames
         return f"{self.size_name} {self.scene}, {rate:.1f} Mbit/s"
 
 
 def main(argv: list[str]) -> int:
-    """Print the tables; returns the exit status."""
+    """Print the tables and return the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench grab", description="What a camera costs."
+        prog="python -m bench grab", description="Measure the CPU cost of a camera."
     )
     ratios.add_arguments(parser, ROUNDS)
     parser.add_argument("--seconds", type=float, default=SECONDS, help="length of a film")
-    parser.add_argument("--films", type=Path, metavar="FOLDER", help="where films are kept")
+    parser.add_argument("--films", type=Path, metavar="FOLDER", help="folder to keep the films in")
     parser.add_argument(
         "--crf", type=int, default=films.CRF, help="quality of the films: lower is more bits"
     )
     parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
     given = parser.parse_args(argv)
     if shutil.which("ffmpeg") is None:
-        print("bench grab needs the program ffmpeg", file=sys.stderr)
+        print("bench grab: the program ffmpeg is missing; install it", file=sys.stderr)
         return 1
     with tempfile.TemporaryDirectory() as folder:
         tables = []
@@ -85,7 +87,7 @@ def main(argv: list[str]) -> int:
 
 
 def made_films(folder: Path, sizes: list[str], seconds: float, crf: int) -> list[Film]:
-    """Those in ``folder``; what is not there yet is made."""
+    """Return the films in ``folder``; those that are missing are rendered."""
     folder.mkdir(parents=True, exist_ok=True)
     result = []
     for size_name in sizes:
@@ -102,7 +104,7 @@ def made_films(folder: Path, sizes: list[str], seconds: float, crf: int) -> list
 
 
 def measure(film: Film, rounds: int) -> ratios.Table:
-    """Milliseconds of CPU a streamed frame, of everybody."""
+    """Measure the CPU milliseconds a frame of every contestant."""
 
     def per_frame(run: Callable[..., object], *arguments: object) -> Callable[[], float]:
         return lambda: 1000 * ratios.cpu_seconds_of(lambda: run(film, *arguments)) / film.frames
@@ -120,12 +122,12 @@ def measure(film: Film, rounds: int) -> ratios.Table:
 
 
 def frigate_at(detect: tuple[int, int]) -> str:
-    """Name of the contestant."""
-    return f"Frigate's way, detect {detect[0]}x{detect[1]}"
+    """Return the contestant's name."""
+    return f"Frigate's method, detect {detect[0]}x{detect[1]}"
 
 
 def decode(film: Film) -> None:
-    """Every frame grabbed, none retrieved."""
+    """Grab every frame, retrieve none."""
     capture = cv2.VideoCapture(str(film.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
     frames = 0
     while capture.grab():
@@ -135,7 +137,7 @@ def decode(film: Film) -> None:
 
 
 def grab(film: Film) -> Grabber:
-    """The whole grabber, pixels to events."""
+    """Run the whole grabber, pixels to events."""
     grabber = Grabber("cam", str(film.path), wall_clock=time.time)
     for _ in grabber.events():
         pass
@@ -144,13 +146,13 @@ def grab(film: Film) -> Grabber:
 
 
 def frigates_way(film: Film, detect: tuple[int, int]) -> None:
-    """ffmpeg pipes raw frames, OpenCV looks for motion."""
+    """Pipe raw frames from ffmpeg and detect motion with OpenCV, as Frigate does."""
     frames, _ = frigate.watch(film.path, *detect)
     assert abs(frames - film.frames * frigate.FPS / films.FPS) <= 2, f"{frames} frames looked at"
 
 
 def decode_by_ffmpeg(film: Film) -> None:
-    """Another build of the same decoder, one thread: tells how far decoders differ."""
+    """Decode with another build of the same decoder, one thread; shows how far decoders differ."""
     command = [
         "ffmpeg",
         "-nostdin",
@@ -168,17 +170,17 @@ def decode_by_ffmpeg(film: Film) -> None:
 
 
 def seen(film: Film) -> str:
-    """That there was something to do, and that it was done."""
+    """Return a line about the grabber's work: frames analysed, entries and exits."""
     figures = grab(film).statistics()
     return (
-        f"  the grabber looked at {figures['frames_analysed']} of {film.frames} frames and saw "
-        f"{figures['entries']} entries and {figures['exits']} exits; "
-        f"analysis {1000 * figures['analysis_cpu_seconds'] / figures['frames_analysed']:.2f} ms a frame looked at"
+        f"  the grabber analysed {figures['frames_analysed']} of {film.frames} frames and saw "
+        f"{figures['entries']} entries and {figures['exits']} exits; analysis "
+        f"{1000 * figures['analysis_cpu_seconds'] / figures['frames_analysed']:.2f} ms a frame"
     )
 
 
 def ffmpeg_version() -> str:
-    """First line of what it says."""
+    """Return the first line of ``ffmpeg -version``."""
     said = subprocess.run(["ffmpeg", "-version"], capture_output=True, check=True, text=True).stdout
     return said.splitlines()[0]
 

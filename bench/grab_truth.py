@@ -1,10 +1,10 @@
-"""How well the grabber sees the passages that somebody watched, on files and over RTSP.
+"""Score the grabber's events on two real clips against passages annotated by hand.
 
     python -m bench grab_truth [--data FOLDER] [--vtest FILE] [--rtsp] [--details]
 
 FOLDER holds one-by-one/ (default: the environment's CAMTOPOD_TEST_DATA). ``--rtsp`` also serves
-vtest.avi over a real RTSP server at its own pace (two minutes) and compares with the file.
-Tolerances: 1.5 s and 0.12 of the diagonal.
+vtest.avi over a real RTSP server in real time (two minutes) and compares with the file. Tolerances:
+1.5 s and 0.12 of the diagonal.
 """
 
 from __future__ import annotations
@@ -31,29 +31,32 @@ from camtopod.records import Event
 from camtopod.vision.grabber import Grabber
 
 VTEST_FPS = 7.0
+"""Frame rate at which vtest.avi was recorded."""
 
 
 def main(argv: list[str]) -> int:
-    """Print the figures; returns the exit status."""
+    """Print the figures and return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench grab_truth")
     parser.add_argument("--data", help="folder with one-by-one/")
     parser.add_argument(
         "--vtest", type=Path, default=VTEST, help="vtest.avi of Debian's opencv-doc"
     )
     parser.add_argument("--rtsp", action="store_true", help="also over a real RTSP server")
-    parser.add_argument(
-        "--details", action="store_true", help="name what was missed and what was spurious"
-    )
+    parser.add_argument("--details", action="store_true", help="list missed and spurious events")
     arguments = parser.parse_args(argv)
     if arguments.data:
         os.environ["CAMTOPOD_TEST_DATA"] = arguments.data
+
+    # First clip.
     clip = one_by_one()
     if clip is None:
-        print("one-by-one: not at hand (--data FOLDER or CAMTOPOD_TEST_DATA)")
+        print("one-by-one: skipped, clip not found (set --data or CAMTOPOD_TEST_DATA)")
     else:
         _file("one-by-one", clip, watched("one_by_one", 10.0), 768 / 432, arguments.details)
+
+    # Second clip, at the header's and at its true frame rate.
     if not arguments.vtest.exists():
-        print(f"vtest: no {arguments.vtest} (Debian package opencv-doc)")
+        print(f"vtest: skipped, no {arguments.vtest} (install Debian's opencv-doc)")
         return 0
     with tempfile.TemporaryDirectory() as folder:
         slow = Path(folder) / "vtest.mp4"
@@ -84,6 +87,7 @@ def main(argv: list[str]) -> int:
 
 
 def _file(name: str, path: Path, truth: list[Event], aspect: float, details: bool) -> list[Event]:
+    """Run the grabber on a file, print its score and return its events."""
     grabber = Grabber("cam", str(path), wall_clock=time.time)
     began = time.process_time()
     events = [event for event in grabber.events() if event is not None]
@@ -91,14 +95,15 @@ def _file(name: str, path: Path, truth: list[Event], aspect: float, details: boo
     figures = grabber.statistics()
     _line(name, truth, events, match(truth, events, aspect), details)
     print(
-        f"    {1e3 * figures['analysis_cpu_seconds'] / figures['frames_analysed']:.2f} ms of CPU a frame for "
-        f"analysing {figures['frames_analysed']} of {figures['frames_grabbed']} frames; "
-        f"{seconds:.1f} s with decoding"
+        f"    {1e3 * figures['analysis_cpu_seconds'] / figures['frames_analysed']:.2f} ms of "
+        f"CPU a frame for analysing {figures['frames_analysed']} of "
+        f"{figures['frames_grabbed']} frames; {seconds:.1f} s with decoding"
     )
     return events
 
 
 def _line(name: str, truth: list[Event], events: list[Event], result: Match, details: bool) -> None:
+    """Print what was found, missed and spurious."""
     for kind in ("entry", "exit"):
         found = sum(truth[i].kind == kind for i, _ in result.pairs)
         missed = sum(truth[i].kind == kind for i in result.missed)
@@ -115,7 +120,7 @@ def _line(name: str, truth: list[Event], events: list[Event], result: Match, det
 
 
 def _rtsp(path: Path, recorded: list[Event], details: bool) -> None:
-    """Serve ``path`` once and compare with the events of the file itself."""
+    """Serve ``path`` once over RTSP and compare the events with those of the file itself."""
     streamed = []
     with streams.served(path) as port:
         grabber = Grabber("cam", f"rtsp://127.0.0.1:{port}/camera", wall_clock=time.time)
@@ -125,6 +130,8 @@ def _rtsp(path: Path, recorded: list[Event], details: bool) -> None:
             if grabber.statistics()["failures"]:
                 break
         grabber.close()
+
+    # Subtract the clock difference before comparing.
     offset = best_offset(recorded, streamed, 4 / 3)
     streamed = shifted(streamed, offset)
     result = match(recorded, streamed, 4 / 3)
@@ -132,7 +139,8 @@ def _rtsp(path: Path, recorded: list[Event], details: bool) -> None:
     differences = [streamed[j].t - recorded[i].t for i, j in result.pairs]
     if differences:
         print(
-            f"    times differ by {np.std(differences):.3f} s (sd), {np.abs(differences).max():.3f} s at most"
+            f"    times differ by {np.std(differences):.3f} s (sd), "
+            f"{np.abs(differences).max():.3f} s at most"
         )
 
 

@@ -1,13 +1,12 @@
-"""How many events a second the daemon takes, beside zenoh + msgspec that receive the same and do
-nothing.
+"""Measure the daemon's rate of events, beside zenoh + msgspec that only receive and decode.
 
     python -m bench ingest [--cameras 100] [--events 200000] [--rounds 5] [--json FILE]
 
-One process puts, another receives. It is the real `camtopod run`: it orders, journals,
-acknowledges, learns and predicts (as far as there is time, which is counted); everything put has to
-have been stored once, or the run does not count. The site has learned before. ``no version due``
-leaves out the learner's fits; ``a version a minute`` is with them, by default settings: 50 events
-of a camera stand for a second of event time, as when a backlog comes in.
+One process publishes, another receives. The receiver is the real `camtopod run`: it orders,
+journals, acknowledges, learns and predicts (predictions are skipped when it lags, and counted). A
+round is valid only if every event published has been stored once. The site has learned before. ``no
+version due`` leaves out the learner's fits. ``a version a minute`` has them, by default settings:
+50 events of a camera stand for a second of event time, as with a backlog.
 """
 
 from __future__ import annotations
@@ -27,20 +26,23 @@ BARE, QUIET, FITTING = (
     "daemon, no version due",
     "daemon, a version a minute",
 )
+"""Names of the contestants."""
 NEVER = "refit_share = 1e9\nrefit_hours = 1e9"
+"""Settings with which no version falls due."""
 COST_MAX = 4.0
-"""A quarter of the bare rate."""
+"""Target: at least a quarter of the bare rate."""
 EVENTS_PER_SECOND_PER_CAMERA = 50.0
+"""Density of the traffic in event time, events a second and camera."""
 
 
 class Lost(RuntimeError):
-    """Not everything that was put has been stored."""
+    """Raised if not every published event has been stored."""
 
 
 def main(argv: list[str]) -> int:
-    """Measure; returns the exit status."""
+    """Measure and return the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench ingest", description="The daemon's rate of events."
+        prog="python -m bench ingest", description="Measure the daemon's rate of events."
     )
     site.add_arguments(parser)
     parser.add_argument("--events", type=int, default=200_000)
@@ -68,7 +70,8 @@ def main(argv: list[str]) -> int:
     print("\n".join(ratios.lines(table)))
     for row in table.rows:
         print(
-            f"  {row.name}: {1e6 / row.cost.median:,.0f} events/s, {1 / row.ratio.median:.2f} of the bare rate"
+            f"  {row.name}: {1e6 / row.cost.median:,.0f} events/s, "
+            f"{1 / row.ratio.median:.2f} of the bare rate"
         )
     if given.json:
         ratios.write(given.json, "ingest", [table], cameras=given.cameras, events=given.events)
@@ -76,19 +79,19 @@ def main(argv: list[str]) -> int:
 
 
 def bare(folder: Path, events: str, count: int) -> float:
-    """Microseconds an event that is received, decoded and forgotten."""
+    """Return the microseconds an event that is received, decoded and dropped."""
     with client("sink", folder, endpoint="tcp/127.0.0.1:0") as sink:
         endpoint = ready_at(sink)
         with client("put_flood", folder, endpoint=endpoint, events=events) as sender:
             sent = result(sender)
         received = result(sink)["received"]
     if received != count:
-        raise Lost(f"{count} events were put and {received} received")
+        raise Lost(f"{count} events were published and {received} received")
     return float(1e6 * sent["seconds"] / count)
 
 
 def daemon(folder: Path, learned: Path, events: str, count: int, learn: str) -> float:
-    """Microseconds an event until it is acknowledged."""
+    """Return the microseconds an event until it is acknowledged."""
     shutil.rmtree(folder / "state", ignore_errors=True)
     shutil.copytree(learned, folder / "state")
     with running(folder, learn) as (endpoint, _):
@@ -97,6 +100,6 @@ def daemon(folder: Path, learned: Path, events: str, count: int, learn: str) -> 
             sent = result(sender)
         status = status_of(endpoint)
     if status.events.stored != count:
-        raise Lost(f"{count} events were put and {status.events.stored} stored: {status}")
+        raise Lost(f"{count} events were published and {status.events.stored} stored: {status}")
     print(f"    {1e6 * sent['seconds'] / count:.1f} us; {status}", flush=True)
     return float(1e6 * sent["seconds"] / count)

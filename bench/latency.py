@@ -1,12 +1,11 @@
-"""How long after its exit was put by one process a prediction is in another, beside a bare zenoh
-round trip.
+"""Measure the time from an exit's publication to its prediction, beside a bare zenoh round trip.
 
     python -m bench latency [--cameras 100] [--rate 1000] [--seconds 20] [--rounds 5] [--json FILE]
 
-Three processes and sessions in each case: one puts events, stamped with the moment of the put and
-as irregular as a made-up network's are; the second is the meeting point and answers each exit; the
-third hears the answers. The second is the real `camtopod run` on a site that has learned, or a bare
-session that answers with as many bytes. ``refitting`` has the learner fit anew all the time.
+Three processes with a session each: one publishes events, stamped with the moment of publication
+and spaced as a simulated network's are; the second is the meeting point and answers each exit; the
+third receives the answers. The second is the real `camtopod run` on a site that has learned, or a
+bare session that answers with as many bytes. In ``refitting`` the learner fits all the time.
 """
 
 from __future__ import annotations
@@ -24,27 +23,30 @@ from bench.support.clients import client, learned_status, ready_at, result, stat
 from bench.support.site import learned_site, running, traffic
 
 BARE, QUIET, REFITTING = "bare zenoh", "daemon", "daemon, refitting"
+"""Names of the contestants."""
 LEARN = {
     QUIET: "refit_share = 1e9\nrefit_hours = 1e9",
     REFITTING: "refit_share = 1e-9\nrefit_hours = 1e9\nversion_seconds = 1.0",
 }
+"""Settings of the learner, by contestant."""
 P50_MAX, P99_MAX, REFIT_P99_MAX = 3.0, 5.0, 2.0
+"""Targets: p50 and p99 over those of bare zenoh; p99 during fits over p99 without fits."""
 
 
 class Round(NamedTuple):
-    """Milliseconds of every answer, and how many versions were made meanwhile."""
+    """Milliseconds of every answer, their size in bytes, and the versions made meanwhile."""
 
     ms: list[float]
     size: int
     versions: int = 0
 
     def quantile(self, share: float) -> float:
-        """Of the answers' times."""
+        """Return a quantile of the answer times, milliseconds."""
         return sorted(self.ms)[min(int(share * len(self.ms)), len(self.ms) - 1)]
 
 
 class Case:
-    """What is measured, again and again."""
+    """The contestants and their rounds."""
 
     def __init__(
         self, folder: Path, learned: Path, cameras: int, rate: float, seconds: float
@@ -57,12 +59,12 @@ class Case:
         self._size = 400
 
     def bare(self) -> float:
-        """The median, and the whole round kept."""
+        """Measure bare zenoh; store the round and return its median, milliseconds."""
         with client("echo", self._folder, endpoint="tcp/127.0.0.1:0", size=self._size) as echo:
             return self._measure(BARE, ready_at(echo))
 
     def daemon(self, name: str) -> float:
-        """The same of the daemon."""
+        """Measure the daemon; store the round and return its median, milliseconds."""
         shutil.rmtree(self._folder / "state", ignore_errors=True)
         shutil.copytree(self._learned, self._folder / "state")
         with running(self._folder, LEARN[name]) as (endpoint, _):
@@ -77,6 +79,7 @@ class Case:
         return median
 
     def _measure(self, name: str, endpoint: str) -> float:
+        """Run one round: publish all events and time the answers."""
         bare = name == BARE
         with (
             client("hear", self._folder, endpoint=endpoint, bare=bare) as ear,
@@ -87,13 +90,13 @@ class Case:
             put = result(sender)
             heard = result(ear)
         if len(heard["ms"]) < self.exits:
-            print(f"    {name}: {self.exits} exits and {len(heard['ms'])} answers")
+            print(f"    {name}: {self.exits} exits but only {len(heard['ms'])} answers")
         one = Round(heard["ms"], heard["size"])
         tail = " ".join(
             f"p{100 * share:g} {one.quantile(share):.2f}" for share in (0.5, 0.9, 0.99, 0.999)
         )
         print(
-            f"    {name}: {tail} ms, {one.size} bytes, puts {put['late_ms']:.2f} ms late",
+            f"    {name}: {tail} ms, {one.size} bytes, published {put['late_ms']:.2f} ms late",
             flush=True,
         )
         self.rounds[name].append(one)
@@ -101,9 +104,10 @@ class Case:
 
 
 def main(argv: list[str]) -> int:
-    """Measure; returns the exit status."""
+    """Measure and return the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench latency", description="From an exit to its prediction."
+        prog="python -m bench latency",
+        description="Measure the time from an exit to its prediction.",
     )
     site.add_arguments(parser)
     parser.add_argument(
@@ -112,6 +116,8 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--seconds", type=float, default=20.0)
     ratios.add_arguments(parser, rounds=5)
     given = parser.parse_args(argv)
+
+    # Rounds of each contestant in turns.
     with tempfile.TemporaryDirectory() as name:
         learned = learned_site(given.site or Path(name), given.cameras, given.learned)
         case = Case(Path(name), learned, given.cameras, given.rate, given.seconds)
@@ -121,6 +127,8 @@ def main(argv: list[str]) -> int:
             BARE: case.bare,
         }
         p50 = ratios.take_turns(ways, given.rounds)
+
+    # Compare.
     p99 = {
         name: [one.quantile(0.99) for one in case.rounds[name][ratios.WARM_ROUNDS :]]
         for name in p50

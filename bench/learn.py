@@ -1,11 +1,11 @@
-"""The learner on made-up networks: what it finds, how well it predicts, how long it takes.
+"""Measure the learner on simulated networks: topology, predictions and time.
 
     python -m bench learn [--seeds N] [--first-seed S] [--cameras N] [--hours H] [--json FILE]
 
 A network has 12 cameras, 10 % missed passages and 10 % clutter; 1.7 hours are about 20,000 events.
-They are fed one by one, as `camtopod learn` does. Predictions come from a learner that saw the
-first 70 % of the events and are scored on the rest; beside it stands a Markov chain over the true
-zones that was told who is who in those 70 %.
+They are fed one by one, as `camtopod learn` does. Predictions come from a learner that received the
+first 70 % of the events and are scored on the rest. An oracle is scored beside it: a Markov chain
+over the true zones, given the identities in those 70 %.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ from camtopod.codec import to_json
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, NextCamera, Prediction, Topology
-from camtopod.sim.score import next_entries, score, score_predictions
+from camtopod.sim.scoring import next_entries, score, score_predictions
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import CLUTTER, Truth
 
 TRAIN_SHARE = 0.7
+"""Share of the events that are learned before predictions on the rest are scored."""
 
 
 class Row(Struct):
@@ -44,7 +45,7 @@ class Row(Struct):
     link_precision: float
     link_recall: float
     relations_right: float
-    """Share of the right links that are rightly called overlapped or unseen."""
+    """Share of the right links whose relation (overlapped or unseen) is right."""
     pair_precision: float
     pair_recall: float
     mode_error: float
@@ -57,7 +58,7 @@ class Row(Struct):
     told_log_loss: float
     versions: int
     seconds: float
-    """Learning all events and making every version."""
+    """Wall time of learning all events and making every version, seconds."""
 
 
 COLUMNS = {
@@ -75,24 +76,25 @@ COLUMNS = {
     "top1": "next camera, top-1",
     "top3": "next camera, top-3",
     "log_loss": "log loss, nats",
-    "told_top1": "told who is who, top-1",
-    "told_top3": "told who is who, top-3",
-    "told_log_loss": "told who is who, log loss",
+    "told_top1": "oracle, top-1",
+    "told_top3": "oracle, top-3",
+    "told_log_loss": "oracle, log loss, nats",
     "events": "events",
     "versions": "versions",
     "seconds": "seconds",
 }
+"""Titles of the figures in the table."""
 
 
 def main(argv: list[str]) -> int:
-    """Print a column for each network, then mean and spread; returns the exit status."""
+    """Print a column for each network, then mean and standard deviation; return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench learn")
     parser.add_argument("--seeds", type=int, default=3, help="number of networks (default 3)")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--cameras", type=int, default=12)
     parser.add_argument("--hours", type=float, default=1.7)
     parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="the figures of every network go here, too"
+        "--json", type=Path, metavar="FILE", help="write the figures of every network to this file"
     )
     arguments = parser.parse_args(argv)
     rows = []
@@ -108,7 +110,7 @@ def main(argv: list[str]) -> int:
 
 
 def measure(settings: SimSettings) -> Row:
-    """Simulate one network, learn it, predict on it."""
+    """Simulate one network, learn it, and score its topology and predictions."""
     events, truth = simulate(settings)
     started = time.perf_counter()
     topology = learn(events)
@@ -157,7 +159,7 @@ def learn(events: Sequence[Event]) -> Topology:
 
 
 def predict(topology: Topology, events: Sequence[Event], cut: int) -> list[Prediction]:
-    """One prediction for each exit from event ``cut`` on, knowing every event before it."""
+    """Predict each exit from event ``cut`` on, having observed every event before it."""
     predictor = Predictor(topology)
     predictions = []
     for index, event in enumerate(events):
@@ -168,14 +170,17 @@ def predict(topology: Topology, events: Sequence[Event], cut: int) -> list[Predi
 
 
 def markov_told(events: Sequence[Event], truth: Truth, cut: int) -> list[Prediction]:
-    """The same from counts per true zone of who was seen next where before ``cut``; clutter
-    predicts nothing.
+    """Predict the same exits by the oracle: counts per true zone of the next camera before ``cut``.
+
+    Clutter is not counted.
     """
     following: dict[int, Counter[str]] = {}
     for index, entry in enumerate(next_entries(events, truth)[:cut]):
         if entry < cut and events[index].kind == "exit" and truth.identity[index] != CLUTTER:
             camera = events[entry].camera if entry >= 0 else ""
             following.setdefault(truth.zone[index], Counter())[camera] += 1
+
+    # Predict from the shares of each zone.
     predictions = []
     for index in range(cut, len(events)):
         event = events[index]
@@ -189,7 +194,7 @@ def markov_told(events: Sequence[Event], truth: Truth, cut: int) -> list[Predict
 
 
 def table(rows: list[Row]) -> list[str]:
-    """A line a figure, a column a network, mean and standard deviation last."""
+    """Return one line a figure: a column a network, then mean and standard deviation."""
     lines = [
         " " * 26 + "".join(f"{f'seed {row.seed}':>10}" for row in rows) + f"{'mean':>12}{'sd':>10}"
     ]

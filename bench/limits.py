@@ -1,20 +1,19 @@
-"""How much the events can say of who came from where: does a search that begins at the truth stay
-there?
+"""Measure how much the events determine: does a sampler that starts at the truth stay there?
 
     python -m bench limits [--regimes road,walkway] [--seeds N] [--sweeps 15,100,400] [--jobs 2]
 
-One fit on the first 70 % of each network, predictions on the rest, as shares of a chain that is
-told who is who:
+One fit on the first 70 % of each network, predictions on the rest, relative to an oracle (a chain
+that is given the identities):
 
-* ``learned``: what the product says;
-* ``told``: the same tables and the same predictor, told for every departure where it went. It is what the product would
-  reach if nothing had to be guessed;
-* ``from the truth, N sweeps``: the product's sampler of who came from where, told everything before its first draw and
-  nothing afterwards. Were the truth the best explanation of the events it would stay near it;
-* ``from the fit, N sweeps``: the same sampler as the product starts it.
+* ``learned``: the learner as shipped;
+* ``told``: the same tables and predictor, given the true destination of every departure; the limit
+  of the method if all transitions were known;
+* ``from the truth, N sweeps``: the learner's sampler of transitions, started at the truth and free
+  from then on; it would stay near the truth if the truth were the best explanation of the events;
+* ``from the fit, N sweeps``: the same sampler, started as the learner starts it.
 
-Where the last two come to meet, no better search would help: only other assumptions, or more
-events. ``on the truth`` is the share of the true transitions in the recording that is believed.
+Where the last two meet, a better search does not help, only other assumptions or more events do.
+``on the truth`` is the mean responsibility of the true transitions among the candidates.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from camtopod.learn.next_camera import fit
 from camtopod.learn.next_camera.fit import PosteriorFitter
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
-from camtopod.sim.score import next_entries
+from camtopod.sim.scoring import next_entries
 from camtopod.sim.truth import Truth
 
 FIGURES = {
@@ -48,11 +47,12 @@ FIGURES = {
     "log_loss_above": "log loss above",
     "kept": "on the truth",
 }
+"""Figures of the table and their titles."""
 MICROSECONDS = 1_000_000
 
 
 class Told:
-    """The truth of a recording, as the fitter's candidates have it."""
+    """Ground truth of a recording, in the form of the fitter's candidates."""
 
     def __init__(self, events: Sequence[Event], truth: Truth) -> None:
         following = next_entries(events, truth)
@@ -64,7 +64,7 @@ class Told:
         self.kept = float("nan")
 
     def of(self, em: Em) -> Singles:
-        """1 for each candidate (M,) that is one object's next appearance, else 0."""
+        """Return 1 for each candidate (M,) that is a transition of one object, else 0."""
         c = em.candidates
         left, came = (
             np.rint(t * MICROSECONDS).astype(np.int64).tolist()
@@ -75,11 +75,11 @@ class Told:
 
     @contextmanager
     def at_every_step(self) -> Iterator[None]:
-        """Nothing is guessed."""
+        """Set responsibilities to the truth while the block runs; nothing is sampled."""
         of = self.of
 
         class Told(Em):
-            """EM whose E step knows the truth."""
+            """EM whose E step sets the responsibilities to the truth."""
 
             def expect(self, hazard: Singles) -> None:
                 super().expect(hazard)
@@ -93,7 +93,10 @@ class Told:
 
     @contextmanager
     def sampling(self, sweeps: int, from_truth: bool) -> Iterator[None]:
-        """Only the second half of so many sweeps counts."""
+        """Sample ``sweeps`` sweeps while the block runs, starting at the truth or at the fit.
+
+        The second half of the sweeps counts. True candidates are always worth following.
+        """
         sample, worth = PosteriorFitter.sample, PosteriorFitter.worth_following
 
         def begin(fitter: PosteriorFitter) -> None:
@@ -115,7 +118,7 @@ class Told:
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """What is believed of the truth is written down."""
+        """Store the mean responsibility of true transitions in ``kept`` while the block runs."""
         posterior = PosteriorFitter.posterior
 
         def watched(fitter: PosteriorFitter, evidence: Floats) -> fit.Posterior:
@@ -128,7 +131,7 @@ class Told:
 
 
 def measure(regime: str, sweeps: Sequence[int], seed: int) -> dict[str, dict[str, float]]:
-    """Figures of every way to learn one network."""
+    """Return the figures of one network for each way of learning it."""
     events, truth = REGIMES[regime].make(seed)
     told = Told(events, truth)
 
@@ -154,7 +157,7 @@ def measure(regime: str, sweeps: Sequence[int], seed: int) -> dict[str, dict[str
 
 
 def main(argv: list[str]) -> int:
-    """Measure and print the table; returns the exit status."""
+    """Measure, print the table and return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench limits")
     parser.add_argument("--regimes", default="road,walkway")
     parser.add_argument("--seeds", type=int, default=10)

@@ -1,14 +1,12 @@
-"""How fast `camtopod learn` keeps a topology, beside working out anew at every version what others
-would.
+"""Measure the speed of `camtopod learn`, beside baselines run anew for every version.
 
     python -m bench links [--events 1000000] [--cameras 100] [--rate 0.3] [--rounds 1] [--json FILE]
 
-Ours is `camtopod learn` over a made-up site, in one fit of the last window, as a process of its
+Ours is `camtopod learn` over a simulated site, in one fit of the last window, as a process of its
 own: events a second of processor time. The baselines of `bench quality` are run once over the
-newest events (true zones, no clutter; at most the newest ten million pairs of a departure and an
-arrival, which is in their favour), and that time is taken for each minute of event time, as each
-would have to be run again to say what is new. To reach: 20,000 events a second, and 30 times the
-quickest of them.
+newest events (true zones, no clutter; at most the newest ten million candidates, in their favour).
+Their time counts once a minute of event time, as each would have to be run again to find changes.
+Targets: 20,000 events a second, and 30 times as fast as the fastest baseline.
 """
 
 from __future__ import annotations
@@ -27,17 +25,19 @@ from camtopod.cli.commands.export import load
 from camtopod.codec import to_json
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
-from camtopod.sim.score import score
+from camtopod.sim.scoring import score
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth
 
 EVENTS_PER_SECOND_MIN = 20_000.0
+"""Target, events a second of processor time."""
 TIMES_FASTER_MIN = 30.0
+"""Target, ratio to the fastest baseline."""
 OURS, TO_REACH = "camtopod learn", "to reach"
 
 
 def main(argv: Sequence[str]) -> int:
-    """Measure, print the table, write the figures; returns the exit status."""
+    """Measure, print the table, write the figures; return the exit status."""
     arguments = _parse(argv)
     seconds = arguments.events / (arguments.rate * arguments.cameras)
     objects = arguments.rate * arguments.cameras / EVENTS_PER_OBJECT
@@ -50,6 +50,8 @@ def main(argv: Sequence[str]) -> int:
     print(
         f"{len(events)} events of {arguments.cameras} cameras in {minutes:.0f} minutes", flush=True
     )
+
+    # Run ours and the baselines in turns.
     costs: dict[str, list[float]] = {OURS: []}
     with tempfile.TemporaryDirectory() as folder:
         recorded, learned = Path(folder) / "events.jsonl", Path(folder) / "topology.json"
@@ -61,6 +63,8 @@ def main(argv: Sequence[str]) -> int:
             for name, once in baselines(events, truth).items():
                 costs.setdefault(name, []).append(once * minutes)
         topology = load(str(learned))
+
+    # Report.
     found = score(topology, truth)
     quickest = min((name for name in costs if name != OURS), key=lambda name: sum(costs[name]))
     tables = [
@@ -96,7 +100,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def baselines(events: Sequence[Event], truth: Truth) -> dict[str, float]:
-    """Processor seconds of each over what our window would hold."""
+    """Return the processor seconds of each baseline over the events our window would hold."""
     settings = Settings()
     held = max(settings.window_events, settings.window_camera_events * len(truth.cameras))
     newest = slice(-held, None)
@@ -123,10 +127,10 @@ def baselines(events: Sequence[Event], truth: Truth) -> dict[str, float]:
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="python -m bench links", description="How fast links are kept up to date."
+        prog="python -m bench links", description="Measure how fast links are kept up to date."
     )
     parser.add_argument(
-        "--events", type=int, default=1_000_000, help="events of the recording, about"
+        "--events", type=int, default=1_000_000, help="approximate number of events"
     )
     parser.add_argument("--cameras", type=int, default=100)
     parser.add_argument(

@@ -1,13 +1,15 @@
-"""How much memory the daemon takes at 100, 1,000 and 10,000 cameras.
+"""Measure the memory of the daemon at 100, 1,000 and 10,000 cameras.
 
     python -m bench memory [--cameras 100,1000,10000] [--events 70000] [--json FILE]
 
-The real `camtopod run` begins with nothing and is sent a made-up network's traffic, 0.1 events a
-second and camera, as fast as it takes it; its window holds all of them (2,000 events a camera, at
-least 60,000: with more `--events` more). Measured are the most that it and its child process ever
-had at one moment, looked at fifty times a second, files that both have counted once; what each of
-them ever had at most (VmHWM), added up, which is more, as the one works while the other waits; and
-what they have when all is learned. By default settings, but for the number of cameras.
+The real `camtopod run` starts without state and receives the traffic of a simulated network, 0.1
+events a second and camera, as fast as it takes it. Its window holds all of them (2,000 events a
+camera, at least 60,000). Settings are the default ones but for the number of cameras. Measured are
+
+* the peak of daemon and child process together, sampled fifty times a second; pages of files that
+  both have mapped count once
+* the sum of each one's own peak (VmHWM), which is more, as one works while the other waits
+* the memory when all is learned
 """
 
 from __future__ import annotations
@@ -30,14 +32,15 @@ from bench.support.site import (
 )
 
 MEGABYTES_MAX = {100: 300.0, 1_000: 1_000.0, 10_000: 4_000.0}
-"""To reach; at another number of cameras there is no figure."""
+"""Targets of the peak by number of cameras, megabytes."""
 LEARN_SECONDS_MAX = 3_600.0
+"""Longest wait for the learner, seconds."""
 STRANGERS_WINDOW = 2_000
-"""Cameras never heard before share one queue of the inbox, which is smaller."""
+"""Most events in flight: cameras not yet known share one queue of the inbox, which is smaller."""
 
 
 class Taken(NamedTuple):
-    """Megabytes (10^6 bytes) and what was done for it."""
+    """Memory in megabytes (10^6 bytes): peak, sum of peaks, at the end; events and versions."""
 
     most: float
     added: float
@@ -47,9 +50,9 @@ class Taken(NamedTuple):
 
 
 def main(argv: list[str]) -> int:
-    """Measure; returns the exit status."""
+    """Measure, print the table and return the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench memory", description="The daemon's memory."
+        prog="python -m bench memory", description="Measure the daemon's memory."
     )
     parser.add_argument("--cameras", default="100,1000,10000")
     parser.add_argument("--events", type=int, default=70_000)
@@ -91,7 +94,7 @@ def main(argv: list[str]) -> int:
 
 
 def measure(cameras: int, count: int) -> Taken:
-    """What a daemon takes that learns so many events."""
+    """Return the memory of a daemon that learns ``count`` events."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         events = write_events(
@@ -108,7 +111,7 @@ def measure(cameras: int, count: int) -> Taken:
             deadline = time.monotonic() + LEARN_SECONDS_MAX
             while (status := status_of(endpoint)).events.waiting:
                 if time.monotonic() > deadline:
-                    raise TimeoutError(f"the daemon does not learn: {status}")
+                    raise TimeoutError(f"the daemon has not learned all events in time: {status}")
                 time.sleep(1.0)
             settled, added = resident(pid) / 1e6, resident(pid, most=True) / 1e6
         return Taken(most[0] / 1e6, added, settled, status.events.stored, status.version)

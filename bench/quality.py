@@ -1,27 +1,25 @@
-"""Everything beside everything else, in one table: what the learner finds and foretells, and what
-others would.
+"""Measure zones, links and predictions of camtopod and of the baselines; print one table.
 
-    python -m bench quality [--seeds N] [--first-seed S] [--regimes a,b] [--jobs 2] [--json FILE] [--data FOLDER]
-                            [--no-baselines]
+    python -m bench quality [--seeds N] [--first-seed S] [--regimes a,b] [--jobs 2]
+                            [--json FILE] [--data FOLDER] [--no-baselines]
 
-Ours three times: ``online``, fed as `camtopod learn --updates` is, with a version of all there is
-at 70 % (for the predictions of the rest) and at the end; ``live``, where each exit of the rest is
-predicted by the newest version that had been made by itself, as the daemon does; and ``batch``, the
-one fit of `camtopod learn` without ``--updates``. Each network is made from its seed
-(`bench.regimes`); the learner was developed with seeds 0 to 9, so ``--first-seed 1000`` gives
-networks it has never seen. ``campus-auditorium`` is a real recording, skipped where it is not at
-hand (``--data`` or CAMTOPOD_TEST_DATA name the folder it lies in). Each figure is a mean over
-networks with its standard error.
+camtopod is measured in three modes: ``online``, fed as `camtopod learn --updates` is, with an extra
+version at 70 % of the events (for the predictions of the rest) and one at the end; ``live``, where
+each exit of the rest is predicted by the newest version that had fallen due, as in the daemon; and
+``batch``, the one fit of `camtopod learn` without ``--updates``. Each network is simulated from its
+seed (`bench.regimes`). The learner was developed with seeds 0 to 9; ``--first-seed 1000`` gives
+networks unused in development. ``campus-auditorium`` is a real recording, skipped where its folder
+is missing (``--data`` or CAMTOPOD_TEST_DATA). Each figure is a mean over networks with its standard
+error.
 
-With ``--json`` every result is appended to a file as it comes; a run that finds results there goes
-on where it was left, and with nothing left to do only prints the table. Results of an older learner
-have to be deleted by hand.
+With ``--json`` every result is appended to a file as soon as it is there. A run that finds results
+in the file measures only the missing ones. Results of an older learner have to be deleted by hand.
 
-The baselines have the true zones (where there are none, a camera is one, and pairs of cameras are
-to be found), no clutter, and per regime the variant and threshold with the best mean F1 on these
-very networks; the second F1 is at the one variant and threshold that are best over all regimes
-together, which is how ours has to work. The chain that is told who is who is smoothed as suits it
-best on each network.
+The baselines have the true zones (without such, a camera is a zone, and camera pairs are to be
+found), no clutter, and per regime the variant and threshold with the best mean F1 on these very
+networks. Their second F1 is at the one variant and threshold that are best over all regimes
+together, which is the condition camtopod works under. The oracle (a Markov chain that is given the
+identities) has the pseudo-count that is best on each network.
 """
 
 from __future__ import annotations
@@ -48,12 +46,13 @@ from camtopod.records import Event, Pair
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, Truth
 
 CAMPUS = "campus-auditorium"
+"""Name of the real recording."""
 CAMPUS_PAIRS = (
     Pair(("HC3", "HC4"), "overlapped"),
     Pair(("HC3", "IP5"), "unseen_path"),
     Pair(("IP2", "IP5"), "overlapped"),
 )
-"""As the recording's description says."""
+"""Related camera pairs of the recording, from its description."""
 
 
 class Task(NamedTuple):
@@ -67,6 +66,7 @@ class Task(NamedTuple):
 
     @property
     def key(self) -> tuple[str, int, str, float]:
+        """Identify the task in the JSON file."""
         return self.regime, self.seed, self.group, self.scale
 
 
@@ -81,11 +81,12 @@ class Done(msgspec.Struct):
 
     @property
     def key(self) -> tuple[str, int, str, float]:
+        """Identify the task of these results."""
         return self.regime, self.seed, self.group, self.scale
 
 
 def main(argv: list[str]) -> int:
-    """Measure what is missing, then print the table; returns the exit status."""
+    """Measure all missing results, print the table and return the exit status."""
     arguments = _parse(argv)
     os.environ.setdefault(
         "OMP_NUM_THREADS", "1"
@@ -99,11 +100,15 @@ def main(argv: list[str]) -> int:
             file=sys.stderr,
         )
         return 2
+
+    # The real recording, where its data is.
     data = arguments.data or os.environ.get("CAMTOPOD_TEST_DATA")
     notes = []
     if CAMPUS in names and not (data and (Path(data) / CAMPUS / "events.jsonl").is_file()):
         names.remove(CAMPUS)
-        notes.append(f"{CAMPUS}: skipped, its folder is not at hand (--data or CAMTOPOD_TEST_DATA)")
+        notes.append(f"{CAMPUS}: skipped, its folder is missing (set --data or CAMTOPOD_TEST_DATA)")
+
+    # Measure and print.
     done = _measured(_tasks(arguments, names, data), arguments.jobs, arguments.json)
     records = [record for one in done for record in one.records]
     print("\n".join([*tables(records, names), *notes]))
@@ -111,9 +116,7 @@ def main(argv: list[str]) -> int:
 
 
 def _tasks(arguments: argparse.Namespace, names: Sequence[str], data: str | None) -> list[Task]:
-    """All that is asked for, seed by seed, so that a run that is stopped has something of every
-    regime.
-    """
+    """Return all tasks, seed by seed, so that an interrupted run has results of every regime."""
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     groups = [group for group in GROUPS if group in arguments.methods.split(",")]
     if arguments.no_baselines:
@@ -129,8 +132,9 @@ def _tasks(arguments: argparse.Namespace, names: Sequence[str], data: str | None
 
 
 def _measured(tasks: Sequence[Task], jobs: int, path: Path | None) -> list[Done]:
-    """Results of the tasks, those of earlier runs from ``path``, to which new ones are appended as
-    they come.
+    """Return the results of the tasks.
+
+    Those of earlier runs are read from ``path``; new ones are appended to it as they come.
     """
     wanted = {task.key for task in tasks}
     done = {one.key: one for one in _read(path) if one.key in wanted}
@@ -151,14 +155,15 @@ def _measured(tasks: Sequence[Task], jobs: int, path: Path | None) -> list[Done]
 
 def _parse(argv: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="python -m bench quality", description="Ours beside the baselines."
+        prog="python -m bench quality",
+        description="Measure camtopod and the baselines on many networks.",
     )
     parser.add_argument("--seeds", type=int, default=10, help="networks per regime (default 10)")
     parser.add_argument(
         "--first-seed",
         type=int,
         default=0,
-        help="1000: networks apart from development (default 0)",
+        help="1000: networks unused in development (default 0)",
     )
     parser.add_argument(
         "--scale", type=float, default=1.0, help="length of the recordings (default 1.0)"
@@ -173,16 +178,18 @@ def _parse(argv: list[str]) -> argparse.Namespace:
         "--json",
         type=Path,
         metavar="FILE",
-        help="results go here as they come, and are taken from here",
+        help="append results to this file, and reuse those in it",
     )
     parser.add_argument(
-        "--data", metavar="FOLDER", help="where campus-auditorium lies (default CAMTOPOD_TEST_DATA)"
+        "--data",
+        metavar="FOLDER",
+        help="folder with campus-auditorium (default CAMTOPOD_TEST_DATA)",
     )
     return parser.parse_args(argv)
 
 
 def _read(path: Path | None) -> list[Done]:
-    """Results of earlier runs; a last line cut short by a kill is measured again."""
+    """Return the results of earlier runs, without a last line that was cut short by a kill."""
     if path is None or not path.exists():
         return []
     whole = path.read_bytes().rpartition(b"\n")[0] + b"\n"
@@ -192,7 +199,7 @@ def _read(path: Path | None) -> list[Done]:
 
 
 def _results(tasks: Sequence[Task], jobs: int) -> Iterator[Done]:
-    """Results as they come."""
+    """Yield results as they come."""
     if jobs <= 1:
         yield from map(run, tasks)
         return
@@ -202,7 +209,7 @@ def _results(tasks: Sequence[Task], jobs: int) -> Iterator[Done]:
 
 
 def run(task: Task) -> Done:
-    """Make the network and measure it."""
+    """Simulate (or read) the network of a task and measure it."""
     if task.regime == CAMPUS:
         (events, truth), settings = campus(Path(task.data or "") / CAMPUS), Settings()
     else:
@@ -212,12 +219,14 @@ def run(task: Task) -> Done:
 
 
 def campus(folder: Path) -> tuple[list[Event], Truth]:
-    """The recording and who is who in it; nothing is known of zones and links."""
+    """Return the events and the ground truth of the recording, which lacks zones and links."""
     events = [read(Event, line) for line in (folder / "events.jsonl").read_bytes().splitlines()]
     events.sort(key=lambda event: event.t)
     with (folder / "identities.csv").open(newline="") as lines:
         identity = {row["track"]: int(row["identity"]) for row in csv.DictReader(lines)}
     who = [identity.get(str(event.track), CLUTTER) for event in events]
+
+    # Number the passages of each person.
     passages: dict[int, list[str]] = {}
     number = []
     for event, person in zip(events, who, strict=True):

@@ -1,14 +1,14 @@
-"""Real networks with identities: what is found and foretold of them, beside what could be.
+"""Measure links and predictions on real networks with known identities.
 
     python -m bench real [--data FOLDER] [--networks a,b] [--jobs 2] [--json FILE]
 
-Each folder in ``--data`` with events.jsonl and identities.csv is a network (default:
-CAMTOPOD_REAL_DATA); without data it says so and does nothing. The first 70 % of the events are
-learned in one fit, as `camtopod learn` does; every exit is predicted by that, as `camtopod predict`
-does, and those after the cut are judged. Beside it are a Markov chain that is told identities, on
-the same zones, and of links the cross-correlation of cameras (Makris 2004) at the bin width and
-threshold that are best on these very networks. Links are pooled over the networks, what a search
-saves is a geometric mean, the rest are plain means.
+Each folder in ``--data`` (default: CAMTOPOD_REAL_DATA) with events.jsonl and identities.csv is a
+network; without data the part is skipped. The first 70 % of the events are learned in one fit, as
+`camtopod learn` does. Every exit is predicted with that, as `camtopod predict` does, and those
+after the cut are scored. Compared are an oracle (a Markov chain that is given the identities) on
+the same zones, and for links the cross-correlation of cameras (Makris 2004) at the bin width and
+threshold that are best on these very networks. Links are pooled over the networks, the saving of a
+search is a geometric mean, all else are plain means.
 """
 
 from __future__ import annotations
@@ -41,12 +41,13 @@ from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 
 WIDTHS_SECONDS = (1.0, 2.0, 4.0, 8.0)
-"""Bins of the cross-correlation."""
+"""Bin widths of the cross-correlation, seconds."""
 LAGS_SECONDS = (-60.0, 180.0)
+"""Range of lags of the cross-correlation, seconds."""
 
 
 class Result(Struct):
-    """Of one network."""
+    """Figures of one network."""
 
     name: str
     links: LinkFigures
@@ -58,16 +59,17 @@ class Result(Struct):
     who: float
     told_who: float
     correlated: list[list[tuple[float, bool, bool]]]
-    """By bin width, of every pair of cameras the score, whether it is a true link, whether it
-    counts as false.
+    """By bin width, of every camera pair: score, whether it is a true link, whether it counts as
+    false.
     """
     learn_seconds: float
-    """Processor time."""
+    """Processor time of learning, seconds."""
     predict_seconds: float
+    """Processor time of all predictions, seconds."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Measure, print the tables; returns the exit status."""
+    """Measure, print the tables and return the exit status."""
     arguments = _parse(argv)
     folders = (
         sorted(path.parent for path in arguments.data.glob("*/identities.csv"))
@@ -79,13 +81,13 @@ def main(argv: Sequence[str]) -> int:
     )
     folders = [folder for folder in folders if folder.name in wanted]
     if not folders:
-        print(
-            "bench real: skipped, there is no data (--data or CAMTOPOD_REAL_DATA name its folder)"
-        )
+        print("bench real: skipped, no recordings found (set --data or CAMTOPOD_REAL_DATA)")
         return 0
     os.environ.setdefault(
         "OMP_NUM_THREADS", "1"
     )  # inherited by the workers: two of them share two cores
+
+    # Measure and report.
     results = done(measure, folders, arguments.jobs)
     print("\n".join([*_links(results), "", *_predictions(results)]))
     if arguments.json is not None:
@@ -94,7 +96,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def measure(folder: Path) -> Result:
-    """One network."""
+    """Learn one network, predict its exits and score both."""
     recording = load(folder)
     learner = Learner(only_last=True)
     started = time.process_time()
@@ -104,12 +106,16 @@ def measure(folder: Path) -> Result:
     learner.flush()
     assert learner.topology is not None
     learned = time.process_time()
+
+    # Predict all exits.
     predictor, predictions = Predictor(learner.topology), []
     for event in recording.events:
         if event.kind == "exit":
             predictions.append(predictor.predict(event))
         predictor.observe(event)
     predicted = time.process_time()
+
+    # Score.
     ours, told = prediction_figures(predictions, recording) or (None, None)
     look, told_look = look_figures(predictions, recording)
     return Result(
@@ -128,14 +134,18 @@ def measure(folder: Path) -> Result:
 
 
 def correlated(recording: Recording, width: float) -> list[tuple[float, bool, bool]]:
-    """How far the peak of each pair of cameras' cross-correlation stands above its mean, in
-    standard deviations.
+    """Return the peak of each camera pair's cross-correlation above its mean, in standard
+    deviations.
+
+    With it: whether the pair is a true link, and whether a link of the pair would count as false.
     """
     left: dict[str, list[float]] = {camera: [] for camera in recording.cameras}
     came: dict[str, list[float]] = {camera: [] for camera in recording.cameras}
     for event in recording.events:
         if event.t < recording.cut:
             (came if event.kind == "entry" else left)[event.camera].append(event.t)
+
+    # Score each pair of cameras.
     edges = np.arange(LAGS_SECONDS[0], LAGS_SECONDS[1] + width / 2, width)
     links, transitions = recording.links(), recording.transitions()
     scores = []
@@ -157,7 +167,7 @@ def correlated(recording: Recording, width: float) -> list[tuple[float, bool, bo
 
 
 def best_correlation(results: Sequence[Result]) -> tuple[float, float]:
-    """Precision and recall over all networks at the width and threshold with the best F1."""
+    """Return precision and recall over all networks at the width and threshold with the best F1."""
     true = sum(one.links.true for one in results)
     best = (0.0, 0.0, 0.0)
     for width in range(len(WIDTHS_SECONDS)):
@@ -172,8 +182,8 @@ def best_correlation(results: Sequence[Result]) -> tuple[float, float]:
 
 
 def _links(results: Sequence[Result]) -> list[str]:
-    """The table of links."""
-    titles = [f"of those told at {least:g} nats" for least in TELLABLE_NATS]
+    """Return the table of links."""
+    titles = [f"of those at {least:g} nats" for least in TELLABLE_NATS]
     lines = [
         _row(
             "links between cameras",
@@ -206,6 +216,8 @@ def _links(results: Sequence[Result]) -> list[str]:
     lines.append(
         _row("all", true, found_of_all, false, *told, f"{relations_right} of {relations_all}", "")
     )
+
+    # Beside it the cross-correlation.
     precision, recall = best_correlation(results)
     lines += [
         f"precision {right / max(right + false, 1):.2f}",
@@ -215,7 +227,7 @@ def _links(results: Sequence[Result]) -> list[str]:
 
 
 def _predictions(results: Sequence[Result]) -> list[str]:
-    """The table of predictions: ours / told."""
+    """Return the table of predictions, ours / oracle."""
     titles = (
         "log loss",
         "its leave part",
@@ -225,7 +237,7 @@ def _predictions(results: Sequence[Result]) -> list[str]:
         "coverage",
         "look",
     )
-    lines = [_row("ours / told", "exits", *titles, "hand-over (ours)", "saved at .9", "who")]
+    lines = [_row("ours / oracle", "exits", *titles, "hand-over (ours)", "saved at .9", "who")]
     judged = [
         (one, one.ours, one.told)
         for one in results
@@ -247,6 +259,7 @@ def _predictions(results: Sequence[Result]) -> list[str]:
             )
         )
 
+    # Means over the networks.
     above, leave = (
         np.mean([getattr(ours, name) - getattr(told, name) for _, ours, told in judged])
         for name in ("log_loss", "leave_loss")
@@ -272,20 +285,22 @@ def _predictions(results: Sequence[Result]) -> list[str]:
         sum(getattr(one, name) for one in results) for name in ("learn_seconds", "predict_seconds")
     ]
     lines += [
-        f"log loss above told {above:.3f}, of it leaving {leave:.3f}",
-        f"top-1 and top-3, share of told's: {top1:.2f}, {top3:.2f}",
-        "calibration error of the first guess, all exits together: {:.3f}, told {:.3f}".format(
+        f"log loss above the oracle's {above:.3f}, of it leaving {leave:.3f}",
+        f"top-1 and top-3, share of the oracle's: {top1:.2f}, {top3:.2f}",
+        "calibration error of the first guess, all exits together: {:.3f}, oracle {:.3f}".format(
             *calibration
         ),
-        "camera-seconds saved, share of told's: "
+        "camera-seconds saved, share of the oracle's: "
         + ", ".join(f"{s:.2f} at recall {r:g}" for r, s in saved_of.items()),
-        f"who is who, F1 as a share of told's: {np.mean(who) if who else float('nan'):.2f}",
+        "matches by affinity, F1 as a share of the oracle's: "
+        f"{np.mean(who) if who else float('nan'):.2f}",
         "processor time: learning {:.1f} s, predicting {:.1f} s".format(*seconds),
     ]
     return lines
 
 
 _COMPARED = ("log_loss", "leave_loss", "top1", "top3", "calibration_error", "coverage")
+"""Figures of the table of predictions, in order."""
 
 
 def _row(title: str, *cells: object) -> str:
@@ -295,7 +310,7 @@ def _row(title: str, *cells: object) -> str:
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     named = os.environ.get("CAMTOPOD_REAL_DATA")
     parser = argparse.ArgumentParser(
-        prog="python -m bench real", description="Real networks with identities."
+        prog="python -m bench real", description="Measure links and predictions on real networks."
     )
     parser.add_argument(
         "--data", type=Path, default=Path(named) if named else None, metavar="FOLDER"

@@ -1,12 +1,12 @@
-"""Kinds of networks to measure on: the rows of the table to reach, twins of real networks, and
+"""Kinds of networks to measure on: those of the targets, simulated twins of real ones,
 disturbances.
 
     python -m bench regimes [NAME ...] [--seed S] [--scale X]
 
-Without names it lists the regimes; with names it makes each and says what it is like: how many
-events how often, how many people are recorded again, and how often a Markov chain that is told who
-is who names the next camera, from the present camera, from the place in its image, from the true
-zone (where there are zones), and from the present and the previous camera.
+Without names it lists the regimes. With names it simulates each and describes it: events and their
+rate, the share of people recorded again, and how often an oracle (a Markov chain that is given the
+identities) names the next camera: from the present camera, from the place in its image, from the
+true zone (where there are zones), and from the present and the previous camera.
 """
 
 from __future__ import annotations
@@ -26,30 +26,32 @@ from bench.scenes.road import RoadSettings, simulate_road
 from bench.scenes.walkway import WalkwaySettings, simulate_walkway
 from camtopod.learn.settings import Settings as LearnSettings
 from camtopod.records import Event
-from camtopod.sim.score import next_entries
+from camtopod.sim.scoring import next_entries
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import CLUTTER, Truth
 
 TRAIN_SHARE = 0.7
+"""Share of the events from which the oracle learns."""
 GRID = 5
-"""Places in the image are told apart on a grid of so many rows and columns."""
+"""Rows and columns of the grid on which places in the image are told apart."""
 SEEN_MIN = 3
-"""A state of the told chain that was seen less often backs off to the present camera."""
+"""Least number of exits in a state of the oracle; with fewer it backs off to the present camera."""
 
 Settings = SimSettings | HallSettings | CrowdSettings | WalkwaySettings | RoadSettings
+"""Settings of any simulation."""
 
 
 class Regime(Struct, frozen=True):
-    """A kind of network; every seed is another one of it."""
+    """A kind of network; every seed gives another one."""
 
     name: str
     about: str
     settings: Settings
     window_events: int | None = None
-    """Events the learner keeps, if not as many as by default."""
+    """Events that the learner keeps; None: the default."""
 
     def learning(self, scale: float = 1.0) -> LearnSettings:
-        """How it is to be learned; a shorter recording has a shorter window."""
+        """Return the learner's settings; a shorter recording has a shorter window."""
         if self.window_events is None:
             return LearnSettings()
         return LearnSettings(
@@ -57,8 +59,9 @@ class Regime(Struct, frozen=True):
         )
 
     def make(self, seed: int, scale: float = 1.0) -> tuple[list[Event], Truth]:
-        """Events and truth; ``scale`` < 1 makes a shorter recording of the same network (and
-        day).
+        """Simulate a network and return its events and ground truth.
+
+        ``scale`` below 1 makes a shorter recording of the same network (and day).
         """
         chosen = msgspec.structs.replace(_scaled(self.settings, scale), seed=seed)
         match chosen:
@@ -75,6 +78,7 @@ class Regime(Struct, frozen=True):
 
 
 def _scaled(settings: Settings, scale: float) -> Settings:
+    """Return the settings of a recording ``scale`` times as long."""
     if isinstance(settings, SimSettings):
         lost = tuple((camera, begin * scale, end * scale) for camera, begin, end in settings.lost)
         moved = tuple((camera, since * scale) for camera, since in settings.moved)
@@ -86,8 +90,9 @@ def _scaled(settings: Settings, scale: float) -> Settings:
 
 
 def _rows() -> list[Regime]:
-    """The table of issue 3: 12 cameras with 2 to 5 zones, a tenth missed and a tenth clutter unless
-    said.
+    """Return the regimes of the targets.
+
+    12 cameras with 2 to 5 zones, 10 % missed and 10 % clutter, unless stated otherwise.
     """
     sparse = SimSettings(objects_per_second=0.05, hours=34.0)
     medium = SimSettings(objects_per_second=0.12, hours=14.0)
@@ -123,7 +128,7 @@ def _rows() -> list[Regime]:
             "25 % missed, 30 % clutter, about 50,000 events",
             change(medium, missed=0.25, clutter=0.3),
         ),
-        Regime("no-links", "everybody at one camera only, a day with a rhythm of +-90 %", alone),
+        Regime("no-links", "every object at one camera only, a day with a rhythm of +-90 %", alone),
         Regime(
             "short", "3 hours, about 9,000 events", SimSettings(objects_per_second=0.108, hours=3.0)
         ),
@@ -141,20 +146,22 @@ def _rows() -> list[Regime]:
         Regime("clocks", "a third of the clocks off by up to 30 s", clocks),
         Regime(
             "clocks-uneven",
-            "the same, ways 10 % longer or shorter each way",
+            "the same, paths 10 % longer or shorter in each direction",
             change(clocks, uneven=0.1),
         ),
     ]
 
 
 def _twins() -> list[Regime]:
-    """Like real networks on which a topology is hard to learn."""
+    """Return regimes like real networks on which a topology is hard to learn."""
     return [
         Regime("hall", "station hall, 7 overlapping views with open borders", HallSettings()),
-        Regime("crowd", "open square, 7 strongly overlapping views, long stays", CrowdSettings()),
+        Regime(
+            "crowd", "open square, 7 strongly overlapping views, long dwell times", CrowdSettings()
+        ),
         Regime(
             "walkway",
-            "6 cameras on a campus, few people, cameras that begin and end",
+            "6 cameras on a campus, few people, cameras that start late or end early",
             WalkwaySettings(),
         ),
         Regime(
@@ -166,8 +173,9 @@ def _twins() -> list[Regime]:
 
 
 def _disturbed() -> list[Regime]:
-    """One disturbance each, on a network of the usual traffic for three hours (about 35,000
-    events).
+    """Return regimes with one disturbance each.
+
+    The network has the usual traffic for three hours (about 35,000 events).
     """
     usual = SimSettings(hours=3.0)
 
@@ -176,8 +184,8 @@ def _disturbed() -> list[Regime]:
 
     lost = (("cam05", 4000.0, 7000.0), ("cam09", 7500.0, 10800.0))
     return [
-        like("platoons", "half of the people come in bunches of ten", platoons=0.5),
-        like("groups", "a third of the people with one to three others", group_share=0.33),
+        like("platoons", "half of the people come in groups of ten", platoons=0.5),
+        like("groups", "a third of the people walk with one to three others", group_share=0.33),
         like("loitering", "15 % linger 5 to 30 times as long", loiterers=0.15),
         like("two-speeds", "30 % at less than half the speed", slow_share=0.3),
         like("closing-door", "two paths close half-way", doors_closed=2),
@@ -188,8 +196,8 @@ def _disturbed() -> list[Regime]:
             "two cameras turned elsewhere half-way",
             moved=(("cam03", 5400.0), ("cam08", 5400.0)),
         ),
-        like("one-way", "half of the ways taken in one direction only", one_way=0.5),
-        like("no-tracks", "nothing ties an entry to its exit", tracks=False),
+        like("one-way", "half of the paths taken in one direction only", one_way=0.5),
+        like("no-tracks", "no track ids: entries are not tied to exits", tracks=False),
         like("no-positions", "one zone per camera", positions=False),
         like("fire-doors", "four cameras with a door that sees 1 % of the events", fire_doors=4),
         like("near-doors", "zones from 0.12 of the image apart", zone_separation=0.12),
@@ -202,16 +210,17 @@ OVERLAPPED_PER_CAMERA = 0.8
 REGIMES: dict[str, Regime] = {
     regime.name: regime for regime in (*_rows(), *_twins(), *_disturbed())
 }
+"""All regimes by name."""
 
 
 def told_top1(events: Sequence[Event], truth: Truth) -> dict[str, float]:
-    """Share of the next cameras that a chain told who is who names, learned on 70 % of the events,
-    on the rest.
-    """
+    """Return the oracle's top-1 by kind of state, learned on 70 % of the events, on the rest."""
     following = next_entries(events, truth)
     before = _previous(events, truth)
     exits = [i for i, e in enumerate(events) if e.kind == "exit" and following[i] >= 0]
     cut = int(TRAIN_SHARE * len(events))
+
+    # States of the exits, by kind of oracle.
     states: dict[str, dict[int, Hashable]] = {
         "camera": {i: events[i].camera for i in exits},
         "place": {i: (events[i].camera, _cell(events[i])) for i in exits},
@@ -220,6 +229,8 @@ def told_top1(events: Sequence[Event], truth: Truth) -> dict[str, float]:
             i: (events[i].camera, before.get((truth.identity[i], truth.passage[i]))) for i in exits
         },
     }
+
+    # Count before the cut, predict after it.
     result = {}
     for name, state in states.items():
         counts: dict[Hashable, Counter[str]] = {}
@@ -243,13 +254,14 @@ def told_top1(events: Sequence[Event], truth: Truth) -> dict[str, float]:
 
 
 def _cell(event: Event) -> tuple[int, int] | None:
+    """Return the cell of the grid in which an event lies."""
     return (
         None if event.x is None or event.y is None else (int(GRID * event.x), int(GRID * event.y))
     )
 
 
 def _previous(events: Sequence[Event], truth: Truth) -> dict[tuple[int, int], str]:
-    """(who, number of the passage) -> camera of that person's recorded passage before it."""
+    """Map (identity, number of the passage) to the camera of the recorded passage before it."""
     entries = sorted(
         (who, number, event.camera)
         for event, who, number in zip(events, truth.identity, truth.passage, strict=True)
@@ -263,7 +275,7 @@ def _previous(events: Sequence[Event], truth: Truth) -> dict[tuple[int, int], st
 
 
 def describe(regime: Regime, seed: int, scale: float) -> str:
-    """A few lines about one network."""
+    """Return a few lines that describe one network."""
     events, truth = regime.make(seed, scale)
     following = next_entries(events, truth)
     exits = [i for i, e in enumerate(events) if e.kind == "exit" and truth.identity[i] != CLUTTER]
@@ -278,17 +290,19 @@ def describe(regime: Regime, seed: int, scale: float) -> str:
     low, middle, high = np.quantile(lags, (0.05, 0.5, 0.95))
     return (
         f"{regime.name}: {regime.about}\n"
-        f"  {len(events)} events in {seconds:.0f} s ({len(events) / seconds:.2f}/s), {people} people,"
-        f" {len(exits) / max(people, 1):.1f} passages each, {len(followed) / max(len(exits), 1):.2f} seen again\n"
-        f"  {len(truth.cameras)} cameras, {len(truth.zones)} zones, {len(links)} links ({over} overlapped),"
-        f" pairs {pairs['overlapped']} overlapped and {pairs['unseen_path']} by an unseen path\n"
+        f"  {len(events)} events in {seconds:.0f} s ({len(events) / seconds:.2f}/s),"
+        f" {people} people, {len(exits) / max(people, 1):.1f} passages each,"
+        f" {len(followed) / max(len(exits), 1):.2f} seen again\n"
+        f"  {len(truth.cameras)} cameras, {len(truth.zones)} zones,"
+        f" {len(links)} links ({over} overlapped), pairs"
+        f" {pairs['overlapped']} overlapped and {pairs['unseen_path']} by an unseen path\n"
         f"  from exit to next entry {low:.1f} / {middle:.1f} / {high:.1f} s (5, 50, 95 %);"
-        f" told who is who, top-1 by {told}"
+        f" oracle, top-1 by {told}"
     )
 
 
 def main(argv: list[str]) -> int:
-    """List or describe regimes; returns the exit status."""
+    """List or describe regimes; return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench regimes")
     parser.add_argument("names", nargs="*", metavar="NAME", choices=(*REGIMES, []))
     parser.add_argument("--seed", type=int, default=0)

@@ -1,9 +1,10 @@
-"""How soon a daemon that was killed is back: from its snapshot and the rest of the journal.
+"""Measure the time from a kill to readiness, from the snapshot and the rest of the journal.
 
     python -m bench restart [--events 50000] [--behind 2000] [--times 5]
 
-The journal of a made-up site of 12 cameras holds ``--events`` events, the snapshot all but the last
-``--behind``. The real `camtopod run` is started on it, timed until it receives events, and killed.
+The journal of a simulated site of 12 cameras holds ``--events`` events, the snapshot all but the
+last ``--behind``. The real `camtopod run` is started on it, timed until it receives events, and
+killed.
 """
 
 from __future__ import annotations
@@ -29,14 +30,15 @@ from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 
 SETTINGS = Settings(refit_share=0.9, refit_hours=100.0)
-"""Few versions, to be ready to measure soon; the state is as large as with many."""
+"""Few versions, so that the site is soon prepared; the state is as large as with many."""
 OBJECTS_PER_SECOND, EVENTS_PER_HOUR = 0.12, 3500.0
+"""Traffic of the simulated site, and the events an hour that it leads to, about."""
 
 
 def main(argv: list[str]) -> int:
-    """Measure; returns the exit status."""
+    """Measure and return the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench restart", description="Time from a kill to being back."
+        prog="python -m bench restart", description="Measure the time from a kill to readiness."
     )
     parser.add_argument("--events", type=int, default=50_000)
     parser.add_argument("--behind", type=int, default=2_000)
@@ -56,14 +58,16 @@ def main(argv: list[str]) -> int:
         seconds = [start(config) for _ in range(given.times)]
     print(f"snapshot {size / 1e6:.2f} MB, {given.behind} entries behind it")
     print(
-        f"ready after {statistics.median(seconds):.2f} s (median of {len(seconds)}), {max(seconds):.2f} s at most"
+        f"ready after {statistics.median(seconds):.2f} s (median of {len(seconds)}), "
+        f"{max(seconds):.2f} s at most"
     )
     return 0
 
 
 def lay_out(folder: Path, events: Sequence[Event], behind: int) -> int:
-    """Write the journal of a daemon that has learned all but the last events; returns the bytes of
-    the snapshot.
+    """Write the journal of a daemon that has learned all but the last ``behind`` events.
+
+    Returns the size of the snapshot, bytes.
     """
     epoch = ulid(events[0].t)
     learner = Learner(SETTINGS, "site", epoch)
@@ -72,6 +76,8 @@ def lay_out(folder: Path, events: Sequence[Event], behind: int) -> int:
     journal = Journal(folder / "state")
     journal.set_meta("epoch", epoch)
     journal.commit([Entry("event", event.camera, None, None, to_pack(event)) for event in events])
+
+    # Versions, and the snapshot behind which the last events lie.
     made = learner.updates()
     journal.commit(
         [], [StoredVersion(one.epoch, one.version, one.digest, to_json(one)) for one in made]
@@ -83,7 +89,7 @@ def lay_out(folder: Path, events: Sequence[Event], behind: int) -> int:
 
 
 def start(config: Path) -> float:
-    """Seconds until `camtopod run` is ready; it is killed then."""
+    """Return the seconds until `camtopod run` is ready, and kill it."""
     started = time.perf_counter()
     command = [sys.executable, "-m", "camtopod", "--config", str(config), "run"]
     with subprocess.Popen(command, stderr=subprocess.PIPE) as process:
@@ -92,7 +98,7 @@ def start(config: Path) -> float:
         while b"ready at" not in said:
             said = process.stderr.readline()
             if not said:
-                raise RuntimeError("the daemon ended instead of becoming ready")
+                raise RuntimeError("the daemon ended before it was ready")
         seconds = time.perf_counter() - started
         process.send_signal(signal.SIGKILL)
     return seconds

@@ -1,12 +1,12 @@
-"""What a router costs that stands between the cameras and the daemons of a site.
+"""Measure the cost of a router between the cameras and the daemons of a site.
 
-    python -m bench router [--cameras 100] [--events 200000] [--readers 1,4] [--rounds 3] [--json
-    FILE]
+    python -m bench router [--cameras 100] [--events 200000] [--readers 1,4] [--rounds 3]
+                           [--json FILE]
 
-One process puts events as fast as they are taken, a router passes them on to so many readers, each
-of which hears everything and does nothing with it. Measured is the router's processor time per
-message that it hands out; the ratio is to one reader. The router is a session of zenoh in mode
-``router``, as the daemon's own is; zenohd is the same code.
+One process publishes events as fast as they are taken; a router forwards them to a number of
+readers, each of which receives all and drops them. Measured is the router's processor time per
+message that it forwards, and its ratio to that with one reader. The router is a zenoh session in
+mode ``router``, as the daemon's own is; zenohd is the same code.
 """
 
 from __future__ import annotations
@@ -24,15 +24,13 @@ from bench.support.site import traffic
 
 
 def main(argv: list[str]) -> int:
-    """Measure; returns the exit status."""
+    """Measure and return the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench router", description="A router's cost per message."
+        prog="python -m bench router", description="Measure a router's cost per message."
     )
     parser.add_argument("--cameras", type=int, default=100)
     parser.add_argument("--events", type=int, default=200_000)
-    parser.add_argument(
-        "--readers", default="1,4", help="how many hear everything, comma-separated"
-    )
+    parser.add_argument("--readers", default="1,4", help="numbers of readers, comma-separated")
     ratios.add_arguments(parser, rounds=3)
     given = parser.parse_args(argv)
     counts = [int(count) for count in given.readers.split(",")]
@@ -59,7 +57,7 @@ def main(argv: list[str]) -> int:
 
 
 def passed_on(folder: Path, events: str, count: int, readers: int) -> float:
-    """Microseconds of the router's processor time for each message to a reader."""
+    """Return the microseconds of the router's processor time for each message to a reader."""
     with (
         client("router", folder, endpoint="tcp/127.0.0.1:0") as router,
         contextlib.ExitStack() as stack,
@@ -74,7 +72,7 @@ def passed_on(folder: Path, events: str, count: int, readers: int) -> float:
         received = [result(sink)["received"] for sink in sinks]
         used = result(router)["cpu_seconds"]
     if received != [count] * readers:
-        raise Lost(f"{count} events were put and {received} received")
+        raise Lost(f"{count} events were published and {received} received")
     return float(1e6 * used / (count * readers))
 
 

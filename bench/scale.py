@@ -1,12 +1,12 @@
-"""What an event costs `camtopod learn` on sites of growing size, at the same traffic per camera.
+"""Measure the cost of an event in `camtopod learn` on sites of growing size.
 
-    python -m bench scale [--cameras 100,1000,10000] [--hours 0.5] [--rate 0.1] [--rounds 1] [--json
-    FILE]
+    python -m bench scale [--cameras 100,1000,10000] [--hours 0.5] [--rate 0.1] [--rounds 1]
+                          [--json FILE]
 
-Each site is made up from a seed, its events (``--rate`` a second and camera) are written to a file,
-and `camtopod learn` runs over it as a process of its own: processor time per event, the most memory
-it had, and how much of the truth it found. The ratio is to the site before; 1.3 a step is to be
-reached.
+Each site is simulated with the same traffic per camera (``--rate`` events a second and camera), its
+events are written to a file, and `camtopod learn` runs over it as a process of its own: processor
+time per event, peak memory, and accuracy of the links. The ratio is to the next smaller site;
+target: 1.3 a step.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ from bench.support import ratios
 from bench.support.ratios import Row, Table, spread
 from camtopod.cli.commands.export import load
 from camtopod.codec import to_json
-from camtopod.sim.score import Score, score
+from camtopod.sim.scoring import Score, score
 from camtopod.sim.simulation import SimSettings, simulate
 
 STEP_MAX = 1.3
-"""Cost of an event over that on the site a tenth of the size, at most."""
+"""Target: largest ratio of an event's cost to that on the next smaller site."""
 MEMORY_MAX_MB = {100: 300.0, 1_000: 1_000.0, 10_000: 4_000.0}
+"""Targets of the peak memory by number of cameras, megabytes."""
 EVENTS_PER_OBJECT = 8.1
-"""Events that somebody who enters a made-up site causes, about."""
+"""Events of an object that enters a simulated site, about."""
 
 COLUMNS = "{:>8}{:>10}{:>10}{:>26}{:>8}{:>8}{:>11}{:>8}"
 HEADER = COLUMNS.format(
@@ -42,22 +43,22 @@ HEADER = COLUMNS.format(
 
 
 class Size(Struct):
-    """What one size of site came to."""
+    """Figures of one size of site."""
 
     cameras: int
     events: int
     rate: float
     """Events a second and camera."""
     each_microseconds: list[float]
-    """Processor time per event, of each round."""
+    """Processor time per event in each round, microseconds."""
     memory_mb: float
     precision: float
     recall: float
-    """Of the links between views."""
+    """Precision and recall are of the links between views."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Measure, print the table, write the figures; returns the exit status."""
+    """Measure, print the table, write the figures; return the exit status."""
     arguments = _parse(argv)
     sizes: list[Size] = []
     print(HEADER)
@@ -73,7 +74,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def tables(sizes: Sequence[Size]) -> list[Table]:
-    """Each size beside the one before, and the memory of each beside what is allowed."""
+    """Compare each size with the one before, and its memory with the target."""
     steps = [
         ratios.compare(
             f"cost of an event, {before.cameras} to {now.cameras} cameras",
@@ -100,12 +101,12 @@ def tables(sizes: Sequence[Size]) -> list[Table]:
 
 
 def name(size: Size) -> str:
-    """Of a row."""
+    """Return the title of a row."""
     return f"{size.cameras} cameras"
 
 
 def measure(folder: Path, cameras: int, hours: float, rate: float, rounds: int) -> Size:
-    """Learn one site as often as there are rounds."""
+    """Simulate one site and learn it ``rounds`` times."""
     objects = rate * cameras / EVENTS_PER_OBJECT
     events, truth = simulate(
         SimSettings(cameras=cameras, hours=hours, seed=cameras, objects_per_second=objects)
@@ -127,20 +128,20 @@ def measure(folder: Path, cameras: int, hours: float, rate: float, rounds: int) 
 
 
 def learn(recorded: Path, learned: Path) -> tuple[float, float]:
-    """Processor seconds and the most megabytes of one `camtopod learn`."""
+    """Return processor seconds and peak megabytes of one `camtopod learn`."""
     command = [sys.executable, "-m", "camtopod", "learn", str(recorded), "--topology", str(learned)]
     process = subprocess.Popen(
         command, stderr=subprocess.DEVNULL, env={**os.environ, "OMP_NUM_THREADS": "1"}
     )
     _, status, used = os.wait4(process.pid, 0)
     if status:
-        raise RuntimeError(f"camtopod learn ended with status {os.waitstatus_to_exitcode(status)}")
+        raise RuntimeError(f"camtopod learn failed with status {os.waitstatus_to_exitcode(status)}")
     process.returncode = 0
     return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0
 
 
 def line(sizes: Sequence[Size]) -> str:
-    """The newest size for a person, with its ratio to the one before."""
+    """Return the table's line of the newest size, with its ratio to the one before."""
     now, cost = sizes[-1], spread(sizes[-1].each_microseconds)
     step = (
         "" if len(sizes) < 2 else f"{cost.median / spread(sizes[-2].each_microseconds).median:.2f}"
@@ -163,7 +164,7 @@ def line(sizes: Sequence[Size]) -> str:
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="python -m bench scale", description="What an event costs on larger sites."
+        prog="python -m bench scale", description="Measure the cost of an event on larger sites."
     )
     parser.add_argument(
         "--cameras", default="100,1000,10000", help="sizes of site, comma-separated"

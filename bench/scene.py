@@ -1,10 +1,10 @@
-"""Events and ground truth of a simulated scene that is not a network of zones and paths.
+"""Simulate a scene that is not a network of zones and paths: events and ground truth.
 
-    python -m bench scene {hall,crowd,walkway,road} --events E.jsonl [--truth T.json] [--cameras N]
-    [--seconds S] [--seed N]
+    python -m bench scene {hall,crowd,walkway,road} --events E.jsonl [--truth T.json]
+                          [--cameras N] [--seconds S] [--seed N]
 
-A station hall, a crowded square, the walkways of a campus, the streets of a town. `camtopod
-simulate` makes networks.
+The scenes are a station hall, a crowded square, the walkways of a campus and the streets of a town.
+`camtopod simulate` simulates networks.
 """
 
 from __future__ import annotations
@@ -38,9 +38,13 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("scene", choices=SCENES)
     parser.add_argument(
-        "--events", type=Path, required=True, metavar="E.jsonl", help="where the event lines go"
+        "--events",
+        type=Path,
+        required=True,
+        metavar="E.jsonl",
+        help="file for the events, one a line",
     )
-    parser.add_argument("--truth", type=Path, metavar="T.json", help="where the ground truth goes")
+    parser.add_argument("--truth", type=Path, metavar="T.json", help="file for the ground truth")
     parser.add_argument("--cameras", type=int, default=argparse.SUPPRESS)
     parser.add_argument(
         "--seconds", type=float, default=argparse.SUPPRESS, help="length of the recording"

@@ -1,16 +1,15 @@
-"""Several shards on a site so many times as large, beside one: what an event costs each, and what
-each has to hear.
+"""Measure shards of a large site beside one shard: cost of an event, and events to receive.
 
     python -m bench shards [--cameras 100] [--shards 4] [--hours 0.5] [--rate 0.1] [--rounds 1]
-    [--json FILE]
+                           [--json FILE]
 
-One shard learns a made-up site of so many cameras; then each of ``--shards`` learns its share of a
-site that is as many times as large, in districts of the same size and at the same traffic per
-camera. Compared are processor time per event of a shard's own cameras (to reach: within 10 %) and
-the events it hears for each of its own, in all and from the fourth turn on, when no camera is new
-any more. Cameras are dealt by building (``together``), as somebody who shards a site would, and by
-the hash of their names, as happens without a word. Each camera is a guest in so many turns that the
-guests of a shard are a quarter of its own cameras.
+One shard learns a simulated site; then each of ``--shards`` shards learns its part of a site that
+is as many times as large, in districts of the same size and at the same traffic per camera.
+Compared are the processor time per event of a shard's own cameras (target: within 10 %) and the
+events it receives for each of its own, in all and from the fourth turn on, when no camera is new.
+Cameras are assigned by building (``together``), as in a planned installation, and by the hash of
+their names, the default. Each camera is a guest in so many turns that the guests of a shard are a
+quarter of its own cameras.
 """
 
 from __future__ import annotations
@@ -35,33 +34,37 @@ from camtopod.sim.truth import Truth
 
 DISTRICTS_PER_SHARD = 4
 SAME_WITHIN = 0.1
+"""Target: largest increase of the cost of an own event."""
 TURN_HOURS = 0.1
+"""Length of a turn of guests, hours."""
 BY_PLACE = "by place"
+"""Name of the assignment by building."""
 Site = tuple[list[Event], Truth]
+"""Events and ground truth of a site."""
 
 
 class Work(Struct):
-    """What one shard did."""
+    """Work of one shard."""
 
     name: str
     own: int
     """Events of its own cameras."""
     heard: int
-    """All that it had use for."""
+    """Events it listens to."""
     known_own: int
-    """Of both, those from the fourth turn on, when nearly all neighbours are known, ..."""
+    """Events of its own cameras from the fourth turn on, when nearly all neighbours are known."""
     known_heard: int
+    """Events it listens to from the fourth turn on."""
     known_near: int
-    """... and of the site's those of its own cameras and of all that a way really joins to one of
-    them.
-    """
+    """Events of its own cameras and their true neighbours from the fourth turn on."""
     site: int
+    """Events of the whole site."""
     seconds: float
-    """Processor time."""
+    """Processor time, seconds."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Measure, print the tables, write the figures; returns the exit status."""
+    """Measure, print the tables, write the figures; return the exit status."""
     arguments = _parse(argv)
     small = site(arguments.cameras, arguments.hours, arguments.rate)
     large = site(arguments.cameras * arguments.shards, arguments.hours, arguments.rate)
@@ -78,12 +81,12 @@ def main(argv: Sequence[str]) -> int:
         wanted = {name: 1.0 + SAME_WITHIN for name in costs if name != "one shard"}
         tables.append(
             ratios.compare(
-                f"cost of an own event, cameras dealt {dealt}", "us", costs, "one shard", wanted
+                f"cost of an own event, cameras assigned {dealt}", "us", costs, "one shard", wanted
             )
         )
         print(*ratios.lines(tables[-1]), sep="\n")
         for run in runs:
-            heard = f"heard {run.heard / run.own:.2f} times as many"
+            heard = f"received {run.heard / run.own:.2f} times as many"
             heard += (
                 f", {run.known_heard / max(run.known_own, 1):.2f} times once neighbours are known"
             )
@@ -97,7 +100,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def site(cameras: int, hours: float, rate: float) -> Site:
-    """A made-up site's events."""
+    """Simulate a site and return its events and ground truth."""
     objects = rate * cameras / EVENTS_PER_OBJECT
     return simulate(
         SimSettings(cameras=cameras, hours=hours, seed=cameras, objects_per_second=objects)
@@ -105,7 +108,7 @@ def site(cameras: int, hours: float, rate: float) -> Site:
 
 
 def work(name: str, site: Site, shard: tuple[int, int], dealt: str) -> Work:
-    """Let one shard learn what it has use for."""
+    """Let one shard learn the events it listens to."""
     events, truth = site
     districts = DISTRICTS_PER_SHARD * shard[1]
     places = by_place(truth, districts) if dealt == BY_PLACE else ()
@@ -115,6 +118,8 @@ def work(name: str, site: Site, shard: tuple[int, int], dealt: str) -> Work:
         ),
         shard=shard,
     )
+
+    # Count events; true neighbours are those of the site's camera pairs.
     own = heard = known_own = known_heard = known_near = 0
     near = {camera for camera in truth.cameras if learner.owns(camera)}
     near |= {camera for pair in truth.pairs if near & {*pair.cameras} for camera in pair.cameras}
@@ -142,8 +147,9 @@ def work(name: str, site: Site, shard: tuple[int, int], dealt: str) -> Work:
 
 
 def by_place(truth: Truth, districts: int) -> tuple[str, ...]:
-    """Patterns that put cameras which ways join into one district: cut from a line in which
-    neighbours are near.
+    """Return patterns that assign cameras joined by paths to one district.
+
+    The cameras are ordered in a line in which neighbours are near, and the line is cut.
     """
     number = {camera: k for k, camera in enumerate(truth.cameras)}
     joined = np.zeros((len(number), len(number)))
@@ -157,12 +163,14 @@ def by_place(truth: Truth, districts: int) -> tuple[str, ...]:
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="python -m bench shards", description="Several shards beside one."
+        prog="python -m bench shards", description="Measure several shards beside one."
     )
     parser.add_argument(
-        "--cameras", type=int, default=100, help="of the one shard's site (default 100)"
+        "--cameras", type=int, default=100, help="cameras of the one shard's site (default 100)"
     )
-    parser.add_argument("--shards", type=int, default=4, help="on the larger one (default 4)")
+    parser.add_argument(
+        "--shards", type=int, default=4, help="shards of the larger site (default 4)"
+    )
     parser.add_argument(
         "--hours", type=float, default=0.5, help="length of the recordings (default 0.5)"
     )

@@ -1,13 +1,13 @@
-"""A month in simulated time: the real spool, bus, journal and daemon, restarted every night; memory
-and disk have to stay flat, and the disk below the bounds that are set.
+"""Run an installation for a month of simulated time; memory and disk have to stay flat.
 
     python -m bench soak [--days 30] [--cameras 20] [--events 6000] [--json FILE]
 
-One made-up day of traffic is repeated with new seconds and numbers. Windows and retention are short
-enough to be full after two days (memory) and five (disk), so that whatever still grows then is a
+The spool, bus, journal and daemon are the real ones; the disk has to stay below the bounds that are
+set. One simulated day of traffic is repeated with new times and numbers. Windows and retention are
+short enough to be full after two days (memory) and five (disk), so that growth after that is a
 leak. Every night the daemon stops and another starts on the same state, in the same process, which
-has nothing else in it: its memory and its learner's are what is measured. At the end every camera's
-events have been stored, each once, and a plain learner given the same events has the same versions.
+has nothing else in it: its memory and its learner's are measured. At the end every event has to be
+stored exactly once, and a plain learner given the same events has to have the same versions.
 """
 
 from __future__ import annotations
@@ -44,34 +44,31 @@ from camtopod.sim.simulation import simulate
 
 DAY_SECONDS = 86_400.0
 MEMORY_FROM_DAY, DISK_FROM_DAY = 2, 5
-"""Days, counted from 1, at whose end windows and retention are full; the days after are held
-against them.
-"""
+"""Days, from 1, at whose end windows and retention are full; the baseline for later days."""
 GROWTH_MAX = 0.05
+"""Largest growth that counts as flat."""
 JOURNAL_BYTES, JOURNAL_EVENT_BYTES = 2 * 2**20, 300
-"""What the journal may have: so much for versions and snapshots, and for each event of a day. It is
-full on the third; with days as the only bound it would have a third more."""
+"""Bound of the journal: bytes for versions and snapshots, and for each event of a day.
+
+It is reached on the third day; retention by days alone would allow a third more.
+"""
 SPOOL_BYTES = 2**20
-"""What the spool may have: several days' events, so that it is full on the first ones."""
+"""Bound of the spool: several days' events, so that it is full in the first days."""
 BESIDE_BYTES = {"journal": 2**20, "spool": 5 * 2**18}
-"""On the disk besides what a bound counts: what comes before the next look at the bound; the
-spool's log of 1 MiB.
-"""
+"""Bytes on disk beyond a bound: writes before its next check; the spool's log of 1 MiB."""
 REACHED_SHARE = 0.8
-"""A bound to which the disk never comes as near as this has not been tried."""
+"""Share of its bound that the disk has to reach; otherwise the bound is not tested."""
 BATCH_EVENTS = 500
+"""Events in a message."""
 BATCH_SECONDS = 7200.0
-"""Simulated time that comes at once, in any order of cameras; the learner is told to wait for as
-long.
-"""
+"""Simulated seconds that come at once, cameras in any order; half the learner's lateness."""
 WAIT_SECONDS = 300.0
+"""Longest wait for an acknowledgement, a version or the end of a process, seconds."""
 _PROCESSES = multiprocessing.get_context("spawn")
 
 
 class Day(Struct):
-    """How things are at the end of a simulated day, the first being 1. Bytes; seconds of wall
-    time.
-    """
+    """State at the end of a simulated day, the first being 1; bytes, and seconds of wall time."""
 
     day: int
     resident: int
@@ -83,18 +80,18 @@ class Day(Struct):
 
 
 def main(argv: list[str]) -> int:
-    """Run the days; returns the exit status: 0 if memory and disk stayed flat and nothing was
-    lost.
-    """
+    """Run the days; return 0 if memory and disk stayed flat and nothing was lost."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench soak", description="Many days in simulated time."
+        prog="python -m bench soak", description="Run an installation for many simulated days."
     )
     parser.add_argument("--days", type=int, default=30)
     parser.add_argument("--cameras", type=int, default=20)
     parser.add_argument(
-        "--events", type=int, default=6000, help="events a day, about (default 6000)"
+        "--events", type=int, default=6000, help="approximate number of events a day (default 6000)"
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="one line a day goes here")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="append one line a day to this file"
+    )
     given = parser.parse_args(argv)
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -120,14 +117,14 @@ def main(argv: list[str]) -> int:
 
 
 def grown(days: Sequence[Day]) -> Iterator[str]:
-    """What any later day has more of than the day when it should have been full."""
+    """Yield a message for each size that grew after the day when it should have been full."""
     for name, since in (
         ("resident", MEMORY_FROM_DAY),
         ("journal", DISK_FROM_DAY),
         ("spool", DISK_FROM_DAY),
     ):
         if len(days) <= since:
-            yield f"{name}: more than {since} days are needed to tell"
+            yield f"{name}: not tested, more than {since} days are needed"
             continue
         before = getattr(days[since - 1], name)
         most = max(days[since:], key=lambda day: int(getattr(day, name)))
@@ -138,23 +135,22 @@ def grown(days: Sequence[Day]) -> Iterator[str]:
 
 
 def outside(days: Sequence[Day], bounds: Mapping[str, int]) -> Iterator[str]:
-    """What had more bytes than it may, on any day; or never came near, so that nothing is known of
-    its bound.
-    """
+    """Yield a message for each size that exceeded its bound, or never came near it."""
     for name, most in bounds.items():
         peak = max(days, key=lambda day: int(getattr(day, name)))
         size = getattr(peak, name)
         print(
-            f"{name}: at most {size} bytes, on day {peak.day}; it may have {most}, and {BESIDE_BYTES[name]} beside"
+            f"{name}: at most {size} bytes, on day {peak.day}; "
+            f"its bound is {most}, and {BESIDE_BYTES[name]} beyond it are allowed"
         )
         if size > most + BESIDE_BYTES[name]:
-            yield f"{name} has {size} bytes on day {peak.day} and may have {most}"
+            yield f"{name} has {size} bytes on day {peak.day}; its bound is {most}"
         elif size < REACHED_SHARE * most:
-            yield f"{name} has never come near its bound, which says nothing"
+            yield f"{name} has never come near its bound, so the bound is not tested"
 
 
 def miscounted(sent: Mapping[str, int], stored: Counter[tuple[str, int]]) -> Iterator[str]:
-    """Events that are not stored once each; a camera's are numbered from 1."""
+    """Yield a message for events not stored exactly once; a camera's are numbered from 1."""
     made = {(camera, seq) for camera, last in sent.items() for seq in range(1, last + 1)}
     lost, foreign = made - stored.keys(), stored.keys() - made
     doubled = [one for one, times in stored.items() if times > 1]
@@ -168,7 +164,7 @@ def miscounted(sent: Mapping[str, int], stored: Counter[tuple[str, int]]) -> Ite
 
 
 class Beside:
-    """A process of its own that does what it is asked, one thing at a time."""
+    """A process of its own that answers requests, one at a time."""
 
     def __init__(self, work: Callable[..., None], *given: Any) -> None:
         self._pipe, other = _PROCESSES.Pipe()
@@ -178,31 +174,31 @@ class Beside:
 
     @property
     def resident(self) -> int:
-        """Bytes in memory of it and of its children."""
+        """Resident bytes of the process and its children."""
         assert self._process.pid is not None
         return resident(self._process.pid)
 
     def tell(self, what: Any) -> None:
-        """Ask, without waiting."""
+        """Send a request without waiting."""
         self._pipe.send(what)
 
     def hear(self) -> Any:
-        """The answer. Raises `EOFError` if it has ended."""
+        """Return the answer to a request. Raises `EOFError` if the process has ended."""
         return self._pipe.recv()
 
     def ask(self, what: Any) -> Any:
-        """Both."""
+        """Send a request and return its answer."""
         self.tell(what)
         return self.hear()
 
     def close(self) -> None:
-        """End it."""
+        """End the process."""
         self._pipe.close()
         self._process.join(WAIT_SECONDS)
 
 
 def keep_house(pipe: Connection, config: Config, now: Any) -> None:
-    """The daemon's process: one after the other, on the same state and by the clock ``now``."""
+    """Run the daemons, one after the other, on the same state and by the clock ``now``."""
     memory.limit_arenas()
     daemon: Daemon | None = None
     with contextlib.suppress(EOFError):
@@ -219,14 +215,16 @@ def keep_house(pipe: Connection, config: Config, now: Any) -> None:
                             (made.version, made.digest) if made else None,
                         )
                     )
-                case ("newer", int(read)) if daemon is not None:  # of the events in the journal
+                case ("newer", int(read)) if (
+                    daemon is not None
+                ):  # events of the journal from here on
                     newer = (
                         (n, one)
                         for n, one in daemon._journal.entries(read)
                         if one and one.kind == "event"
                     )
                     pipe.send([(number, event.camera, event.seq) for number, event in newer])
-                case "tidy":  # what the daemons of the nights before left in cycles
+                case "tidy":  # collect reference cycles of earlier daemons
                     gc.collect()
                     memory.give_back()
                     pipe.send(True)
@@ -238,9 +236,7 @@ def keep_house(pipe: Connection, config: Config, now: Any) -> None:
 
 
 def learn_beside(pipe: Connection, settings: Settings) -> None:
-    """The process of a plain learner that never stops: answers events with the versions they led
-    to.
-    """
+    """Run a plain learner that never stops; answer events with the versions they led to."""
     learner = Learner(settings, "site", "plain")
     with contextlib.suppress(EOFError):
         while True:
@@ -294,13 +290,15 @@ class Soak:
         self.days: list[Day] = []
 
     def live_through(self, day: int) -> None:
-        """Start the daemon, let the day's traffic come, and stop it."""
+        """Start the daemon, publish the day's traffic, and stop the daemon."""
         started = time.perf_counter()
         self._home.ask("start")
         if self._bus is None:
-            self._bus = dial(self._config)  # and reconnects by itself after each night
+            self._bus = dial(self._config)  # reconnects by itself after each night
             self._publisher.attach(self._bus)
         ready = time.perf_counter() - started
+
+        # Publish in batches; the twin learns the same events.
         chance = random.Random(day)
         later = day * DAY_SECONDS + chance.uniform(0.0, 600.0)
         events = [msgspec.structs.replace(event, t=event.t + later) for event in self._day]
@@ -314,20 +312,20 @@ class Soak:
                 raise TimeoutError("events are not acknowledged")
             self._expected |= self._twin.hear()
             self._count()
+
+        # Take the sizes.
         version, digest = self._learned()
         self._made[version] = digest
         self._home.ask("tidy")
         taken = self._home.resident
-        self._home.ask(
-            "stop"
-        )  # which folds the journal's log in: how long that is depends on the moment
+        self._home.ask("stop")  # folds the journal's log in, whose size depends on the moment
         journal, spool = _bytes(self._folder / "state"), _bytes(self._folder, "spool")
         self.days.append(
             Day(day, taken, journal, spool, version, ready, time.perf_counter() - started)
         )
 
     def wrong(self) -> Iterator[str]:
-        """What the daemon lost, or learned otherwise than one that never stopped."""
+        """Yield a message for lost events, and for versions unlike those of the plain learner."""
         yield from miscounted(self._sent, self._stored)
         other = [
             version for version, digest in self._made.items() if self._expected[version] != digest
@@ -336,7 +334,7 @@ class Soak:
             yield f"versions {other} differ from those of an uninterrupted run"
 
     def close(self) -> None:
-        """End everything."""
+        """End all processes."""
         if self._bus is not None:
             self._bus.close()
         self._home.close()
@@ -344,18 +342,18 @@ class Soak:
         self._spool.close()
 
     def _learned(self) -> tuple[int, str]:
-        """The newest version and its digest, when the daemon has come as far as the twin."""
+        """Return the newest version and its digest, once the daemon is level with the twin."""
         deadline = time.monotonic() + WAIT_SECONDS
         while True:
             waiting, newest = self._home.ask("status")
             if waiting == 0 and newest is not None and newest[0] == max(self._expected):
                 return int(newest[0]), str(newest[1])
             if time.monotonic() > deadline:
-                raise TimeoutError("the daemon does not learn")
+                raise TimeoutError("the daemon has not learned all events in time")
             time.sleep(0.02)
 
     def _count(self) -> None:
-        """What the journal has more of than before; soon, as it forgets."""
+        """Count the new entries of the journal, before retention deletes them."""
         rows = self._home.ask(("newer", self._read))
         for number, camera, seq in rows:
             self._read = number
@@ -363,10 +361,12 @@ class Soak:
 
 
 def _free_port() -> int:
+    """Return a port that is free now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def _bytes(folder: Path, prefix: str = "") -> int:
+    """Return the size of the files in a folder whose names start with ``prefix``."""
     return sum(file.stat().st_size for file in folder.glob(f"{prefix}*") if file.is_file())

@@ -1,5 +1,6 @@
-"""The thesis's own figures: tables 5.1 to 5.4 and figure 4.4. ``python -m bench thesis
-[SEEDS]``.
+"""Reproduce the thesis's own figures, tables 5.1 to 5.4 and figure 4.4.
+
+python -m bench thesis [SEEDS]
 """
 
 from __future__ import annotations
@@ -18,12 +19,14 @@ from camtopod.learn.zones.zone_map import cell_sums, find_zones
 
 
 def main(argv: list[str]) -> int:
+    """Print all figures; return 0 if they are as printed in the thesis."""
     seeds = int(argv[0]) if argv else 20
     good = [table_5_1(), table_5_3(), table_5_4(), figure_4_4(seeds)]
     return 0 if all(good) else 1
 
 
 def table_5_1() -> bool:
+    """Cluster table 5.1; return True if there are two zones, as printed."""
     table = np.array(thesis.TABLE_5_1)
     points, zones = table[:, :2], table[:, 2]
     grid = np.zeros((30, 24), dtype=np.int64)
@@ -43,6 +46,7 @@ def table_5_1() -> bool:
 
 
 def table_5_3() -> bool:
+    """Compute table 5.3 from table 5.2; return True if it is as printed."""
     rows = overlap_rows(thesis.TABLE_5_2, thesis.TABLE_5_2_CAMERAS, 0.200)
     found = [
         (
@@ -58,7 +62,8 @@ def table_5_3() -> bool:
         for r in rows
     ]
     print(
-        f"table 5.3 from table 5.2 with T = 0.200: {len(rows)} rows, as printed: {found == thesis.TABLE_5_3}"
+        f"table 5.3 from table 5.2 with T = 0.200: {len(rows)} rows, "
+        f"as printed: {found == thesis.TABLE_5_3}"
     )
     for row, overlap in zip(found, rows, strict=True):
         print("          ", *row, f"  |AB - (AC + CB)| = {overlap.error:.3f}")
@@ -66,6 +71,10 @@ def table_5_3() -> bool:
 
 
 def table_5_4() -> bool:
+    """Check each row of table 5.4; return True if all but the last hold.
+
+    The last row contradicts its own text.
+    """
     print("table 5.4 with T = 0.450:")
     held = []
     for row in thesis.TABLE_5_4:
@@ -83,6 +92,7 @@ def table_5_4() -> bool:
 
 
 def figure_4_4(seeds: int) -> bool:
+    """Find the zones of simulations after figure 4.4; return True if all are right."""
     print(f"figure 4.4: 5 cameras, 13 zones, 3,000 agents at differing speeds, {seeds} seeds;")
     print("           share of networks with all 13 zones, and of cameras with the right number")
     good = True
@@ -113,8 +123,10 @@ def figure_4_4(seeds: int) -> bool:
 
 
 def k_means(place: Floats, truth: NDArray[np.intp]) -> dict[str, bool]:
-    """K-means with k chosen by silhouette; and told k, whether its clusters are the zones (95 % of
-    each).
+    """Return whether k-means finds the zones of a camera, in two variants.
+
+    With k chosen by silhouette: whether k is right. With the true k: whether its clusters are the
+    zones (95 % of each in one cluster, no two in the same).
     """
     from sklearn.cluster import KMeans
     from sklearn.metrics import silhouette_score

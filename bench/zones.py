@@ -1,13 +1,14 @@
-"""Share of made-up cameras whose number of zones is found, and what that costs (`_zone_speed`).
+"""Measure the share of simulated cameras with the right number of zones, and the cost of zones.
 
-``python -m bench zones [CAMERAS [FIRST_SEED]] [--speed] [--json FILE]``; with ``--speed`` only the
-cost.
+    python -m bench zones [CAMERAS [FIRST_SEED]] [--speed] [--json FILE]
+
+``--speed`` measures the cost only (`bench.support.zone_speed`).
 
 Each camera has two to six zones (spread 0.01 to 0.05 of the image, unequal traffic), 10 to 30 %
-clutter, and at least four events in each zone. Beside ours, over the same cameras: plain DaSpec
-with the bandwidth rule, k-means with k by silhouette, HDBSCAN. The seeds used in development were
-below 20,000. At the end: how often the numbers of a camera's zones change while its traffic is
-steady, held (as the learner does) and each time learned from nothing.
+clutter, and at least four events in each zone. Compared over the same cameras: plain DaSpec with
+the bandwidth rule, k-means with k by silhouette, HDBSCAN. Seeds below 20,000 were used in
+development. At the end: how often the zone numbers of a camera change in steady traffic, both held
+(as the learner does) and learned anew each time.
 """
 
 from __future__ import annotations
@@ -27,16 +28,23 @@ from camtopod.learn.zones.zone_map import cell_sums, find_zones, refresh_zones
 
 FIRST_SEED = 1_000_000
 SLOW_EVENTS_MAX = 1000
-"""The other methods see at most so many of a camera's events."""
+"""Most events of a camera that the other methods are given."""
 
 
 class Kind(NamedTuple):
-    """A kind of camera. ``apart``: least distance of two zones in mean standard deviations along
-    the line that tells them apart best; ``aspect``: longest over shortest spread; ``rare``: share
-    of the first zone, which is narrow then (0: drawn); ``shape``: what the events of a zone spread
-    like; ``clutter``: even, half of it in blobs of five times a zone's width, or half of it along
-    the ways between zones; ``strip``: least and largest thickness of a border open along part of an
-    edge."""
+    """A kind of camera.
+
+    apart: least distance of two zones, in mean standard deviations along the line that
+        separates them best.
+    aspect: longest over shortest spread of a zone.
+    line, border: zones in a row; zones along the edges of the view.
+    shape: distribution of a zone's events.
+    rare: share of the first zone, which is narrow then (0: drawn).
+    clutter: even, or half of it in blobs of five times a zone's width, or half of it along the
+        paths between zones.
+    strip: least and largest thickness of a border that is open along part of an edge.
+    least: least number of events in a zone.
+    """
 
     name: str
     apart: float
@@ -65,24 +73,33 @@ KINDS = (
     Kind("clutter along ways", 6.0, clutter="ways"),
     Kind("one narrow zone of 1 %", 6.0, rare=0.01, least=12),
 )
+"""The kinds of cameras."""
 EVENTS = (60, 300, 1000, 3000, 30_000)
+"""Numbers of events in the window."""
 STEADY_EVENTS, STEADY_WINDOW = 20_000, 4000
+"""Events of the steady traffic, and those in the window."""
 
 
 SPEED_KINDS = ("round", "along the border", "boxes", "clutter in blobs")
+"""Kinds of cameras on which the cost is measured."""
 
 
 def main(argv: list[str]) -> int:
+    """Measure, print the tables and return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench zones", description=__doc__)
-    parser.add_argument("cameras", type=int, nargs="?", default=8, help="of each kind (default 8)")
-    parser.add_argument("first", type=int, nargs="?", default=FIRST_SEED, help="seed of the first")
-    parser.add_argument("--speed", action="store_true", help="only what zones cost")
+    parser.add_argument(
+        "cameras", type=int, nargs="?", default=8, help="cameras of each kind (default 8)"
+    )
+    parser.add_argument(
+        "first", type=int, nargs="?", default=FIRST_SEED, help="seed of the first camera"
+    )
+    parser.add_argument("--speed", action="store_true", help="measure the cost only")
     parser.add_argument(
         "--events",
         type=int,
         nargs="+",
         default=zone_speed.EVENTS,
-        help="in the window, for the cost",
+        help="numbers of events in the window, for the cost",
     )
     ratios.add_arguments(parser, rounds=7)
     given = parser.parse_args(argv)
@@ -98,11 +115,13 @@ def main(argv: list[str]) -> int:
 
 
 def rightness(cameras: int, first: int) -> None:
-    """Shares of cameras whose number of zones is right; how often zones change."""
+    """Print the shares of cameras with the right number of zones, and how often zones change."""
     print(f"share of {cameras} cameras with the right number of zones:")
     print("camtopod | plain DaSpec | k-means | HDBSCAN")
     print(f"{'':28s}" + "".join(f"{events:>25,d} events" for events in EVENTS))
     seconds, refreshed = 0.0, 0
+
+    # Share of right numbers by kind and number of events.
     for kind in KINDS:
         columns = []
         for events in EVENTS:
@@ -124,15 +143,16 @@ def rightness(cameras: int, first: int) -> None:
     for kind in KINDS:
         changes = np.mean([flicker(seed, kind) for seed in range(first, first + cameras)], axis=0)
         print(
-            f"{kind.name:28s} changes in 1,000 events: held {changes[0]:.3f}, from nothing {changes[1]:.3f}",
+            f"{kind.name:28s} changes in 1,000 events: held {changes[0]:.3f}, "
+            f"anew {changes[1]:.3f}",
             flush=True,
         )
     print(f"camtopod: {1e3 * seconds / refreshed:.1f} ms of processor time a camera\n")
 
 
 def flicker(seed: int, kind: Kind) -> tuple[float, float]:
-    """Changes of the set of numbers in 1,000 events of steady traffic: held, and learned from
-    nothing each time.
+    """Return the changes of the zone numbers in 1,000 events of steady traffic: held, and learned
+    anew.
     """
     positions, _ = camera(seed, kind, STEADY_EVENTS)
     positions = positions[np.random.default_rng(seed).permutation(len(positions))]
@@ -151,8 +171,9 @@ def flicker(seed: int, kind: Kind) -> tuple[float, float]:
 
 
 def others(positions: Floats) -> tuple[int, int]:
-    """Zones found by k-means with k by silhouette and by HDBSCAN (smallest cluster 2.5 %, at least
-    5).
+    """Return the zones found by k-means and by HDBSCAN.
+
+    k-means has k by silhouette; HDBSCAN has a smallest cluster of 2.5 %, at least 5.
     """
     from sklearn.cluster import HDBSCAN, KMeans
     from sklearn.metrics import silhouette_score
@@ -171,9 +192,11 @@ def others(positions: Floats) -> tuple[int, int]:
 
 
 def camera(seed: int, kind: Kind, events: int) -> tuple[Floats, int]:
-    """Positions (n, 2) of a camera's events and the number of its zones."""
+    """Return the positions (n, 2) of a camera's events and the number of its zones."""
     rng = np.random.default_rng([seed, events, KINDS.index(kind)])
     clutter = rng.uniform(0.1, 0.3)
+
+    # Draw zones and the zone of each event until every zone has enough.
     while True:
         centres, roots = _zones(rng, kind, int(rng.integers(2, 7)))
         weights = np.maximum(rng.dirichlet(np.full(len(centres), 3.0)), 0.04)
@@ -186,6 +209,8 @@ def camera(seed: int, kind: Kind, events: int) -> tuple[Floats, int]:
         labels[rng.random(events) < clutter] = -1
         if min(np.bincount(labels + 1, minlength=len(centres) + 1)[1:]) >= kind.least:
             break
+
+    # Draw positions, all within the image.
     positions = _clutter(rng, kind, events, np.array(centres))
     for k, (centre, root) in enumerate(zip(centres, roots, strict=True)):
         left = np.flatnonzero(labels == k)
@@ -201,7 +226,7 @@ def camera(seed: int, kind: Kind, events: int) -> tuple[Floats, int]:
 
 
 def _clutter(rng: np.random.Generator, kind: Kind, events: int, centres: Floats) -> Floats:
-    """Positions (n, 2) of clutter."""
+    """Return positions (n, 2) of clutter."""
     positions = rng.random((events, 2))
     some = np.flatnonzero(rng.random(events) < 0.5)
     if kind.clutter == "blobs":
@@ -218,8 +243,10 @@ def _clutter(rng: np.random.Generator, kind: Kind, events: int, centres: Floats)
 
 
 def _zones(rng: np.random.Generator, kind: Kind, zones: int) -> tuple[list[Floats], list[Floats]]:
-    """Centres and roots of the covariances of so many zones, each apart from the others; from the
-    start when stuck."""
+    """Return the centres of zones and the roots of their covariances, each apart from the others.
+
+    It starts again, maybe with fewer zones, if no place is found for the next one.
+    """
     centres: list[Floats] = []
     roots: list[Floats] = []
     angle = rng.uniform(0, np.pi)
@@ -254,6 +281,7 @@ def _zones(rng: np.random.Generator, kind: Kind, zones: int) -> tuple[list[Float
 
 
 def _zone(rng: np.random.Generator, kind: Kind) -> tuple[Floats, Floats]:
+    """Return the centre of a zone and the root of its covariance."""
     short = float(np.exp(rng.uniform(np.log(0.01), np.log(0.05 if kind.aspect < 2 else 0.03))))
     long = min(short * rng.uniform(1, kind.aspect), 0.09)
     centre, turn = rng.uniform(0.07, 0.93, 2), rng.uniform(0, np.pi)
@@ -270,7 +298,7 @@ def _zone(rng: np.random.Generator, kind: Kind) -> tuple[Floats, Floats]:
 
 
 def _apart(a: Floats, root_a: Floats, b: Floats, root_b: Floats) -> float:
-    """Distance in mean standard deviations along the best discriminating line."""
+    """Return the distance in mean standard deviations along the best discriminating line."""
     cov_a, cov_b = root_a @ root_a.T, root_b @ root_b.T
     line = np.linalg.solve(cov_a + cov_b, a - b)
     return float(2 * line @ (a - b) / (np.sqrt(line @ cov_a @ line) + np.sqrt(line @ cov_b @ line)))

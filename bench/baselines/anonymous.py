@@ -1,11 +1,11 @@
 """Markov chains from anonymous counts: conditional least squares with transit delays.
 
 Bernstein and Sheldon, "Consistently estimating Markov chains with noisy aggregate data" (AISTATS
-2016), after Kalbfleisch and Lawless: with counts of people by state and time step and no
-identities, the transition matrix is found by regressing the counts of a step on those of the step
-before, never negative. Martin, Pryer and Zanetti (arXiv 2501.17532, 2025) are about the same
-problem; their paper was not at hand, so this is not their estimator. Here a step is two seconds,
-the next state follows after any of many delays, and a moving average takes the place of newcomers:
+2016), after Kalbfleisch and Lawless: from counts of people by state and time step, without
+identities, the transition matrix is estimated by non-negative regression of the counts of a step on
+those of the step before. Martin, Pryer and Zanetti (arXiv 2501.17532, 2025) treat the same problem;
+their paper was not available, so this is not their estimator. Here a step is two seconds, the next
+state follows after any of many delays, and a moving average stands for newcomers:
 
     arrivals_v(t) - average = sum_u sum_d p_uv(d) (departures_u(t - d) - average) + noise,
     p_uv(d) >= 0.
@@ -25,6 +25,7 @@ from bench.baselines.findings import Findings
 from camtopod.arrays import Floats
 
 STEP_SECONDS = 2.0
+"""Length of a time step, seconds."""
 GROUPS = (
     *(
         -120,
@@ -57,17 +58,20 @@ GROUPS = (
     ),
     *(150, 180),
 )
-"""Seconds: between two of these ``p_uv(d)`` is the same."""
+"""Limits of the groups of delays, seconds; within a group ``p_uv(d)`` is constant."""
 AVERAGE_SECONDS = 1200.0
+"""Length of the moving average, seconds."""
 RIDGE = 1.0
-"""Share of the diagonal that is added to it."""
+"""Ridge penalty, as a share of the diagonal to which it is added."""
 ITERATIONS = 150
 
 
 def anonymous(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
-    """Scores: probability of the transition, its size against chance, and the highest rate of any
-    delay.
+    """Return three scores: probability of the transition, that over its noise, and highest rate.
+
+    The noise is the standard error if the transitions were spurious; the rate is over all delays.
     """
+    # Groups of delays, centred counts, and the least squares fit.
     zones = len(seen.zones)
     groups = np.array([seconds for seconds in GROUPS if lags.low <= seconds <= lags.high])
     edges = groups / STEP_SECONDS
@@ -76,6 +80,8 @@ def anonymous(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
         np.bincount(z, minlength=zones).astype(float) for z in (seen.left_zone, seen.came_zone)
     )
     rate = fit(left, came, edges.astype(np.int64), seen.between)
+
+    # Scores.
     share = (rate * np.diff(edges)[:, None, None]).sum(axis=0)
     noise = np.sqrt(np.maximum(coming, 1.0)[None, :] / np.maximum(leaving, 1.0)[:, None])
     transit = (groups[1:] + groups[:-1])[rate.argmax(axis=0)] / 2
@@ -89,9 +95,11 @@ def anonymous(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
 
 
 def fit(left: Floats, came: Floats, edges: NDArray[np.int64], allowed: NDArray[np.bool_]) -> Floats:
-    """``p_uv(d)`` per step for delays between ``edges`` (steps), (delays, zones, zones), from
-    centred counts (steps, zones): non-negative least squares by accelerated projected gradient on
-    the normal equations."""
+    """Estimate ``p_uv(d)`` per step for delays between ``edges`` (steps), (delays, zones, zones).
+
+    ``left`` and ``came`` are centred counts (steps, zones). The method is non-negative least
+    squares by accelerated projected gradient on the normal equations.
+    """
     zones, n = left.shape[1], len(edges) - 1
     # Sums of lagged products over the steps of two groups, from running sums over the lag.
     span = int(edges[-1] - edges[0])
@@ -99,9 +107,13 @@ def fit(left: Floats, came: Floats, edges: NDArray[np.int64], allowed: NDArray[n
     steps = [range(int(a), int(b)) for a, b in pairwise(edges)]
     gram = np.block([[_overlaps(inner, a, b) for b in steps] for a in steps])
     right = np.concatenate([sum(_lagged(left, came, d) for d in group) for group in steps])
+
+    # Ridge, and scaling to a unit diagonal.
     gram[np.diag_indices_from(gram)] += RIDGE * gram.diagonal()
     scale = 1.0 / np.sqrt(np.maximum(gram.diagonal(), 1e-12))
     gram, right = gram * scale[:, None] * scale, right * scale[:, None]
+
+    # Accelerated projected gradient.
     open_ = np.tile(allowed, (n, 1))
     step = 1.0 / _largest_eigenvalue(gram)
     now = ahead = np.zeros((n * zones, zones))
@@ -116,13 +128,13 @@ def fit(left: Floats, came: Floats, edges: NDArray[np.int64], allowed: NDArray[n
 
 
 def _overlaps(inner: dict[int, Floats], a: range, b: range) -> Floats:
-    """``sum_t a_u(t) b_v(t)`` of series summed over the delays of two groups."""
+    """Return ``sum_t a_u(t) b_v(t)`` of series summed over the delays of two groups."""
     times = Counter(i - j for i in a for j in b)
     return sum((n * inner[lag] for lag, n in times.items()), np.zeros_like(inner[0]))
 
 
 def _centred(seen: Crossings) -> tuple[Floats, Floats]:
-    """Departures and arrivals per step and zone, less their moving averages."""
+    """Return departures and arrivals per step and zone, less their moving averages."""
     start = min(seen.left[0], seen.came[0])
     steps = int((max(seen.left[-1], seen.came[-1]) - start) / STEP_SECONDS) + 1
     result = []
@@ -135,7 +147,7 @@ def _centred(seen: Crossings) -> tuple[Floats, Floats]:
 
 
 def _lagged(a: Floats, b: Floats, steps: int) -> Floats:
-    """``sum_t a_u(t - steps) b_v(t)``, (zones, zones)."""
+    """Return ``sum_t a_u(t - steps) b_v(t)``, (zones, zones)."""
     kept = max(len(a) - abs(steps), 0)  # none of a recording shorter than the lag
     if steps >= 0:
         return a[:kept].T @ b[len(b) - kept :]
@@ -143,7 +155,7 @@ def _lagged(a: Floats, b: Floats, steps: int) -> Floats:
 
 
 def _largest_eigenvalue(matrix: Floats) -> float:
-    """By power iteration, from above."""
+    """Return an upper bound of the largest eigenvalue, by power iteration."""
     vector = np.ones(len(matrix))
     for _ in range(30):
         vector = matrix @ vector

@@ -1,9 +1,8 @@
-"""The thesis's own test (Alkhateeb 2011, table 4.3): Mahalanobis distances of closest pairs, linked
-when Var(d) <= 1.
+"""The thesis's own test for links: Mahalanobis distances of closest pairs, linked if Var(d) <= 1.
 
-The thesis takes S in the distance from the two zones' times themselves (eq. 4.4), against which no
-difference is large. The other scalings are kinder to it: S from how far apart the closest of two
-unrelated Poisson processes lie.
+Alkhateeb 2011, table 4.3. The thesis estimates S in the distance from the times of the two zones
+themselves (eq. 4.4), against which no difference is large. The other variants scale in the test's
+favour: S is the spread of the closest pairs of two unrelated Poisson processes.
 """
 
 from __future__ import annotations
@@ -15,14 +14,19 @@ from bench.baselines.findings import Findings
 from camtopod.arrays import Floats
 
 LITERAL = "as printed"
+"""Name of the variant with S as the thesis prints it."""
 LITERAL_SCORE_MIN = -1.0
-"""`LITERAL` links a pair when Var(d) <= 1; the score is -Var(d)."""
+"""Least score of a link in the variant `LITERAL`: the score is -Var(d), and links have Var(d) <= 1.
+"""
 MODE_BINS = 40
+"""Bins of the histogram of lags from which the transit time is read."""
 
 
 def closest(seen: Crossings) -> dict[str, Findings]:
-    """Score -Var(d): `LITERAL`, and against chance for the closest arrival on either side and the
-    first one after.
+    """Return the score -Var(d) of each pair, in three variants.
+
+    They are `LITERAL`, and two scaled by the null model of unrelated Poisson processes: with the
+    closest arrival before or after, and with the first arrival after.
     """
     zones = len(seen.zones)
     names = (LITERAL, "closest, against chance", "first after, against chance")
@@ -35,6 +39,8 @@ def closest(seen: Crossings) -> dict[str, Findings]:
         if len(seen.left)
         else 0.0
     )
+
+    # Times of each zone, then the distances of each pair of zones.
     left = [seen.left[seen.left_zone == k] for k in range(zones)]
     came = [seen.came[seen.came_zone == k] for k in range(zones)]
     for u, v in np.argwhere(seen.between):
@@ -56,7 +62,7 @@ def closest(seen: Crossings) -> dict[str, Findings]:
 
 
 def _nearest(left: Floats, came: Floats) -> Floats:
-    """For each time of ``left`` the nearest of ``came``."""
+    """Return for each time of ``left`` the nearest time of ``came``."""
     after = np.clip(np.searchsorted(came, left), 1, len(came) - 1)
     near: Floats = np.where(
         came[after] - left < left - came[after - 1], came[after], came[after - 1]
@@ -65,9 +71,7 @@ def _nearest(left: Floats, came: Floats) -> Floats:
 
 
 def _mode(lags: Floats) -> float:
-    """Centre of the fullest histogram bin (thesis 4.5), within the middle 90 % of the
-    differences.
-    """
+    """Return the centre of the fullest histogram bin (thesis 4.5) in the middle 90 % of lags."""
     low, high = np.quantile(lags, (0.05, 0.95))
     if high <= low:
         return float(low)

@@ -1,9 +1,8 @@
-"""Cross-correlation of departures and arrivals (Makris, Ellis, Black, "Bridging the gaps between
-cameras", CVPR 2004).
+"""Cross-correlation of departures and arrivals.
 
-Two zones are linked when the correlation has a clear peak: above its mean over all lags by so many
-of its standard deviations. The lag of the peak is the transit time. The bin width is theirs to
-choose.
+Makris, Ellis, Black, "Bridging the gaps between cameras", CVPR 2004. Two zones are linked when the
+correlation has a clear peak: it exceeds the mean over all lags by a number of standard deviations.
+The lag of the peak is the transit time. The paper leaves the bin width open, so several are tried.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ from bench.baselines.crossings import Candidates, Crossings, lag_counts
 from bench.baselines.findings import Findings
 
 WIDTHS = (1.0, 2.0, 4.0, 8.0)
-"""Seconds."""
+"""Bin widths of the lags, seconds."""
 
 
 def correlation(seen: Crossings, found: Candidates) -> dict[str, Findings]:
-    """Score (peak - mean) / standard deviation, for each bin width."""
+    """Return the score (peak - mean) / standard deviation of each pair, by bin width."""
     result = {}
     for width in WIDTHS:
         counts, centres = lag_counts(seen, found, width)

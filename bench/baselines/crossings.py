@@ -1,4 +1,4 @@
-"""Events as the baselines for links get them: true zones, no clutter, exits and entries by time."""
+"""Events in the form that baselines for links take: true zones, no clutter, ordered by time."""
 
 from __future__ import annotations
 
@@ -15,24 +15,26 @@ from camtopod.sim.truth import CLUTTER, TrueZone, Truth
 
 
 class Lags(NamedTuple):
-    """From when to when after a departure its arrival is looked for, seconds."""
+    """Range of the lags at which an arrival is looked for, seconds after the departure."""
 
     low: float
     high: float
 
 
 NARROW, WIDE = Lags(-20.0, 120.0), Lags(-120.0, 180.0)
-"""Where most transits of the made-up networks lie, which spares the baselines much chance, and what
-ours looks at by default. The better one counts."""
-CANDIDATES_MAX = 10_000_000
-"""At most this many pairs of a departure and an arrival are weighed; beyond, only the newest events
-are.
+"""Ranges of lags, seconds; baselines are given both, and the better result counts.
+
+`NARROW` holds most transit times of the simulated networks, and so has fewer spurious candidates;
+`WIDE` is the range that camtopod searches by default.
 """
+CANDIDATES_MAX = 10_000_000
+"""Most candidates a baseline weighs; beyond, only those of the newest arrivals."""
 
 
 class Crossings(NamedTuple):
-    """Departures and arrivals by time (seconds), with the index of their zone; ``zones`` names,
-    ``camera`` indices.
+    """Departures (left) and arrivals (came), each by time in seconds, with the index of their zone.
+
+    ``zones`` are names; ``camera`` is the index of each zone's camera.
     """
 
     zones: list[str]
@@ -44,29 +46,32 @@ class Crossings(NamedTuple):
 
     @property
     def between(self) -> NDArray[np.bool_]:
-        """(zones, zones) whether a pair of zones lies in two cameras, the only ones that can be
-        linked.
-        """
+        """True where two zones (zones, zones) lie in different cameras, and so may be linked."""
         result: NDArray[np.bool_] = self.camera[:, None] != self.camera[None, :]
         return result
 
 
 class Candidates(NamedTuple):
-    """Pairs (departure, arrival) within the lags, zones in two cameras, by arrival: indices, pair
-    of zones, seconds.
+    """Candidates by arrival: those within the lags whose zones lie in different cameras.
+
+    ``departure`` and ``arrival`` are indices; ``lag`` is in seconds.
     """
 
     departure: Longs
     arrival: Longs
     pair: Longs
-    """``from * zones + to``."""
+    """Pair of zones, ``from * zones + to``."""
     lag: Floats
     lags: Lags
 
 
 def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
-    """The recorded events of walkers; without positions a camera is one zone, named by its first
-    true one, and without true zones one named after it."""
+    """Return the events of objects without clutter, with their true zones.
+
+    Without positions a camera is one zone, named by its first true zone; without true zones it is
+    one zone named after the camera.
+    """
+    # Zones as the baselines take them, and the index of each true zone.
     cameras = {name: index for index, name in enumerate(truth.cameras)}
     placed = all(zone.x is not None for zone in truth.zones)
     names: list[TrueZone] = []
@@ -78,6 +83,8 @@ def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
             number[key] = len(names)
             names.append(zone)
         index.append(number[key])
+
+    # Zone of each event; clutter is dropped.
     mine = np.array(truth.identity) != CLUTTER
     if truth.zones:
         mine &= np.array(truth.zone) >= 0
@@ -85,6 +92,8 @@ def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
     else:
         names = [TrueZone(name, name) for name in truth.cameras]
         at = np.array([cameras[event.camera] for event in events], dtype=np.int64)
+
+    # Departures and arrivals, each by time.
     t, at = np.array([event.t for event in events])[mine], at[mine]
     entry = np.array([event.kind for event in events])[mine] == "entry"
     order = np.argsort(t, kind="stable")
@@ -102,14 +111,15 @@ def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
 def candidates(
     seen: Crossings, candidates_max: int = CANDIDATES_MAX, lags: Lags = NARROW
 ) -> Candidates:
-    """All candidates, or those of the newest arrivals when there are more than
-    ``candidates_max``.
-    """
+    """Return all candidates, or those of the newest arrivals if they exceed ``candidates_max``."""
+    # Departures within the lags of each arrival; counted from the newest arrival back.
     low = np.searchsorted(seen.left, seen.came - lags.high, side="left")
     high = np.searchsorted(seen.left, seen.came - lags.low, side="right")
     n = high - low
     kept = int(np.searchsorted(np.cumsum(n[::-1]), candidates_max, side="right"))
     n[: len(n) - kept] = 0
+
+    # Expand to pairs and keep those of two cameras.
     arrival = np.repeat(np.arange(len(n)), n)
     departure = np.arange(len(arrival)) + np.repeat(low - (np.cumsum(n) - n), n)
     source, target = seen.left_zone[departure], seen.came_zone[arrival]
@@ -120,8 +130,9 @@ def candidates(
 
 
 def lag_counts(seen: Crossings, found: Candidates, width: float) -> tuple[Floats, Floats]:
-    """Cross-correlation of departures and arrivals: (zones, zones, bins) pairs per lag bin, and the
-    bins' centres.
+    """Return the cross-correlation of departures and arrivals, and the centres of its bins.
+
+    The correlation (zones, zones, bins) counts the candidates in each lag bin.
     """
     (low, high), zones = found.lags, len(seen.zones)
     bins = math.ceil((high - low) / width)

@@ -1,6 +1,4 @@
-"""What a baseline says of every pair of zones, and how near the truth that is at the threshold that
-suits it best.
-"""
+"""Scores of pairs of zones by a baseline; their accuracy at the threshold that suits it best."""
 
 from __future__ import annotations
 
@@ -11,19 +9,18 @@ from msgspec import Struct
 
 from bench.baselines.crossings import Crossings
 from camtopod.arrays import Floats
-from camtopod.sim.score import TRANSIT_FLOOR_SECONDS
+from camtopod.sim.scoring import TRANSIT_FLOOR_SECONDS
 from camtopod.sim.truth import TrueLink, Truth
 
 FALSE_KEPT = 3
-"""Of each network, the best pairs are kept: this many times the true links, and no fewer than
-`KEPT_MIN`.
-"""
+"""Pairs kept of each network, as a multiple of its true links; at least `KEPT_MIN`."""
 KEPT_MIN = 100
+"""Least number of pairs that are kept of each network."""
 
 
 class Findings(Struct):
-    """Scores of pairs of zones, (zones, zones), the higher the surer; and transit times, seconds
-    (nan: unknown).
+    """Scores of pairs of zones (zones, zones), higher is surer, and transit times, seconds (or
+    nan).
     """
 
     score: Floats
@@ -31,39 +28,39 @@ class Findings(Struct):
 
 
 class Ranked(Struct):
-    """The best pairs of one network by falling score, cut to some digits: what choosing a threshold
-    needs.
-    """
+    """The best pairs of one network by falling score, rounded: input for choosing a threshold."""
 
     walked: int
-    """True links that were walked."""
+    """True links that at least one object took."""
     score: list[float]
     kind: list[int]
-    """2: a true link that was walked, 1: a true link nobody walked, 0: none."""
+    """2: a true link that was walked; 1: a true link that was never walked; 0: no link."""
     error: list[float]
-    """Error of the transit time as a share of the true one, for true links (-1: not one)."""
+    """Relative error of the transit time of true links; -1 for others."""
 
 
 class Tuned(Struct):
-    """Means over networks at one threshold."""
+    """Figures of each network at one threshold."""
 
     threshold: float
     f1: Floats
-    """(networks,)"""
+    """F1 of the links, (networks,)."""
     precision: Floats
     recall: Floats
     error: Floats
-    """(networks,) median error of the transit times; nan without links."""
+    """Median relative error of the transit times, (networks,); nan without links."""
 
 
 def rank(found: Findings, seen: Crossings, truth: Truth, everything: bool = False) -> Ranked:
-    """Hold the findings against the truth; with ``everything`` all pairs are kept.
+    """Compare findings with the ground truth; with ``everything`` all pairs are kept.
 
-    A truth without zones knows pairs of cameras only: then each camera is a zone, and the surer
-    direction counts.
+    A ground truth without zones has camera pairs only: then each camera is a zone, and the
+    direction with the higher score counts.
     """
     if not truth.zones:
         return _rank_pairs(found, truth)
+
+    # Zone of the baseline for each true zone, and the true links between them.
     index = {name: k for k, name in enumerate(seen.zones)}
     by_camera = (
         {seen.camera[k]: k for k in range(len(seen.zones))}
@@ -77,10 +74,14 @@ def rank(found: Findings, seen: Crossings, truth: Truth, everything: bool = Fals
         if link.relation != "visible":
             links[place[link.from_], place[link.to]] = link
     walked = sum(link.transitions > 0 for link in links.values())
+
+    # The best pairs by score.
     score = np.where(seen.between & np.isfinite(found.score), found.score, -np.inf).ravel()
     kept = len(score) if everything else max(KEPT_MIN, FALSE_KEPT * len(links))
     order = np.argsort(-score, kind="stable")[:kept]
     order = order[np.isfinite(score[order])]
+
+    # Rate each.
     result = Ranked(walked, [], [], [])
     for pair in order:
         u, v = divmod(int(pair), len(seen.zones))
@@ -110,7 +111,7 @@ def _rank_pairs(found: Findings, truth: Truth) -> Ranked:
 
 
 def _error(seconds: float, true: TrueLink) -> float:
-    """In the baseline's favour: against the true mode or the true median, whichever is nearer."""
+    """Return the relative error to the true mode or median, whichever is nearer (-1: unknown)."""
     if not np.isfinite(seconds):
         return -1.0
     figures = (true.transit.mode, true.transit.q50)
@@ -120,15 +121,16 @@ def _error(seconds: float, true: TrueLink) -> float:
 
 
 def at(networks: Sequence[Ranked], threshold: float) -> Tuned:
-    """Everything scored at least ``threshold`` is a link."""
+    """Return the figures if every pair scored at least ``threshold`` is a link."""
     figures = [_at(network, threshold) for network in networks]
     f1, precision, recall, error = (np.array(column) for column in zip(*figures, strict=True))
     return Tuned(threshold, f1, precision, recall, error)
 
 
 def tune(networks: Sequence[Ranked]) -> Tuned:
-    """At the threshold with the best mean F1 over the networks; above everything when there is
-    nothing to find.
+    """Return the figures at the threshold with the best mean F1 over the networks.
+
+    It is above all scores if there is nothing to find.
     """
     scores = np.unique(
         np.concatenate([np.array(network.score) for network in networks] or [np.zeros(0)])
@@ -144,7 +146,7 @@ def tune(networks: Sequence[Ranked]) -> Tuned:
 
 
 def _curve(network: Ranked, thresholds: Floats) -> Floats:
-    """F1 at each of the rising thresholds."""
+    """Return F1 at each of the rising thresholds."""
     score, kind = -np.array(network.score), np.array(network.kind)
     taken = np.searchsorted(score, -thresholds, side="right")
     found = np.concatenate(([0], np.cumsum(kind == 2)))[taken]

@@ -1,12 +1,12 @@
-"""What Frigate (MIT licence; version 0.16) does with a camera before any detector runs, written
-anew from its sources.
+"""Frigate's processing of a camera before any detector, rewritten from its sources.
 
-An ``ffmpeg`` process decodes, takes ``fps`` frames a second, scales them to the detect size and
-pipes them as raw yuv420p; they are read into a buffer; motion is looked for on the luma at 100
-rows: contrast stretched between the 4th and 96th percentile averaged over 50 frames, blurred,
-compared with a running mean, thresholded, dilated, contours. Its settings by default: 5 frames a
-second, threshold 30, contours from 10 pixels, learning rate 0.01 (0.2 at first), two threads. Left
-out, in its favour: the frame goes from process to process through shared memory and two queues.
+Frigate 0.16, MIT licence. An ``ffmpeg`` process decodes, takes ``fps`` frames a second, scales them
+to the detect size and pipes them as raw yuv420p; they are read into a buffer. Motion is detected on
+the luma at 100 rows: contrast stretched between the 4th and 96th percentile averaged over 50
+frames, blurred, compared with a running mean, thresholded, dilated, contours. Default settings: 5
+frames a second, threshold 30, contours from 10 pixels, learning rate 0.01 (0.2 at first), two
+threads. Left out, in Frigate's favour: the transfer of frames between processes through shared
+memory and two queues.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ CONTRAST_FRAMES = 50
 CALIBRATED_SHARE, CALIBRATED_BOXES = 0.05, 4
 LIGHTNING_SHARE = 0.8
 STUBBORN_FRAMES = 10
-"""Motion that lasts for so many frames is learned from all the same."""
+"""Frames of uninterrupted motion after which the running mean follows it all the same."""
 
 Box = tuple[int, int, int, int]
 
 
 class Motion:
-    """Where something moves, by a running mean."""
+    """Motion detection against a running mean."""
 
     def __init__(self, width: int, height: int) -> None:
         self._size = (ROWS * width // height, ROWS)
@@ -47,12 +47,15 @@ class Motion:
         self._calibrating = True
 
     def detect(self, luma: NDArray[np.uint8]) -> list[Box]:
-        """Left, top, right, bottom of what moves, pixels of ``luma`` (H, W)."""
+        """Return the boxes (left, top, right, bottom) that move, in pixels of ``luma`` (H, W)."""
+        # Mask of the pixels that differ from the running mean.
         small = cv2.resize(luma, self._size, interpolation=cv2.INTER_NEAREST)
         blurred = gaussian_filter(self._stretched(small), sigma=1, radius=1)
         difference = cv2.absdiff(blurred, cv2.convertScaleAbs(self._mean))
         mask = cv2.threshold(difference, THRESHOLD, 255, cv2.THRESH_BINARY)[1]
         mask = cv2.dilate(mask, np.ones((3, 3), np.uint8), iterations=1)
+
+        # Boxes of the contours.
         boxes, moving_area = [], 0.0
         for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]:
             area = cv2.contourArea(contour)
@@ -63,11 +66,15 @@ class Motion:
                     int(self._factor * value) for value in (x, y, x + width, y + height)
                 )
                 boxes.append((left, top, right, bottom))
+
+        # Calibration: fast learning at the start and after a change of light.
         share = moving_area / mask.size
         if share < CALIBRATED_SHARE and len(boxes) <= CALIBRATED_BOXES:
             self._calibrating = False
         if share > LIGHTNING_SHARE:
             self._calibrating = True
+
+        # Update the running mean.
         self._moving = self._moving + 1 if boxes else 0
         if not boxes or self._moving >= STUBBORN_FRAMES:
             rate = FIRST_LEARNING_RATE if self._calibrating else LEARNING_RATE
@@ -88,7 +95,7 @@ class Motion:
 
 
 def watch(path: Path, width: int, height: int, fps: float = FPS) -> tuple[int, int]:
-    """Frames looked at, and how many of them had motion; detect size ``width`` x ``height``."""
+    """Return the number of frames, and of frames with motion, at detect size (width, height)."""
     command = [
         "ffmpeg",
         "-nostdin",

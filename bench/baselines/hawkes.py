@@ -1,9 +1,9 @@
 """A multivariate Hawkes process: every departure raises the rate of arrivals elsewhere for a while.
 
-Fitted by EM with histogram kernels and a background that changes over the day (Lewis and Mohler, "A
-nonparametric EM algorithm for multiscale Hawkes processes", 2011). It explains indirect links away,
-but a departure may cause any number of arrivals and nobody is ever in two places. Kernels may reach
-back in time, for overlapping views.
+Fitted by EM with histogram kernels and a background rate that changes over the day (Lewis and
+Mohler, "A nonparametric EM algorithm for multiscale Hawkes processes", 2011). The model explains
+indirect links away, but allows a departure to cause any number of arrivals. Kernels may extend to
+negative lags, for overlapping views.
 """
 
 from __future__ import annotations
@@ -16,16 +16,20 @@ from camtopod.arrays import Floats
 
 ITERATIONS = 40
 SCALE_SECONDS, STEP = 4.0, 0.2
-"""Kernel bins are uniform in asinh(lag / scale)."""
+"""Scale of the lag bins, seconds, and their width: bins are uniform in asinh(lag / scale)."""
 SMOOTHING_SD_BINS = 1.5
+"""Standard deviation of the kernels' smoothing, in bins."""
 BACKGROUND_SECONDS = 900.0
+"""Length of the blocks in which the background rate is constant, seconds."""
 
 
 def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
-    """Scores: arrivals caused per departure, and how much likelier the kernel makes the arrivals,
-    nats.
+    """Return two scores of each pair: arrivals caused per departure, and log
+    likelihood gain (nats).
     """
     (low, high), zones = found.lags, len(seen.zones)
+
+    # Bins of lags, and the bin of each candidate.
     first = int(np.floor(np.arcsinh(low / SCALE_SECONDS) / STEP))
     edges = SCALE_SECONDS * np.sinh(
         STEP * np.arange(first, np.arcsinh(high / SCALE_SECONDS) / STEP + 1)
@@ -34,6 +38,8 @@ def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
     bins, widths = len(edges) - 1, np.diff(edges)
     at = np.clip(np.searchsorted(edges, found.lag, side="right") - 1, 0, bins - 1)
     key = (found.pair * bins + at).astype(np.int32)
+
+    # Candidates by arrival; the block and zone of each arrival's background.
     used = np.unique(found.arrival)
     arrival = np.searchsorted(used, found.arrival)
     starts = (
@@ -44,6 +50,8 @@ def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
     block = ((seen.came[used] - seen.came[0]) / BACKGROUND_SECONDS).astype(
         np.int64
     ) * zones + seen.came_zone[used]
+
+    # Initial kernels and background; exposure of each bin.
     exposure = (
         np.repeat(np.maximum(np.bincount(seen.left_zone, minlength=zones), 1), zones)[:, None]
         * widths
@@ -53,6 +61,8 @@ def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
     mass = np.zeros_like(rate)
     spread = _smoother(bins)
     share = np.zeros(len(key))
+
+    # EM: share of each cause of an arrival, then kernels and background.
     for _ in range(ITERATIONS):
         density = rate.ravel()[key]
         outside = background[block]
@@ -61,6 +71,8 @@ def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
         mass = np.bincount(key, share, minlength=rate.size).reshape(rate.shape)
         rate = mass @ spread / exposure
         background = np.bincount(block, outside / total) / BACKGROUND_SECONDS
+
+    # Scores, and the median lag of each kernel.
     caused = mass.sum(axis=1)
     gain = (
         np.bincount(found.pair, -np.log1p(-np.minimum(share, 1 - 1e-9)), minlength=zones * zones)
@@ -78,7 +90,7 @@ def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
 
 
 def _smoother(bins: int) -> Floats:
-    """Spreads each bin's mass over its neighbours; rows sum to 1, so mass is kept."""
+    """Return a matrix that spreads each bin's mass over its neighbours; rows sum to 1."""
     offset = np.arange(bins)[:, None] - np.arange(bins)[None, :]
     kernel: Floats = np.exp(-0.5 * (offset / SMOOTHING_SD_BINS) ** 2)
     kernel /= kernel.sum(axis=1, keepdims=True)

@@ -1,13 +1,12 @@
-"""Mutual information of departure and arrival times, correspondence unknown (Tieu, Dalley, Grimson,
-ICCV 2005).
+"""Mutual information of departure and arrival times, with unknown correspondence.
 
-Departure X and arrival Y of one object depend on each other through the transit time T = Y - X, and
-``I(X; Y) = h(Y) - h(T)``: how much better than at chance the departure tells the arrival. Who
-belongs to whom is not known; the paper samples correspondences by Markov chain Monte Carlo, one
-pair of zones at a time, with a nonparametric density of T. Here their expectation is taken by EM,
-the same model at a price that dense traffic can pay: an arrival has at most one departure, a
-departure at most one arrival, both may be unmatched. Being pairwise, it cannot tell an indirect
-link from a direct one.
+Tieu, Dalley, Grimson, "Inference of non-overlapping camera network topology by measuring
+statistical dependence", ICCV 2005. Departure X and arrival Y of one object depend on each other
+through the transit time T = Y - X, and ``I(X; Y) = h(Y) - h(T)``. The paper samples the unknown
+correspondences by Markov chain Monte Carlo, one pair of zones at a time, with a nonparametric
+density of T. Here EM takes their expectation in the same model, which is affordable in dense
+traffic: an arrival has at most one departure, a departure at most one arrival, and both may be
+unmatched. As the method is pairwise, it cannot tell an indirect link from a direct one.
 """
 
 from __future__ import annotations
@@ -20,13 +19,16 @@ from camtopod.arrays import Floats
 
 ITERATIONS = 12
 BIN_SECONDS = 2.0
+"""Width of a lag bin, seconds."""
 SMOOTHING_SD_BINS = 1.0
+"""Standard deviation of the Parzen window, in bins."""
 MATCHED_START = 0.3
-"""Share of the departures matched at first, at any lag."""
+"""Share of the departures that are matched at the start, spread evenly over the lags."""
 
 
 def information(seen: Crossings, found: Candidates) -> dict[str, Findings]:
-    """Scores: information per departure, in total, and the matched pairs' alone; nats."""
+    """Return three scores of each pair, nats: per departure, in total, and per matched pair."""
+    # Bins of lags; traffic of each zone; the keys by which candidates are summed.
     (low, high), zones = found.lags, len(seen.zones)
     span = high - low
     bins = round(span / BIN_SECONDS)
@@ -41,6 +43,8 @@ def information(seen: Crossings, found: Candidates) -> dict[str, Findings]:
     hazard = np.full((zones * zones, bins), MATCHED_START / span)
     spread = _smoother(bins)
     mass = np.zeros((zones * zones, bins))
+
+    # EM: E step (share of each candidate), M step (smoothed mass and hazard).
     for _ in range(ITERATIONS):
         left_over = (
             np.maximum(coming - mass.sum(axis=1).reshape(zones, zones), 0.05 * coming) / seconds
@@ -53,9 +57,11 @@ def information(seen: Crossings, found: Candidates) -> dict[str, Findings]:
         share = density / np.maximum(left_over.ravel()[found.pair] + rivals - density, 1e-12)
         mass = np.bincount(key, share, minlength=zones * zones * bins).reshape(-1, bins) @ spread
         hazard = mass / (np.repeat(leaving, zones)[:, None] * width)
+
+    # Information gain of each pair against a uniform lag.
     matched = mass.sum(axis=1)
     shape = np.divide(mass, matched[:, None], out=np.zeros_like(mass), where=matched[:, None] > 0)
-    gain = (shape * np.log(np.maximum(shape * bins, 1e-12))).sum(axis=1)  # h(chance) - h(T)
+    gain = (shape * np.log(np.maximum(shape * bins, 1e-12))).sum(axis=1)  # h(uniform) - h(T)
     matched, gain = matched.reshape(zones, zones), gain.reshape(zones, zones)
     centres = low + width * (np.arange(bins) + 0.5)
     transit = centres[mass.argmax(axis=1)].reshape(zones, zones)
@@ -67,7 +73,7 @@ def information(seen: Crossings, found: Candidates) -> dict[str, Findings]:
 
 
 def _smoother(bins: int) -> Floats:
-    """Parzen window over the lag bins; keeps mass."""
+    """Return a Parzen window over the lag bins that keeps the total mass."""
     offset = np.arange(bins)[:, None] - np.arange(bins)[None, :]
     kernel: Floats = np.exp(-0.5 * (offset / SMOOTHING_SD_BINS) ** 2)
     kernel /= kernel.sum(axis=1, keepdims=True)

@@ -1,10 +1,9 @@
-"""What somebody finds who is told who everybody is: predictions by a Markov chain or by the most
-frequent next camera, and how near the median of a link's transit times in the recording is to the
-true one.
+"""An oracle that is given all identities: its predictions of the next camera and its transit times.
 
-The predictors count, before the cut, which camera followed an exit at each state (a zone, or a
-camera) or that none did. They add a part of a count for every camera that ever followed anywhere
-and for leaving, so that nothing has probability zero; how much, is chosen on the truth.
+The predictors count, before the cut, which camera followed an exit in each state (a zone, or a
+camera), or that none did. Every camera that ever followed anywhere, and leaving the site, get a
+pseudo-count, so that nothing has probability zero; its size is chosen on the ground truth. With
+states that are cameras this is the most frequent next camera; with zones, a Markov chain.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.records import Event, NextCamera, Prediction
-from camtopod.sim.score import (
+from camtopod.sim.scoring import (
     TRANSIT_FLOOR_SECONDS,
     PredictionScore,
     next_entries,
@@ -25,17 +24,20 @@ from camtopod.sim.score import (
 from camtopod.sim.truth import CLUTTER, Truth
 
 PSEUDO_COUNTS = (0.5, 0.2, 0.1, 0.05, 0.02)
-"""Half a count for each of a dozen cameras is much beside a state's few exits; little is much too
-sure of them.
+"""Candidate pseudo-counts.
+
+Half a count for each of a dozen cameras is much beside the few exits of a state; too small a count
+makes the predictions overconfident.
 """
 LEAVES = ""
+"""Outcome of an exit that nothing follows: the object left the site."""
 
 
 def told_score(
     events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hashable]
 ) -> PredictionScore:
-    """How good `told` is on the events from ``cut`` on, with those of `PSEUDO_COUNTS` that have the
-    best log loss.
+    """Return the score of `told` on the events from ``cut`` on, with the best of
+    `PSEUDO_COUNTS`.
     """
     tail = replace(
         truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:]
@@ -50,11 +52,11 @@ def told_score(
 def told(
     events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hashable], pseudo_count: float
 ) -> list[Prediction]:
-    """One prediction for each exit from event ``cut`` on, from what the exits before it with the
-    same state led to.
+    """Return a prediction for each exit from event ``cut`` on, by earlier exits in its state.
 
-    ``states[i]`` is the state of event ``i``; an unknown state predicts as all exits together do.
+    ``states[i]`` is the state of event ``i``. In an unknown state all exits together are used.
     """
+    # Count what followed each state.
     following: dict[Hashable, Counter[str]] = {}
     overall: Counter[str] = Counter()
     for index, entry in enumerate(next_entries(events, truth)[:cut]):
@@ -62,6 +64,8 @@ def told(
             outcome = events[entry].camera if entry >= 0 else LEAVES
             following.setdefault(states[index], Counter())[outcome] += 1
             overall[outcome] += 1
+
+    # Predict.
     known = sorted(overall.keys() | {LEAVES})
     predictions = []
     for index in range(cut, len(events)):
@@ -78,21 +82,24 @@ def told(
 
 
 def recorded_medians(events: Sequence[Event], truth: Truth) -> Truth:
-    """The truth with each walked link's median transit time as it is in the recording, by the
-    cameras' clocks.
-    """
+    """Return the truth with the recorded median transit time of each link, by camera clocks."""
+    # Ends of each passage: (identity, passage) -> kind -> (seconds, zone).
     ends: dict[tuple[int, int], dict[str, tuple[float, int]]] = {}
     for event, who, number, zone in zip(
         events, truth.identity, truth.passage, truth.zone, strict=True
     ):
         if who != CLUTTER and zone >= 0:
             ends.setdefault((who, number), {})[event.kind] = event.t, zone
+
+    # Transit times of each link, from one passage to the object's next.
     seconds: dict[tuple[str, str], list[float]] = {}
     for (who, number), end in ends.items():
         onward = ends.get((who, number + 1), {})
         if "exit" in end and "entry" in onward:
             (left, u), (came, v) = end["exit"], onward["entry"]
             seconds.setdefault((truth.zones[u].id, truth.zones[v].id), []).append(came - left)
+
+    # Replace the medians.
     links = []
     for link in truth.links:
         times = seconds.get((link.from_, link.to))
@@ -103,10 +110,10 @@ def recorded_medians(events: Sequence[Event], truth: Truth) -> Truth:
 
 
 def transit_error(events: Sequence[Event], truth: Truth) -> float:
-    """Median over the walked links of the relative error of the median transit time of those who
-    walked it.
+    """Return the median over the walked links of the error of the recorded median transit time.
 
-    It is what so many walkers leave to chance; nan without links.
+    The error is relative to the true median. It is the sampling error that a method with all
+    identities would have; nan without links.
     """
     errors = [
         abs(recorded.transit.q50 - link.transit.q50)

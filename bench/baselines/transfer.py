@@ -1,10 +1,10 @@
 """Transfer entropy at many delays (Ito et al., "Extending transfer entropy", PLoS ONE 6(11), 2011).
 
-Departures and arrivals as binary series; for each delay d the information that a departure d ago
-gives on an arrival now beyond what the arrival series itself does, ``I(y_t; x_{t-d} | y_{t-1})``. A
-link shows as a high peak over the delays, or as a high coincidence index: the share of all the
-delays' transfer that lies around the peak. Negative delays, for overlapping views, are not transfer
-at all, but without them it would miss those links.
+Departures and arrivals are binary series. The transfer at delay d is the information that a
+departure d ago gives on an arrival now beyond the arrival series itself: ``I(y_t; x_{t-d} |
+y_{t-1})``. A link shows as a high peak over the delays, or as a high coincidence index: the share
+of the summed transfer that lies around the peak. Negative delays, for overlapping views, are no
+transfer in the paper's sense, but without them the method would miss those links.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from bench.baselines.findings import Findings
 from camtopod.arrays import Floats
 
 WIDTHS = (2.0, 4.0, 8.0)
-"""Seconds."""
+"""Bin widths of the series, seconds."""
 AROUND_SECONDS = 8.0
+"""Width of the surroundings of the peak in the coincidence index, seconds."""
 
 
 def transfer(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
-    """Scores: peak and coincidence index, for each bin width."""
+    """Return the peak, the coincidence index and their product for each bin width."""
     result = {}
     for width in WIDTHS:
         entropy, delays = by_delay(seen, width, lags)
@@ -39,7 +40,8 @@ def transfer(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
 
 
 def by_delay(seen: Crossings, width: float, lags: Lags = NARROW) -> tuple[Floats, Floats]:
-    """Transfer entropy, bits, (delays, zones, zones); and the delays, seconds."""
+    """Return the transfer entropy, bits, (delays, zones, zones), and the delays, seconds."""
+    # Series of departures (x) and arrivals (y), and their marginal counts.
     zones = len(seen.zones)
     start = min(seen.left[0], seen.came[0])
     bins = int((max(seen.left[-1], seen.came[-1]) - start) / width) + 2
@@ -49,6 +51,8 @@ def by_delay(seen: Crossings, width: float, lags: Lags = NARROW) -> tuple[Floats
     both = y.multiply(before).tocsr()
     leaves = np.asarray(x.sum(axis=0)).ravel()[:, None]
     of_y, of_both = (np.asarray(m.sum(axis=0)).ravel()[None, :] for m in (y, both))
+
+    # Joint counts at each delay.
     steps = np.arange(round(lags.low / width), round(lags.high / width) + 1)
     result: list[Floats] = []
     for step in steps:
@@ -62,7 +66,7 @@ def by_delay(seen: Crossings, width: float, lags: Lags = NARROW) -> tuple[Floats
 
 
 def _series(t: Floats, zone: NDArray[np.int64], width: float, bins: int, zones: int) -> csr_matrix:
-    """Whether anything happened, (bins, zones) of 0 and 1."""
+    """Return a series of 0 and 1, (bins, zones): 1 where at least one event happened."""
     series = csr_matrix(
         (np.ones(len(t)), ((t / width).astype(np.int64), zone)), shape=(bins, zones)
     )
@@ -71,7 +75,7 @@ def _series(t: Floats, zone: NDArray[np.int64], width: float, bins: int, zones: 
 
 
 def _shift(series: csr_matrix, steps: int) -> csr_matrix:
-    """The series so many steps later, cut to the same length."""
+    """Return the series ``steps`` bins later, cut to the same length."""
     coo = series.tocoo()
     row = coo.row + steps
     inside = (row >= 0) & (row < series.shape[0])
@@ -79,7 +83,7 @@ def _shift(series: csr_matrix, steps: int) -> csr_matrix:
 
 
 def _bits(joint: tuple[Floats, ...], total: tuple[Floats, ...]) -> Floats:
-    """Sum over outcomes of count * log2 of p(y | before, x) / p(y | before)."""
+    """Return the sum over outcomes of count * log2 of p(y | before, x) / p(y | before)."""
     result = np.zeros_like(joint[0])
     for with_x in (True, False):
         n = [j if with_x else t - j for j, t in zip(joint, total, strict=True)]

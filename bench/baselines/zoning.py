@@ -1,8 +1,8 @@
-"""Zones of one camera by other clusterings: each gives the centres of what it finds.
+"""Zones of one camera by other clusterings; each returns the centres of its clusters.
 
 k-means with k by silhouette (Rousseeuw 1987), HDBSCAN (Campello, Moulavi, Sander 2013), mean shift
-(Comaniciu, Meer 2002) and plain DaSpec with the bandwidth rule. What each leaves open (smallest
-cluster, bandwidth) is a variant, so that the best for a regime can be chosen on the truth. Needs
+(Comaniciu, Meer 2002) and plain DaSpec with the bandwidth rule. Free parameters (smallest cluster,
+bandwidth) are variants, so that the best one for a regime can be chosen on the ground truth. Needs
 scikit-learn (the ``bench`` extra).
 """
 
@@ -20,24 +20,26 @@ from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 POINTS_MAX = 1500
-"""The scikit-learn methods see at most so many of a camera's events, drawn at random."""
+"""Most events of a camera that k-means and HDBSCAN take; they are drawn at random."""
 SILHOUETTE_POINTS_MAX = 400
+"""Most events from which a silhouette is computed."""
 MEAN_SHIFT_POINTS_MAX = 500
+"""Most events that mean shift takes."""
 CLUSTERS_MAX = 8
 SILHOUETTE_MIN = 0.5
+"""Least silhouette at which more than one cluster is accepted."""
 SMALLEST_SHARES = (0.01, 0.03, 0.06)
+"""Smallest clusters of HDBSCAN, as shares of the points."""
 MEAN_SHIFT_WIDTHS = (0.04, 0.07, 0.1)
-"""Fractions of the image."""
+"""Bandwidths of mean shift, as fractions of the image."""
 MEAN_SHIFT_SHARE_MIN = 0.03
-"""Mean shift calls every outlier a cluster; those with less than this share of the points are
-none.
-"""
+"""Least share of the points in a cluster of mean shift, which makes one of every outlier."""
 DASPEC_FACTORS = (0.7, 1.0, 1.5)
-"""Times the rule's bandwidth."""
+"""Multiples of the bandwidth rule's bandwidth."""
 
 
 def methods() -> dict[str, dict[str, Callable[[Floats], Floats]]]:
-    """Method -> variant -> function from positions (n, 2) to centres (k, 2)."""
+    """Return method -> variant -> function from positions (n, 2) to centres (k, 2)."""
     return {
         "k-means": {"k by silhouette": k_means},
         "HDBSCAN": {f"smallest {s:g}": partial(hdbscan, smallest=s) for s in SMALLEST_SHARES},
@@ -47,8 +49,9 @@ def methods() -> dict[str, dict[str, Callable[[Floats], Floats]]]:
 
 
 def k_means(positions: Floats) -> Floats:
-    """k from 1 to `CLUSTERS_MAX`; one cluster when no split has a silhouette of
-    `SILHOUETTE_MIN`.
+    """Cluster with k from 1 to `CLUSTERS_MAX`, chosen by silhouette.
+
+    It is one cluster if no k has a silhouette above `SILHOUETTE_MIN`.
     """
     from sklearn.cluster import KMeans
     from sklearn.metrics import silhouette_score
@@ -67,6 +70,7 @@ def k_means(positions: Floats) -> Floats:
 
 
 def hdbscan(positions: Floats, smallest: float) -> Floats:
+    """Cluster by HDBSCAN; ``smallest`` is the share of the points in a cluster, at least."""
     from sklearn.cluster import HDBSCAN
 
     some = _some(positions, POINTS_MAX)
@@ -77,6 +81,7 @@ def hdbscan(positions: Floats, smallest: float) -> Floats:
 
 
 def mean_shift(positions: Floats, width: float) -> Floats:
+    """Cluster by mean shift with bandwidth ``width``, a fraction of the image."""
     from sklearn.cluster import MeanShift
 
     some = _some(positions, MEAN_SHIFT_POINTS_MAX)
@@ -87,6 +92,7 @@ def mean_shift(positions: Floats, width: float) -> Floats:
 
 
 def daspec(positions: Floats, factor: float) -> Floats:
+    """Cluster by plain DaSpec with ``factor`` times the bandwidth of the rule."""
     cells = np.minimum(
         (positions * (GRID_COLUMNS, GRID_ROWS)).astype(np.int64), (GRID_COLUMNS - 1, GRID_ROWS - 1)
     )
@@ -97,12 +103,13 @@ def daspec(positions: Floats, factor: float) -> Floats:
 
 
 def _centres(positions: Floats, labels: NDArray[np.int64]) -> Floats:
-    """Mean position of each label from 0 up, (labels, 2)."""
+    """Return the mean position of each label from 0 up, (labels, 2)."""
     found = [positions[labels == k].mean(axis=0) for k in np.unique(labels[labels >= 0])]
     return np.array(found).reshape(-1, 2)
 
 
 def _some(positions: Floats, most: int) -> Floats:
+    """Return at most ``most`` positions, drawn at random."""
     rng = np.random.default_rng(0)
     return (
         positions[rng.choice(len(positions), most, replace=False)]

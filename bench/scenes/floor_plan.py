@@ -1,8 +1,8 @@
 """People on an open floor (metres), and cameras that each see a piece of it in perspective.
 
-A piece is what lies inside the picture, near enough, and not behind something: a convex polygon of
-the floor. People walk from place to place along slightly curved lines; a passage is a stay of the
-foot point in the piece.
+A piece is the part of the floor that is in the picture, near enough and not hidden: a convex
+polygon. People walk from place to place along slightly curved lines. A passage is the time in which
+the foot point is in the piece.
 """
 
 from __future__ import annotations
@@ -18,30 +18,33 @@ from camtopod.arrays import Bools, Floats, Longs
 from camtopod.sim.floor import View
 
 LEG_KNOTS = 8
-"""Points between which a leg of a walk is straight."""
+"""Straight pieces of a leg of a walk."""
 BEND_SD = 0.06
-"""How far a leg bends, as a share of its length."""
+"""Spread of the bend of a leg, as a share of its length."""
 WOBBLE_METRES, SWAY_METRES = 0.15, 0.2
-"""How far from their line people walk, and how far they shift while they wait."""
+"""Spread of people's distance from their line, and of their shifts while they wait, metres."""
 WALKING_SPEED, SPEED_SD, LEG_SPEED_SD = 1.3, 0.25, 0.05
-"""Metres a second (median), its spread between people and between one person's legs (log scale)."""
+"""Median speed, m/s; its spread between people and between a person's legs (log scale)."""
 CELL_METRES = 0.5
+"""Grid on which a piece's share of the floor is measured, metres."""
 VIEW_TRIES_MAX = 2000
+"""Most views that are tried."""
 PILLAR_SHARE = 0.4
-"""Share of the cameras that do not see one of the upper corners of their picture."""
+"""Share of the cameras in whose picture an upper corner is hidden."""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A camera's piece of the floor: of the picture of ``view``, points with a x + b y <= c for all
-    ``cuts`` (m, 3)."""
+    """A camera's piece of the floor: the picture of ``view`` where a x + b y <= c for all ``cuts``
+    (m, 3).
+    """
 
     view: View
     cuts: Floats
 
     def look(self, floor: Floats) -> tuple[Floats, Bools]:
-        """Floor points (n, 2) in metres to picture fractions (n, 2), and which of them are in the
-        piece.
+        """Project floor points (n, 2), metres, to picture fractions (n, 2); and tell which are in
+        the piece.
         """
         seen = self.view.feet(floor)
         xy, depth = seen[:, :2], seen[:, 2]
@@ -51,8 +54,13 @@ class Piece:
 
 @dataclass(frozen=True)
 class Walks:
-    """Where everybody is on each frame, person after person: (n,) who, (n,) seconds, (n, 2) metres;
-    seconds between frames."""
+    """Everybody's places on each frame, person after person.
+
+    who (n,): person.
+    t (n,), seconds: time of the frame.
+    floor (n, 2), metres: place.
+    frame, seconds: time between frames.
+    """
 
     who: Longs
     t: Floats
@@ -67,14 +75,16 @@ def make_pieces(
     common: tuple[float, float],
     rng: np.random.Generator,
 ) -> list[Piece]:
-    """Cameras on the walls or ceiling over a floor of ``size`` metres: each sees a share of the
-    floor within ``share``, of which a share within ``common`` is seen by others before it, too.
+    """Place cameras on the walls or ceiling over a floor of ``size`` metres.
 
-    Raises ValueError when such cameras are not found.
+    Each sees a share of the floor within ``share``; a share within ``common`` of that is also seen
+    by earlier cameras. Raises ValueError if no such cameras are found.
     """
     cells = np.stack(
         np.meshgrid(*(np.arange(CELL_METRES / 2, side, CELL_METRES) for side in size)), -1
     ).reshape(-1, 2)
+
+    # Try random views until there are enough.
     covered = np.zeros(len(cells), dtype=bool)
     pieces: list[Piece] = []
     for _ in range(VIEW_TRIES_MAX):
@@ -92,12 +102,14 @@ def make_pieces(
 
 
 def _piece(size: tuple[float, float], name: str, rng: np.random.Generator) -> Piece | None:
-    """A camera that looks at some place on the floor; none if it would hang far outside."""
+    """Return a camera that looks at a random place; None if it would hang far outside the floor."""
     target = rng.uniform((0.0, 0.0), size)
     heading, distance = rng.uniform(-math.pi, math.pi), rng.uniform(5.0, 14.0)
     position = target - distance * np.array((math.cos(heading), math.sin(heading)))
     if (position < -1.0).any() or (position > np.array(size) + 1.0).any():
         return None
+
+    # View, cut off far away and maybe by a pillar.
     view = View(
         name,
         (float(target[0]), float(target[1])),
@@ -118,8 +130,9 @@ def _piece(size: tuple[float, float], name: str, rng: np.random.Generator) -> Pi
 def walk(
     stops: list[Floats], waits: list[float], speed: float, begin: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Knots of a walk, (k,) seconds and (k, 2) metres, from stop to stop with a wait at each (0:
-    walks on).
+    """Return the knots of a walk, (k,) seconds and (k, 2) metres, from stop to stop.
+
+    There is a wait at each stop (0: walks on).
     """
     t, times, places = begin, [np.array([begin])], [stops[0][None]]
     for (a, b), wait in zip(pairwise(stops), waits[1:], strict=True):
@@ -144,8 +157,9 @@ def walk(
 def sampled(
     knots: list[tuple[Floats, Floats]], size: tuple[float, float], frame: float, seconds: float
 ) -> Walks:
-    """Everybody's place on each frame (``frame`` seconds apart) of a recording of so many
-    seconds.
+    """Return everybody's place on each frame of a recording.
+
+    ``frame`` is the time between frames and ``seconds`` the length of the recording, in seconds.
     """
     who, t, floor = [np.zeros(0, dtype=np.int64)], [np.zeros(0)], [np.zeros((0, 2))]
     for person, (times, places) in enumerate(knots):
@@ -165,14 +179,17 @@ def sampled(
 def sightings(
     pieces: list[Piece], walks: Walks, broken_every: float, rng: np.random.Generator
 ) -> Sightings:
-    """Stays of the foot points in the pieces; a tracker loses people once in ``broken_every``
-    seconds (inf: never).
+    """Return the passages of foot points through the pieces.
+
+    A tracker loses a person once in ``broken_every`` seconds on average (inf: never).
     """
     parts = []
     for camera, piece in enumerate(pieces):
         at, inside = piece.look(walks.floor)
         if math.isfinite(broken_every):
             inside = _interrupted(walks, inside, broken_every, rng)
+
+        # First and last frame of each passage.
         stays = inside[1:] & inside[:-1] & (walks.who[1:] == walks.who[:-1])
         begins, ends = inside.copy(), inside.copy()
         begins[1:] &= ~stays
@@ -196,7 +213,7 @@ def sightings(
 
 
 def _interrupted(walks: Walks, inside: Bools, every: float, rng: np.random.Generator) -> Bools:
-    """``inside`` without the gaps in which a tracker has lost a person."""
+    """Return ``inside`` without the gaps in which a tracker has lost a person."""
     lost = np.flatnonzero(inside & (rng.random(len(inside)) < walks.frame / every))
     gap = np.ceil(rng.uniform(*GAP_SECONDS, len(lost)) / walks.frame).astype(np.int64)
     result = inside.copy()

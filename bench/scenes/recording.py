@@ -1,7 +1,7 @@
-"""From who was in which view when to what the cameras report of it: tracker faults, events, truth.
+"""From passages through views to reports of cameras: tracker faults, events, ground truth.
 
-Used by the networks in which people walk about on a plan (`hall`, `crowd`, `walkway`, `road`).
-Times in here are seconds since the recording's start; positions are fractions of the image.
+Used by the scenes in which people or vehicles move on a plan (`hall`, `crowd`, `walkway`, `road`).
+Times are seconds since the recording's start; positions are fractions of the image.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from camtopod.sim.reports import events_of
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth, transit_of
 
 PAIR_WALKS_MIN = 3
-"""Cameras are related in truth when people went from one to the other at least so often."""
+"""Least number of walks from one camera to another that relates them in the ground truth."""
 GAP_SECONDS = (0.5, 3.0)
-"""A tracker that has lost somebody takes so long to begin a new track."""
+"""Range of the time from a tracker's loss of a person until its new track, seconds."""
 GHOST_SECONDS, GHOST_SECONDS_SD = 2.0, 0.8
-"""Median and spread (log scale) of the length of clutter tracks."""
+"""Median length of clutter tracks, seconds, and its spread (log scale)."""
 GHOST_METRES_SD = 0.1
-"""How far clutter tracks go, fraction of the image."""
+"""Spread of the lengths of clutter tracks, fraction of the image."""
 
 
 class Faults(Struct, frozen=True, forbid_unknown_fields=True):
-    """What the cameras get wrong. Shares are in [0, 1)."""
+    """Faults of the cameras. Shares are in [0, 1)."""
 
     missed: float = 0.07
     """Share of the passages that are not recorded."""
     clutter: float = 0.05
-    """Share of the passages that belong to nobody."""
+    """Share of the recorded passages that belong to no object."""
     broken_every: float = 60.0
-    """A tracker loses a person once in so many seconds of view, on average."""
+    """Mean seconds in view between two losses of a person by the tracker."""
     short: float = 0.5
     """Passages of fewer seconds are not recorded."""
     noise: float = 0.01
@@ -40,8 +40,11 @@ class Faults(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Sightings(Struct):
-    """Passages as columns: (n,) people, cameras, zones (-1: not defined), times; (n, 2) positions
-    or nan.
+    """Passages as columns.
+
+    who, camera, zone_in, zone_out (n,): numbers; zones are -1 where undefined.
+    t_in, t_out (n,), seconds.
+    at_in, at_out (n, 2), fractions of the image, or nan.
     """
 
     who: Longs
@@ -54,18 +57,16 @@ class Sightings(Struct):
     zone_out: Longs
 
     def take(self, index: Longs | Bools) -> Sightings:
-        """Those at ``index`` (numbers in any order) or where it (n,) is true."""
+        """Return the passages at ``index``, numbers in any order or a mask (n,)."""
         return Sightings(*(getattr(self, name)[index] for name in self.__struct_fields__))
 
     def sorted(self) -> Sightings:
-        """By person, then by time of entry."""
+        """Return the passages by person, then by time of entry."""
         return self.take(np.lexsort((self.camera, self.t_in, self.who)))
 
 
 def check(settings: Struct, faults: Faults, positive: tuple[str, ...]) -> None:
-    """Raise ValueError for a setting that must be positive and is not, and for faults that make no
-    sense.
-    """
+    """Raise ValueError for a setting that must be positive and is not, and for invalid faults."""
     for name in positive:
         if not getattr(settings, name) > 0:
             raise ValueError(f"{name} is {getattr(settings, name)}; it must be positive")
@@ -77,14 +78,14 @@ def check(settings: Struct, faults: Faults, positive: tuple[str, ...]) -> None:
 
 
 def join(parts: list[Sightings]) -> Sightings:
-    """One table of several (at least one)."""
+    """Concatenate tables (at least one)."""
     return Sightings(
         *(np.concatenate([getattr(p, name) for p in parts]) for name in Sightings.__struct_fields__)
     )
 
 
 def clipped(seen: Sightings, on_air: list[tuple[int, float, float]]) -> Sightings:
-    """What is left of passages when cameras report only in the intervals (camera, from, to)."""
+    """Cut passages to the intervals (camera, from, to) in which cameras report."""
     parts = []
     for camera, begin, end in on_air:
         mine = seen.take((seen.camera == camera) & (seen.t_in < end) & (seen.t_out > begin))
@@ -93,7 +94,7 @@ def clipped(seen: Sightings, on_air: list[tuple[int, float, float]]) -> Sighting
 
 
 def broken(seen: Sightings, every: float, rng: np.random.Generator) -> Sightings:
-    """Passages with their tracks broken in two, on average once in ``every`` seconds of view."""
+    """Break tracks in two, on average once in ``every`` seconds of view."""
     stay = seen.t_out - seen.t_in
     split = rng.random(len(stay)) < 1 - np.exp(-stay / every)
     begin = seen.t_in + stay * rng.random(len(stay))
@@ -105,8 +106,9 @@ def broken(seen: Sightings, every: float, rng: np.random.Generator) -> Sightings
 
 
 def _cut(seen: Sightings, t_in: Floats, t_out: Floats) -> Sightings:
-    """The part of passages from ``t_in`` to ``t_out``, as if people walked straight through; in
-    mid-view is no zone.
+    """Return the part of passages from ``t_in`` to ``t_out``, as if people walked straight through.
+
+    An end in mid-view has no zone.
     """
     stay = np.maximum(seen.t_out - seen.t_in, 1e-9)
     ahead = seen.at_out - seen.at_in
@@ -125,12 +127,15 @@ def recorded(
     start: float,
     rng: np.random.Generator,
 ) -> tuple[list[Event], Truth]:
-    """Events sorted by time, and the truth.
+    """Return events sorted by time, and the ground truth.
 
-    ``walked`` is who truly was in which view when, ``seen`` what the trackers made of it. ``start``
-    is the event time (seconds since the epoch) at which the recording begins. Missed and short
-    passages and clutter are put in here.
+        walked: true passages.
+        seen: passages as the trackers see them.
+        start: event time at which the recording begins, seconds since the epoch.
+
+    Missed and short passages and clutter are applied here.
     """
+    # Drop short and missed passages, add clutter.
     seen = seen.take(seen.t_out - seen.t_in >= faults.short).sorted()
     number = _numbers(walked, seen)
     kept = rng.random(len(number)) >= faults.missed
@@ -138,6 +143,8 @@ def recorded(
     ghosts = _ghosts(seen, faults.clutter, rng)
     both = join([seen, ghosts])
     number = np.concatenate([number, np.full(len(ghosts.who), CLUTTER)])
+
+    # Events with noise, by time.
     n = len(number)
     at = np.concatenate([both.at_in, both.at_out])
     at = np.clip(at + faults.noise * rng.standard_normal(at.shape), 0.0, 1.0)
@@ -147,6 +154,8 @@ def recorded(
     events = events_of(
         cameras, np.tile(both.camera, 2), entry, t + start, at, np.tile(np.arange(n), 2), order
     )
+
+    # Ground truth.
     zones = _zones(cameras, walked)
     truth = Truth(
         schema=TRUTH_SCHEMA,
@@ -162,9 +171,7 @@ def recorded(
 
 
 def _numbers(walked: Sightings, seen: Sightings) -> Longs:
-    """The number of each seen passage within its person's walk; what was walked and not seen
-    counts, too.
-    """
+    """Return the number of each seen passage in its person's walk; unseen passages count, too."""
     both = join([walked, seen])
     order = np.lexsort((both.camera, both.t_in, both.who))
     who, camera, t_in = both.who[order], both.camera[order], both.t_in[order]
@@ -178,7 +185,7 @@ def _numbers(walked: Sightings, seen: Sightings) -> Longs:
 
 
 def _ghosts(seen: Sightings, share: float, rng: np.random.Generator) -> Sightings:
-    """Passages of nobody: at cameras and times as busy as the real ones, anywhere in the image."""
+    """Return clutter passages: cameras and times as busy as the real ones, random positions."""
     n = round(share / (1 - share) * len(seen.who))
     like = seen.take(rng.integers(0, max(len(seen.who), 1), n))
     t_in = like.t_in + rng.uniform(-30.0, 30.0, n)
@@ -192,7 +199,9 @@ def _ghosts(seen: Sightings, share: float, rng: np.random.Generator) -> Sighting
 
 
 def _pairs(cameras: list[str], walked: Sightings) -> list[Pair]:
-    """Overlapped: people in both at once; unseen path: people in the one and next in the other."""
+    """Return overlapping pairs (people in both views at once) and unseen paths (in one, then the
+    other).
+    """
     together: dict[tuple[str, str], int] = {}
     after: dict[tuple[str, str], int] = {}
     shift = 1
@@ -216,9 +225,7 @@ def _pairs(cameras: list[str], walked: Sightings) -> list[Pair]:
 
 
 def _zones(cameras: list[str], walked: Sightings) -> list[TrueZone]:
-    """One zone for each zone number in use, where people came and went through it; none if not
-    defined.
-    """
+    """Return one zone for each zone number in use, at the mean of its entries and exits."""
     zone = np.concatenate([walked.zone_in, walked.zone_out])
     camera, at = np.tile(walked.camera, 2), np.concatenate([walked.at_in, walked.at_out])
     result = []
@@ -248,7 +255,7 @@ def _zones(cameras: list[str], walked: Sightings) -> list[TrueZone]:
 def _links(
     zones: list[TrueZone], walked: Sightings, seen: Sightings, number: Longs
 ) -> list[TrueLink]:
-    """Ways from zone to zone, as walked; ``transitions`` counts those with both ends recorded."""
+    """Return the walked links; ``transitions`` counts those with both ends recorded."""
     if not zones:
         return []
     walked = walked.sorted()

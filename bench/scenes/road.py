@@ -1,6 +1,6 @@
 """Cameras along the streets of a town: vehicles without positions, in platoons from traffic lights.
 
-Vehicles mostly go straight on and never turn round, so where they came from says where they go. A
+Vehicles mostly go straight on and never turn round, so the camera before tells the next one. A
 camera sees all directions of its street or crossing and cannot tell them apart.
 """
 
@@ -20,50 +20,60 @@ from camtopod.records import Event
 from camtopod.sim.truth import Truth
 
 STREET_METRES = (200.0, 1200.0)
+"""Range of the lengths of streets, metres."""
 ONE_WAY_SHARE = 0.1
-"""Share of the arterials on which traffic goes one way."""
+"""Share of the arterials with one-way traffic."""
 STRAIGHT = 0.86
 """Share of the vehicles that go straight on at a crossing where they can."""
 CROSSING_SHARE = 0.6
 """Share of the cameras at crossings; the others are in the middle of streets."""
 BUSY_SD = 0.5
-"""How unequal the arterials' traffic is (log scale); both directions of one are alike."""
+"""Spread of the traffic between arterials (log scale); both directions of one are alike."""
 PARKS = 0.04
 """Share of the vehicles that end (and begin) their trip in a street."""
 LIGHT_SECONDS, GREEN_SHARE = (60.0, 90.0), 0.5
+"""Range of the cycle of traffic lights, seconds, and the share of it that is green."""
 HEADWAY_SECONDS = 1.8
+"""Seconds between two vehicles at a light."""
 CAR_SPEED, BUS_SPEED, SPEED_SD = 11.0, 7.0, 0.12
-"""Metres a second; the spread (log scale) is between vehicles."""
+"""Speeds, metres a second, and their spread between vehicles (log scale)."""
 BUS_SHARE, BUS_STOP_SECONDS = 0.12, 25.0
+"""Share of buses, and their mean time at a stop, seconds."""
 VIEW_METRES, CLEAR_METRES = (15.0, 40.0), 90.0
-"""How much of the street cameras see (twice that at crossings), and how far off a crossing others
-hang.
-"""
+"""Metres of street in view (twice that at crossings); least distance of others from a crossing."""
 WARM_UP_SECONDS = 600.0
+"""Simulated seconds before the recording starts, so that the streets are not empty then."""
 CROSSINGS_MAX = 60
+"""Most crossings of one trip."""
 
 Node = tuple[int, int]
+"""A crossing, or a point on the rim of the town."""
 
 
 class RoadSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """What is simulated. Times are seconds."""
+    """Settings of the simulation; times are seconds."""
 
     seed: int = 0
     per_second: float = 0.2
-    """Vehicles that begin a trip."""
+    """Vehicles that begin a trip, per second."""
     seconds: float = 7200.0
     cameras: int = 20
     grid: tuple[int, int] = (4, 5)
-    """Arterials that cross, north to south and west to east."""
+    """Arterials from north to south, and from west to east."""
     start: float = 1_700_000_000.0
     faults: Faults = Faults(missed=0.1, clutter=0.02, short=0.0)
 
 
 @dataclass(frozen=True)
 class Town:
-    """``metres`` of each directed street (from, to) between crossings or to the rim; the cameras on
-    them as (camera, metres from where it begins) and those at crossings; each crossing's lights:
-    cycle, offset in seconds."""
+    """Streets, cameras and traffic lights.
+
+    metres: length of each directed street (from, to), between crossings or to the rim.
+    cameras: cameras in streets, (camera, metres from the street's beginning).
+    crossings: cameras at crossings.
+    lights: cycle and offset of each crossing's lights, seconds.
+    view_metres: length of each camera's view, metres.
+    """
 
     metres: dict[tuple[Node, Node], float]
     cameras: dict[tuple[Node, Node], tuple[int, float]]
@@ -73,14 +83,16 @@ class Town:
 
 
 def simulate_road(settings: RoadSettings) -> tuple[list[Event], Truth]:
-    """Events sorted by time, and the truth (one zone per camera).
+    """Return events sorted by time, and the ground truth (one zone per camera).
 
-    Raises ValueError for settings that make no sense, and for more cameras than there are places.
+    Raises ValueError for invalid settings, and for more cameras than there are places.
     """
     check(settings, settings.faults, ("per_second", "seconds", "cameras"))
     structure, chance = (np.random.default_rng((settings.seed, 13, part)) for part in (1, 2))
     town = _town(settings, structure)
     names = [f"road{number + 1:02d}" for number in range(settings.cameras)]
+
+    # Passages within the recording.
     rows = _drive(town, settings, structure, chance)
     table = np.array(rows, dtype=float).reshape(-1, 4)
     table = table[(table[:, 2] >= 0) & (table[:, 3] < settings.seconds)]
@@ -92,9 +104,11 @@ def simulate_road(settings: RoadSettings) -> tuple[list[Event], Truth]:
 
 
 def _town(settings: RoadSettings, rng: np.random.Generator) -> Town:
-    """Arterials as a grid that goes on to the rim; some one way; cameras on streets drawn without
-    repetition.
+    """Return arterials as a grid that extends to the rim, with cameras at random places.
+
+    Some arterials are one-way.
     """
+    # Streets and their lengths.
     columns, rows = settings.grid
     metres: dict[tuple[Node, Node], float] = {}
     lines = [[(x, y) for y in range(-1, rows + 1)] for x in range(columns)]
@@ -111,6 +125,8 @@ def _town(settings: RoadSettings, rng: np.random.Generator) -> Town:
             metres[a, b] = length
             if not one_way:
                 metres[b, a] = length
+
+    # Places for cameras.
     crossings = sorted({node for way in metres for node in way if _inside(node, settings.grid)})
     streets = sorted(
         {
@@ -124,6 +140,8 @@ def _town(settings: RoadSettings, rng: np.random.Generator) -> Town:
         raise ValueError(
             f"{settings.cameras} cameras are too many for {columns} x {rows} arterials"
         )
+
+    # Cameras at crossings, then in streets.
     watched = {
         crossings[k]: camera
         for camera, k in enumerate(rng.permutation(len(crossings))[:at_crossings])
@@ -144,15 +162,18 @@ def _town(settings: RoadSettings, rng: np.random.Generator) -> Town:
 
 
 def _inside(node: Node, grid: tuple[int, int]) -> bool:
+    """Return True if a node is a crossing, not on the rim."""
     return 0 <= node[0] < grid[0] and 0 <= node[1] < grid[1]
 
 
 def _drive(
     town: Town, settings: RoadSettings, structure: np.random.Generator, rng: np.random.Generator
 ) -> list[tuple[int, int, float, float]]:
-    """Everybody's passages (who, camera, seconds in, seconds out); vehicles meet at the lights in
-    order of time.
+    """Return all passages (vehicle, camera, seconds in, seconds out).
+
+    Vehicles are moved in order of time, as they queue at the lights.
     """
+    # Traffic of each street.
     ways = sorted(town.metres)
     busy = np.array([(1.0 if not _inside(a, settings.grid) else PARKS) for a, _ in ways])
     arterial = {
@@ -160,6 +181,8 @@ def _drive(
         for line in range(2 * sum(settings.grid))
     }
     busy *= [arterial[a[0] if a[0] == b[0] else settings.grid[0] + a[1]] for a, b in ways]
+
+    # Vehicles and where they begin.
     n = rng.poisson(settings.per_second * (settings.seconds + WARM_UP_SECONDS))
     bus = rng.random(n) < BUS_SHARE
     speed = np.where(bus, BUS_SPEED, CAR_SPEED) * np.exp(SPEED_SD * rng.standard_normal(n))
@@ -170,6 +193,8 @@ def _drive(
         for k, way in enumerate(rng.choice(len(ways), n, p=busy / busy.sum()))
     ]
     heapq.heapify(heap)
+
+    # Move each vehicle to the next crossing.
     free: dict[tuple[Node, Node], float] = {}
     passages = []
     while heap:
@@ -201,8 +226,9 @@ def _drive(
 def _turns(
     town: Town, way: tuple[Node, Node], rng: np.random.Generator
 ) -> tuple[list[Node], Floats]:
-    """Where vehicles go at the end of a street, and their shares: mostly straight on, never
-    back.
+    """Return the next nodes at the end of a street and their shares.
+
+    Most vehicles go straight on; none turns back.
     """
     a, b = way
     straight = (2 * b[0] - a[0], 2 * b[1] - a[1])
@@ -215,8 +241,9 @@ def _turns(
 
 
 def _green(light: tuple[float, float], way: tuple[Node, Node], t: float) -> float:
-    """The first moment from ``t`` on at which a street's light is green; the two crossing streets
-    take turns.
+    """Return the first moment from ``t`` on at which a street's light is green.
+
+    The two crossing streets take turns.
     """
     cycle, offset = light
     offset += 0.0 if way[0][0] == way[1][0] else GREEN_SHARE * cycle

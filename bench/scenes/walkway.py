@@ -1,8 +1,7 @@
-"""Cameras along the walkways of a campus: few people, views far apart, recordings that begin and
-end when they like.
+"""Cameras along the walkways of a campus: few people, views far apart, recordings with gaps.
 
-The ways join the views by a tree with a few branches; most are walked through, on some people sit
-down or talk, so that the times spread widely.
+Paths join the views in a tree with a few branches. Most are walked through; on some people sit down
+or talk, so that transit times spread widely.
 """
 
 from __future__ import annotations
@@ -23,68 +22,81 @@ SIDES = (
     ((0.5, 0.97), (0.12, 0.012)),
     ((0.45, 0.42), (0.05, 0.02)),
 )
-"""Where ways cut a picture (left, right, bottom, far away): centre and standard deviations (x,
-y).
-"""
+"""Where paths cut a picture (left, right, bottom, far): centre and standard deviations (x, y)."""
 WAY_SECONDS, BROAD_SECONDS = (10.0, 90.0), 9.0
+"""Range of the transit times of paths, and transit time of a broad path, seconds."""
 BROAD_SHARE, BROAD_STOP_SECONDS = 0.35, 63.0
-"""Share of the ways that are broad, and how long people stop there at most."""
+"""Share of the paths that are broad, and how long people stop there at most, seconds."""
 VIEW_SECONDS = (5.0, 20.0)
+"""Range of the dwell times, seconds."""
 SPEED_SD, PATH_SD = 0.15, 0.06
+"""Spread of the speed between people, and of one person's between paths (log scale)."""
 STREET = -1
+"""Stands for a camera at the outer end of a path."""
 LEAVES = 0.06
-"""Share of people that go into a building on a way."""
+"""Share of the people that go into a building on a path."""
 U_TURN = 0.08
+"""Weight of turning back, as a multiple of the weights of all sides."""
 PAUSE_SHARE, PAUSE_SECONDS = 0.06, (10.0, 90.0)
-"""Share of the passages in which people stop in view, and for how long."""
+"""Share of the passages in which people stop in view, and the range of how long, seconds."""
 PASSAGES_MAX = 30
+"""Most passages of one person."""
 CLASS_SHARE, CLASS_SECONDS = 0.4, 120.0
-"""Share of people that come when a class ends, and in which time."""
+"""Share of the people that come when a class ends, and within how many seconds."""
 
 
 class WalkwaySettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """What is simulated. Times are seconds."""
+    """Settings of the simulation; times are seconds."""
 
     seed: int = 0
     walkers_per_hour: float = 225.0
     seconds: float = 2400.0
     cameras: int = 6
     together: float = 0.25
-    """Share of the walkers with somebody at their side."""
+    """Share of the walkers in pairs."""
     gaps: bool = True
-    """Whether cameras begin late, end early or fall silent in between."""
+    """Whether cameras begin late, end early or pause."""
     start: float = 1_700_000_000.0
     faults: Faults = Faults(broken_every=200.0, clutter=0.04)
 
 
 @dataclass(frozen=True)
 class Campus:
-    """``ways[camera]`` lists the ways at a camera's sides: (camera at the other end or `STREET`,
-    its side, seconds, broad); ``weight`` how many take each."""
+    """Paths between cameras.
+
+    ways[camera]: the paths at a camera's sides, (camera at the other end or `STREET`, its side,
+        seconds, broad).
+    weight[camera]: how busy each of them is.
+    """
 
     ways: list[list[tuple[int, int, float, bool]]]
     weight: list[Floats]
 
 
 def simulate_walkway(settings: WalkwaySettings) -> tuple[list[Event], Truth]:
-    """Events sorted by time, and the truth. Raises ValueError for settings that make no sense."""
+    """Return events sorted by time, and the ground truth.
+
+    Raises ValueError for invalid settings.
+    """
     check(settings, settings.faults, ("walkers_per_hour", "seconds", "cameras"))
     structure, chance = (np.random.default_rng((settings.seed, 12, part)) for part in (1, 2))
+
+    # Passages, with consecutive zone numbers.
     names = [f"way{number + 1}" for number in range(settings.cameras)]
     campus = _campus(settings.cameras, structure)
     walked = _walk(campus, settings, chance)
     zones, where = np.unique(np.concatenate([walked.zone_in, walked.zone_out]), return_inverse=True)
     walked.zone_in, walked.zone_out = where[: len(walked.who)], where[len(walked.who) :]
     assert len(zones) <= settings.cameras * len(SIDES)
+
+    # Events that cameras report.
     seen = clipped(walked, _on_air(settings, structure))
     seen = broken(seen, settings.faults.broken_every, chance)
     return recorded(names, walked, seen, settings.faults, settings.start, chance)
 
 
 def _campus(cameras: int, rng: np.random.Generator) -> Campus:
-    """A random tree of cameras, one way that closes a circle, and ways to the outside where a side
-    is left.
-    """
+    """Return a random tree of cameras, a path that closes a cycle, and paths to streets."""
     ways: list[list[tuple[int, int, float, bool]]] = [[] for _ in range(cameras)]
 
     def join(a: int, b: int) -> None:
@@ -107,8 +119,9 @@ def _campus(cameras: int, rng: np.random.Generator) -> Campus:
 
 
 def _walk(campus: Campus, settings: WalkwaySettings, rng: np.random.Generator) -> Sightings:
-    """Everybody's passages; zone ``4 * camera + side``, sides of a camera in an order of its
-    own.
+    """Return all passages; zone numbers are ``4 * camera + side``.
+
+    The sides of a camera are in random order.
     """
     streets = [
         (c, s)
@@ -119,6 +132,8 @@ def _walk(campus: Campus, settings: WalkwaySettings, rng: np.random.Generator) -
     sides = [rng.permutation(len(SIDES)) for _ in campus.ways]
     busy = rng.dirichlet(np.full(len(streets), 2.0))
     classes = rng.uniform(0.0, settings.seconds, max(1, round(settings.seconds / 900.0)))
+
+    # Walks, alone or in pairs.
     rows: list[tuple[int, int, float, float, int, int]] = []
     walkers, person = rng.poisson(settings.walkers_per_hour * settings.seconds / 3600.0), 0
     while person < walkers:
@@ -136,6 +151,8 @@ def _walk(campus: Campus, settings: WalkwaySettings, rng: np.random.Generator) -
                 for c, t_in, t_out, a, b in passages
             ]
             person += 1
+
+    # Passages as columns, within the recording.
     columns = np.array(rows, dtype=float).T
     who, camera_of, came, went = (columns[k].astype(np.int64) for k in (0, 1, 4, 5))
     t_in, t_out = columns[2], columns[3]
@@ -159,7 +176,7 @@ def _walk(campus: Campus, settings: WalkwaySettings, rng: np.random.Generator) -
 def _one(
     campus: Campus, camera: int, side: int, t: float, rng: np.random.Generator
 ) -> list[tuple[int, float, float, int, int]]:
-    """One walk: (camera, seconds in, seconds out, side in, side out) of each passage."""
+    """Return one walk: (camera, seconds in, seconds out, side in, side out) of each passage."""
     speed = float(np.exp(SPEED_SD * rng.standard_normal()))
     result: list[tuple[int, float, float, int, int]] = []
     while len(result) < PASSAGES_MAX:
@@ -181,8 +198,9 @@ def _one(
 
 
 def _on_air(settings: WalkwaySettings, rng: np.random.Generator) -> list[tuple[int, float, float]]:
-    """When the cameras record, (camera, from, to): all begin at differing times, some end early or
-    pause long.
+    """Return when cameras record, (camera, from, to).
+
+    All begin at differing times; one ends early, one pauses long, one begins late.
     """
     end = settings.seconds
     if not settings.gaps:

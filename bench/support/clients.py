@@ -1,9 +1,8 @@
-"""The other processes of `bench.ingest` and `bench.latency`: who puts, who hears, and the bare
-zenoh to compare with.
+"""The other processes of `bench.ingest`, `bench.latency` and `bench.router`: senders and receivers.
 
     python -m bench.support.clients ROLE '{"endpoint": ...}'
 
-Each prints one line of JSON at its end. The bare ones use the product's sessions, so that links and
+Each prints one line of JSON at its end. The bare ones use camtopod's sessions, so that links and
 settings are the same, and nothing else of it.
 """
 
@@ -30,23 +29,29 @@ from camtopod.records import Ack, Event, Prediction
 from camtopod.serve.bus.session import Bus, dial, meet
 
 PREFIX = "camtopo/site"
+"""Key prefix of a site on the bus."""
 ACK_SECONDS = 0.2
+"""Interval of the bare receiver's acknowledgements, seconds."""
 WINDOW_EVENTS = 40_000
-"""So many may be put and not acknowledged; fewer than the daemon's inbox holds."""
+"""Most events in flight (not acknowledged); fewer than the daemon's inbox holds."""
 QUIET_SECONDS = 300.0
-"""After so long without an acknowledgement something has been lost."""
+"""Longest wait for an acknowledgement; after it events count as lost."""
 START_SECONDS = 300.0
-"""For a daemon to make its first version."""
+"""Longest wait for a daemon to make its first version, seconds."""
 ENDED = b"ended"
+"""Payload that ends a round, and the boot of acknowledgements by the bare receiver."""
 
 
 def put_paced(endpoint: str, events: str, bare: bool) -> dict[str, Any]:
-    """Put events when they are due, stamped with the time of the put; if ``bare`` as many bytes
-    with the time first.
+    """Publish events when they are due, stamped with the time of publication.
+
+    If ``bare``, payloads have the same size, but consist of the time, the kind and padding.
     """
     bus = _dialled(endpoint)
     batch = _read(events)
     puts = _publishers(bus, batch)
+
+    # Publish each at its time.
     begun = time.time() + 0.2
     late = []
     for event in batch:
@@ -60,6 +65,8 @@ def put_paced(endpoint: str, events: str, bare: bool) -> dict[str, Any]:
             payload = _framed(now, event.kind == "exit", len(payload))
         puts[event.camera].put(payload)
         late.append(now - due)
+
+    # End the round.
     time.sleep(1.0)
     bus._session.put(f"{PREFIX}/bench/ended", ENDED)
     bus.close()
@@ -67,9 +74,11 @@ def put_paced(endpoint: str, events: str, bare: bool) -> dict[str, Any]:
 
 
 def put_flood(endpoint: str, events: str, window: int = WINDOW_EVENTS) -> dict[str, Any]:
-    """Put as fast as the window lets; the rate until all is acknowledged."""
+    """Publish as fast as the window allows; return the seconds until all is acknowledged."""
     bus = _dialled(endpoint)
     batch = _read(events)
+
+    # Prepare numbered messages.
     boot = f"boot-{time.time()}"
     seqs = dict.fromkeys({event.camera for event in batch}, 0)
     messages = []
@@ -79,6 +88,8 @@ def put_flood(endpoint: str, events: str, window: int = WINDOW_EVENTS) -> dict[s
         seq = seqs[event.camera] = seqs[event.camera] + 1
         numbered = msgspec.structs.replace(event, t=event.t + later, boot=boot, seq=seq)
         messages.append((puts[event.camera], to_pack(numbered)))
+
+    # Count acknowledgements.
     stored = dict.fromkeys(seqs, 0)
     acked, changed = [0, 0.0], threading.Condition()
 
@@ -95,6 +106,8 @@ def put_flood(endpoint: str, events: str, window: int = WINDOW_EVENTS) -> dict[s
 
     subscriber = bus._session.declare_subscriber(f"{PREFIX}/ack/*", on_ack)
     time.sleep(1.0)
+
+    # Publish; wait whenever the window is full.
     begun = time.monotonic()
     for number, (publisher, message) in enumerate(messages):
         if number % 256 == 0 and number - acked[0] > window:
@@ -103,6 +116,8 @@ def put_flood(endpoint: str, events: str, window: int = WINDOW_EVENTS) -> dict[s
                 if not changed.wait_for(lambda wanted=wanted: acked[0] >= wanted, QUIET_SECONDS):  # type: ignore[misc]
                     break
         publisher.put(message)
+
+    # Wait for the rest.
     put = time.monotonic()
     with changed:
         changed.wait_for(lambda: acked[0] >= len(messages), QUIET_SECONDS)
@@ -112,9 +127,7 @@ def put_flood(endpoint: str, events: str, window: int = WINDOW_EVENTS) -> dict[s
 
 
 def sink(endpoint: str, ready: str, dials: bool = False) -> dict[str, Any]:
-    """zenoh + msgspec doing nothing: decodes every event, counts, says how many from time to
-    time.
-    """
+    """Receive and decode every event with bare zenoh and msgspec; publish the count regularly."""
     bus = _dialled(endpoint) if dials else meet(_config(listen=endpoint))
     decoder, count, done = msgspec.msgpack.Decoder(Event), [0], threading.Event()
 
@@ -133,7 +146,7 @@ def sink(endpoint: str, ready: str, dials: bool = False) -> dict[str, Any]:
 
 
 def router(endpoint: str, ready: str) -> dict[str, Any]:
-    """A meeting point and nothing else; the processor time that took."""
+    """Run a router without anything else; return its processor time."""
     bus, done = meet(_config(listen=endpoint)), threading.Event()
     _end_with_input(done)
     _say_ready(bus, ready)
@@ -145,7 +158,7 @@ def router(endpoint: str, ready: str) -> dict[str, Any]:
 
 
 def echo(endpoint: str, ready: str, size: int) -> dict[str, Any]:
-    """A bare answer of ``size`` bytes to every exit."""
+    """Answer every exit with ``size`` bytes, by bare zenoh."""
     bus = meet(_config(listen=endpoint))
     session, done, filling = bus._session, threading.Event(), bytes(size - 8)
 
@@ -166,9 +179,7 @@ def echo(endpoint: str, ready: str, size: int) -> dict[str, Any]:
 
 
 def hear(endpoint: str, ready: str, bare: bool) -> dict[str, Any]:
-    """How long after its exit each prediction came, milliseconds in order; until the putting has
-    ended.
-    """
+    """Return the delays from exits to their predictions, ms, until the sender has ended."""
     bus = _dialled(endpoint)
     decoder, done = msgspec.msgpack.Decoder(Prediction), threading.Event()
     heard: list[tuple[float, bytes]] = []
@@ -192,24 +203,24 @@ def hear(endpoint: str, ready: str, bare: bool) -> dict[str, Any]:
 
 
 def status_of(endpoint: str) -> Status:
-    """The daemon's status now."""
+    """Return the daemon's status."""
     with _dialled(endpoint) as bus:
         return msgspec.msgpack.decode(bus.ask("status/daemon")[0][1], type=Status)
 
 
 def learned_status(endpoint: str) -> Status:
-    """The daemon's status when it has a version of its epoch and nothing waits to be learned."""
+    """Return the daemon's status once it has a version of its epoch and no event waits."""
     deadline = time.monotonic() + START_SECONDS
     while (status := status_of(endpoint)).learner.version == 0 or status.events.waiting:
         if time.monotonic() > deadline:
-            raise TimeoutError(f"the daemon does not learn: {status}")
+            raise TimeoutError(f"the daemon has not learned all events in time: {status}")
         time.sleep(0.5)
     return status
 
 
 @contextmanager
 def client(role: str, folder: Path, **given: Any) -> Iterator[subprocess.Popen[str]]:
-    """Run a role in a process of its own; one that is heard of when it is ready is waited for."""
+    """Run a role in a process of its own; wait until it is ready, if the role reports that."""
     if role in ("sink", "echo", "hear", "router"):
         given["ready"] = str(folder / f"{role}-{time.monotonic_ns()}")
     command = [sys.executable, "-m", "bench.support.clients", role, json.dumps(given)]
@@ -227,7 +238,10 @@ def client(role: str, folder: Path, **given: Any) -> Iterator[subprocess.Popen[s
 
 
 def result(process: subprocess.Popen[str]) -> dict[str, Any]:
-    """Wait for a client's end and read what it found; one that works until it is told is told."""
+    """Wait for a client's end and return its result.
+
+    Closing its input ends the roles that run until then.
+    """
     out, _ = process.communicate()
     if process.returncode:
         raise RuntimeError(f"a client failed: {process.args!r}")
@@ -236,7 +250,7 @@ def result(process: subprocess.Popen[str]) -> dict[str, Any]:
 
 
 def write_events(path: Path, events: Sequence[Event]) -> str:
-    """For another process to put."""
+    """Write events to a file for another process to publish."""
     path.write_bytes(msgspec.msgpack.encode(events))
     return str(path)
 
@@ -268,20 +282,22 @@ def _framed(now: float, is_exit: bool, size: int) -> bytes:
 
 
 def _say_ready(bus: Bus, path: str) -> None:
-    """By writing where it is reached, all at once."""
+    """Report readiness by writing the endpoint to a file, atomically."""
     made = Path(f"{path}.made")
     made.write_text(bus.endpoint)
     made.rename(path)
 
 
 def ready_at(process: subprocess.Popen[str]) -> str:
-    """Where a client that listens is reached."""
+    """Return the endpoint of a client that listens."""
     arguments = process.args
     assert isinstance(arguments, list)
     return Path(json.loads(str(arguments[-1]))["ready"]).read_text()
 
 
 def _end_with_input(done: threading.Event) -> None:
+    """Set ``done`` when the standard input is closed."""
+
     def wait() -> None:
         sys.stdin.read()
         done.set()
@@ -297,6 +313,7 @@ ROLES: dict[str, Any] = {
     "hear": hear,
     "router": router,
 }
+"""Functions by role; each takes the fields of the JSON argument."""
 
 if __name__ == "__main__":
     print(json.dumps(ROLES[sys.argv[1]](**json.loads(sys.argv[2]))))

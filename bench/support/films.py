@@ -1,5 +1,4 @@
-"""Made-up films of a fixed camera, H.264 as such cameras send it: people on a textured floor, noise
-of the sensor.
+"""Rendered films of a fixed camera: people on a textured floor, with sensor noise, as H.264.
 
 Needs the ``ffmpeg`` program with libx264.
 """
@@ -17,39 +16,46 @@ from numpy.typing import NDArray
 Picture = NDArray[np.uint8]
 
 FPS = 25
+"""Frames a second."""
 KEY_FRAME_EVERY = 50
+"""Frames from one key frame to the next."""
 NOISE_SD = 1.5
-"""Of the sensor, grey levels, each colour."""
+"""Standard deviation of the sensor's noise, grey levels, in each colour."""
 NOISE_PICTURES = 16
+"""Noise pictures that are rendered and then drawn from."""
 CROSSING_SECONDS = 9.0
+"""Time in which a walker crosses the picture, seconds."""
 STRIDE_HEIGHTS = 0.45
+"""Length of a stride, in heights of the walker."""
 CRF = 20
-"""x264's quality; with it a busy film has about the bit rate that cameras are set to (1080p: 2 to 4
-Mbit/s).
+"""Quality setting of x264.
+
+With it a busy film has about the bit rate that cameras are set to (1080p: 2 to 4 Mbit/s).
 """
 ENCODER = ("-c:v", "libx264", "-preset", "veryfast", "-profile:v", "main", "-bf", "0")
+"""ffmpeg options of the encoder."""
 _SUBPIXEL = 4
 """Fractional bits of drawing coordinates."""
 
 
 class Walker(NamedTuple):
-    """Crosses the picture from one side to the other, again and again."""
+    """A person who crosses the picture from one side to the other, again and again."""
 
     foot_row: float
-    """Of the picture's height."""
+    """Row of the feet, fraction of the picture's height."""
     tall: float
-    """Of the picture's height."""
+    """Height of the person, fraction of the picture's height."""
     starts: float
-    """Seconds."""
+    """Start of the first crossing, seconds."""
     pause: float
-    """Seconds from leaving until coming again."""
+    """Seconds from leaving the picture until entering it again."""
     rightwards: bool
     clothes: tuple[int, ...]
-    """Two colours after each other."""
+    """Colours of coat and trousers, one after the other."""
 
 
 def people(many: int, pause: float, seed: int) -> list[Walker]:
-    """``many`` walkers; further down they are taller, as if nearer."""
+    """Return ``many`` walkers; those further down in the picture are taller, as if nearer."""
     rng = np.random.default_rng(seed)
     result = []
     for number in range(many):
@@ -61,7 +67,7 @@ def people(many: int, pause: float, seed: int) -> list[Walker]:
 
 
 def floor(width: int, height: int, seed: int) -> Picture:
-    """An empty scene (H, W, 3): slabs with seams under patches of all sizes."""
+    """Return an empty scene (H, W, 3): slabs with seams under patches of all sizes."""
     rng = np.random.default_rng(seed)
     picture = np.full((height, width, 3), (128, 138, 144), dtype=np.float32)
     for cell, contrast in (
@@ -93,8 +99,9 @@ def film(
     crf: int = CRF,
     seed: int = 1,
 ) -> Path:
-    """Write an H.264 film of ``size`` (width, height) at `FPS`; returns ``path``. Raises OSError
-    without ffmpeg.
+    """Write an H.264 film of ``size`` (width, height) at `FPS` and return its path.
+
+    Raises OSError if ffmpeg fails.
     """
     width, height = size
     empty = floor(width, height, seed)
@@ -102,6 +109,8 @@ def film(
     noise = [
         rng.normal(0, NOISE_SD, empty.shape).round().astype(np.int8) for _ in range(NOISE_PICTURES)
     ]
+
+    # Options of ffmpeg.
     raw = [
         "-f",
         "rawvideo",
@@ -125,6 +134,8 @@ def film(
         str(path),
     ]
     command = ["ffmpeg", "-loglevel", "error", "-y", *raw, *encode]
+
+    # Draw and encode.
     with subprocess.Popen(command, stdin=subprocess.PIPE) as encoder:
         assert encoder.stdin is not None
         for frame in range(round(seconds * FPS)):
@@ -139,10 +150,12 @@ def film(
 
 
 def draw(picture: NDArray[Any], walker: Walker, t: float) -> None:
-    """Draw the walker where he is at ``t`` seconds, if he is in the picture."""
+    """Draw the walker at ``t`` seconds, if in the picture."""
     share = (t - walker.starts) % (CROSSING_SECONDS + walker.pause) / CROSSING_SECONDS
     if t < walker.starts or share > 1.0:
         return
+
+    # Position and step.
     height, width = picture.shape[:2]
     tall = walker.tall * height
     margin = 0.2 * tall

@@ -1,4 +1,4 @@
-"""Work done by several processes, or in this one."""
+"""Run a function over many tasks, in several processes or in this one."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ _Result = TypeVar("_Result")
 
 
 def done(work: Callable[[_Task], _Result], tasks: Sequence[_Task], jobs: int) -> list[_Result]:
-    """What ``work`` makes of each task, in their order, by so many processes. They are started
-    anew: one that is forked from a process with threads may wait for ever.
+    """Return ``work(task)`` for each task, in order, computed by ``jobs`` processes.
+
+    Processes are spawned: one forked from a process with threads may deadlock.
     """
     if jobs <= 1:
         return list(map(work, tasks))

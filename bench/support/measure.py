@@ -1,5 +1,7 @@
-"""One network measured: ours as it learns online, in one fit and as it serves, and every baseline;
-for `bench.quality`."""
+"""Measure one network for `bench.quality`: camtopod in three modes, and every baseline.
+
+The modes are `OURS`: fed event by event (online), as it is served (live), and in one fit (batch).
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Prediction, Topology, Zone
-from camtopod.sim.score import (
+from camtopod.sim.scoring import (
     COVERED_SDS,
     ZONE_TOLERANCE,
     PredictionScore,
@@ -39,13 +41,15 @@ from camtopod.sim.score import (
 from camtopod.sim.truth import Truth
 
 TRAIN_SHARE = 0.7
-"""Predictions are scored on the events after this share of them, by what was learned before."""
+"""Share of the events that are learned before predictions on the rest are scored."""
 WARM_EVENTS = 5000
 """Events before the cut that a predictor observes first; it remembers 2,000 of each kind."""
 CLOCK_SECONDS_MAX = 0.5
-"""The issue's tolerance of clock offsets."""
+"""Tolerated error of a clock offset, seconds."""
 OURS = ("online", "live", "batch")
+"""Modes in which camtopod is measured."""
 GROUPS = (*OURS, "baselines")
+"""Groups of methods that are measured together."""
 
 LINK_METHODS: dict[str, Callable[..., Any]] = {
     "closest pairs (thesis)": closest,
@@ -55,25 +59,26 @@ LINK_METHODS: dict[str, Callable[..., Any]] = {
     "anonymous Markov (least squares)": anonymous,
     "Hawkes process": hawkes,
 }
+"""Baselines for links, by the name and paper that the tables show."""
 TAKE_CANDIDATES = (correlation, information, hawkes)
+"""Baselines whose second argument is the candidates."""
 TAKE_LAGS = (transfer, anonymous)
+"""Baselines whose second argument is the range of lags."""
 
 
 class Record(Struct, omit_defaults=True):
-    """What one method came to on one network. ``ranked``: per variant, what choosing its threshold
-    needs.
-    """
+    """Figures of one method on one network; ``ranked`` by variant, for choosing its threshold."""
 
     regime: str
     seed: int
     method: str
     seconds: float
-    """Of processor time: other work on the machine does not count."""
+    """Processor time, seconds: other work on the machine does not count."""
     figures: dict[str, float | None] = {}
     ranked: dict[str, Ranked] = {}
 
     def get(self, name: str) -> float:
-        """A figure; nan where there is none."""
+        """Return a figure; nan if there is none."""
         value = self.figures.get(name)
         return math.nan if value is None else value
 
@@ -86,7 +91,7 @@ def measure(
     truth: Truth,
     settings: Settings | None = None,
 ) -> list[Record]:
-    """All records of one of `GROUPS`, learned with ``settings`` (default: those by default)."""
+    """Return all records of one of `GROUPS`, learned with ``settings`` (default: `Settings`)."""
     if group == "baselines":
         return baselines(regime, seed, events, truth)
     settings = settings or Settings()
@@ -106,8 +111,11 @@ def measure(
 
 
 def learn(events: Sequence[Event], learner: Learner) -> tuple[Topology, Topology, float]:
-    """The last version, what the last version would have been at `TRAIN_SHARE` of the events, and
-    the seconds for the former. Events are fed as `camtopod learn` feeds them."""
+    """Learn all events and return the last version, the version at the cut, and processor seconds.
+
+    The version at the cut is made by a copy of the learner that has received `TRAIN_SHARE` of the
+    events; its time does not count. Events are fed as `camtopod learn` feeds them.
+    """
     head = None
     cut = int(TRAIN_SHARE * len(events))
     aside, started = 0.0, time.process_time()
@@ -128,11 +136,13 @@ def learn(events: Sequence[Event], learner: Learner) -> tuple[Topology, Topology
 
 
 def network_figures(topology: Topology, truth: Truth, events: Sequence[Event]) -> dict[str, float]:
-    """Zones, links, relations and clocks; only what the truth knows of."""
+    """Return the figures of zones, links, relations and clocks, as far as the truth has them."""
     result = score(topology, by_their_clocks(truth))
     figures: dict[str, float] = {"links_learned": result.links_learned}
     if truth.pairs:
         figures |= {"relation_right": result.relation_right, "pair_f1": result.pair_f1}
+
+    # Clock offsets.
     if any(truth.clock_offsets.values()):
         signed = clock_errors(topology, truth)
         errors = [abs(error) for error in signed.values()]
@@ -143,12 +153,16 @@ def network_figures(topology: Topology, truth: Truth, events: Sequence[Event]) -
         figures["clock_error"] = max(errors, default=math.nan)
         figures["clock_error_mean"] = float(np.mean(errors))
         figures["clocks_right"] = float(np.mean([error <= CLOCK_SECONDS_MAX for error in errors]))
+
+    # Zones, and links by mistake.
     if truth.zones:
         figures |= {"zones_true": result.zones_true, "zones_learned": result.zones_learned}
         figures |= {"links_true": result.links_true, "false_links": result.links_false}
         figures["silent"] = float(result.links_false == 0)
         if all(zone.x is not None for zone in truth.zones):
             figures["zones_right"] = result.cameras_right / result.cameras
+
+    # Links and transit times.
     if result.links_true:
         figures |= {
             "precision": result.link_precision,
@@ -170,9 +184,7 @@ def network_figures(topology: Topology, truth: Truth, events: Sequence[Event]) -
 
 
 def by_their_clocks(truth: Truth) -> Truth:
-    """The truth with the transit times as two cameras' own clocks have them, which is how they are
-    learned.
-    """
+    """Return the truth with transit times by the clocks of the two cameras, as they are learned."""
     offset = {zone.id: truth.clock_offsets.get(zone.camera, 0.0) for zone in truth.zones}
     links = []
     for link in truth.links:
@@ -185,9 +197,7 @@ def by_their_clocks(truth: Truth) -> Truth:
 
 
 class Predicted(NamedTuple):
-    """One prediction for each exit after the cut, processor seconds for all, and the version known
-    at the cut.
-    """
+    """Predictions for the exits after the cut, their processor seconds, the version at the cut."""
 
     made: list[Prediction]
     seconds: float
@@ -195,7 +205,7 @@ class Predicted(NamedTuple):
 
 
 def predict(head: Topology, events: Sequence[Event]) -> Predicted:
-    """Predictions by what was known at the cut, all events before each known."""
+    """Predict each exit after the cut with the version of the cut; all before it is observed."""
     cut = int(TRAIN_SHARE * len(events))
     predictor = Predictor(head)
     made: list[Prediction] = []
@@ -208,9 +218,11 @@ def predict(head: Topology, events: Sequence[Event]) -> Predicted:
 
 
 def serve(events: Sequence[Event], settings: Settings) -> tuple[Topology, Predicted, float]:
-    """As it is in service: each exit after the cut is predicted by the newest version published by
-    then, and nothing is learned but what falls due by itself. The newest version in the end, the
-    predictions, and seconds to learn."""
+    """Learn and predict as in service; return the last version, predictions, and seconds to learn.
+
+    Each exit after the cut is predicted by the newest version published by then; versions are made
+    only when they fall due.
+    """
     cut = int(TRAIN_SHARE * len(events))
     learner, predictor, head = Learner(settings), None, None
     made: list[Prediction] = []
@@ -224,10 +236,14 @@ def serve(events: Sequence[Event], settings: Settings) -> tuple[Topology, Predic
             if index >= cut and event.kind == "exit":
                 made.append(predictor.predict(event))
             predictor.observe(event)
+
+        # Time of the predictor, which does not count as learning.
         if index < cut:
             observing += time.process_time() - paused
         else:
             predicting += time.process_time() - paused
+
+        # Learn; follow new versions.
         learner.receive(event)
         for version in learner.updates():
             predictor = predictor.follow(version) if predictor else Predictor(version)
@@ -240,8 +256,9 @@ def serve(events: Sequence[Event], settings: Settings) -> tuple[Topology, Predic
 def prediction_figures(
     predicted: Predicted, events: Sequence[Event], truth: Truth
 ) -> dict[str, float]:
-    """Predictions after the cut, beside a chain told identities up to the cut, on the zones that
-    were known there.
+    """Score predictions after the cut, beside an oracle on the zones of the version at the cut.
+
+    The oracle is a Markov chain that is given the identities up to the cut.
     """
     cut = int(TRAIN_SHARE * len(events))
     tail = msgspec.structs.replace(
@@ -271,9 +288,11 @@ def prediction_figures(
 
 
 def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
-    """Links, or pairs of cameras, and zones where the truth knows them; predictions by who is told
-    identities.
+    """Return the records of the baselines for zones and links, and of oracles for predictions.
+
+    Links are of camera pairs where the truth has no zones.
     """
+    # Oracles: next camera and transit times.
     cut = int(TRAIN_SHARE * len(events))
     cameras = [event.camera for event in events]
     chains: dict[str, Sequence[Hashable]] = {"most frequent next camera": cameras}
@@ -290,6 +309,8 @@ def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> 
     if truth.zones:
         told_error = _plain({"median_error": transit_error(events, truth)})
         records.append(Record(regime, seed, "transit: told identities", 0.0, told_error))
+
+    # Links and zones.
     if truth.zones or truth.pairs:
         records += links(regime, seed, events, truth)
     if truth.zones and all(zone.x is not None for zone in truth.zones):
@@ -298,7 +319,7 @@ def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> 
 
 
 def links(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
-    """Every baseline for links, in either range of lags."""
+    """Return a record of every baseline for links, in both ranges of lags."""
     seen = crossings(events, truth)
     found = [candidates(seen, lags=lags) for lags in (NARROW, WIDE)]
     records = []
@@ -320,9 +341,7 @@ def links(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list
 def by_range(
     method: Callable[..., Any], seen: Crossings, found: Sequence[Candidates]
 ) -> dict[str, Findings]:
-    """What a method finds among the candidates of each range of lags; by variant and range, if it
-    looks at any.
-    """
+    """Return the findings of a method by variant, and by range of lags if it depends on that."""
     if method not in (*TAKE_CANDIDATES, *TAKE_LAGS):
         return dict(method(seen))
     result: dict[str, Findings] = {}
@@ -336,7 +355,7 @@ def by_range(
 
 
 def zones(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
-    """Every clustering: per variant the share of cameras with exactly the true zones."""
+    """Return a record of every clustering: by variant, the share of cameras with the true zones."""
     positions: dict[str, list[tuple[float, float]]] = {}
     for event in events:
         if event.x is not None and event.y is not None:
@@ -358,6 +377,7 @@ def zones(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list
 
 
 def _zones_right(centres: np.ndarray[Any, Any], camera: str, truth: Truth) -> bool:
+    """Return True if a camera has exactly its true zones, within the tolerance."""
     true = [zone for zone in truth.zones if zone.camera == camera]
     made = [
         Zone(f"{camera}/{k}", camera, 1, 1, float(x), float(y)) for k, (x, y) in enumerate(centres)
@@ -378,5 +398,5 @@ def _of_predictions(result: PredictionScore, prefix: str) -> dict[str, float]:
 
 
 def _plain(figures: dict[str, float]) -> dict[str, float | None]:
-    """For JSON, which has no nan."""
+    """Replace nan by None, as JSON has no nan."""
     return {name: None if math.isnan(value) else float(value) for name, value in figures.items()}

@@ -1,9 +1,9 @@
-"""The thesis's test for overlapped views (table 4.4) over a matrix of transit times.
+"""The thesis's test for overlapping views (table 4.4) over a matrix of transit times.
 
-Zones A and B lie in one camera, C in another. When going from A to B takes as long as going from A
-to C and on to B, an object passes C while it is in the first camera's view: the views overlap.
-Linked cameras without such a triple have an unseen path between them, and cameras without any link
-are not related.
+Zones A and B lie in one camera, C in another. If going from A to B takes as long as going from A to
+C and on to B, an object passes C while it is in the first camera's view: the views overlap. Linked
+cameras without such a triple have an unseen path between them; cameras without a link are not
+related.
 """
 
 from __future__ import annotations
@@ -39,17 +39,18 @@ class OverlapRow(NamedTuple):
 def overlap_rows(
     transit: ArrayLike, camera_of_zone: ArrayLike, tolerance: float
 ) -> list[OverlapRow]:
-    """Every triple that shows an overlap, ordered by (A, B, C).
+    """Return every triple that shows an overlap, ordered by (A, B, C).
 
-    ``transit`` (n, n): seconds from a zone to another, 0 where there is no link; ``camera_of_zone``
-    (n,).
+        transit (n, n): seconds from a zone to another, 0 where there is no link.
+        camera_of_zone (n,): camera of each zone.
+        tolerance (seconds): largest ``error`` of a triple.
 
-    Which of the symmetric candidates are listed: tables 5.3 and 5.4 have each pair {A, B} once,
-    with A < B (the thesis's graph is undirected), and each camera in both roles, so cameras 3 and 4
-    have two rows in table 5.3, and five of table 5.4's pairs appear in one role only because the
-    other fails the test. All three links must exist. The sum is taken along the way A -> C -> B, as
-    table 4.4 has it; where that fails, B -> C -> A is tried, for a matrix of measured times need
-    not be symmetric. With table 5.2 and T = 0.200 this gives exactly table 5.3.
+    Of symmetric candidates, tables 5.3 and 5.4 list each pair {A, B} once, with A < B (the thesis's
+    graph is undirected), and each camera in both roles. So cameras 3 and 4 have two rows in table
+    5.3, and five of table 5.4's pairs appear in one role only because the other fails the test. All
+    three links must exist. The sum is taken along A -> C -> B, as in table 4.4; if that fails,
+    along B -> C -> A, as a matrix of measured times need not be symmetric. With table 5.2 and T =
+    0.200 the result is exactly table 5.3.
     """
     times = np.asarray(transit, dtype=np.float64)
     cameras = np.asarray(camera_of_zone, dtype=np.intp)
@@ -70,6 +71,7 @@ def overlap_rows(
 def _row(
     times: Floats, cameras: NDArray[np.intp], a: int, b: int, c: int, tolerance: float
 ) -> OverlapRow | None:
+    """Return the row of a triple, or None if it fails the test or lacks a link."""
     direct, there, on = float(times[a, b]), float(times[a, c]), float(times[c, b])
     if 0.0 in (direct, there, on) or not sum_rule(direct, there, on, tolerance):
         return None

@@ -1,8 +1,8 @@
-"""Contestants measured in turns in one run, and what each cost as a ratio to a named one of them.
+"""Measure contestants in turns in one run, and compare the cost of each with a baseline's.
 
-The machine is shared, so absolute times mean little: every round measures each contestant once, in
-an order that rotates, and a ratio is taken within its round. Reported are medians and quartiles
-over the rounds.
+On a shared machine absolute times mean little: every round measures each contestant once, in an
+order that rotates, and ratios are taken within a round. Reported are medians and quartiles over the
+rounds.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from typing import Any
 from msgspec import Struct, to_builtins
 
 WARM_ROUNDS = 1
-"""Measured first and thrown away: files come into the cache, libraries are loaded."""
+"""Rounds that are measured first and dropped: they fill file caches and load libraries."""
 
 
 class Spread(Struct):
-    """Median and quartiles; with fewer than three values, the least and the largest."""
+    """Median and quartiles; with fewer than three values the quartiles are minimum and maximum."""
 
     median: float
     low: float
@@ -33,28 +33,26 @@ class Spread(Struct):
 
 
 class Row(Struct):
-    """One contestant. ``cost`` in the table's unit; ``ratio`` to the baseline's, paired by
-    round.
-    """
+    """One contestant: ``cost`` in the table's unit, ``ratio`` to the baseline's by round."""
 
     name: str
     cost: Spread
     ratio: Spread
     at_most: float | None = None
-    """The ratio to reach ..."""
+    """Target: largest ratio."""
     at_least: float | None = None
-    """... where the other is the baseline, and so to be beaten."""
+    """Target: least ratio, where the baseline of the table is the method to be measured."""
 
     @property
     def reached(self) -> bool | None:
-        """Whether the median ratio is within ``at_most`` or ``at_least``; None without either."""
+        """True if the median ratio is within ``at_most`` or ``at_least``; None without either."""
         if self.at_least is not None:
             return self.ratio.median >= self.at_least
         return None if self.at_most is None else self.ratio.median <= self.at_most
 
 
 class Table(Struct):
-    """What one comparison came to."""
+    """Result of one comparison."""
 
     title: str
     unit: str
@@ -63,15 +61,13 @@ class Table(Struct):
 
 
 def cpu_seconds() -> float:
-    """Of this process with all its threads, and of its children that have ended and were waited
-    for.
-    """
+    """Return the CPU seconds of this process, its threads, and children that were waited for."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used)
 
 
 def cpu_seconds_of(run: Callable[[], object]) -> float:
-    """CPU seconds that ``run`` takes."""
+    """Return the CPU seconds that ``run`` takes."""
     began = cpu_seconds()
     run()
     return cpu_seconds() - began
@@ -80,7 +76,7 @@ def cpu_seconds_of(run: Callable[[], object]) -> float:
 def take_turns(
     contestants: Mapping[str, Callable[[], float]], rounds: int
 ) -> dict[str, list[float]]:
-    """What each contestant says it cost, a value for each of ``rounds``; the warm-up is extra."""
+    """Return the cost that each contestant reports in each of ``rounds``, after the warm-up."""
     names = list(contestants)
     costs: dict[str, list[float]] = {name: [] for name in names}
     for number in range(WARM_ROUNDS + rounds):
@@ -93,7 +89,7 @@ def take_turns(
 
 
 def spread(values: Sequence[float]) -> Spread:
-    """Of at least one value."""
+    """Return the spread of at least one value."""
     if len(values) < 3:
         return Spread(median(values), min(values), max(values))
     low, _, high = quantiles(values, n=4, method="inclusive")
@@ -108,8 +104,9 @@ def compare(
     at_most: Mapping[str, float] | None = None,
     at_least: Mapping[str, float] | None = None,
 ) -> Table:
-    """``costs`` as of `take_turns`, already in ``unit``; ``at_most``, ``at_least``: ratios to reach
-    by contestant.
+    """Compare costs, as returned by `take_turns`, with those of ``baseline``.
+
+    ``at_most`` and ``at_least`` are targets of the ratios, by contestant.
     """
     rows = []
     for name, own in costs.items():
@@ -127,7 +124,7 @@ def compare(
 
 
 def lines(table: Table) -> list[str]:
-    """For a person: medians with quartiles in brackets."""
+    """Return the lines of a table: medians with quartiles in brackets."""
     cost, ratio = f"{table.unit} (quartiles)", f"/ {table.baseline}"
     result = [f"{table.title:52}{cost:>30}{ratio:>30}{'to reach':>14}"]
     for row in table.rows:
@@ -144,7 +141,7 @@ def _cell(values: Spread, digits: int) -> str:
 
 
 def add_arguments(parser: argparse.ArgumentParser, rounds: int) -> None:
-    """``--rounds`` and ``--json``."""
+    """Add ``--rounds`` and ``--json``."""
     parser.add_argument(
         "--rounds", type=int, default=rounds, help=f"measured rounds (default {rounds})"
     )
@@ -154,9 +151,7 @@ def add_arguments(parser: argparse.ArgumentParser, rounds: int) -> None:
 
 
 def write(path: Path, part: str, tables: Sequence[Table], **facts: Any) -> None:
-    """The figures as JSON with what they were measured on, and a plot of the ratios as ``path``
-    with ``.png``.
-    """
+    """Write figures and machine as JSON, and a plot of the ratios as ``path`` with ``.png``."""
     machine = {
         "cores": os.cpu_count(),
         "processor": platform.machine(),
@@ -168,13 +163,11 @@ def write(path: Path, part: str, tables: Sequence[Table], **facts: Any) -> None:
 
 
 def plot(path: Path, tables: Sequence[Table]) -> None:
-    """Bars of the ratios with their quartiles, a panel for each table; a note instead where
-    matplotlib is missing.
-    """
+    """Plot the ratios as bars with quartiles, a panel a table; skipped without matplotlib."""
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
-        print("no plot: matplotlib is not installed (it comes with [bench])", file=sys.stderr)
+        print("no plot: matplotlib is missing (install camtopod[bench])", file=sys.stderr)
         return
     figure = Figure(
         figsize=(9, 0.8 + sum(0.7 + 0.35 * len(table.rows) for table in tables)),

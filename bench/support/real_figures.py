@@ -1,7 +1,8 @@
-"""How well a real recording was learned and foretold, beside a chain that is told identities.
+"""Scores of a topology and predictions on a real recording, beside an oracle.
 
-The chain counts where identities go next from each zone before the cut, backed by its camera's
-counts and those by all, and takes its transit times from their lags. It has the same zones.
+The oracle is a Markov chain on the same zones that is given the identities. It counts the next
+camera from each zone before the cut, backed off to its camera's counts and those of all, and takes
+its transit times from the true lags.
 """
 
 from __future__ import annotations
@@ -20,77 +21,77 @@ from camtopod.predict.hand_over import added_up
 from camtopod.records import Event, Prediction, Topology
 
 LEAVE = "leave"
-"""Beside the cameras an outcome."""
+"""Outcome of an object that leaves the site."""
 TELLABLE_NATS = (6.0, 20.0)
+"""Levels of evidence above which links count as tellable, nats."""
 BACKING = 2.0
-"""What the chain's camera weighs beside the zone, in transitions, and all beside the camera."""
-LAGS_MIN = 9
-"""A zone's transit times are its own when it has so many, else its camera's, else everybody's."""
-WHO_DEPARTURES_MIN = 5
-"""A zone's shares are its own when so many have left there, else its camera's, where it is asked
-who is who.
+"""Weight, in exits, of the camera's shares beside the zone's counts, and of all
+beside the camera's.
 """
+LAGS_MIN = 9
+"""Least lags for a zone's own transit times; with fewer they are its camera's, or everybody's."""
+WHO_DEPARTURES_MIN = 5
+"""Least departures for a zone's own shares in `told_odds`; with fewer they are its camera's."""
 LOSS_FLOOR = 1e-3
 """Added to every outcome's probability before its logarithm is taken."""
 CALIBRATION_BINS = 10
+"""Bins of the calibration error, of equal mass."""
 REACH_SECONDS = 180
-"""So long after the exit every camera is searched, second by second."""
+"""Time after an exit in which every camera is searched, second by second."""
 UNIFORM_SHARE = 0.05
-"""Of each camera's density, spread over all of the reach."""
+"""Share of each camera's density that is spread over the whole search time."""
 SEARCH_RECALLS = (0.8, 0.9, 0.95)
+"""Recalls at which the saving of a search is reported."""
 
 
 class LinkFigures(Struct):
-    """Links between cameras against the truth."""
+    """Figures of links between cameras."""
 
     published: int
     right: int
-    """Of those published."""
+    """Published links that are true."""
     false: int
     true: int
     found: dict[float, int]
-    """By nats, the right ones among those that the events can tell."""
+    """Right links among those the events can tell, by evidence in nats."""
     can_be_told: dict[float, int]
+    """Links the events can tell, by evidence in nats."""
     relations_right: int
     relations: int
-    """Pairs of cameras whose relation is published and clear in truth."""
+    """Camera pairs whose relation is published and clear in the ground truth."""
     transit_error: float
-    """Median over the right links of the error of their median, in seconds; nan if there is
-    none.
-    """
+    """Median over the right links of the error of their median, seconds; nan without any."""
 
 
 class PredictionFigures(Struct):
-    """Predictions of the exits after the cut whose lag window is over."""
+    """Figures of predictions for the exits after the cut whose lag window is over."""
 
     exits: int
     log_loss: float
     leave_loss: float
-    """The part of it that is whether the object leaves."""
+    """Part of the log loss that is about whether the object leaves the site."""
     top1: float
-    """All exits, leaving an outcome like the others."""
+    """Top-1 and top-3 are of all exits, with leaving as an outcome like the others."""
     top3: float
     confidence: list[float]
-    """Of the first guess, exit by exit ..."""
+    """Probability of the first guess, exit by exit."""
     right: list[bool]
-    """... and whether it was right."""
+    """Whether the first guess was right, exit by exit."""
     coverage: float
-    """Share of those seen again within q10 to q90; nan if none is."""
+    """Share of the lags of objects seen again within q10 to q90; nan if there is none."""
     saved: dict[float, float]
-    """By recall, how many times fewer camera-seconds are searched; empty if nobody is to be
-    found.
-    """
+    """By recall, all camera-seconds over those searched; empty if there is nobody to find."""
 
     @property
     def calibration_error(self) -> float:
-        """Of the first guess."""
+        """Calibration error of the first guess."""
         return calibration_error(self.confidence, self.right)
 
 
 def link_figures(
     topology: Topology, recording: Recording, nats: Mapping[tuple[str, str], float]
 ) -> LinkFigures:
-    """``nats``: what the events can tell of each true link (`tellable`)."""
+    """Score the links of a topology; ``nats`` is the evidence for each true link (`tellable`)."""
     true = recording.links()
     some = {
         pair
@@ -107,6 +108,8 @@ def link_figures(
         set(medians),
         {least: {p for p, n in nats.items() if n >= least} for least in TELLABLE_NATS},
     )
+
+    # Transit times of the right links.
     errors = []
     for pair in published & true.keys():
         weight, median = zip(*medians[pair], strict=True)
@@ -139,8 +142,10 @@ def link_figures(
 
 
 class Guess(Struct):
-    """What is said of one exit: the probability of each outcome, and of each way its camera,
-    probability and quantiles of the lag.
+    """Prediction of one exit.
+
+    outcomes: probability of each outcome.
+    ways: camera, probability, and quantiles of the lag (q10, q50, q90) of each link.
     """
 
     outcomes: dict[str, float]
@@ -148,7 +153,7 @@ class Guess(Struct):
 
 
 class ToldChain:
-    """A Markov chain that is told identities."""
+    """A Markov chain that is given the identities (the oracle)."""
 
     def __init__(self, outcomes: Sequence[str]) -> None:
         self._outcomes = outcomes
@@ -156,7 +161,7 @@ class ToldChain:
         self._lags: dict[tuple[str, str], list[float]] = defaultdict(list)
 
     def learn(self, zone: str, camera: str, outcome: str, lag: float) -> None:
-        """One exit and what became of it."""
+        """Count one exit and its outcome."""
         for place in (zone, f"{camera}/", ""):
             self._counts[place][outcome] += 1
             if outcome != LEAVE:
@@ -165,7 +170,7 @@ class ToldChain:
             self._lags["", ""].append(lag)
 
     def guess(self, zone: str, camera: str) -> Guess:
-        """Where who leaves there goes."""
+        """Predict an exit from a zone."""
         shares = {name: 1.0 / len(self._outcomes) for name in self._outcomes}
         for place in ("", f"{camera}/", zone):
             counts, total = self._counts[place], self._counts[place].total()
@@ -181,6 +186,7 @@ class ToldChain:
         return Guess(shares, ways)
 
     def _quantiles(self, zone: str, camera: str, outcome: str) -> tuple[float, float, float]:
+        """Return q10, q50 and q90 of the lag, from the most specific place with enough lags."""
         known = ((zone, outcome), (f"{camera}/", outcome), ("", outcome))
         lags = next(
             (self._lags[key] for key in known if len(self._lags.get(key, ())) >= LAGS_MIN), None
@@ -194,8 +200,9 @@ class ToldChain:
 def prediction_figures(
     predictions: Sequence[Prediction], recording: Recording
 ) -> tuple[PredictionFigures, PredictionFigures] | None:
-    """Ours and the told chain's; None if no exit is left to judge. ``predictions``: of every exit,
-    in order.
+    """Score our predictions and the oracle's; None if no exit is left to score.
+
+    ``predictions`` are those of every exit, in order.
     """
     outcomes = [*recording.cameras, LEAVE]
     chain, ours, told, happened = ToldChain(outcomes), list[Guess](), list[Guess](), list[Passage]()
@@ -225,6 +232,7 @@ def prediction_figures(
 def _judged(
     guesses: Sequence[Guess], happened: Sequence[Passage], outcomes: Sequence[str]
 ) -> PredictionFigures:
+    """Score predictions against the passages that followed."""
     losses, leave_losses, confidence, right, third, covered, cost = (
         [],
         [],
@@ -234,6 +242,8 @@ def _judged(
         [],
         [],
     )
+
+    # Loss, ranks, coverage and search of each exit.
     floor = 1.0 + LOSS_FLOOR * len(outcomes)
     for guess, passage in zip(guesses, happened, strict=True):
         outcome = LEAVE if passage.next_ is None else passage.next_.camera
@@ -256,6 +266,8 @@ def _judged(
             covered.append(0.1 - 1e-9 <= reached <= 0.9 + 1e-9)
         if outcome != passage.camera and passage.lag <= REACH_SECONDS - 1:
             cost.append(_searched(guess, passage.camera, outcome, passage.lag, outcomes))
+
+    # Savings of a search, against searching all cameras.
     everything = (len(outcomes) - 2) * REACH_SECONDS
     saved = {
         recall: everything / max(1.0, float(np.quantile(cost, recall)))
@@ -276,8 +288,9 @@ def _judged(
 
 
 def _reached(x: Floats, q10: float, q50: float, q90: float) -> Floats:
-    """Probability that the lag is at most ``x``: linear between the quantiles, exponential beyond
-    them.
+    """Return the probability that the lag is at most ``x``.
+
+    It is linear between the quantiles and exponential beyond them.
     """
     q50 = max(q50, q10 + 0.05)
     q90 = max(q90, q50 + 0.05)
@@ -290,7 +303,7 @@ def _reached(x: Floats, q10: float, q50: float, q90: float) -> Floats:
 
 
 def _searched(guess: Guess, left: str, found: str, lag: float, outcomes: Sequence[str]) -> float:
-    """Camera-seconds that are searched in order of their density until the object is found."""
+    """Return the camera-seconds searched, in order of density, until the object is found."""
     seconds = np.arange(REACH_SECONDS + 1.0)
     density = {
         camera: np.zeros(REACH_SECONDS) for camera in outcomes if camera not in (left, LEAVE)
@@ -309,7 +322,7 @@ def _searched(guess: Guess, left: str, found: str, lag: float, outcomes: Sequenc
 
 
 def calibration_error(confidence: Sequence[float], right: Sequence[bool]) -> float:
-    """How far confidence is from the share that is right, in bins of equal mass."""
+    """Return the mean distance of confidence from accuracy, in bins of equal mass."""
     order = np.argsort(confidence, kind="stable")
     apart = [
         abs(np.sum(np.take(confidence, rows)) - np.sum(np.take(right, rows)))
@@ -319,8 +332,10 @@ def calibration_error(confidence: Sequence[float], right: Sequence[bool]) -> flo
 
 
 def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tuple[float, float]:
-    """Share of the exits after the cut where the camera to look at first is right: ours, and the
-    most frequent one of the zone, told identities before the cut.
+    """Return the share of exits after the cut where the camera to look at first is right.
+
+    It is returned for our predictions, and for the zone's most frequent camera by identities before
+    the cut.
     """
     seen = recording.in_view()
     of_zone: dict[str, Counter[str]] = defaultdict(Counter)
@@ -345,8 +360,9 @@ def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tup
 
 
 def hand_over_figure(predictions: Sequence[Prediction], recording: Recording) -> float:
-    """Of the exits after the cut at which another camera sees the object, the share where the
-    passage named first is the object's; nan if there are none.
+    """Return the share of exits where the first passage named in view is of the same object.
+
+    Exits are those after the cut at which another camera sees the object; nan if there are none.
     """
     same = recording.under_way()
     late = [one for one in predictions if one.t >= recording.cut and same[str(one.track)]]
@@ -357,8 +373,9 @@ def hand_over_figure(predictions: Sequence[Prediction], recording: Recording) ->
 def who_figures(
     topology: Topology, predictions: Sequence[Prediction], recording: Recording
 ) -> tuple[float, float]:
-    """F1 of who is who after the cut: the edges of an assignment by `Gate.affinity` against true
-    transitions, and the same by the odds of a chain that is told identities before the cut.
+    """Return F1 of matching exits and entries after the cut: by `Gate.affinity`, and by the oracle.
+
+    Matches are the edges of an assignment; they are compared with true transitions.
     """
     late = [event for event in recording.events if event.t >= recording.cut]
     exits = [event for event in late if event.kind == "exit"]
@@ -381,9 +398,11 @@ def who_figures(
 def told_odds(
     recording: Recording, exits: Sequence[Event], entries: Sequence[Event], zones: Mapping[str, str]
 ) -> Floats:
-    """Log odds (exits, entries) as `Gate.affinity` has them, of who is told identities before the
-    cut: shares by the ``zones`` (by track) that objects leave, lags as kernels around the true
-    ones, and true rates from outside.
+    """Return log odds (exits, entries), as `Gate.affinity` has them, from identities before the
+    cut.
+
+    Shares are by the zone of departure (``zones``, by track), lags are kernels around the true
+    ones, and rates from outside are the true ones.
     """
     counts, lags = (
         defaultdict[str, Counter[str]](Counter),
@@ -409,6 +428,7 @@ def told_odds(
         if outcome != LEAVE:
             lags[passage.camera, outcome].append(passage.lag)
 
+    # Odds of each exit with the entries of each camera.
     span = recording.cut - min(passage.came for passage in recording.passages.values())
     t, camera = (
         np.array([entry.t for entry in entries]),
@@ -435,7 +455,7 @@ def told_odds(
 
 
 def _edges_f1(odds: Floats, true: set[tuple[int, int]]) -> float:
-    """Of the likeliest matching as a whole."""
+    """Return F1 of the edges of the likeliest assignment."""
     positive = np.maximum(odds, 0.0)
     edges = {
         (i, j)
@@ -446,4 +466,5 @@ def _edges_f1(odds: Floats, true: set[tuple[int, int]]) -> float:
 
 
 def _numbered(events: Sequence[Event]) -> dict[str, int]:
+    """Return the index of each event by track."""
     return {str(event.track): k for k, event in enumerate(events)}

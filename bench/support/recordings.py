@@ -1,8 +1,8 @@
-"""Real recordings with identities: who was where when, and what a learner could have been told.
+"""Real recordings with identities: true passages and links, and what the events can tell.
 
 A recording is a folder with ``events.jsonl`` and ``identities.csv`` (track, identity). Identities
-judge; the learner never sees them. An identity's passages are taken in order of entry, exit and
-camera; where the one after a passage is, there the identity appears next.
+are used for scoring; the learner never sees them. An identity's passages are ordered by entry, exit
+and camera; the passage after one is its true next appearance.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from camtopod.codec import event_from_json
 from camtopod.records import Event
 
 CameraPair = tuple[str, str]
+"""Two cameras: of departure and of arrival."""
 
 TRAIN_SHARE = 0.7
-"""Of the events; the rest is predicted."""
+"""Share of the events before the cut; exits in the rest are predicted."""
 WINDOW_SECONDS_MAX = 180.0
-"""An exit counts when its lag window is over: this long after it, or a tenth of the recording."""
+"""Lag window of an exit, seconds (or a tenth of the recording); exits count when it is over."""
 TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN = 5, 0.03
-"""A true link has at least so many transitions, and this share of those from its camera."""
+"""Least transitions of a true link, and least share of all transitions from its camera."""
 SPURIOUS_TRANSITIONS_MAX = 2
-"""A published link between cameras with at most so many is false; with more, neither true nor
-false.
+"""Most true transitions of a false link.
+
+A published link with more, which is no true link, is neither right nor false.
 """
 
 
 class Passage(Struct, eq=False):
-    """One identity in one view: its track, when it came and left (seconds), and its next passage if
-    it has one.
-    """
+    """One identity in one view: track, entry and exit (seconds), and its next passage, if any."""
 
     track: str
     camera: str
@@ -48,7 +48,7 @@ class Passage(Struct, eq=False):
 
     @property
     def lag(self) -> float:
-        """Seconds from leaving to the next passage; negative where views overlap."""
+        """Seconds from the exit to the next passage; negative where views overlap."""
         return float("nan") if self.next_ is None else self.next_.came - self.left
 
 
@@ -57,24 +57,24 @@ class Recording(Struct):
 
     name: str
     events: list[Event]
-    """By time."""
+    """Events by time."""
     passages: dict[str, Passage]
-    """By track."""
+    """Passages by track."""
     by_identity: list[list[Passage]]
-    """Each identity's, in order."""
+    """Passages of each identity, in order."""
     cut: float
-    """Events before this moment are learned from."""
+    """Event time of the cut; earlier events are learned."""
     end: float
     window: float
-    """Seconds."""
+    """Lag window of an exit, seconds."""
 
     @property
     def cameras(self) -> list[str]:
-        """Sorted."""
+        """Names of the cameras, sorted."""
         return sorted({event.camera for event in self.events})
 
     def transitions(self) -> dict[CameraPair, list[float]]:
-        """Lags from each camera to each other one, of the transitions that end before the cut."""
+        """Return the lags of transitions that end before the cut, by camera pair."""
         lags: dict[CameraPair, list[float]] = defaultdict(list)
         for passage in self.passages.values():
             following = passage.next_
@@ -87,7 +87,7 @@ class Recording(Struct):
         return dict(lags)
 
     def links(self) -> dict[CameraPair, list[float]]:
-        """The true links between cameras, with the lags of their transitions."""
+        """Return the true links between cameras, with the lags of their transitions."""
         lags = self.transitions()
         left = Counter[str]()
         for (source, _), each in lags.items():
@@ -96,8 +96,9 @@ class Recording(Struct):
         return {pair: each for pair, each in lags.items() if len(each) >= least[pair]}
 
     def in_view(self) -> dict[str, set[str]]:
-        """By track, the other cameras that see the identity as the passage ends, or if none does
-        the next one.
+        """Return by track the other cameras that see the identity at the end of the passage.
+
+        If there is none, it is the next camera that does.
         """
         seen: dict[str, set[str]] = {}
         for passages in self.by_identity:
@@ -112,7 +113,9 @@ class Recording(Struct):
         return seen
 
     def under_way(self) -> dict[str, set[str]]:
-        """By track, the tracks of the identity that other cameras see as the passage ends."""
+        """Return by track the identity's tracks that other cameras see at the end of
+        the passage.
+        """
         return {
             one.track: {
                 other.track
@@ -125,12 +128,17 @@ class Recording(Struct):
 
 
 def load(folder: Path) -> Recording:
-    """Raises OSError where there is none, `camtopod.codec.Rejected` where a line is no event."""
+    """Read a recording.
+
+    Raises OSError if a file is missing, `camtopod.codec.Rejected` if a line is no event.
+    """
     with (folder / "events.jsonl").open("rb") as lines:
         events = sorted((event_from_json(line) for line in lines), key=lambda event: event.t)
     with (folder / "identities.csv").open(newline="") as rows:
         identity = {row["track"]: row["identity"] for row in csv.DictReader(rows)}
     cut, end = events[int(TRAIN_SHARE * len(events))].t, events[-1].t
+
+    # Passages from the events of each track.
     passages: dict[str, Passage] = {}
     for event in events:
         track = str(event.track)
@@ -151,7 +159,7 @@ def load(folder: Path) -> Recording:
 
 
 def _in_order(passages: dict[str, Passage], identity: dict[str, str]) -> list[list[Passage]]:
-    """Each identity's passages in order, each with the one after it."""
+    """Return each identity's passages in order, each with its next one."""
     groups: dict[str, list[Passage]] = defaultdict(list)
     for track, passage in passages.items():
         groups[identity[track]].append(passage)
@@ -165,12 +173,12 @@ def _in_order(passages: dict[str, Passage], identity: dict[str, str]) -> list[li
 def tellable(
     recording: Recording, low: float = -60.0, high: float = 600.0
 ) -> dict[CameraPair, float]:
-    """What the events can tell of each true link at all, in nats: the log likelihood ratio of its
-    arrivals with and without it, where every kernel is made of the true lags.
+    """Return the evidence in the events for each true link, nats.
 
-    A kernel is Gaussian around each lag, ``low`` to ``high`` seconds; arrivals from outside come at
-    the local rate times their true share; who came from where is shared by a few sweeps of a
-    one-to-one assignment. In sample, so generous.
+    It is the log likelihood ratio of the link's arrivals with and without it, where every kernel is
+    made of the true lags. A kernel is Gaussian around each lag, ``low`` to ``high`` seconds;
+    arrivals from outside come at the local rate times their true share; correspondences are shared
+    by a few sweeps of a one-to-one assignment. As it is in sample, the estimate is generous.
     """
     lags, true = recording.transitions(), recording.links()
     seen = [one for one in recording.passages.values() if one.left < recording.cut]
@@ -226,6 +234,8 @@ def tellable(
         offer = hazard / np.maximum(gone[departure] + taken[departure] - hazard * message, 1e-9)
         demand = background[arrival] + np.bincount(arrival, offer, minlength=len(seen))[arrival]
         message, share_of = 1.0 / np.maximum(demand - offer, 1e-12), offer / demand
+
+    # Evidence of each link.
     nats = {}
     for k, pair in enumerate(pairs):
         if pair in true:
@@ -235,12 +245,15 @@ def tellable(
 
 
 GRID_SECONDS = 0.25
+"""Step of the grid of lags, seconds."""
 SWEEPS = 4
+"""Sweeps of the assignment."""
 HAZARD_MIN = 1e-7
+"""Least hazard of a candidate, per second."""
 
 
 def _kernel(lags: Floats, grid: Floats) -> Floats:
-    """A density over the grid: Gaussian around each lag."""
+    """Return a density over the grid: Gaussian around each lag."""
     quartiles = np.subtract(*np.percentile(lags, [75, 25])) / 1.34
     width = max(0.75, 0.9 * min(np.std(lags), quartiles or 1.0) * len(lags) ** -0.2)
     counts = np.histogram(lags, bins=np.append(grid, grid[-1] + GRID_SECONDS) - GRID_SECONDS / 2)[0]
@@ -253,8 +266,9 @@ def _kernel(lags: Floats, grid: Floats) -> Floats:
 def _candidates(
     density: Floats, grid: Floats, came: Floats, left: Floats, arrivals: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
-    """Departures and arrivals whose lag is possible, and its density; none arrives before the
-    passage has begun.
+    """Return departures and arrivals with a possible lag, and the density at each lag.
+
+    No arrival precedes the beginning of the departure's passage.
     """
     live = np.flatnonzero(density > HAZARD_MIN)
     shortest, longest = (grid[live[0]], grid[live[-1]]) if len(live) else (grid[0], grid[0])
@@ -268,7 +282,7 @@ def _candidates(
 
 
 def _local_rate(t: Floats, first: float, last: float) -> Floats:
-    """Events a second around each of the times (n,), within two minutes or so."""
+    """Return the events a second around each of the times (n,), within about two minutes."""
     edges = np.arange(first, last + 60.0, 30.0)
     bump = np.exp(-0.5 * (np.arange(-16, 17) / 4) ** 2) / (4 * np.sqrt(2 * np.pi))
     rate: Floats = np.interp(t, edges[:-1] + 15.0, _spread(np.histogram(t, edges)[0], bump) / 30.0)
@@ -276,11 +290,12 @@ def _local_rate(t: Floats, first: float, last: float) -> Floats:
 
 
 def _spread(counts: NDArray[np.int64], bump: Floats) -> Floats:
+    """Convolve counts with a symmetric bump and keep their length."""
     half = len(bump) // 2
     spread: Floats = np.convolve(counts, bump)[half : half + len(counts)]
     return spread
 
 
 def pairs_of(links: Sequence[CameraPair]) -> set[frozenset[str]]:
-    """Unordered."""
+    """Return the unordered camera pairs of links."""
     return {frozenset(pair) for pair in links}

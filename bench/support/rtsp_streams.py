@@ -1,6 +1,4 @@
-"""Real streams for tests: an RTSP server, a proxy in front of it that can stall, cut and refuse,
-and bad hosts.
-"""
+"""Real streams for tests: an RTSP server, a fault proxy in front of it, and faulty hosts."""
 
 from __future__ import annotations
 
@@ -14,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 SYSTEM_PYTHON = "/usr/bin/python3"
+"""Python that has the bindings of GStreamer."""
 _PROBE = (
     "import gi; gi.require_version('GstRtspServer', '1.0'); from gi.repository import GstRtspServer"
 )
@@ -21,7 +20,7 @@ _PROBE = (
 
 @cache
 def missing() -> str | None:
-    """What is missing to serve RTSP here, for the reason of a skip; None if nothing is."""
+    """Return what is missing to serve RTSP here, as the reason of a skip; None if nothing is."""
     if shutil.which("ffmpeg") is None:
         return "no ffmpeg"
     if not Path(SYSTEM_PYTHON).exists():
@@ -33,9 +32,7 @@ def missing() -> str | None:
 
 
 def transcode(source: Path, target: Path, fps: float, seconds: float | None = None) -> None:
-    """``source`` as H.264 at ``fps`` frames a second (the same frames), at most ``seconds`` of
-    it.
-    """
+    """Encode at most ``seconds`` of ``source`` as H.264 at ``fps`` frames/s, the same frames."""
     limit = [] if seconds is None else ["-t", str(seconds)]
     command = [
         "ffmpeg",
@@ -67,7 +64,7 @@ def transcode(source: Path, target: Path, fps: float, seconds: float | None = No
 
 @contextmanager
 def served(path: Path) -> Iterator[int]:
-    """Serve an H.264 file at rtsp://127.0.0.1:PORT/camera; gives the port."""
+    """Serve an H.264 file at rtsp://127.0.0.1:PORT/camera; yield the port."""
     script = Path(__file__).parents[2] / "tests" / "support" / "rtsp_server.py"
     with subprocess.Popen(
         [SYSTEM_PYTHON, str(script), str(path)], stdout=subprocess.PIPE, text=True
@@ -80,7 +77,7 @@ def served(path: Path) -> Iterator[int]:
 
 
 class FaultProxy:
-    """Forwards TCP to a port on this machine until told otherwise."""
+    """A TCP proxy to a port on this machine that can stall, cut and refuse connections."""
 
     def __init__(self, target_port: int) -> None:
         self._target = target_port
@@ -95,11 +92,11 @@ class FaultProxy:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def stall(self) -> None:
-        """Keep connections, pass nothing on."""
+        """Keep connections, but forward nothing."""
         self._flowing.clear()
 
     def resume(self) -> None:
-        """Pass things on again."""
+        """Forward again."""
         self._flowing.set()
 
     def cut(self) -> None:
@@ -110,7 +107,7 @@ class FaultProxy:
                 _shut(side)
 
     def close(self) -> None:
-        """Stop."""
+        """Stop the proxy."""
         self._closed = True
         _shut(self._listener)
         self.resume()
@@ -148,7 +145,7 @@ class FaultProxy:
 
 
 class Host:
-    """A host that treats whoever connects as ``treat`` says, in a thread each."""
+    """A host that treats each connection by ``treat``, in a thread of its own."""
 
     def __init__(self, treat: Callable[[socket.socket], None]) -> None:
         self._treat = treat
@@ -175,17 +172,17 @@ class Host:
 
 
 def silent(client: socket.socket) -> None:
-    """Takes everything and says nothing."""
+    """Read everything and answer nothing."""
     while client.recv(65536):
         pass
 
 
 def hang_up(client: socket.socket) -> None:
-    """Closes at once."""
+    """Close at once."""
 
 
 def rtsp_answer(status: str) -> Callable[[socket.socket], None]:
-    """Answers every DESCRIBE with ``status``."""
+    """Answer every DESCRIBE with ``status``."""
 
     def treat(client: socket.socket) -> None:
         while request := client.recv(65536).decode():

@@ -1,6 +1,4 @@
-"""A site that has learned, and the real `camtopod run` on it, for the parts that measure the
-daemon.
-"""
+"""A site that has learned, and the real `camtopod run` on it, to measure the daemon."""
 
 from __future__ import annotations
 
@@ -29,22 +27,21 @@ from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 
 EVENTS_PER_OBJECT = 12.0
-"""About so many events an object makes on its way through a made-up network of a hundred
-cameras.
-"""
+"""Events of one object on its path through a simulated network of a hundred cameras, about."""
 WARM_SECONDS = 300.0
-"""Of a simulation, until about as many leave the network as enter it."""
+"""Simulated seconds until about as many objects leave the network as enter it."""
 ONCE = Settings(refit_share=1e9, refit_hours=1e9)
-"""Nothing falls due: the version is made when all has been learned."""
+"""Settings with which no version falls due; one is made when all has been learned."""
 LEARNED_EVENTS, LEARNED_PER_SECOND_PER_CAMERA = 60_000, 0.1
-"""What a site has learned from before anything is measured: its window is full."""
+"""Events (and their rate) that a site learns before anything is measured; they fill its window."""
 STOP_SECONDS = 20.0
+"""Longest wait for the daemon to stop, seconds."""
 LOOK_SECONDS = 0.02
-"""Between two looks at how much memory there is."""
+"""Interval at which memory is sampled, seconds."""
 
 
 class Count(Struct, frozen=True):
-    """What ``status/daemon`` says of the events, as far as it is asked here."""
+    """Counts of events in ``status/daemon``, as far as they are used here."""
 
     stored: int = 0
     received: int = 0
@@ -55,13 +52,13 @@ class Count(Struct, frozen=True):
 
 
 class Learned(Struct, frozen=True):
-    """The newest version that the learner has made in this epoch; 0 before the first."""
+    """The newest version of the learner in this epoch; 0 before the first."""
 
     version: int = 0
 
 
 class Status(Struct):
-    """What of ``status/daemon`` is asked here."""
+    """Fields of ``status/daemon`` that are used here."""
 
     events: Count = Count()
     learner: Learned = Learned()
@@ -72,8 +69,9 @@ class Status(Struct):
 
 
 def traffic(cameras: int, events_per_second: float, count: int) -> list[Event]:
-    """So many events of a network in full swing, by time from 0; it is the same network at every
-    rate.
+    """Return ``count`` events of a network in its steady state, by time from 0.
+
+    The network is the same at every rate.
     """
     seconds = WARM_SECONDS + 1.3 * count / events_per_second + 60.0
     while True:
@@ -91,10 +89,15 @@ def traffic(cameras: int, events_per_second: float, count: int) -> list[Event]:
 
 
 def lay_out(state: Path, events: Sequence[Event]) -> None:
-    """The state directory of a daemon that has learned these events, which ended a minute ago."""
+    """Write the state directory of a daemon that has learned these events.
+
+    Their times are moved so that the last event is a minute old.
+    """
     later = wall() - 60.0 - events[-1].t
     epoch = ulid(later)
     learner = Learner(ONCE, "site", epoch)
+
+    # Number the events and learn them.
     entries, seqs = [], dict.fromkeys({event.camera for event in events}, 0)
     for event in events:
         seq = seqs[event.camera] = seqs[event.camera] + 1
@@ -102,6 +105,8 @@ def lay_out(state: Path, events: Sequence[Event]) -> None:
         learner.receive(moved)
         entries.append(Entry("event", event.camera, "before", seq, to_pack(moved)))
     learner.flush()
+
+    # Journal, versions and snapshot.
     journal = Journal(state)
     journal.set_meta("epoch", epoch)
     journal.commit(entries)
@@ -114,7 +119,7 @@ def lay_out(state: Path, events: Sequence[Event]) -> None:
 
 
 def learned_site(folder: Path, cameras: int, count: int) -> Path:
-    """The state directory of a site of so many cameras and events, made if it is not there yet."""
+    """Return the state directory of a site of this size, made if it is missing."""
     state = folder / f"learned-{cameras}-{count}"
     if not state.exists():
         lay_out(folder / "making", traffic(cameras, LEARNED_PER_SECOND_PER_CAMERA * cameras, count))
@@ -123,25 +128,30 @@ def learned_site(folder: Path, cameras: int, count: int) -> Path:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """``--cameras``, ``--learned`` and ``--site``."""
+    """Add ``--cameras``, ``--learned`` and ``--site``."""
     parser.add_argument("--cameras", type=int, default=100)
     parser.add_argument(
-        "--learned", type=int, default=LEARNED_EVENTS, help="events the site has learned before"
+        "--learned",
+        type=int,
+        default=LEARNED_EVENTS,
+        help="events that the site has learned before",
     )
     parser.add_argument(
-        "--site", type=Path, help="folder to keep the site in that has learned, for the next time"
+        "--site", type=Path, help="folder to keep the learned site in, for later runs"
     )
 
 
 @contextlib.contextmanager
 def running(folder: Path, learn: str = "", limits: str = "") -> Iterator[tuple[str, int]]:
-    """`camtopod run` on ``folder``/state in a process of its own: its endpoint and process id.
-    ``learn`` and ``limits`` are lines of these tables.
+    """Run `camtopod run` on ``folder``/state in a process of its own; yield endpoint and process
+    id.
+
+    ``learn`` and ``limits`` are lines of these tables of the configuration.
     """
     config = folder / "camtopod.toml"
     config.write_text(
-        f'[bus]\nlisten = ["tcp/127.0.0.1:0"]\n[state]\ndirectory = "{folder}/state"\n[learn]\n{learn}\n'
-        f"[limits]\n{limits}\n"
+        f'[bus]\nlisten = ["tcp/127.0.0.1:0"]\n[state]\ndirectory = "{folder}/state"\n'
+        f"[learn]\n{learn}\n[limits]\n{limits}\n"
     )
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "camtopod", "--config", str(config), "run"]
@@ -155,17 +165,17 @@ def running(folder: Path, learn: str = "", limits: str = "") -> Iterator[tuple[s
 
 
 def _endpoint(process: subprocess.Popen[bytes], log: Path) -> str:
-    """Where it says that it is ready."""
+    """Wait for the daemon's ready message and return its endpoint."""
     while process.poll() is None:
         for line in log.read_text().splitlines():
             if "ready at " in line:
                 return line.rpartition("ready at ")[2].strip()
         time.sleep(0.05)
-    raise RuntimeError(f"the daemon ended instead of becoming ready: {log.read_text()}")
+    raise RuntimeError(f"the daemon ended before it was ready: {log.read_text()}")
 
 
 def resident(pid: int, most: bool = False) -> int:
-    """Bytes in memory of a process and its children, now or at ``most`` so far."""
+    """Return the resident bytes of a process and its children, or their added peaks (``most``)."""
     total = 0
     for process in (pid, *_children(pid)):
         with contextlib.suppress(OSError):
@@ -179,10 +189,10 @@ def resident(pid: int, most: bool = False) -> int:
 
 @contextlib.contextmanager
 def most_at_once(pid: int) -> Iterator[list[int]]:
-    """While the block runs it is looked how much a process and its children have in memory at one
-    moment: the most so far is the only element of the list, in bytes. Pages of files that several
-    of them have are counted once, as the system has them once; how many these are is looked up at
-    the end.
+    """Track the peak memory of a process and its children while the block runs.
+
+    Yields a list whose only element is the peak in bytes. Pages of files that several processes
+    have mapped count once; their size is measured at the end of the block and subtracted.
     """
     most, ended = [0], threading.Event()
 
@@ -202,7 +212,7 @@ def most_at_once(pid: int) -> Iterator[list[int]]:
 
 
 def _counted_again(processes: Sequence[int]) -> int:
-    """Bytes of files that more than one of the processes have in memory, beyond the first."""
+    """Return the bytes of files that several of the processes have mapped, beyond the first."""
     sizes: dict[tuple[str, ...], list[int]] = {}
     for process in processes:
         mapping: tuple[str, ...] = ()
@@ -217,6 +227,7 @@ def _counted_again(processes: Sequence[int]) -> int:
 
 
 def _children(pid: int) -> list[int]:
+    """Return the process ids of the children."""
     found: list[int] = []
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         with contextlib.suppress(OSError):

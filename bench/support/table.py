@@ -1,6 +1,4 @@
-"""The table of `bench.quality`: means over networks with standard errors, and what the issue wants
-beside them.
-"""
+"""The table of `bench.quality`: means over networks with standard errors, and the targets."""
 
 from __future__ import annotations
 
@@ -58,16 +56,18 @@ ROWS = {
     "events_per_second": "events a second",
     "seconds": "seconds of processor time to learn",
 }
+"""Titles of camtopod's figures, in order."""
 TARGET_TITLES = {
     "silent": "runs without a false link",
     "top1_ratio": "top-1, share of the told chain's",
     "top3_ratio": "top-3, share of the told chain's",
     "log_loss_above": "log loss above the told chain's",
 }
+"""Titles of targets, where they differ from those of the figures."""
 
 
 def tables(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
-    """All lines."""
+    """Return all lines."""
     common = _common_thresholds(records)
     lines = []
     for regime in regimes:
@@ -78,7 +78,7 @@ def tables(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
 
 
 def mean_and_error(values: Sequence[float] | Floats) -> str:
-    """``0.982 +-0.004``: mean and standard error of what is known; ``-`` for nothing."""
+    """Return mean and standard error of the known values, as ``0.982 ±0.004``; ``-`` for none."""
     known = np.array(values, dtype=float)
     known = known[np.isfinite(known)]
     if not len(known):
@@ -89,11 +89,13 @@ def mean_and_error(values: Sequence[float] | Floats) -> str:
 
 
 def _values(records: Sequence[Record], method: str, name: str) -> list[float]:
+    """Return a figure of one method on each network."""
     mine = [record for record in records if record.method == method]
     return [record.seconds if name == "seconds" else record.get(name) for record in mine]
 
 
 def _ours(regime: str, records: Sequence[Record]) -> list[str]:
+    """Return the lines of camtopod in its modes."""
     seeds = len({record.seed for record in records})
     lines = [
         f"== {regime}: {seeds} network{'s' if seeds > 1 else ''}",
@@ -107,12 +109,14 @@ def _ours(regime: str, records: Sequence[Record]) -> list[str]:
 
 
 class _Choice(NamedTuple):
+    """A variant of a baseline and a threshold."""
+
     variant: str
     threshold: float
 
 
 def _ranked(records: Sequence[Record]) -> dict[str, dict[str, list[Ranked]]]:
-    """Method -> variant -> networks."""
+    """Return method -> variant -> networks."""
     result: dict[str, dict[str, list[Ranked]]] = {}
     for record in records:
         for variant, ranked in record.ranked.items():
@@ -121,14 +125,17 @@ def _ranked(records: Sequence[Record]) -> dict[str, dict[str, list[Ranked]]]:
 
 
 def _best(variants: dict[str, list[Ranked]]) -> tuple[str, Tuned]:
+    """Return the variant with the best mean F1, and its figures at its best threshold."""
     tuned = {variant: tune(networks) for variant, networks in variants.items()}
     best = max(tuned, key=lambda variant: float(tuned[variant].f1.mean()))
     return best, tuned[best]
 
 
 def _common_thresholds(records: Sequence[Record]) -> dict[str, _Choice]:
-    """Method -> the variant and threshold with the best mean F1 over the networks of `LINKED`
-    regimes, if any, else over all that have links."""
+    """Return by method the variant and threshold with the best mean F1 over all networks.
+
+    The networks are those of `LINKED` regimes if there are any, else all that have links.
+    """
     result = {}
     usual = [record for record in records if record.regime in LINKED]
     for method, variants in _ranked(usual or records).items():
@@ -146,6 +153,7 @@ def _row(title: str, cells: Sequence[str]) -> str:
 
 
 def _links(records: Sequence[Record], common: dict[str, _Choice]) -> list[str]:
+    """Return the lines of the baselines for links."""
     ranked = _ranked(records)
     if not ranked:
         return []
@@ -166,9 +174,8 @@ def _links(records: Sequence[Record], common: dict[str, _Choice]) -> list[str]:
             networks = variants[choice.variant]
             if cells[0] != "-":
                 cells[4] = mean_and_error(at(networks, choice.threshold).f1)
-            cells.append(
-                f"{np.mean([max(n.score, default=-np.inf) < choice.threshold for n in networks]):.2f}"
-            )
+            silent = [max(n.score, default=-np.inf) < choice.threshold for n in networks]
+            cells.append(f"{np.mean(silent):.2f}")
         named = f", {variant}" if cells[0] != "-" else ""
         lines.append(_row(f"  {method.removeprefix('links: ')}{named}", cells))
         if LITERAL in variants and cells[0] != "-":
@@ -182,6 +189,7 @@ def _links(records: Sequence[Record], common: dict[str, _Choice]) -> list[str]:
 
 
 def _zones(records: Sequence[Record]) -> list[str]:
+    """Return the lines of the baselines for zones."""
     methods = sorted({record.method for record in records if record.method.startswith("zones: ")})
     lines = ["zones of others, best variant on the truth"] if methods else []
     for method in methods:
@@ -194,6 +202,7 @@ def _zones(records: Sequence[Record]) -> list[str]:
 
 
 def _next(records: Sequence[Record]) -> list[str]:
+    """Return the lines of the oracles for the next camera."""
     methods = sorted({record.method for record in records if record.method.startswith("next: ")})
     lines = (
         [f"{'next camera, told identities':58}{'top-1':>16}{'top-3':>16}{'log loss':>16}"]
@@ -210,8 +219,9 @@ def _next(records: Sequence[Record]) -> list[str]:
 
 
 def _overview(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
-    """F1 of links by method and regime, ours first; of pairs of cameras where the truth knows no
-    zones.
+    """Return F1 of links by method and regime, ours first.
+
+    It is F1 of camera pairs where the truth has no zones.
     """
     methods = [*OURS, *_ranked(records)]
     lines = [
@@ -240,6 +250,7 @@ def _overview(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
 
 
 def _targets(records: Sequence[Record]) -> list[str]:
+    """Return the lines of the targets."""
     lines = [f"{'to reach (mean over networks)':58}{'':>10}" + "".join(f"{m:>26}" for m in OURS)]
     for target in TARGETS:
         here = [record for record in records if record.regime == target.regime]
@@ -252,6 +263,7 @@ def _targets(records: Sequence[Record]) -> list[str]:
 
 
 def _reached(target: Target, values: Sequence[float]) -> str:
+    """Return the mean of a figure and whether it reaches the target."""
     known = [value for value in values if math.isfinite(value)]
     if not known:
         return ""
@@ -261,7 +273,7 @@ def _reached(target: Target, values: Sequence[float]) -> str:
 
 
 def _seconds(records: Sequence[Record]) -> list[str]:
-    """Seconds a network of every method, mean and longest."""
+    """Return the processor seconds a network of every method, mean and longest."""
     lines = [f"{'seconds of processor time a network':58}{'mean':>10}{'longest':>10}"]
     for method in dict.fromkeys(record.method for record in records):
         seconds = [record.seconds for record in records if record.method == method]

@@ -1,4 +1,4 @@
-"""What the issue wants to be reached, as means over at least ten networks."""
+"""Target values of the figures, as means over at least ten networks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from typing import NamedTuple
 
 
 class Target(NamedTuple):
-    """``figure`` is a figure of a `bench.support.measure.Record`."""
+    """A value to reach in one regime.
+
+    ``figure`` is the name of a figure of a `bench.support.measure.Record`.
+    """
 
     regime: str
     figure: str
@@ -16,7 +19,7 @@ class Target(NamedTuple):
 
 RHYTHMS = ("rhythm", "rhythm-sparse", "rhythm-medium", "rhythm-dense")
 LINKED = ("sparse", "medium", "dense", *RHYTHMS, "faulty", "short", "overlapped")
-"""Regimes on which transit times and predictions are to be right."""
+"""Regimes with targets for transit times and predictions."""
 TARGETS = (
     Target("zones-10", "zones_right", 0.97),
     Target("zones-30", "zones_right", 0.97),

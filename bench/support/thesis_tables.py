@@ -1,5 +1,4 @@
-"""What the thesis printed: its tables, and a simulation after its figure 4.4. Shared by the tests
-and the bench."""
+"""The thesis's tables, and a simulation after its figure 4.4; for tests and the bench."""
 
 from __future__ import annotations
 
@@ -13,7 +12,7 @@ TABLE_5_1 = [
     *((11, 13, 1), (0, 7, 2), (11, 12, 1), (1, 17, 2), (11, 13, 1)),
     *((0, 18, 2), (11, 13, 1), (0, 16, 2), (1, 17, 2), (11, 13, 1)),
 ]
-"""Row, column, zone."""
+"""Row, column and zone of each event."""
 
 TABLE_5_2 = np.array(
     [
@@ -27,7 +26,9 @@ TABLE_5_2 = np.array(
         [21.85, 0, 0, 20.9, 0.991, 3.95, 4.9167, 0],
     ]
 )
+"""Transit times between zones, seconds; 0 where there is no link."""
 TABLE_5_2_CAMERAS = [1, 1, 2, 2, 3, 3, 4, 4]
+"""Camera of each zone of table 5.2."""
 TABLE_5_3 = [
     (2, 1, 3, 4, 2, 2.3, 8.25, 10.5),
     (3, 4, 5, 6, 8, 0.991, 3.95, 5.1),
@@ -35,6 +36,7 @@ TABLE_5_3 = [
 ]
 """Camera of A and B, camera of C, zones A, B, C, transit times C-A, C-B, A-B; T = 0.200."""
 TABLE_5_4_CAMERAS = [1, 1, 2, 2, 3, 3, 3, 4, 4, 5, 5, 5, 5]
+"""Camera of each zone of table 5.4."""
 TABLE_5_4 = [
     (1, 2, 1, 2, 3, 9.9, 2.85, 13.0),
     (2, 1, 3, 4, 1, 10.2, 3.0, 13.0),
@@ -46,17 +48,24 @@ TABLE_5_4 = [
     (5, 3, 12, 13, 6, 3.55, 1.15, 4.7),
     (5, 4, 12, 13, 9, 3.7, 7.55, 10.65),
 ]
-"""The same with T = 0.450. The figures of the last row contradict it: |10.65 - (3.7 + 7.55)| =
-0.60. Its A-B also differs from that of the row before (4.7), which is the same pair of zones."""
+"""Columns as in table 5.3; T = 0.450.
+
+The figures of the last row contradict it: |10.65 - (3.7 + 7.55)| = 0.60. Its A-B also differs from
+that of the row before (4.7), which has the same pair of zones.
+"""
 
 FIGURE_4_4_ZONES = (3, 2, 3, 3, 2)
-"""Zones of each of its five cameras, thirteen in all."""
+"""Zones of each of the five cameras, thirteen in all."""
 FIGURE_4_4_AGENTS = 3000
+"""Agents in the simulation."""
 
 
 def table_5_4_transit(row: tuple[int, int, int, int, int, float, float, float]) -> Floats:
-    """The transit times that one row of table 5.4 states, 0 elsewhere, shape (13, 13). One row at a
-    time, for the last two contradict each other: from 12 to 13 takes 4.7 and 10.65."""
+    """Return the transit times of one row of table 5.4, 0 elsewhere, shape (13, 13).
+
+    Rows are taken one at a time, as the last two contradict each other: from 12 to 13 takes 4.7 and
+    10.65.
+    """
     transit = np.zeros((13, 13))
     _, _, a, b, c, ca, cb, ab = row
     for i, j, seconds in ((c, a, ca), (c, b, cb), (a, b, ab)):
@@ -65,18 +74,20 @@ def table_5_4_transit(row: tuple[int, int, int, int, int, float, float, float]) 
 
 
 def figure_4_4(seed: int, clutter: float = 0.0) -> tuple[list[Floats], list[NDArray[np.intp]]]:
-    """Events of 3,000 agents in five cameras with thirteen zones: positions (n, 2) of each camera,
-    and the zone of each event (-1 for clutter).
+    """Simulate events of 3,000 agents in five cameras with thirteen zones.
 
-    Every agent has a speed of its own and walks through three cameras, in at one zone and out at
-    another. Who is faster is further inside the view at the first and last sighting, so zones are
-    long rather than round. Doors may be close together, as down a corridor: 0.12 of the image.
+    Returns the positions (n, 2) of each camera, and the zone of each event (-1 for clutter). Every
+    agent has its own speed and walks through three cameras, in at one zone and out at another.
+    Faster agents are further inside the view at the first and last sighting, so zones are long
+    rather than round. Zones may be as close as 0.12 of the image, as along a corridor.
     """
     rng = np.random.default_rng(seed)
     doors = [_doors(rng, zones) for zones in FIGURE_4_4_ZONES]
     speed = 0.03 * np.exp(0.4 * rng.standard_normal(FIGURE_4_4_AGENTS))
     places: list[list[Floats]] = [[] for _ in FIGURE_4_4_ZONES]
     zones: list[list[int]] = [[] for _ in FIGURE_4_4_ZONES]
+
+    # Entry and exit of each passage.
     for agent in range(FIGURE_4_4_AGENTS):
         for camera in rng.choice(5, 3, replace=False):
             where, inwards, spread = doors[camera]
@@ -86,6 +97,8 @@ def figure_4_4(seed: int, clutter: float = 0.0) -> tuple[list[Floats], list[NDAr
                     where[zone] + along * inwards[zone] + spread[zone] * rng.standard_normal(2)
                 )
                 zones[camera].append(int(zone))
+
+    # Add clutter.
     positions, labels = [], []
     for place, zone_of in zip(places, zones, strict=True):
         noise = int(clutter / (1 - clutter) * len(place))
@@ -95,7 +108,7 @@ def figure_4_4(seed: int, clutter: float = 0.0) -> tuple[list[Floats], list[NDAr
 
 
 def _doors(rng: np.random.Generator, zones: int) -> tuple[Floats, Floats, Floats]:
-    """Where the doors of a view are, which way leads in, and how the first sightings spread."""
+    """Return the zones' places, the directions into the view, and the spreads of sightings."""
     where: list[Floats] = []
     while len(where) < zones:
         place = rng.uniform(0.08, 0.92, 2)

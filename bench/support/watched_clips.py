@@ -1,4 +1,4 @@
-"""What somebody saw on the two real clips, and how a grabber's events compare with it."""
+"""Passages annotated by hand on two real clips, and their comparison with a grabber's events."""
 
 from __future__ import annotations
 
@@ -13,15 +13,20 @@ from scipy.optimize import linear_sum_assignment
 from camtopod.records import Event
 
 SECONDS = 1.5
+"""Tolerance of an event's time, seconds."""
 DIAGONALS = 0.12
-"""An event is found within this time and distance (of the picture's diagonal)."""
+"""Tolerance of an event's position, as a share of the image's diagonal."""
 HERE = Path(__file__).parent
+"""Folder of the annotations."""
 VTEST = Path("/usr/share/doc/opencv-doc/examples/data/vtest.avi")
-"""From Debian's package opencv-doc; recorded at 7 frames a second, though its header says 10."""
+"""The second clip, of Debian's package opencv-doc.
+
+It was recorded at 7 frames a second, though its header says 10.
+"""
 
 
 def one_by_one() -> Path | None:
-    """The clip of people one at a time, where the data is at hand."""
+    """Return the path of the clip of people one at a time, or None where the data is missing."""
     folder = os.environ.get("CAMTOPOD_TEST_DATA")
     path = Path(folder or ".") / "one-by-one" / "one-by-one-person-detection.mp4"
     return path if folder and path.exists() else None
@@ -29,7 +34,7 @@ def one_by_one() -> Path | None:
 
 @dataclass(frozen=True)
 class Match:
-    """Pairs of (true, seen) indices, and what is left over on either side."""
+    """Pairs of (true, seen) indices, and the rest on either side."""
 
     pairs: list[tuple[int, int]]
     missed: list[int]
@@ -37,15 +42,13 @@ class Match:
 
     @property
     def f1(self) -> float:
-        """Harmonic mean of precision and recall; 1.0 if there was nothing to see and nothing was
-        seen.
-        """
+        """Harmonic mean of precision and recall; 1.0 if there was nothing to see or seen."""
         total = 2 * len(self.pairs) + len(self.missed) + len(self.spurious)
         return 2 * len(self.pairs) / total if total else 1.0
 
 
 def watched(name: str, fps: float) -> list[Event]:
-    """The passages of ``truth_{name}.json`` as events, played at ``fps`` frames a second."""
+    """Return the passages of ``truth_{name}.json`` as events, played at ``fps`` frames a second."""
     passages = json.loads((HERE / f"truth_{name}.json").read_text())["passages"]
     return [
         Event(
@@ -62,7 +65,10 @@ def watched(name: str, fps: float) -> list[Event]:
 
 
 def match(truth: list[Event], seen: list[Event], aspect: float) -> Match:
-    """Best one-to-one pairs of the same kind within the tolerances; ``aspect``: width / height."""
+    """Return the best one-to-one pairs of one kind within the tolerances.
+
+    ``aspect`` is the image's width / height.
+    """
     far = 1e6
     cost = np.full((len(truth), len(seen)), far)
     diagonal = np.hypot(aspect, 1.0)
@@ -85,10 +91,10 @@ def match(truth: list[Event], seen: list[Event], aspect: float) -> Match:
 
 
 def best_offset(reference: list[Event], seen: list[Event], aspect: float) -> float:
-    """Seconds to subtract from the times of ``seen`` for the most matches: the difference of the
-    clocks.
+    """Return the seconds to subtract from the times of ``seen`` for the most matches.
 
-    The differences of single events are the candidates; the median of the matches' own refines it.
+    This is the difference of the clocks. Candidates are the differences of single events; the
+    median difference of the matches refines the best.
     """
     candidates = {round(b.t - a.t, 1) for a in reference for b in seen if a.kind == b.kind}
     best = max(
@@ -99,5 +105,5 @@ def best_offset(reference: list[Event], seen: list[Event], aspect: float) -> flo
 
 
 def shifted(events: list[Event], seconds: float) -> list[Event]:
-    """The events, ``seconds`` earlier."""
+    """Return the events, ``seconds`` earlier."""
     return [Event(e.camera, e.kind, e.t - seconds, e.x, e.y, e.track) for e in events]

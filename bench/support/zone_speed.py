@@ -1,8 +1,7 @@
-"""What a camera's zones cost in CPU time: with ever more events in the window, and against methods
-over points.
+"""CPU time of a camera's zones: with growing windows, and against methods that cluster points.
 
-One thread for everybody. A turn is the same for all: the zones of every camera, `REPEATS` times
-over where that takes milliseconds only.
+Every method has one thread. A turn computes the zones of every camera, `REPEATS` times over where
+that takes milliseconds only.
 """
 
 from __future__ import annotations
@@ -23,29 +22,36 @@ from camtopod.learn.zones.zone_map import CellSums, ZoneMap, cell_sums, find_zon
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 Camera = Callable[[int], tuple[Floats, int]]
-"""Positions (n, 2) of so many events, and the number of zones."""
+"""Function from a number of events to their positions (n, 2) and the number of zones."""
 
 REFRESHED, ANEW = "zones refreshed", "zones from nothing"
+"""Titles: zones updated from the earlier ones, as the learner does, and found without them."""
 GROUPS, EVERYWHERE = "DaSpec over the dense cells", "DaSpec over all occupied cells"
-"""The second, clutter and all, is not what the learner does: the cells are the fewer the fewer
-events there are.
+"""Titles: DaSpec over the dense cells, as the learner does, and over all cells with clutter.
+
+The latter has fewer cells with fewer events.
 """
 EVENTS = (1_000, 10_000, 100_000, 1_000_000, 10_000_000)
+"""Numbers of events in the window."""
 FLAT_MAX = 1.5
+"""Target: largest ratio of the time to that of the smallest window."""
 HDBSCAN_POINTS, HDBSCAN_RATIO_MIN = 10_000, 100.0
+"""Points that HDBSCAN clusters, and the target of its ratio to ours."""
 SPECTRAL_POINTS, SPECTRAL_RATIO_MIN = 3_000, 500.0
+"""Points that spectral clustering clusters, and the target of its ratio to ours."""
 REPEATS = 20
+"""Repetitions of a job in a turn."""
 BATCH = 1_000_000
 """Events whose cells are summed at once."""
 NEW_SHARE = 0.05
-"""Of the events in the window, those that have come since the zones were last learned."""
+"""Share of the events in the window that have come since the zones were last learned."""
 
 
 def tables(
     cameras: Sequence[Camera], rounds: int, events: Sequence[int] = EVENTS
 ) -> list[ratios.Table]:
-    """Every comparison. Raises ModuleNotFoundError without scikit-learn."""
-    import sklearn.cluster  # noqa: F401  # before the limit, which holds for the libraries that are loaded
+    """Return every comparison. Raises ModuleNotFoundError without scikit-learn."""
+    import sklearn.cluster  # noqa: F401  # first: the limit applies to loaded libraries only
     from threadpoolctl import threadpool_limits  # comes with scikit-learn
 
     with threadpool_limits(1):
@@ -53,7 +59,7 @@ def tables(
 
 
 def flatness(cameras: Sequence[Camera], rounds: int, events: Sequence[int]) -> list[ratios.Table]:
-    """The same cameras with ever more events."""
+    """Compare the same cameras with growing windows."""
     windows: dict[int, list[tuple[CellSums, ZoneMap]]] = {n: [] for n in events}
     for camera in cameras:
         positions, _ = camera(max(events))
@@ -85,7 +91,7 @@ def flatness(cameras: Sequence[Camera], rounds: int, events: Sequence[int]) -> l
 
 
 def against_points(cameras: Sequence[Camera], rounds: int) -> list[ratios.Table]:
-    """Ours with the events in the window that the others see as points."""
+    """Compare ours, with as many events in the window, with methods that cluster points."""
     from sklearn.cluster import HDBSCAN, SpectralClustering
 
     result = []
@@ -121,27 +127,29 @@ def against_points(cameras: Sequence[Camera], rounds: int) -> list[ratios.Table]
 
 
 def window(positions: Floats) -> tuple[CellSums, ZoneMap]:
-    """The sums of all events, and the zones as they were before the newest came."""
+    """Return the sums of all events, and the zones before the newest ones came."""
     old = int((1 - NEW_SHARE) * len(positions))
     return summed(positions), find_zones(summed(positions[:old]))
 
 
 def summed(positions: Floats) -> CellSums:
-    """`cell_sums` of any number of positions."""
+    """Return `cell_sums` of any number of positions."""
     parts = [cell_sums(*positions[k : k + BATCH].T) for k in range(0, len(positions), BATCH)]
     return CellSums(*np.sum(np.array(parts), axis=0))
 
 
 def _dense(sums: CellSums) -> Floats:
+    """Return the counts of the dense cells."""
     return dense_cells(sums.count, clutter_rates(sums.count), FLOOR_CHANCE)
 
 
 def _bandwidth(sums: CellSums) -> float:
-    """That of DaSpec's first groups, in image units."""
+    """Return the bandwidth of DaSpec's first groups, fraction of the image."""
     return 2 * max(bandwidth(_dense(sums)) / 2, BANDWIDTH_MIN) / (GRID_ROWS + GRID_COLUMNS)
 
 
 def _plain(count: NDArray[np.int64]) -> None:
+    """Group all occupied cells by plain DaSpec."""
     data_spectroscopy(count, bandwidth(count))
 
 
@@ -150,7 +158,7 @@ def _named(events: int) -> str:
 
 
 def _timed(jobs: Sequence[Callable[[], object]], repeats: int | None = None) -> Callable[[], float]:
-    """CPU milliseconds a job, all of them done `REPEATS` times or as often as told."""
+    """Return a turn: CPU milliseconds a job, with all jobs done ``repeats`` (`REPEATS`) times."""
     times = repeats or REPEATS
 
     def turn() -> float:
