@@ -1,8 +1,8 @@
-"""With the environment variable CI set, a skip is a failure: .ci/run provides everything that tests
-need.
+"""Common settings and fixtures of the tests.
 
-Only the data that is not part of the repository may be missing: CAMTOPOD_TEST_DATA names its folder
-where it is there.
+With the environment variable CI set, a skip is a failure: .ci/run provides everything that tests
+need. Only the data that is not part of the repository may be missing; CAMTOPOD_TEST_DATA names its
+folder where it is available.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from collections.abc import Generator, Iterator
 
 os.environ.setdefault(
     "OMP_NUM_THREADS", "1"
-)  # before numpy is loaded: the matrices are small, the cores are taken
+)  # before numpy is loaded: matrices are small and cores are busy
 
-# Containers often set it, a user's shell does not: with it C's standard output waits for nothing,
-# too, in all programs that tests start, and what is stuck there is not seen.
+# Often set in containers, not in a user's shell. With it standard output is unbuffered in all
+# programs that tests start, which hides missing flushes.
 os.environ.pop("PYTHONUNBUFFERED", None)
 
 import pytest
@@ -25,27 +25,25 @@ from chromium import Browser, chromium
 from hypothesis import HealthCheck, settings
 
 DATA = "CAMTOPOD_TEST_DATA"
-"""A skip for want of the data names this variable in its reason."""
+"""Variable with the folder of the data; a skip for lack of the data names it in its reason."""
 OURS = ("CAMTOPOD_", "OPENCV_")
-"""How the variables begin that the program reads, or sets for OpenCV."""
+"""Prefixes of the environment variables that the program reads, or sets for OpenCV."""
 
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("patient")  # that a busy machine is slow says nothing about what is tested
+settings.load_profile("patient")  # a busy machine may be slow
 
 
 if (
     signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-):  # as of what a shell script runs in the background
+):  # ignored in background jobs of a shell script
     signal.signal(
         signal.SIGINT, signal.default_int_handler
-    )  # or every program a test starts would ignore it, too
+    )  # else all programs that tests start would ignore it, too
 
 
 @pytest.fixture(autouse=True)
 def _logging_as_it_was() -> Generator[None]:
-    """A command run inside a test sets up the process's log; what the next test finds in its own is
-    not its doing.
-    """
+    """Restore the log's settings, which a command run inside a test changes."""
     root = logging.getLogger()
     level, handlers = root.level, root.handlers[:]
     yield
@@ -55,9 +53,7 @@ def _logging_as_it_was() -> Generator[None]:
 
 @pytest.fixture(autouse=True)
 def _environment_as_it_was() -> Generator[None]:
-    """What a test, or a command inside it, leaves in the environment is found by every program of a
-    later test.
-    """
+    """Check that no test leaves environment variables behind, which later tests would inherit."""
 
     def ours() -> dict[str, str]:
         return {name: value for name, value in os.environ.items() if name.startswith(OURS)}
@@ -69,25 +65,25 @@ def _environment_as_it_was() -> Generator[None]:
 
 @pytest.fixture(scope="session")
 def started_browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    """One for all tests: it takes seconds to start."""
+    """Start one browser for all tests, as that takes seconds."""
     with chromium(tmp_path_factory.mktemp("profile")) as started:
         yield started
 
 
 @pytest.fixture
 def browser(started_browser: Browser) -> Browser:
-    """As new, whatever page an earlier test has left open."""
+    """Return the browser with a fresh tab."""
     started_browser.renew()
     return started_browser
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Turn a skip into a failure where nothing may be missing."""
+    """Turn a skip into a failure where everything has to be provided."""
     report = yield
     if report.skipped and not hasattr(report, "wasxfail") and os.environ.get("CI"):
         reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
         if DATA in os.environ or DATA not in reason:
             report.outcome = "failed"
-            report.longrepr = f"{reason}: what is missing must be provided where CI is set"
+            report.longrepr = f"{reason}: with CI set, everything that tests need must be provided"
     return report

@@ -1,4 +1,4 @@
-"""Slow, obvious twins of the fast functions, each by the definition. Arrays in, arrays out."""
+"""Slow and obvious versions of fast functions, each by its definition. Arrays in, arrays out."""
 
 import functools
 
@@ -10,8 +10,10 @@ import scipy.special
 
 
 def data_spectroscopy(points, bandwidth):
-    """DaSpec over n points (n, 2) with the dense n x n kernel: kept eigenvalues and eigenvectors,
-    label of each point."""
+    """Cluster n points (n, 2) by DaSpec with the dense n x n kernel.
+
+    Returns the kept eigenvalues and eigenvectors, and the label of each point.
+    """
     n = len(points)
     squared = ((points[:, None, :] - points[None, :, :]) ** 2).sum(axis=2)
     values, vectors = np.linalg.eigh(np.exp(-squared / (2 * bandwidth**2)) / n)
@@ -26,7 +28,10 @@ def data_spectroscopy(points, bandwidth):
 
 
 def eigenfunction_labels(points, values, vectors, bandwidth, new):
-    """Group of each new point (m, 2) by ``phi_g(x) = sum_i K(x, x_i) v_g(i) / (n lambda_g)``."""
+    """Return the group of each new point (m, 2).
+
+    It has the largest ``phi_g(x) = sum_i K(x, x_i) v_g(i) / (n lambda_g)``.
+    """
     labels = []
     for x in new:
         kernel = np.exp(-((points - x) ** 2).sum(axis=1) / (2 * bandwidth**2))
@@ -39,7 +44,7 @@ def eigenfunction_labels(points, values, vectors, bandwidth, new):
 
 
 def bandwidth_of_points(points):
-    """The rule `camtopod.learn.zones.daspec.bandwidth` over points (n, 2) in grid steps."""
+    """Compute `camtopod.learn.zones.daspec.bandwidth` over points (n, 2) in grid steps."""
     wanted = max(0.05 * len(points), 5)
     radii = []
     for x in points:
@@ -53,7 +58,7 @@ def bandwidth_of_points(points):
 
 
 def clutter_rates(count, constants):
-    """`camtopod.learn.zones.clutter.clutter_rates` cell by cell, always all the rounds."""
+    """Compute `camtopod.learn.zones.clutter.clutter_rates` cell by cell, always in all rounds."""
     width, denser, denser_max, alike, rounds = constants
     rows, columns = count.shape
     mean = float(np.mean(count))
@@ -76,7 +81,7 @@ def clutter_rates(count, constants):
 
 
 def dense_cells(count, rate, chance, contrast, widths):
-    """`camtopod.learn.zones.clutter.dense_cells` cell by cell."""
+    """Compute `camtopod.learn.zones.clutter.dense_cells` cell by cell."""
     rows, columns = count.shape
     dense = np.zeros(count.shape)
     for r in range(rows):
@@ -95,8 +100,10 @@ def dense_cells(count, rate, chance, contrast, widths):
 
 
 def valley(positions, low, high, steps):
-    """`camtopod.learn.zones.separation.valley` over points on a line, by trying every pair of
-    flanks and every valley."""
+    """Compute `camtopod.learn.zones.separation.valley` over points on a line.
+
+    Tries every pair of flanks and every valley.
+    """
     grid = np.linspace(low, high, steps)
     best = 0.0
     for b in range(steps):
@@ -121,7 +128,7 @@ def _valley_ratio(positions, grid, b, c, f, g):
 
 
 def gaussian_density(points, mean, cov):
-    """Eq. 2.5 with the right normaliser."""
+    """Return the density of eq. 2.5 with the correct normaliser."""
     d = points - mean
     squared = np.einsum("ni,ij,nj->n", d, np.linalg.inv(cov), d)
     return np.exp(-squared / 2) / (2 * np.pi * np.sqrt(np.linalg.det(cov)))
@@ -131,17 +138,21 @@ def gaussian_density(points, mean, cov):
 
 
 def wiener(image, size, noise):
-    """Wiener's filter over windows of ``size`` x ``size``; ``noise`` is a variance or None for
-    scipy's guess."""
+    """Filter with Wiener's filter over windows of ``size`` x ``size``.
+
+    ``noise`` is a variance, or None for scipy's estimate.
+    """
     return scipy.signal.wiener(image, size, noise)
 
 
-# --- learner: intake, window, lags, rates, candidates, joint, transit, significance ---
+# --- learner: window, lags, rates, candidates, joint fit, transit times, significance ---
 
 
 def window_sums(events, rows, columns, one):
-    """Per camera, from a list of events: sums over its cells (7, rows, columns) as `Window.sums`,
-    and (entries, exits) without a position."""
+    """Return sums over each camera's cells, and its entries and exits without a position.
+
+    The sums are (7, rows, columns) as in `Window.sums`.
+    """
     sums, unplaced = {}, {}
     for event in events:
         grid = sums.setdefault(event.camera, np.zeros((7, rows, columns), np.int64))
@@ -157,7 +168,9 @@ def window_sums(events, rows, columns, one):
 
 
 def mates(events):
-    """For each event: index of the entry that began the passage which it ends, or None."""
+    """Return for each event the index of the entry that began the passage which it
+    ends, or None.
+    """
     result = []
     for i, event in enumerate(events):
         found = None
@@ -170,7 +183,7 @@ def mates(events):
 
 
 def lag_bin(lag, lag_min, lag_max, scale, step):
-    """Bin of one lag, counted from the bin of ``lag_min``."""
+    """Return the bin of one lag, counted from the bin of ``lag_min``; -1 if it is out of range."""
     if lag < lag_min or lag > lag_max:
         return -1
     first, last = (int(np.floor(np.arcsinh(end / scale) / step)) for end in (lag_min, lag_max))
@@ -181,9 +194,7 @@ def lag_bin(lag, lag_min, lag_max, scale, step):
 
 
 def local_rates(t, zone, half_window, prior):
-    """`camtopod.learn.traffic.background_rate.local_rates`, each arrival by looking at all
-    others.
-    """
+    """Compute `camtopod.learn.traffic.background_rate.local_rates`, comparing all arrivals."""
     rates = []
     for i in range(len(t)):
         same = [j for j in range(len(t)) if zone[j] == zone[i]]
@@ -195,8 +206,11 @@ def local_rates(t, zone, half_window, prior):
 
 
 def chance_rates(left_t, left_zone, came_t, came_zone, zones, width):
-    """`camtopod.learn.traffic.background_rate.chance_rates`: the mean, over the departures of u, of
-    the rate of arrivals at v in the three bins of time around each."""
+    """Compute `camtopod.learn.traffic.background_rate.chance_rates`.
+
+    It is the mean, over the departures of u, of the rate of arrivals at v in the three time bins
+    around each.
+    """
     first = min(min(left_t), min(came_t))
     last_bin = int((max(max(left_t), max(came_t)) - first) // width)
     result = np.zeros((zones, zones))
@@ -215,8 +229,9 @@ def chance_rates(left_t, left_zone, came_t, came_zone, zones, width):
 
 
 def candidates(departures, arrivals, lag_min, lag_max):
-    """(departure, arrival) of every candidate, by arrival, then by departure. Of passages that
-    begin together the one that ends first comes first.
+    """Return (departure, arrival) of every candidate, by arrival, then by departure.
+
+    Of passages that begin together the one that ends first comes first.
     """
     found = []
     for a in range(len(arrivals.t)):
@@ -232,8 +247,10 @@ def candidates(departures, arrivals, lag_min, lag_max):
 
 
 def coexisting(camera, entered, left, shift):
-    """`camtopod.learn.next_camera.overlapping_views`: (exit, passage) of other cameras under way
-    ``shift`` seconds after the exit.
+    """Return pairs (exit, passage) of different cameras.
+
+    The passage is under way ``shift`` seconds after the exit; see
+    `camtopod.learn.next_camera.overlapping_views`.
     """
     every = range(len(left))
     return {
@@ -245,7 +262,7 @@ def coexisting(camera, entered, left, shift):
 
 
 def exposures(departures, bins, zones, until):
-    """`camtopod.learn.association.joint_fit.exposures` by looking at every departure and bin."""
+    """Compute the exposures of the joint fit, departure by departure and bin by bin."""
     exposed = np.zeros((zones, bins.size))
     for t, zone, since in zip(departures.t, departures.zone, departures.since, strict=True):
         for k in range(bins.size):
@@ -260,8 +277,9 @@ def exposures(departures, bins, zones, until):
 
 @functools.cache
 def smoothing_kernel(size, sd_bins):
-    """Matrix whose column j is a normal density around bin j, cut off at the ends and made to sum
-    to 1.
+    """Return a matrix whose column j is a normal density around bin j.
+
+    Columns are cut off at the ends and sum to 1.
     """
     result = np.zeros((size, size))
     for j in range(size):
@@ -272,7 +290,7 @@ def smoothing_kernel(size, sd_bins):
 
 
 def smoothed(row, steps):
-    """`camtopod.learn.smoothing.smooth` of one row: (counts, share that stays in its bin)."""
+    """Compute `camtopod.learn.smoothing.smooth` of one row: counts, share kept in the own bin."""
     sd_bins = next(sd for least, sd in steps if sum(row) >= least)
     kernel = smoothing_kernel(len(row), sd_bins)
     spread = np.zeros(len(row))
@@ -296,11 +314,14 @@ def joint_fit(
     iterations,
     constants,
 ):
-    """Iterations of the joint fit at EM's own stride, without pooling and slowness.
+    """Run iterations of the joint fit with plain EM, without pooling and slowness.
 
-    ``pairs``: (departure, arrival) of each candidate. ``hazard``: (u, v) -> (bins,). ``constants``:
-    least shares that leave and that come from outside, and the steps of smoothing. Returns the
-    responsibilities, the counts and new hazards by pair of zones, and the outside shares.
+        pairs: (departure, arrival) of each candidate.
+        hazard: (u, v) -> (bins,).
+        constants: least share that leaves the site, least share from outside, smoothing steps.
+
+    Returns the responsibilities, the counts and new hazards by pair of zones, and the shares from
+    outside.
     """
     leave_floor, outside_floor, smoothing = constants
     lag = [arrivals.t[a] - departures.t[d] for d, a in pairs]
@@ -310,11 +331,14 @@ def joint_fit(
     message, responsibility = [1.0] * len(pairs), [0.0] * len(pairs)
     own = {z: np.zeros(bins.size) for z in hazard}
     for _ in range(iterations):
+        # Weight of each candidate, without its own part of the hazard.
         others = [
             max(1 - r * own[z][k], 0.0)
             for r, z, k in zip(responsibility, zone_pair, cell, strict=True)
         ]
         weight = [hazard[z][k] * o for z, k, o in zip(zone_pair, cell, others, strict=True)]
+
+        # Messages from departures to arrivals, then back; responsibilities.
         offer = []
         for c, (d, _) in enumerate(pairs):
             leave = max(
@@ -330,6 +354,8 @@ def joint_fit(
             rivals = sum(offer[o] for o, (_, b) in enumerate(pairs) if b == a and o != c)
             message.append(1 / (background + rivals))
             responsibility.append(offer[c] / (background + rivals + offer[c]))
+
+        # Transitions by lag, and the shares from outside.
         counts = {z: np.zeros(bins.size) for z in hazard}
         explained = np.zeros(zones)
         for c, (_, a) in enumerate(pairs):
@@ -337,6 +363,8 @@ def joint_fit(
             explained[arrivals.zone[a]] += responsibility[c]
         came = [max(sum(z == v for z in arrivals.zone), 1) for v in range(zones)]
         outside = [min(max(1 - explained[v] / came[v], outside_floor), 1.0) for v in range(zones)]
+
+        # New hazards.
         fresh = {}
         for (u, v), row in counts.items():
             total = sum(row)
@@ -351,10 +379,12 @@ def joint_fit(
 
 
 def pooled(counts, camera, exposure, came, steps):
-    """Of `Expected.of`: transitions per exposed departure of each pair of zones if only the cameras
-    counted.
+    """Return transitions per exposed departure of each pair of zones if only the cameras counted.
 
-    ``counts``: (u, v) -> (bins,); ``came``: arrivals by zone, at least 1.
+        counts: (u, v) -> (bins,).
+        came: arrivals by zone, at least 1.
+
+    See `Expected.of`.
     """
     size, zones, result = exposure.shape[1], range(len(camera)), {}
     for u, v in counts:
@@ -371,22 +401,26 @@ def pooled(counts, camera, exposure, came, steps):
 
 
 def returning(rates):
-    """Of `Expected.of`: what each pair of zones would have if it were taken as the other way round
-    is.
+    """Return what each pair of zones would have if it equalled the opposite direction.
 
-    ``rates``: (u, v) -> (bins,) transitions per exposed departure.
+    ``rates``: (u, v) -> (bins,) transitions per exposed departure. See `Expected.of`.
     """
     return {(u, v): rates.get((v, u), 0.0 * row) for (u, v), row in rates.items()}
 
 
 def two_way(transitions, beforehand):
-    """`Prior.two_way`: share of the transitions (u, v) -> number that as many come back from."""
+    """Compute `Prior.two_way`: the share of transitions that as many return from.
+
+    ``transitions``: (u, v) -> number.
+    """
     both = sum(min(number, transitions.get((v, u), 0.0)) for (u, v), number in transitions.items())
     return (both + beforehand) / (sum(transitions.values()) + beforehand)
 
 
 def appears_again(zone, hazard, bins, exposure):
-    """Probability that an object leaving at the zone is seen again, by adding up all hazards."""
+    """Return the probability that an object leaving at the zone is seen again, as a
+    sum of hazards.
+    """
     again = 0.0
     for (source, _), row in hazard.items():
         for k in range(bins.size):
@@ -400,7 +434,7 @@ def appears_again(zone, hazard, bins, exposure):
 
 
 def weighted_quantile(lags, weights, q):
-    """The first lag at which the share ``q`` of the weight is reached."""
+    """Return the first lag at which the share ``q`` of the weight is reached."""
     wanted, reached = q * sum(weights), 0.0
     for lag, weight in sorted(zip(lags, weights, strict=True)):
         reached += weight
@@ -410,7 +444,7 @@ def weighted_quantile(lags, weights, q):
 
 
 def q_values(p, tests):
-    """Benjamini and Hochberg: the smallest level at which each p-value is among those rejected."""
+    """Return q-values by Benjamini and Hochberg: the smallest level at which each p is rejected."""
     result = []
     for own in p:
         levels = []
@@ -425,14 +459,18 @@ def q_values(p, tests):
 def doubts(
     pair, responsibility, pairs, evidence, left, spread_min, to_tell, chance, few, least, departures
 ):
-    """1 - P(something is linked) P(in character), pair by pair."""
+    """Return 1 - P(something is linked) P(in character) of each pair."""
     transitions, nats = [0.0] * pairs, [0.0] * pairs
     for p, r in zip(pair, responsibility, strict=True):
         transitions[p] += r
         nats[p] += -np.log(1 - r) - r
+
+    # Odds that something is linked, over all pairs.
     every = len(left) ** 2
     unknown = sum(np.exp(-n / departures) for n in left) / len(left) * (every - len(evidence))
     odds = (sum(np.exp(e) for e in evidence) + unknown) / every
+
+    # Typical evidence of a transition, and the deviation of each pair.
     each = sorted(
         (nats[p] / transitions[p], transitions[p]) for p in range(pairs) if transitions[p] > 0
     )
@@ -460,8 +498,9 @@ def doubts(
 
 
 def slowness(source, target, stay, least, stay_min, slowness_max):
-    """Log of each passage's duration over the median of its way; nan for a way with few
-    passages.
+    """Return the log of each passage's dwell time over the median of its zones.
+
+    It is nan for zones with few passages.
     """
     result = []
     for u, v, seconds in zip(source, target, stay, strict=True):
@@ -475,9 +514,7 @@ def slowness(source, target, stay, least, stay_min, slowness_max):
 
 
 def chain(zones, links):
-    """(from, to) -> share of those leaving a camera that are next seen at another, counted exit by
-    exit.
-    """
+    """Return (from, to) -> share of the exits of a camera that are next seen at another."""
     moved = {}
     for a in {zone.camera for zone in zones}:
         exits = sum(zone.exits for zone in zones if zone.camera == a)
@@ -499,9 +536,11 @@ def chain(zones, links):
 
 
 def standing_out(departures, arrivals, zone, bins, exposure, chance, seen_min, widths):
-    """How far the lags from each zone to ``zone`` stand out of chance where they do most, in
-    standard deviations; 0 of those seen fewer than ``seen_min`` times. ``chance``: (sources,
-    targets) -> rates in 1/s."""
+    """Return how far lags from each zone to ``zone`` exceed the null model, standard deviations.
+
+    It is the largest excess over all lags; 0 for pairs seen fewer than ``seen_min`` times.
+    ``chance``: (sources, targets) -> rates, per second.
+    """
     zones, result = len(exposure), []
     pairs = [
         (d, a)
@@ -533,7 +572,8 @@ def standing_out(departures, arrivals, zone, bins, exposure, chance, seen_min, w
 def likely(
     departures, arrivals, zone, sources, bins, exposure, chance, first, smoothing, constants
 ):
-    """`camtopod.learn.association.screening._likely`: (departure, arrival) -> probability.
+    """Compute `camtopod.learn.association.screening._likely`: (departure, arrival) -> probability.
+
     ``first``: `excess` of a histogram.
     """
     rounds, outside_first, start_floor, least = constants
@@ -544,6 +584,8 @@ def likely(
     ]
     lags = [arrivals.t[a] - departures.t[d] for d, a in pairs]
     at = [lag_bin(lag, bins.lag_min, bins.lag_max, bins.scale, bins.step) for lag in lags]
+
+    # Initial hazards, from the excess over the null model.
     hazard = {}
     for u in sources:
         seen = np.zeros(bins.size)
@@ -556,6 +598,8 @@ def likely(
             / max(exposure[u, k] * bins.widths[k], bins.widths[k])
             for k in range(bins.size)
         ]
+
+    # EM rounds.
     share = []
     for _ in range(rounds):
         weight = [hazard[departures.zone[d]][k] for (d, _), k in zip(pairs, at, strict=True)]
@@ -579,13 +623,14 @@ def likely(
 
 
 def entered_at(departures, arrivals):
-    """Zone of entry of each departure, -1 where it is unknown."""
+    """Return the zone of entry of each departure, -1 where unknown."""
     return [int(arrivals.zone[own]) if own >= 0 else -1 for own in departures.own]
 
 
 def likeliest_before(departures, arrivals, pairs, responsibility, least):
-    """(Camera each departure's object was at before, how sure), by adding up who its arrival could
-    have been.
+    """Return the previous camera of each departure's object, and its probability.
+
+    It sums the candidates of the arrival that began the passage.
     """
     result = []
     for own in departures.own:
@@ -600,11 +645,10 @@ def likeliest_before(departures, arrivals, pairs, responsibility, least):
 
 
 def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, back_off, least):
-    """`camtopod.learn.next_camera.contexts.Contexts`: every candidate and departure is judged by
-    all the others, one by one.
+    """Compute `camtopod.learn.next_camera.contexts.Contexts` with explicit leave-one-out sums.
 
-    Returns for each level (departures by context, transitions by context and target); the shares;
-    the leaving.
+    Returns for each level (departures by context, transitions by context and target); shares; and
+    the probabilities of leaving the site.
     """
     n, entry = len(departures.t), entered_at(departures, arrivals)
     sure = {}
@@ -614,6 +658,8 @@ def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, ba
         ]
         sure[zone] = sum(r * r for r in own) / max(sum(own), 1e-300)
     before = likeliest_before(departures, arrivals, pairs, responsibility, least)
+
+    # Level by level: key of each departure, and how sure it is.
     levels = []
     for name in ("entry", "block", "entry+block", "previous"):
         key, told = [], []
@@ -629,6 +675,8 @@ def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, ba
             told.append(certain)
         mine = [sure[departures.zone[d]] * told[d] for d in range(n)]
         moved = [mine[d] * r for (d, _), r in zip(pairs, responsibility, strict=True)]
+
+        # Back off each candidate's share, without the candidate itself.
         new_share = []
         for c, (d, a) in enumerate(pairs):
             above = sum(
@@ -646,6 +694,8 @@ def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, ba
             here = stays / (sum(mine[e] for e in others) + back_off)
             new_leave.append(told[d] * here + (1 - told[d]) * leave[d])
         share, leave = new_share, new_leave
+
+        # Counts of the level.
         departures_of, transitions_of = {}, {}
         for d in range(n):
             departures_of[key[d]] = departures_of.get(key[d], 0.0) + mine[d]
@@ -657,9 +707,11 @@ def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, ba
 
 
 def entry_kernels(departures, arrivals, candidates, bins, zones):
-    """What entry kernels count: per zone of entry and lag bin, the passages still in view when the
-    bin begins; and of each candidate that appears before the exit: ((zone of entry, zone of
-    appearance), bin of the lag from the entry).
+    """Return the counts of entry kernels.
+
+    They are, per zone of entry and lag bin, the passages still in view when the bin begins; and for
+    each candidate that appears before the exit, ((zone of entry, zone of appearance), bin of the
+    lag from the entry).
     """
     entry = entered_at(departures, arrivals)
     exposed = np.zeros((zones, bins.size))
@@ -677,17 +729,17 @@ def entry_kernels(departures, arrivals, candidates, bins, zones):
 
 
 def multiplier(before, after, most):
-    """`camtopod.learn.next_camera.contexts.multipliers` of one pair of probabilities."""
+    """Compute `camtopod.learn.next_camera.contexts.multipliers` of one pair of probabilities."""
     if after >= most * before:
         return 1.0 / most if after == 0 else most
     return max(after / before, 1.0 / most)
 
 
 def surroundings(share, leave, steps, back_off, most, leave_floor):
-    """`camtopod.predict.contexts.Surroundings.multipliers`, target by target.
+    """Compute `camtopod.predict.contexts.Surroundings.multipliers`, target by target.
 
-    ``share``: target -> share; ``steps``: (departures, transitions by target, how sure) of each
-    context, in order.
+    share: target -> share.
+    steps: (departures, transitions by target, probability) of each context, in order.
     """
     now, stays_now = dict(share), leave
     for departures, moved, told in steps:
@@ -704,11 +756,15 @@ def surroundings(share, leave, steps, back_off, most, leave_floor):
 
 
 def predicted(topology, seen, asked, zone_of, constants, now=None):
-    """`camtopod.predict.predictor.Predictor`: after the events ``seen`` (all at different times,
-    clocks right), where the object of the exit ``asked`` goes: {zone index: probability}, None for
-    leaving. ``constants``: back-off, largest multiplier, least leaving, prior of a dead camera,
-    least probability, least rate, shortest stay, largest slowness. ``now``: as it is known then;
-    the exit itself and what came after it may be among the events.
+    """Predict the exit ``asked`` after the events ``seen``, as
+    `camtopod.predict.predictor.Predictor`.
+
+    All events are at different times, with correct clocks. Returns {zone index: probability}, with
+    None for leaving the site.
+
+        constants: back-off, largest multiplier, least probability of leaving, prior of a dead camera,
+            least probability, least rate, shortest dwell time, largest slowness.
+        now: time of the question; the exit itself and later events may be among the events.
     """
     back_off, most, leave_floor, dead, least, rate_min, stay_min, slowest = constants
     model, zones = topology.model, topology.zones
@@ -766,8 +822,8 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
         return result
 
     def passage_of(n, event):
-        """Number of the entry that began the passage which an exit ends, number n or before
-        that.
+        """Return the number of the entry that began a passage, which an exit ends at or before
+        number n.
         """
         for j in range(n - 1, -1, -1):
             if event.track is not None and (seen[j].camera, seen[j].track) == (
@@ -778,7 +834,7 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
         return None
 
     def under_way(j, n):
-        """Whether the passage begun by entry number j goes on when event number n comes."""
+        """Return True if the passage begun by entry j is under way when event n comes."""
         same = [
             seen[i].camera == seen[j].camera and seen[i].track == seen[j].track
             for i in range(j + 1, n)
@@ -786,8 +842,9 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
         return seen[j].kind == "entry" and seen[j].track is not None and not any(same)
 
     def causes(n, known, but=()):
-        """By camera, the rate at which what is known when event ``known`` comes could have caused
-        arrival number n; without the events ``but``.
+        """Return by camera the rate at which known events could have caused arrival n.
+
+        Known are the events before number ``known``, without the events ``but``.
         """
         a, v, found = seen[n], zone_of(seen[n]), {}
         for x in range(known):
@@ -822,7 +879,7 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
                 slower = np.exp(model.pace.scaling * slow * (1 + model.pace.correlation) / 2)
 
     def odds_by(until):
-        """By zone, of appearing there, as it is known then."""
+        """Return the odds of appearing at each zone, as known at ``until``."""
         mass, pace = {}, slower if until > asked.t else 1.0
         for v, (_, row) in onward[u].items():
             last = max(
@@ -901,7 +958,7 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
 
 
 def ways_through(departures, entry, camera, share_min, tied_min, unknown):
-    """(zone of entry, zone of exit) -> (share, usual seconds)."""
+    """Return (zone of entry, zone of exit) -> (share, usual dwell time in seconds)."""
     d, ways = departures, {}
     for here in sorted(set(camera)):
         rows = [k for k in range(len(d.t)) if camera[d.zone[k]] == here]
@@ -926,7 +983,7 @@ def ways_through(departures, entry, camera, share_min, tied_min, unknown):
 
 
 def skip_hazards(appears, source, target, through, bins, quantiles, sd_bins, link_min, way_min):
-    """Hazard of each pair (P, bins) if every second passage were missed."""
+    """Return the hazard of each pair (P, bins) if every second passage were missed."""
     number = {(u, v): k for k, (u, v) in enumerate(zip(source, target, strict=True))}
     mass = np.zeros(appears.shape)
     for (u, a), first in number.items():

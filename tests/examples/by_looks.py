@@ -1,7 +1,7 @@
-"""A tracker's own cost matrix with the site's prior in it: `python by_looks.py [ENDPOINT] <
+"""Combine a tracker's own cost matrix with the site's prior: `python by_looks.py [ENDPOINT] <
 seen.jsonl`.
 
-Lines as of TrackEvents that also have `"look"`: numbers that say how a person looks, of any
+Input lines are those of TrackEvents with an additional `"look"`: the embedding of a person by any
 re-identification network.
 """
 
@@ -20,7 +20,7 @@ exits, left = zip(*[one for one in seen if one[0].kind == "exit"], strict=True)
 entries, came = zip(*[one for one in seen if one[0].kind == "entry"], strict=True)
 looks = 20 * (
     cdist(left, came, "cosine") - 0.4
-)  # nats; at 0.4 they say nothing: both figures are your network's
+)  # nats; neutral at 0.4: both figures depend on your network
 with Topology.connect(connect=sys.argv[1:]) as site:
     zones = [site.predict(a.camera, a.t, x=a.x, y=a.y).zone for a in exits]
     gates = np.array(
@@ -31,7 +31,7 @@ with Topology.connect(connect=sys.argv[1:]) as site:
     )
 cost = np.minimum(
     looks - gates - apart, 0
-)  # (exits, entries): of being one person, over that of being two
+)  # (exits, entries): cost of being one person, over that of being two
 for i, j in zip(*linear_sum_assignment(cost), strict=True):
     if cost[i, j] < 0:
         print(f"{exits[i].camera}/{exits[i].track} = {entries[j].camera}/{entries[j].track}")

@@ -1,5 +1,6 @@
-"""Whose exit goes on in whose entry? `python gating.py [ENDPOINT] < events.jsonl`, lines as of
-TrackEvents.
+"""Match exits with entries of the same objects: `python gating.py [ENDPOINT] < events.jsonl`.
+
+Input lines are those of TrackEvents.
 """
 
 import sys
@@ -14,7 +15,7 @@ events = [event_from_json(line) for line in sys.stdin]
 exits = [event for event in events if event.kind == "exit"]
 entries = [event for event in events if event.kind == "entry"]
 with Topology.connect(connect=sys.argv[1:]) as site:
-    odds = site.affinity(exits, entries)  # log odds (exits, entries); add what else you know
+    odds = site.affinity(exits, entries)  # log odds (exits, entries); add other evidence here
 for i, j in zip(*linear_sum_assignment(np.maximum(odds, 0), maximize=True), strict=True):
     if odds[i, j] > 0:
         print(f"{exits[i].camera}/{exits[i].track} = {entries[j].camera}/{entries[j].track}")

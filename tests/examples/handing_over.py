@@ -1,5 +1,7 @@
-"""Who sees the object that leaves now? `python handing_over.py [ENDPOINT] < events.jsonl`, lines as
-of TrackEvents.
+"""Name the track in an overlapping view that continues: `python handing_over.py [ENDPOINT] <
+events.jsonl`.
+
+Input lines are those of TrackEvents.
 """
 
 import sys

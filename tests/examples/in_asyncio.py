@@ -1,4 +1,4 @@
-"""What the daemon learns and foretells, as it comes: `python in_asyncio.py [ENDPOINT]`."""
+"""Print versions and predictions as they are published: `python in_asyncio.py [ENDPOINT]`."""
 
 import asyncio
 import sys
@@ -7,7 +7,7 @@ from camtopod.client import aio
 
 
 async def main(connect: list[str], seconds: float | None = None) -> None:
-    """Until nothing has come for so long."""
+    """Follow both until nothing has come for ``seconds``."""
     async with aio.Topology.connect(connect=connect) as site, asyncio.TaskGroup() as group:
         group.create_task(versions(site, seconds))
         group.create_task(predictions(site, seconds))

@@ -1,4 +1,4 @@
-"""What the examples detect in a video: boxes around what moves. Any other detector will do."""
+"""A simple detector for the examples: boxes around moving pixels. Any other detector will do."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ import cv2
 import numpy as np
 
 AREA_MIN = 0.002
-"""Smaller boxes are noise, share of the picture."""
+"""Smallest box that is not noise, share of the picture."""
 LEARNED_FRAMES = 8
-"""Before that the background is not known."""
+"""Frames from which the background is learned first."""
 
 
 class Moving:
-    """Iterates over a video from when the background is known: time in seconds, boxes (n, 4) in
-    pixels.
-    """
+    """Iterates over a video after the background is learned: seconds, boxes (n, 4) in pixels."""
 
     def __init__(self, path: str) -> None:
         self._video = cv2.VideoCapture(path)

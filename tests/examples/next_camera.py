@@ -1,5 +1,7 @@
-"""Where does who leaves appear next? `python next_camera.py [ENDPOINT] < events.jsonl`, lines as of
-TrackEvents.
+"""Predict the next camera of each object that leaves: `python next_camera.py [ENDPOINT] <
+events.jsonl`.
+
+Input lines are those of TrackEvents.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""norfair's tracker -> event lines: `python with_norfair.py VIDEO | camtopod ingest jsonl`."""
+"""Convert norfair's tracks: `python with_norfair.py VIDEO | camtopod ingest jsonl`."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""supervision -> event lines: `python with_supervision.py VIDEO | camtopod ingest jsonl`."""
+"""Convert tracks of supervision: `python with_supervision.py VIDEO | camtopod ingest jsonl`."""
 
 import sys
 

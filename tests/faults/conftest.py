@@ -1,4 +1,4 @@
-"""Where the storage faults happen."""
+"""Fixtures of the fault tests: where files are, the watched disk, whole sites."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ import site_of
 import vfs
 
 IN_MEMORY = Path("/dev/shm")
+"""File system in memory."""
 
 
 @pytest.fixture
 def quick_path(tmp_path: Path) -> Iterator[Path]:
-    """A directory in memory where there is one: many files are written, and none needs to
-    survive.
-    """
+    """Return a directory in memory if possible: many files are written that need not survive."""
     if not os.access(IN_MEMORY, os.W_OK):
         yield tmp_path
         return
@@ -28,7 +27,7 @@ def quick_path(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.fixture
 def disk_watch() -> vfs.Vfs:
-    """The VFS that sees and spoils what SQLite does."""
+    """Return the VFS that records and spoils SQLite's operations."""
     if vfs.VFS is None:
         pytest.skip("the functions of the SQLite that Python uses cannot be reached")
     return vfs.VFS
@@ -36,7 +35,7 @@ def disk_watch() -> vfs.Vfs:
 
 @pytest.fixture
 def make_site(tmp_path: Path) -> Iterator[site_of.MakeSite]:
-    """Makes a `site_of.Site` in a directory of its own, and ends it."""
+    """Return a function that makes a `site_of.Site` in a directory; sites end with the test."""
     made: list[site_of.Site] = []
 
     def make(*given: float, **more: bool) -> site_of.Site:

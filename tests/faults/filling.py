@@ -1,8 +1,7 @@
-"""A program that writes a journal or a spool while its files may not grow, and then when they may
-again.
+"""Write a journal or a spool while its files may not grow, and then when they may again.
 
-Arguments: journal or spool, directory, bytes a file may have, steps. Says on standard output how
-often it was refused.
+Arguments: journal or spool, directory, most bytes of a file, steps. Prints how often a step was
+refused.
 """
 
 from __future__ import annotations
@@ -16,10 +15,11 @@ from pathlib import Path
 from written import WrittenJournal, WrittenSpool
 
 REFUSED = 20
+"""Refusals after which the limit is raised."""
 
 
 def main() -> None:
-    """Be refused ``REFUSED`` times, then have the limit raised."""
+    """Write the steps, repeating refused ones; raise the limit after `REFUSED` refusals."""
     name, directory, limit, steps = (
         sys.argv[1],
         Path(sys.argv[2]),

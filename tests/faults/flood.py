@@ -1,5 +1,6 @@
-"""A camera gone wild: `flood.py ENDPOINT CAMERA PER_SECOND SECONDS` puts that many good events;
-prints how many.
+"""A camera that floods: `flood.py ENDPOINT CAMERA PER_SECOND SECONDS`.
+
+Publishes that many valid events a second and prints their number.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ _STEP_SECONDS = 0.01
 
 
 def flood(endpoint: str, camera: str, per_second: int, seconds: float) -> int:
-    """Returns how many were put."""
+    """Publish a flood and return the number of events."""
     began = time.monotonic()
     count = 0
     with dial(Config(bus=BusSettings(connect=(endpoint,)))) as bus:

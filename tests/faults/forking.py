@@ -1,9 +1,8 @@
-"""A program of one thread that forks a writer of a journal or a spool, kills it, looks at what it
-left, and again.
+"""Fork a writer of a journal or a spool, kill it, check what it left, and repeat.
 
-Arguments: journal or spool, directory, number of kills, and "early" for a writer that says so
-before it is durable. Says on standard output, as JSON, how many steps the writers had said were
-durable and how many of them were lost.
+The program has a single thread. Arguments: journal or spool, directory, number of kills, and
+"early" for a writer that reports a step before it is durable. Prints, as JSON, how many steps were
+reported durable and how many of them were lost.
 """
 
 from __future__ import annotations
@@ -21,19 +20,23 @@ from written import Written, WrittenJournal, WrittenSpool
 
 
 class LongSpool(WrittenSpool):
-    """Forgets nothing."""
+    """A spool that forgets nothing."""
 
     events_max, kept_max = 1_000_000, 1_000_000
 
 
 FILES = {"journal": WrittenJournal, "spool": LongSpool}
+"""Written files by name."""
 NUMBER = struct.Struct("<Q")
+"""Format of a step's number on the pipe."""
 SECONDS_MAX = 0.03
-"""A writer goes on for at most so long."""
+"""Longest time that a writer runs, seconds."""
 
 
 def write(one: Written, start: int, pipe: int, early: bool) -> None:
-    """Steps, each followed (or preceded) by its number on the pipe, until killed."""
+    """Write steps until killed; each number goes to the pipe after (or, if ``early``, before) its
+    step.
+    """
     number = start
     while True:
         if early:
@@ -47,9 +50,9 @@ def write(one: Written, start: int, pipe: int, early: bool) -> None:
 def killed_writer(
     name: str, directory: Path, start: int, early: bool, chance: random.Random
 ) -> int:
-    """The last step that a writer said to be durable before it was killed; ``start - 1`` if none.
+    """Run and kill a writer; return the last step that it reported durable, or ``start - 1``.
 
-    Most are killed a while after their first step, some while they open the file.
+    Most are killed some time after their first step, some while they open the file.
     """
     reading, writing = os.pipe()
     child = os.fork()
@@ -71,7 +74,7 @@ def killed_writer(
 
 
 def main() -> None:
-    """Kill; look; go on."""
+    """Kill writers and check the file after each."""
     name, directory, kills, early = (
         sys.argv[1],
         Path(sys.argv[2]),
@@ -79,7 +82,7 @@ def main() -> None:
         "early" in sys.argv[4:],
     )
     chance = random.Random(1)
-    FILES[name](directory).close()  # how a file is made is another test's
+    FILES[name](directory).close()  # creation of the file is tested elsewhere
     durable = lost = done = 0
     for _ in range(kills):
         said = killed_writer(name, directory, done + 1, early, chance)
@@ -87,8 +90,8 @@ def main() -> None:
         assert not one.damaged
         there = one.last()
         assert there <= said + 2, (
-            f"{there} is there, and {said + 1} was begun"
-        )  # a step that forgets shows nowhere
+            f"step {there} is stored, but only {said + 1} was begun"
+        )  # a step that only prunes leaves no trace
         durable += said - done
         lost += len(one.missing(done + 1, said + 1))
         one.close()

@@ -1,4 +1,4 @@
-"""Damaged messages: good ones with bits, bytes and pieces changed."""
+"""Damaged messages: valid ones with bits, bytes and pieces changed."""
 
 from __future__ import annotations
 
@@ -41,10 +41,11 @@ WILD = (
         b"\x00\x00",
     ),
 )
+"""Byte strings that are inserted."""
 
 
 def seeds(camera: str, boot: str = "b1") -> list[bytes]:
-    """Good events of a camera in both encodings."""
+    """Return valid events of a camera in both encodings."""
     t = 1_700_000_000.25
     events = [
         Event(camera, "entry", t),
@@ -68,7 +69,7 @@ def seeds(camera: str, boot: str = "b1") -> list[bytes]:
 
 
 def mutant(chance: random.Random, good: list[bytes]) -> bytes:
-    """One of ``good`` with one to four changes."""
+    """Return one of ``good`` with one to four changes."""
     raw = bytearray(chance.choice(good))
     for _ in range(chance.randint(1, 4)):
         chance.choice(_CHANGES)(chance, raw, good)
@@ -120,3 +121,4 @@ _CHANGES: tuple[Callable[[random.Random, bytearray, list[bytes]], None], ...] = 
     _repeat,
     _splice,
 )
+"""The changes, frequent ones several times."""

@@ -1,10 +1,9 @@
-"""What may be on the disk after a power cut, from a record of what SQLite did to it.
+"""Possible contents of the disk after a power cut, from a record of SQLite's operations.
 
-A disk keeps, for certain, what was synced. Of the rest: nothing (``synced``), some of the
-operations in some order (``subset``), or some sectors of them, with rubbish or nothing in the
-others (``torn``). Directory entries (a file made, a file deleted) are certain once the directory
-was synced. What a sync failed to write no later one will (Linux takes it for written), so it is as
-if it had not been done.
+Synced data is certain. Of the rest there may be nothing (``synced``), some of the operations in
+some order (``subset``), or some sectors of them, with garbage or nothing in the others (``torn``).
+Directory entries (files made or deleted) are certain once the directory is synced. Data of a failed
+sync is not written by a later one (Linux regards it as written), so it counts as never written.
 """
 
 from __future__ import annotations
@@ -19,15 +18,18 @@ from vfs import Op
 
 Model = Literal["synced", "subset", "torn"]
 MODELS: tuple[Model, ...] = ("synced", "subset", "torn")
+"""Models of what survives."""
 SECTORS = (512, 4096)
+"""Sizes of a sector, bytes."""
 
 Content = dict[str, bytes]
-"""File name -> what is in it."""
+"""File name -> content."""
 
 
 class Record:
-    """What was done, with marks: ``begun`` n: the n-th step was asked for; ``done`` n: it was said
-    to be durable.
+    """A record of operations, with marks.
+
+    ``begun`` n: step n was started; ``done`` n: it was reported durable.
     """
 
     def __init__(self) -> None:
@@ -42,9 +44,7 @@ class Record:
 
 
 class _File:
-    """What is certain to be in it, and what was done since; ``first_sync``: will sync the
-    directory, too.
-    """
+    """Certain content of a file and later operations; ``first_sync`` syncs the directory, too."""
 
     def __init__(self, first_sync: bool) -> None:
         self.certain = bytearray()
@@ -53,16 +53,14 @@ class _File:
 
 
 class _Entry(NamedTuple):
-    """A change of the directory that is not certain: ``file`` is now there, or (None) not any
-    more.
-    """
+    """An uncertain change of the directory: ``file`` was made, or (None) deleted."""
 
     name: str
     file: _File | None
 
 
 class Disk:
-    """The disk while the operations go on."""
+    """The state of the disk while operations go on."""
 
     def __init__(self) -> None:
         self._certain: dict[str, _File] = {}
@@ -92,7 +90,7 @@ class Disk:
             self._files[op.path].since.append(op)
 
     def image(self, model: Model, chance: random.Random) -> Content:
-        """One of the contents that may be found after the power comes back."""
+        """Return one of the possible contents after a power cut."""
         survives = chance.choice((0.1, 0.5, 0.9))
         entries = dict(self._certain)
         for name, file in self._since:
@@ -120,7 +118,7 @@ class Disk:
             _do(content, op)
         if (
             model == "torn" and chance.random() < 0.5
-        ):  # the file has its length, what should be in it is not there
+        ):  # the file has its new length, but not its content
             end = max((op.offset + len(op.data) for op in ops if op.kind == "write"), default=0)
             missing = max(0, end - len(content))
             content += chance.randbytes(missing) if chance.random() < 0.5 else bytes(missing)
@@ -132,8 +130,9 @@ class Disk:
 
 
 class Image(NamedTuple):
-    """``done``: the last step that was said to be durable; ``begun``: the last that was asked
-    for.
+    """Contents of a disk after a power cut.
+
+    ``done``: last step reported durable; ``begun``: last step started.
     """
 
     content: Content
@@ -146,8 +145,9 @@ class Image(NamedTuple):
 def images(
     ops: list[Op], each: int, seed: int, models: tuple[Model, ...] = MODELS
 ) -> Iterator[Image]:
-    """After every operation ``each`` images of each model but the first, which has one; none of
-    them twice.
+    """Yield different images after every operation, ``each`` of each model.
+
+    The first model has a single image.
     """
     disk = Disk()
     done = begun = -1
@@ -172,7 +172,7 @@ def images(
 
 
 def put(content: Content, directory: Path) -> None:
-    """Make ``directory`` hold these files and no others."""
+    """Write these files to ``directory`` and delete all others."""
     for path in directory.iterdir():
         path.unlink()
     for name, data in content.items():
@@ -189,7 +189,7 @@ def _do(content: bytearray, op: Op) -> None:
 
 
 def _pieces(op: Op, sector: int) -> Iterator[Op]:
-    """The parts of a write that lie in different sectors."""
+    """Split a write at the borders of sectors."""
     if op.kind != "write":
         yield op
         return

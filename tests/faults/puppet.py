@@ -1,8 +1,7 @@
-"""A process on the bus that does as it is told and knows no manners: the intruder, and the control
-that sees all.
+"""A process on the bus that is controlled by a test: the intruder, and the control that sees all.
 
-Commands come as JSON lines on standard input, answers go out as JSON lines. The first line is
-zenoh's settings.
+Commands are JSON lines on standard input, answers are JSON lines on standard output. The first line
+is zenoh's settings.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import zenoh
 
 
 def settings(values: dict[str, Any]) -> zenoh.Config:
+    """Return zenoh's configuration with these values."""
     config = zenoh.Config()
     for key, value in values.items():
         config.insert_json5(key, json.dumps(value))
@@ -23,6 +23,8 @@ def settings(values: dict[str, Any]) -> zenoh.Config:
 
 
 class Puppet:
+    """The commands."""
+
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._heard: list[str] = []
@@ -47,7 +49,7 @@ class Puppet:
         )
 
     def watch(self, key: str) -> None:
-        """Liveliness."""
+        """Subscribe to liveliness tokens."""
         liveliness = self._session.liveliness()
         self._kept.append(liveliness.declare_subscriber(key, self.hear, history=True))
 
@@ -62,7 +64,7 @@ class Puppet:
         self._kept.append(self._session.declare_queryable(key, reply))
 
     def hold(self, key: str) -> None:
-        """Take questions and never answer them."""
+        """Accept queries and never answer them."""
         self._kept.append(self._session.declare_queryable(key, self._kept.append))
 
     def ask(self, key: str, seconds: float = 0.5) -> list[str]:
@@ -77,7 +79,7 @@ class Puppet:
         return [(r.ok or r.err).payload.to_bytes().decode("utf-8", "replace") for r in replies]
 
     def ask_many(self, key: str, times: int) -> None:
-        """Questions, said to be as urgent as predictions, whose answers are not waited for."""
+        """Send queries with the priority of predictions, without waiting for answers."""
         for _ in range(times):
             self._session.get(
                 key, lambda reply: None, timeout=60.0, priority=zenoh.Priority.INTERACTIVE_HIGH
@@ -89,7 +91,7 @@ class Puppet:
 
 
 def main() -> None:
-    for line in sys.stdin:  # until one is let in: `open` may be tried several times
+    for line in sys.stdin:  # until one is accepted: `open` may be tried several times
         try:
             session = zenoh.open(settings(json.loads(line)))
         except zenoh.ZError as error:

@@ -1,6 +1,4 @@
-"""A router in a process of its own: `router.py ENDPOINT`. Says "ready" and stays until it is
-killed.
-"""
+"""A router in a process of its own: `router.py ENDPOINT`; prints "ready" and runs until killed."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""A whole site in processes that can be killed: a router, the daemon, and a publisher for each
-camera.
-"""
+"""A whole site of processes that can be killed: a router, the daemon, a publisher per camera."""
 
 from __future__ import annotations
 
@@ -32,22 +30,23 @@ from camtopod.serve.storage.journal import Journal
 
 HERE = Path(__file__).parent
 OUTAGE_SECONDS_MAX = 60.0
-"""No fault makes anything later than this, so the result does not depend on the order of
-arrival.
-"""
+"""Longest delay of an event by any fault, so that the order of arrival does not matter."""
 READY_SECONDS = 60.0
+"""Longest wait for a process to start or answer, seconds."""
 SAID_LINES_MAX = 40
+"""Lines of the daemon's output that are kept for failures."""
 LEARNER = "learner"
-"""The daemon's process that learns, which can be killed by itself: the daemon then ends, and is
-started again.
+"""Name of the daemon's learner process.
+
+It can be killed alone; the daemon then ends and is started again.
 """
 
 
 class Site:
     """``count`` objects in ``span`` seconds of event time, played ``speed`` times faster.
 
-    ``at_daemon``, ``at_publishers``: endpoints they dial instead of the router's own (a proxy
-    before it). Without spools the publishers just put.
+    ``at_daemon`` and ``at_publishers`` are the endpoints that these dial (the router's, or a
+    proxy's). Without spools the publishers publish each event once and forget it.
     """
 
     def __init__(
@@ -98,7 +97,7 @@ class Site:
         self.processes[name] = process
 
     def start_all(self) -> None:
-        """Everything, and somebody who watches the versions."""
+        """Start all processes, and a subscriber to the versions."""
         self.start("router")
         self.start("daemon")
         self._bus = dial(Config(bus=BusSettings(connect=(self.router_endpoint,))))
@@ -108,7 +107,7 @@ class Site:
             self.start(camera)
 
     def kill(self, name: str) -> None:
-        """kill -9."""
+        """Kill a process with SIGKILL."""
         process = self.processes.pop(_program(name))
         if name == LEARNER:
             os.kill(_child(process.pid), signal.SIGKILL)
@@ -119,13 +118,14 @@ class Site:
         self._close_pipes(process)
 
     def running(self, name: str) -> bool:
-        """Whether it has not ended by itself."""
+        """Return True if a process has not ended by itself."""
         program = _program(name)
         return program in self.processes and self.processes[program].poll() is None
 
     def finish(self, seconds: float = 600.0) -> dict[str, Any]:
-        """Wait for the publishers to have everything acknowledged and for the learner to have
-        learned it, and end the daemon; returns its last status.
+        """Wait until all events are acknowledged and learned, and end the daemon.
+
+        Returns the daemon's last status.
         """
         for camera in traffic.CAMERAS:
             wait_for(
@@ -136,7 +136,7 @@ class Site:
         for camera in (
             traffic.AFTER,
             f"{traffic.AFTER}2",
-        ):  # event time is where a second camera has come to
+        ):  # event time follows the second camera
             stored = self.status()["events"]["stored"]
             self._bus.put(f"event/{camera}", traffic.last_event(self.span, camera), "event")
             wait_for(
@@ -149,7 +149,7 @@ class Site:
         return status
 
     def close(self) -> None:
-        """End everything."""
+        """End all processes."""
         for process in self.processes.values():
             if process.poll() is None:
                 process.kill()
@@ -159,7 +159,7 @@ class Site:
             self._bus.close()
 
     def await_flow(self) -> None:
-        """Until more events have been stored, or there are none any more."""
+        """Wait until more events are stored, or all publishers have ended."""
         before = self.status()["events"]["stored"]
 
         def flows() -> bool:
@@ -170,7 +170,7 @@ class Site:
         wait_for(flows, "events to get through", 60.0)
 
     def restart(self, name: str, seconds: float) -> None:
-        """End it cleanly, and start it again some time later."""
+        """End a process cleanly, and start it again after ``seconds``."""
         process = self.processes.pop(name)
         process.terminate()
         process.wait()
@@ -178,10 +178,10 @@ class Site:
         time.sleep(seconds)
         self.start(name)
 
-    # --- what it has come to ----------------------------------------------------------------------
+    # --- results ----------------------------------------------------------------------
 
     def status(self) -> dict[str, Any]:
-        """The daemon's, waited for."""
+        """Return the daemon's status, asking repeatedly."""
         assert self._bus is not None
         deadline = time.monotonic() + READY_SECONDS
         while time.monotonic() < deadline:
@@ -196,7 +196,7 @@ class Site:
         )
 
     def journal(self) -> list[Event]:
-        """Every event in the journal, without its boot and seq, except the last one."""
+        """Return all events in the journal, without boot and seq, except the closing ones."""
         journal = Journal(self.directory / "state")
         events = [
             codec.event_from_pack(entry.raw)
@@ -211,14 +211,12 @@ class Site:
         ]
 
     def lost_and_doubled(self) -> tuple[int, int]:
-        """How many events are not in the journal, and how many are in it once too often."""
+        """Return the numbers of lost and of duplicated events in the journal."""
         found, made = Counter(map(_key, self.journal())), Counter(map(_key, self.events))
         return (made - found).total(), (found - made).total()
 
     def expected(self) -> dict[int, str]:
-        """Version -> digest of a learner that was never interrupted, over the same events by
-        time.
-        """
+        """Return version -> digest of an uninterrupted learner over the same events."""
         learner = Learner(parse(self.daemon_toml()).learn, "site", "any")
         digests = {}
         for event in [
@@ -231,7 +229,7 @@ class Site:
         return digests
 
     def daemon_toml(self) -> str:
-        """The daemon's configuration."""
+        """Return the daemon's configuration."""
         return (
             f'[bus]\nconnect = ["{self.at_daemon}"]\nconnect_seconds = 30.0\n'
             f'[state]\ndirectory = "{self.directory}/state"\n'
@@ -254,7 +252,9 @@ class Site:
         )
 
     def _await(self, process: subprocess.Popen[bytes], pipe: Any, what: bytes) -> deque[bytes]:
-        """Until it says so; the last lines it has said and will say."""
+        """Wait until a process prints ``what``; return its last lines, which go on
+        being updated.
+        """
         said: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         lines: deque[bytes] = deque(maxlen=SAID_LINES_MAX)
 
@@ -280,8 +280,9 @@ class Site:
 def kill_and_restart(
     site: Site, kills: int, seed: int, groups: Sequence[Sequence[str]], say: Callable[[str], None]
 ) -> Counter[str]:
-    """kill -9 of one of a group after the other at random moments; between two kills events get
-    through.
+    """Kill and restart processes of random groups at random moments; return the kills by name.
+
+    Between two kills some events are stored.
     """
     chance = random.Random(seed)
     killed: Counter[str] = Counter()
@@ -301,8 +302,9 @@ def kill_and_restart(
 
 
 def all_learned(status: dict[str, Any]) -> bool:
-    """Whether the learner has come to the end of the journal, which holds events only, and its
-    versions are out.
+    """Return True if the learner has reached the end of the journal and its versions are published.
+
+    The journal must hold events only.
     """
     learner = status["learner"]
     taken = learner["accepted"] + learner["late"]
@@ -311,12 +313,12 @@ def all_learned(status: dict[str, Any]) -> bool:
 
 
 def _program(name: str) -> str:
-    """What has to be started for it to run."""
+    """Return the program that a process belongs to."""
     return "daemon" if name == LEARNER else name
 
 
 def _child(pid: int) -> int:
-    """The only child of a process."""
+    """Return the id of the only child of a process."""
     (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     return int(child)
 
@@ -326,13 +328,11 @@ def _key(event: Event) -> tuple[str, float, str, str]:
 
 
 MakeSite = Callable[..., Site]
-"""The fixture ``make_site``: what `Site` takes after the directory."""
+"""The fixture ``make_site``; takes the arguments of `Site` after the directory."""
 
 
 def check(site: Site) -> None:
-    """Everything is there once, and the versions are those of a learner that was never
-    interrupted.
-    """
+    """Check that every event is stored once, and versions are those of an uninterrupted learner."""
     status = site.finish()
     assert status["learner"]["late"] == 0, "else the order of arrival would matter"
     assert site.lost_and_doubled() == (0, 0)

@@ -1,4 +1,4 @@
-"""How long the campaigns are."""
+"""Sizes of the campaigns."""
 
 from __future__ import annotations
 
@@ -6,7 +6,5 @@ import os
 
 
 def size(name: str, default: int) -> int:
-    """How much of something a campaign does: the environment variable CAMTOPOD_FAULTS_``name``, or
-    ``default``.
-    """
+    """Return the size of a campaign: the variable CAMTOPOD_FAULTS_``name``, or ``default``."""
     return int(os.environ.get(f"CAMTOPOD_FAULTS_{name}", default))

@@ -1,10 +1,9 @@
-"""Made-up traffic for the fault tests, and a publisher of one camera's part that may be killed and
-started again.
+"""Simulated traffic for the fault tests, and a publisher of one camera that may be killed.
 
-`traffic.py ENDPOINT SPOOL CAMERA COUNT SPAN SPEED BEGAN` publishes what camera CAMERA sees of
-`crossings(COUNT, SPAN)`, SPEED times faster than it happened, as if the first had happened at BEGAN
-(Unix seconds); it goes on behind what its spool has had, and ends when everything is acknowledged.
-With SPOOL "-" it has none and just puts.
+`traffic.py ENDPOINT SPOOL CAMERA COUNT SPAN SPEED BEGAN` publishes camera CAMERA's part of
+`crossings(COUNT, SPAN)`, SPEED times faster than it happened, as if the first event had happened at
+BEGAN (Unix seconds). A restarted publisher continues after the events its spool has had. It ends
+when all events are acknowledged. With SPOOL "-" there is no spool: each event is published once.
 """
 
 from __future__ import annotations
@@ -29,12 +28,13 @@ from camtopod.serve.outbox.spool import Spool
 T0 = 1_700_000_000.0
 CAMERAS = ("a", "b", "c")
 AFTER = "after"
-"""The camera of the last event, which lets everything before it be learned."""
+"""Camera of the closing event, after which all earlier events are learned."""
 
 
 def crossings(count: int, seconds: float, seed: int = 1) -> list[Event]:
-    """Objects that cross the view of ``a`` and then that of ``b`` or ``c``; four events each, by
-    time.
+    """Simulate objects that cross the view of ``a``, then that of ``b`` or ``c``.
+
+    Each makes four events; they are in order of time.
     """
     chance = random.Random(seed)
     events = []
@@ -53,12 +53,12 @@ def crossings(count: int, seconds: float, seed: int = 1) -> list[Event]:
 
 
 def last_event(seconds: float, camera: str = AFTER) -> Event:
-    """So much later than the rest that all of it is learned."""
+    """Return an event so much later than the rest that all of it is learned."""
     return Event(camera, "entry", T0 + 100 * seconds)
 
 
 def published_so_far(path: Path) -> int:
-    """How many events a spool has ever had, also those that are gone."""
+    """Return the number of events that a spool has ever had, deleted ones included."""
     if not path.exists():
         return 0
     with contextlib.closing(sqlite3.connect(path)) as database:
@@ -69,7 +69,7 @@ def published_so_far(path: Path) -> int:
 def publish(
     endpoint: str, spool: str, camera: str, events: list[Event], speed: float, began: float
 ) -> None:
-    """Until all of the events are acknowledged, or put if there is no spool."""
+    """Publish events until all are acknowledged, or published if there is no spool."""
     config = Config(bus=BusSettings(connect=(endpoint,)))
     while True:
         try:
@@ -77,11 +77,15 @@ def publish(
             break
         except BusError:
             continue
+
+    # Continue after the spool's newest event.
     keep = None if spool == "-" else Spool(Path(spool), os.urandom(8).hex(), 1_000_000)
     publisher = None if keep is None else Publisher(keep, 500)
     if publisher is not None:
         publisher.attach(bus, [camera])
     done = 0 if keep is None else published_so_far(Path(spool))
+
+    # Publish events that are due.
     while done < len(events):
         until = T0 + (time.time() - began) * speed
         due = [event for event in events[done : done + 500] if event.t <= until]
@@ -95,6 +99,8 @@ def publish(
             )
         done += len(due)
         time.sleep(0.005)
+
+    # Wait for acknowledgements.
     if publisher is not None and keep is not None:
         while not publisher.drained(0.5):
             publisher.retry()

@@ -1,9 +1,7 @@
-"""What SQLite does to the disk, seen and spoiled on the way: a VFS over the one that Python's
-sqlite3 uses.
+"""A VFS on top of Python's sqlite3 that records SQLite's disk operations and makes some fail.
 
-The program under test runs unchanged. Every method but the few that change files is the system's
-own; those first ask `watch`, which may record the operation, or return a `Fault` to be given
-instead of doing it.
+The program under test runs unchanged. All methods but those that change files are the system's.
+Those call `watch` first, which may record the operation, or return a `Fault` that replaces it.
 """
 
 from __future__ import annotations
@@ -32,17 +30,18 @@ EIO = {
     "delete": IOERR_DELETE,
     "shm": IOERR_SHMSIZE,
 }
-"""What an operation gives when the device fails."""
+"""Error codes of operations when the device fails."""
 _OPEN_CREATE = 0x4
 _OPEN_MAIN_DB = 0x100
 _OPEN_JOURNALS = 0x800 | 0x4000 | 0x80000  # main journal, super-journal, write-ahead log
 
 
 class Op(NamedTuple):
-    """``kind``: create, write, truncate (to ``offset``), sync, delete, shm (more shared memory).
+    """An operation on the disk.
 
-    ``directory``: the operation also makes the directory's entries durable, or, for create, its
-    first sync will.
+    ``kind``: create, write, truncate (to ``offset``), sync, delete, shm (more shared memory).
+    ``directory``: the operation also makes the directory's entries durable (for create: its first
+    sync will).
     """
 
     kind: str
@@ -53,15 +52,14 @@ class Op(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """Given to SQLite instead of doing the operation; ``short``: after half of the bytes were
-    written.
-    """
+    """An error that replaces an operation; ``short``: after half of the bytes were written."""
 
     code: int
     short: bool = False
 
 
 Watch = Callable[[Op], Fault | None]
+"""Called before every operation."""
 
 
 class _IoMethods(ctypes.Structure):
@@ -135,7 +133,9 @@ _SHM_MAP = ctypes.CFUNCTYPE(c_int, c_void_p, c_int, c_int, c_int, c_void_p)
 
 
 def library() -> ctypes.CDLL | None:
-    """The SQLite that the module sqlite3 uses; None if its functions cannot be reached."""
+    """Return the SQLite that the module sqlite3 uses, or None if its functions cannot
+    be reached.
+    """
     import _sqlite3
 
     candidates = [getattr(_sqlite3, "__file__", None), None]
@@ -151,7 +151,7 @@ def library() -> ctypes.CDLL | None:
 
 
 class Vfs:
-    """Stays registered for as long as the process lives; it is the default within `watching`."""
+    """The VFS, registered while the process lives; it is the default within `watching`."""
 
     def __init__(self, sqlite: ctypes.CDLL) -> None:
         sqlite.sqlite3_vfs_find.restype = POINTER(_VfsStruct)
@@ -197,7 +197,7 @@ class Vfs:
 
     @contextmanager
     def watching(self, watch: Watch) -> Iterator[None]:
-        """Databases opened within, and used within, are watched."""
+        """Watch databases that are opened and used within the block."""
         self._watch = watch
         assert self._sqlite.sqlite3_vfs_register(ctypes.addressof(self._vfs), 1) == 0
         try:
@@ -260,4 +260,4 @@ class Vfs:
 
 _found = library() if os.path.exists("/proc/self/maps") else None
 VFS = Vfs(_found) if _found is not None else None
-"""None where the functions of SQLite cannot be reached."""
+"""The VFS, or None where SQLite's functions cannot be reached."""

@@ -1,6 +1,4 @@
-"""What the storage faults happen to: a journal and a spool that are written step by step, and what
-is then in them.
-"""
+"""A journal and a spool that are written in steps, and what is then in them, for storage faults."""
 
 from __future__ import annotations
 
@@ -20,40 +18,45 @@ from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersi
 from camtopod.serve.storage.sqlite_file import damaged_files
 
 KEEP = KeepSettings(journal_bytes_max=150_000, history_bytes_max=20_000)
+"""Retention settings, small so that old data is deleted."""
 EPOCH = "e1"
 PRUNE_EVERY, PRUNE_AT = 40, 39
+"""Every so many steps one deletes old data, the step `PRUNE_AT` of each round."""
 CAMERAS = ("lobby", "hall", "yard")
 State = Hashable
+"""Comparable content of a file."""
 
 
 class Written(Protocol):
-    """One file that is written in numbered steps, each a transaction; their content depends on the
-    number alone.
-    """
+    """A file written in numbered steps, each a transaction; content depends on its number alone."""
 
     damaged: bool
-    """Whether something was set aside on opening."""
+    """True if something was set aside on opening."""
 
     def step(self, number: int) -> None:
-        """Do it; afterwards it is durable. Raises `sqlite3.Error`; may then be repeated."""
+        """Write a step, which is durable afterwards.
+
+        Raises `sqlite3.Error`; the step may then be repeated.
+        """
 
     def state(self) -> State:
-        """What is in it, as far as it must survive."""
+        """Return the content, as far as it must survive."""
 
     def last(self) -> int:
-        """The newest step that is in it."""
+        """Return the newest step that is stored."""
 
     def missing(self, start: int, stop: int) -> list[int]:
-        """Which of these steps are not in it, whole, and have not been forgotten either."""
+        """Return the steps in this range that are incomplete, and not deleted by retention."""
 
     def close(self) -> None: ...
 
 
 Open = Callable[[Path], Written]
+"""Opens a file in a directory."""
 
 
 class WrittenJournal:
-    """Entries; now and then a version, a snapshot, and the forgetting of what is old."""
+    """A journal of entries, with versions, snapshots and retention now and then."""
 
     def __init__(self, directory: Path) -> None:
         self.journal = Journal(directory, KEEP)
@@ -110,7 +113,7 @@ class WrittenJournal:
 
 
 def step_of(number: int, last: int) -> tuple[list[Entry], list[StoredVersion], Snapshot | None]:
-    """The content of a step of the journal which has ``last`` entries."""
+    """Return the content of a step of a journal with ``last`` entries."""
     chance = random.Random(number)
     camera = chance.choice(CAMERAS)
     entries = [
@@ -127,7 +130,7 @@ def step_of(number: int, last: int) -> tuple[list[Entry], list[StoredVersion], S
 
 
 class WrittenSpool:
-    """Events of some cameras, most of them acknowledged at once."""
+    """A spool with events of some cameras, most of them acknowledged at once."""
 
     events_max, kept_max = 150, 40
 
@@ -175,7 +178,7 @@ class WrittenSpool:
 
 
 def events_of(number: int) -> list[Event]:
-    """The events of a step of the spool, all of one camera."""
+    """Return the events of a step of the spool, all of one camera."""
     chance = random.Random(number)
     camera = chance.choice(CAMERAS)
     return [

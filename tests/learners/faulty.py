@@ -1,5 +1,6 @@
-"""In place of `camtopod.serve.learner_process.worker`: a learner to which an event does what its
-track says.
+"""A learner process that fails at marked events.
+
+It replaces `camtopod.serve.learner_process.worker`; the track of an event names the failure.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from camtopod.serve.learner_process.worker import main
 
 
 class FaultyLearner(Learner):
-    """Fails, is killed, crashes, prints or takes very long; anything else it learns."""
+    """A learner that fails, is killed, crashes, prints or hangs at marked events, and learns all
+    others.
+    """
 
     def receive(self, event: Event) -> str:
         match event.track:
@@ -27,9 +30,9 @@ class FaultyLearner(Learner):
             case "crashes":
                 os.kill(os.getpid(), signal.SIGSEGV)
             case "prints":
-                print("a library's word on standard output", flush=True)
+                print("a stray line of a library", flush=True)
             case "lasts":
-                while True:  # as a fit does, and no wait that something could end
+                while True:  # busy, like a fit; not a wait that could be interrupted
                     time.monotonic()
         return super().receive(event)
 

@@ -1,5 +1,6 @@
-"""In place of `camtopod.serve.learner_process.worker`: a learner of which the first two versions of
-epoch E come at once.
+"""A learner process that returns the first two versions of epoch E together.
+
+It replaces `camtopod.serve.learner_process.worker`.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from camtopod.serve.learner_process.worker import main
 
 
 class HoardingLearner(Learner):
-    """As if both had been made in one step."""
+    """A learner that seems to have made both versions in one step."""
 
     def updates(self) -> list[Topology]:
         return [] if len(self._updates) == 1 and self.epoch == "E" else super().updates()

@@ -1,5 +1,6 @@
-"""In place of `camtopod.serve.learner_process.worker`: the same of a later release, with another
-format of the snapshot.
+"""A learner process of a later release, with another snapshot format.
+
+It replaces `camtopod.serve.learner_process.worker`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""A headless Chromium for tests of the page; what it asks of the network and what it complains
-about.
-"""
+"""A headless Chromium for tests of the web page, with its network requests and console messages."""
 
 from __future__ import annotations
 
@@ -26,14 +24,16 @@ FLAGS = (
     "--disable-sync",
     "--window-size=1280,800",
 )
+"""Command line options of the browser."""
 WITHOUT = (
     "needs Chromium and its driver: apt-get install chromium chromium-driver; pip install selenium"
 )
+"""Reason of a skip where the browser is missing."""
 
 
 @contextmanager
 def chromium(profile: Path) -> Iterator[Browser]:
-    """A browser with a new profile. Skips the test where there is none."""
+    """Start a browser with a new profile; skip the test where it is missing."""
     webdriver = pytest.importorskip("selenium.webdriver", reason=WITHOUT)
     binary, driver = shutil.which("chromium"), shutil.which("chromedriver")
     if binary is None or driver is None:
@@ -51,7 +51,7 @@ def chromium(profile: Path) -> Iterator[Browser]:
 
 
 class Browser:
-    """What the tests do with it."""
+    """The operations on a browser that tests need."""
 
     def __init__(self, driver: Any) -> None:
         self._driver = driver
@@ -59,8 +59,9 @@ class Browser:
         self._asked: list[str] = []
 
     def renew(self) -> None:
-        """A new tab, and nothing asked or complained about yet. The old one is closed: its page
-        would go on asking.
+        """Open a new tab and forget requests and complaints so far.
+
+        The old tab is closed, as its page would continue to make requests.
         """
         old = self._driver.current_window_handle
         self._driver.switch_to.new_window("tab")
@@ -78,24 +79,24 @@ class Browser:
         self._driver.get(address)
 
     def go(self, place: str) -> None:
-        """To another view of the page."""
+        """Go to another view of the page."""
         self.run("location.hash = arguments[0]", place)
 
     def run(self, script: str, *arguments: object) -> Any:
-        """What a script returns."""
+        """Run a script and return its result."""
         return self._driver.execute_script(script, *arguments)
 
     def text(self, selector: str) -> str:
-        """The text of the first element that fits; "" if there is none, or it is hidden."""
+        """Return the text of the first element that matches; "" if it is missing or hidden."""
         script = "const one = document.querySelector(arguments[0]); if (!one?.checkVisibility()) return '';"
         return str(self.run(f"{script} return one.innerText ?? one.textContent", selector))
 
     def count(self, selector: str) -> int:
-        """How many elements fit."""
+        """Return the number of elements that match."""
         return int(self.run("return document.querySelectorAll(arguments[0]).length", selector))
 
     def wait(self, condition: Callable[[], bool], what: str) -> None:
-        """Until it holds; fails with what is on the page."""
+        """Wait until the condition holds; on failure, report the text of the page."""
         try:
             wait_for(condition, what)
         except AssertionError as error:
@@ -104,8 +105,9 @@ class Browser:
             ) from None
 
     def press(self, *keys: str) -> None:
-        """Press keys, wherever the focus is, as a keyboard: it holds on to no element that a page
-        may have replaced.
+        """Press keys wherever the focus is.
+
+        No element is held, as the page may replace it.
         """
         from selenium.webdriver.common.action_chains import ActionChains
         from selenium.webdriver.common.keys import Keys
@@ -114,22 +116,20 @@ class Browser:
             ActionChains(self._driver).send_keys(getattr(Keys, key, key)).perform()
 
     def size(self, width: int, height: int) -> None:
-        """Of the window's inside, in pixels; narrow ones are phones."""
+        """Set the size of the viewport, pixels; widths below 500 emulate phones."""
         self._driver.execute_cdp_cmd(
             "Emulation.setDeviceMetricsOverride",
             {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500},
         )
 
     def dark(self, dark: bool) -> None:
-        """Which colours the person prefers."""
+        """Set the preferred colour scheme."""
         feature = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
 
     @contextmanager
     def slow_to_fetch(self, milliseconds: int) -> Iterator[None]:
-        """What pages that are opened meanwhile fetch comes later; their live connection is as quick
-        as ever.
-        """
+        """Delay every fetch of pages opened in the block; their WebSocket is not delayed."""
         fetch = (
             "const quick = window.fetch.bind(window); window.fetch = async (...asked) => "
             f"{{ await new Promise((done) => setTimeout(done, {milliseconds})); return quick(...asked); }};"
@@ -141,7 +141,7 @@ class Browser:
         self._driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", script)
 
     def complaints(self) -> list[str]:
-        """Errors and warnings of the page so far: scripts, its policy, what could not be loaded."""
+        """Return the page's errors and warnings so far: scripts, content policy, failed loads."""
         self._complaints += [
             entry["message"]
             for entry in self._driver.get_log("browser")
@@ -150,7 +150,7 @@ class Browser:
         return self._complaints
 
     def asked(self) -> list[str]:
-        """The addresses of everything it has asked for so far."""
+        """Return the addresses of all requests so far."""
         for entry in self._driver.get_log("performance"):
             message = json.loads(entry["message"])["message"]
             if message["method"] == "Network.requestWillBeSent":

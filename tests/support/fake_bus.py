@@ -1,4 +1,4 @@
-"""A bus without anybody on it: for what follows a site, with the test as everybody else."""
+"""A bus with a single client; the test plays the rest of the site."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from camtopod.serve.bus.session import QueryError
 
 
 class OneBus:
-    """What the feed uses of a bus; the test is everybody else on it."""
+    """The methods of a bus that a feed uses; the test plays all other clients."""
 
     def __init__(self) -> None:
         self.connected = True

@@ -1,6 +1,4 @@
-"""A daemon in this process for the tests of what talks to one: it has learned from made-up
-walkers.
-"""
+"""A daemon in the test's process that has learned from simulated walkers."""
 
 from __future__ import annotations
 
@@ -30,11 +28,13 @@ from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.daemon import Daemon
 
 NOW = T0 + 20 * SPAN_SECONDS
+"""The daemon's wall clock, which stands still."""
 LEFT: dict[str, Any] = {"camera": "a", "t": NOW, "x": 0.9, "y": 0.5}
+"""An exit from camera a at that time."""
 
 
 def there(site: Topology | aio.Topology) -> None:
-    """Until the daemon knows of what has been subscribed to: a question takes the same way."""
+    """Wait until the daemon has processed earlier subscriptions: a query takes the same route."""
     site._bus.ask("topology")
 
 
@@ -42,9 +42,7 @@ def there(site: Topology | aio.Topology) -> None:
 def running(
     directory: Path, endpoint: str, bus: BusSettings | None = None, site: str = "site"
 ) -> Iterator[Daemon]:
-    """A daemon at an endpoint, or as ``bus`` says; stopped in any case, else the tests would not
-    end.
-    """
+    """Run a daemon at an endpoint, or with the settings ``bus``, while the block runs."""
     config = small_config(directory / "state")
     config = msgspec.structs.replace(
         config, bus=bus or BusSettings(listen=(endpoint,)), site=SiteSettings(site)
@@ -58,18 +56,18 @@ def running(
 
 
 def put(bus: Bus, *events: Event) -> None:
+    """Publish events."""
     for event in events:
         bus.put(f"event/{event.camera}", event, "event")
 
 
 def later(events: list[Event], spans: int) -> list[Event]:
+    """Return the events, moved ``spans`` spans later."""
     return [msgspec.structs.replace(event, t=event.t + spans * SPAN_SECONDS) for event in events]
 
 
 def learned(daemon: Daemon, events: list[Event]) -> Version:
-    """The daemon's version once it has learned what the plain learner learns of these events, by
-    time.
-    """
+    """Wait until the daemon has learned these events like a plain learner; return its version."""
     learner = Learner(small_config(Path()).learn, site="site", epoch="any")
     for event in events:
         learner.receive(event)
@@ -84,7 +82,7 @@ def learned(daemon: Daemon, events: list[Event]) -> Version:
 
 
 class Hub:
-    """A daemon that has learned from 200 walkers, and somebody who puts events."""
+    """A daemon that has learned from 200 walkers, and a client that publishes events."""
 
     def __init__(self, daemon: Daemon, bus: Bus) -> None:
         self.daemon, self.bus = daemon, bus
@@ -93,7 +91,7 @@ class Hub:
         learned(daemon, events)
 
     def walks(self, count: int, span: int) -> list[Event]:
-        """So many people, so many spans later."""
+        """Publish ``count`` walkers, ``span`` spans later, and return their events."""
         events = later(walkers(count, seed=span), span)
         put(self.bus, *events)
         return events
@@ -101,7 +99,7 @@ class Hub:
 
 @contextlib.contextmanager
 def a_hub(directory: Path) -> Iterator[Hub]:
-    """A hub of its own."""
+    """Run a hub of its own."""
     with (
         running(directory, free_endpoint()) as daemon,
         dial(small_config(directory, daemon.endpoint)) as bus,

@@ -1,4 +1,4 @@
-"""A systemd of the tests' own: what services tell it."""
+"""A fake systemd that records the notifications of services."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from serving import wait_for
 
 
 class Systemd:
-    """The socket systemd listens at, and what it was told."""
+    """The notification socket, and the lines it has received."""
 
     def __init__(self, address: str) -> None:
         self.address = address
@@ -19,7 +19,7 @@ class Systemd:
         self.told: list[str] = []
 
     def hear(self, seconds: float = 0.0) -> list[str]:
-        """What came within ``seconds``, and before."""
+        """Return the lines that arrive within ``seconds`` or have arrived already."""
         new: list[str] = []
         deadline = time.monotonic() + seconds
         while True:
@@ -32,7 +32,7 @@ class Systemd:
         return new
 
     def wait_for(self, line: str) -> None:
-        """Until systemd has been told ``line``, now or before."""
+        """Wait until ``line`` has been received, now or before."""
         wait_for(
             lambda: self.hear() is not None and line in self.told,
             f"{line} (told: {self.told[-20:]})",

@@ -1,6 +1,4 @@
-"""What Frigate says of made-up objects: messages of its topic ``frigate/events``, in the form its
-documentation has.
-"""
+"""Messages of Frigate's topic ``frigate/events``, after its documentation, of simulated objects."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ PLATE, FACE = "KA-AB 1234", "Jane Doe"
 
 
 def seen(t: float, left: int, top: int, right: int, bottom: int, **more: Any) -> dict[str, Any]:
-    """An object's state at ``t``; boxes are in pixels of the picture that is detected in."""
+    """Return an object's state at ``t``; boxes are in pixels of the detect size."""
     return {
         "id": "1719000000.25-a1b2c3",
         "camera": "yard",
@@ -62,8 +60,9 @@ def message(kind: str, before: dict[str, Any], after: dict[str, Any]) -> bytes:
 def passage(
     number: int = 0, t: float = 1719000000.25, camera: str = "yard", paths: bool = True
 ) -> list[bytes]:
-    """Somebody walks through the view from left to right in eight seconds; gone for five before
-    Frigate says so.
+    """Return the messages of a passage from left to right in eight seconds.
+
+    Frigate reports its end five seconds after the object left.
     """
     name = {"id": f"{t}-{number:06d}", "camera": camera, "start_time": t}
     way = [[[0.0859, 0.8472], t + 0.8], [[0.5, 0.9], t + 4.0]] if paths else None
@@ -83,7 +82,7 @@ def passage(
 
 
 def parked(t: float = 1719000000.25, moved: int = 0, stationary: bool = True) -> list[bytes]:
-    """A car that stands there, is found, and lost again."""
+    """Return the messages of a parked car that is detected and lost again."""
     name = {"id": f"{t}-parked", "label": "car", "start_time": t, "position_changes": moved}
     first = seen(t, 700, 300, 900, 420, **{**name, "false_positive": True, "position_changes": 0})
     sure = seen(t + 1, 700, 300, 901, 420, **name)

@@ -1,4 +1,4 @@
-"""A real broker for the tests."""
+"""A real MQTT broker for tests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PROGRAM = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin:/usr/l
 
 
 class Broker:
-    """A mosquitto on a port of its own, which it keeps when it is started again."""
+    """A mosquitto on a port of its own, which it keeps over restarts."""
 
     def __init__(self, folder: Path, port: int, *options: str) -> None:
         self.port = port
@@ -29,7 +29,7 @@ class Broker:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> bool:
-        """Whether it is there; its port may have been taken meanwhile."""
+        """Start the broker; return False if it ends, as its port may have been taken meanwhile."""
         assert PROGRAM is not None
         self._process = process = subprocess.Popen(
             [PROGRAM, "-c", str(self._config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -43,7 +43,7 @@ class Broker:
             self._process.wait()
 
     def publish(self, lines: list[bytes], **options: object) -> None:
-        """As Frigate does."""
+        """Publish messages as Frigate does."""
         from paho.mqtt import publish
 
         publish.multiple(
@@ -61,6 +61,7 @@ class Broker:
 
 @contextlib.contextmanager
 def mosquitto(folder: Path, *options: str) -> Iterator[Broker]:
+    """Run a broker while the block runs."""
     for _ in range(5):
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))

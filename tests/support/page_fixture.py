@@ -1,4 +1,4 @@
-"""The page on a bus that the test speaks on, in a browser."""
+"""The web page on a fake bus, in a browser."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from camtopod.web import app
 
 
 class Shown:
-    """A page on a bus that the test speaks on."""
+    """A web page on a fake bus."""
 
     def __init__(self, *versions: Topology) -> None:
         self.bus = OneBus()
@@ -26,7 +26,7 @@ class Shown:
 
     @contextlib.contextmanager
     def serving(self, port: int = 0) -> Iterator[int]:
-        """Yields the port."""
+        """Serve the page; yield the port."""
         bus = cast(Bus, self.bus)
         with (
             listening("127.0.0.1", port) as listener,
@@ -37,16 +37,17 @@ class Shown:
             yield port
 
     def publish(self, topology: Topology) -> None:
-        """A new version, which the page's server fetches whole."""
+        """Publish a new version; the page's server fetches it as a whole."""
         self.bus.kept[topology.version] = topology
         self.bus.put("topology/delta", "not a delta")
 
     def status(self, **cameras: dict[str, Any]) -> None:
-        """The daemon's word of itself and of cameras."""
+        """Publish the status of the daemon and its cameras."""
         self.bus.put("status/daemon", {"state": "running", "reason": "", "cameras": cameras})
 
 
 def opened(browser: Browser, shown: Shown, place: str = "#/map") -> None:
+    """Open the page at ``place`` and wait until it is live."""
     shown.status()
     browser.open(shown.address + place)
     browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")

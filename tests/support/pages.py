@@ -1,4 +1,4 @@
-"""The pages of the repository, and what they show: commands, blocks, links."""
+"""The Markdown pages of the repository, and their commands, blocks and links."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ PAGES = (
     ROOT / "camtopod" / "ARCHITECTURE.md",
     ROOT / "camtopod" / "learn" / "METHOD.md",
 )
-"""Every page, the one that people read first in front."""
+"""All pages, the main one first."""
 FENCED = re.compile(r"^ *```(\w*)\n(.*?)^ *```$", re.DOTALL | re.MULTILINE)
-"""A block's language and its lines."""
+"""A fenced block: its language and its lines."""
 SHELL = ("", "sh", "ini")
 """Languages of blocks whose lines may be commands."""
 _HERE_DOCUMENT = re.compile(r"<<'END'\n.*?^END$", re.DOTALL | re.MULTILINE)
@@ -52,7 +52,10 @@ def links(text: str) -> list[str]:
 
 
 def invocations(line: str) -> Iterator[list[str]]:
-    """What a line of a shell gives to camtopod: here, in a container, or as systemd does."""
+    """Yield the arguments of each call of camtopod in a shell line.
+
+    Calls may be direct, in a container or in a systemd unit.
+    """
     words = shlex.shlex(line, posix=True, punctuation_chars=True)
     words.whitespace_split = True
     command: list[str] = []

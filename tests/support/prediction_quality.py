@@ -1,6 +1,4 @@
-"""How well what comes after the first part of a recording is prediction_quality by what was learned
-of that part.
-"""
+"""Figures of predictions for the last part of a recording, learned from its first part."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ from camtopod.sim.truth import Truth
 
 
 def prediction_quality(events: list[Event], truth: Truth) -> dict[str, float]:
-    """The figures of one batch fit."""
+    """Return the figures of one batch fit."""
     learner = Learner(Settings(refit_share=1e9, refit_hours=1e9))
     for event in events[: int(TRAIN_SHARE * len(events))]:
         learner.receive(event)

@@ -1,4 +1,4 @@
-"""Little pictures with people in them: textured rectangles that walk over a textured floor."""
+"""Small rendered pictures of people: textured rectangles that walk over a textured floor."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ Place = tuple[float, float]
 
 @dataclass
 class Person:
-    """Feet at ``where(t)`` in fractions of the picture (None: not there); sizes in its height."""
+    """A person whose feet are at ``where(t)``, fractions of the picture (None: not there).
+
+    ``tall`` is a fraction of the picture's height.
+    """
 
     where: Callable[[float], Place | None]
     tall: float = 0.2
@@ -31,7 +34,7 @@ class Person:
 
 
 def line(start: float, a: Place, b: Place, seconds: float) -> Callable[[float], Place | None]:
-    """Walk from ``a`` to ``b`` in ``seconds``, beginning at ``start``."""
+    """Return a walk from ``a`` to ``b`` in ``seconds``, beginning at ``start``."""
 
     def where(t: float) -> Place | None:
         share = (t - start) / seconds
@@ -52,7 +55,7 @@ class Scene:
     noise: float = 1.0
     light: Callable[[float], float] = lambda t: 1.0
     front: Callable[[Picture], None] = lambda picture: None
-    """Draws what stands before the people."""
+    """Draws foreground objects that hide the people."""
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
 
     def __post_init__(self) -> None:
@@ -60,7 +63,7 @@ class Scene:
         self._floor = cv2.resize(coarse, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
 
     def picture(self, t: float) -> Picture:
-        """What the camera sees at ``t``, (HEIGHT, WIDTH)."""
+        """Return the camera's picture at ``t``, (HEIGHT, WIDTH)."""
         picture = self._floor.copy()
         for person in sorted(self.people, key=lambda p: (p.where(t) or (0, 0))[1]):
             place = person.where(t)
@@ -71,7 +74,7 @@ class Scene:
         return np.clip(picture, 0, 255).astype(np.uint8)
 
     def film(self, path: Path, seconds: float) -> Path:
-        """Write a video of the first ``seconds``; returns ``path``."""
+        """Write a video of the first ``seconds`` and return its path."""
         writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (WIDTH, HEIGHT))
         for k in range(round(seconds * FPS)):
             writer.write(cv2.cvtColor(self.picture(k / FPS), cv2.COLOR_GRAY2BGR))
@@ -79,7 +82,7 @@ class Scene:
         return path
 
     def events(self, seconds: float, settings: VisionSettings | None = None) -> list[Event]:
-        """What a watcher says about the first ``seconds``."""
+        """Return the events of a watcher in the first ``seconds``."""
         watcher = Watcher("cam", settings or VisionSettings())
         events = []
         for k in range(round(seconds * FPS)):

@@ -1,4 +1,4 @@
-"""Serves one H.264 file over RTSP at its own pace: for a Python that has GStreamer's bindings.
+"""Serve an H.264 file over RTSP in real time; needs a Python with GStreamer's bindings.
 
     python3 rtsp_server.py FILE
 

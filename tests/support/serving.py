@@ -1,6 +1,4 @@
-"""What the tests of the serving side share: small configurations, made-up events, waiting for a
-condition.
-"""
+"""Helpers for tests of the daemon: small configurations, simulated events, waiting."""
 
 from __future__ import annotations
 
@@ -23,12 +21,15 @@ from camtopod.records import Event
 from camtopod.serve.daemon import Daemon
 
 T0 = 1_700_000_000.0
+"""Event time at which the simulated walkers start."""
 SPAN_SECONDS = 1200.0
+"""Length of a simulated recording, seconds."""
 WAIT_SECONDS = 30.0
+"""Default timeout of waits, seconds."""
 
 
 def wait_for(condition: Callable[[], bool], what: str, seconds: float = WAIT_SECONDS) -> None:
-    """Until ``condition()``; fails saying ``what`` was waited for."""
+    """Wait until ``condition()`` holds; on timeout fail with ``what`` was waited for."""
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f"waited {seconds} s for {what}"
@@ -36,22 +37,23 @@ def wait_for(condition: Callable[[], bool], what: str, seconds: float = WAIT_SEC
 
 
 def all_out(daemon: Daemon, events: int) -> bool:
-    """Whether its learner has had so many events, and the versions that it made of them are out."""
+    """Return True if the learner has had ``events`` events and its versions are published."""
     learner = daemon.status()["learner"]
     had = learner.get("accepted", 0) + learner.get("late", 0) == events
     return bool(had and learner["version"] == daemon.status()["version"])
 
 
 def free_endpoint() -> str:
-    """A TCP endpoint on this machine that is free now."""
+    """Return a TCP endpoint on this machine that is free now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def small_config(state: Path, connect: str | None = None, **limits: float) -> Config:
-    """A daemon on a free port, or programs that dial ``connect``; the learner takes any order of
-    arrival.
+    """Return the configuration of a daemon on a free port, or of a client that dials ``connect``.
+
+    The learner's lateness allows any order of arrival.
     """
     bus = BusSettings(listen=("tcp/127.0.0.1:0",))
     if connect:
@@ -72,8 +74,10 @@ def small_config(state: Path, connect: str | None = None, **limits: float) -> Co
 
 
 def walkers(count: int, seed: int = 1) -> list[Event]:
-    """Objects that cross the view of ``a``, then that of ``b`` or ``c`` some seconds later; by
-    time.
+    """Simulate objects that cross the view of ``a``, then that of ``b`` or ``c`` some seconds
+    later.
+
+    Events are in order of time.
     """
     chance = random.Random(seed)
     events = []
@@ -93,12 +97,12 @@ def walkers(count: int, seed: int = 1) -> list[Event]:
 
 
 def closing_event() -> Event:
-    """So much later that everything before it is learned."""
+    """Return an event so much later that everything before it is learned."""
     return Event("late", "entry", T0 + 10 * SPAN_SECONDS)
 
 
 def numbered(events: list[Event], boot: str = "b1") -> list[Event]:
-    """The events with boot and seq, counted per camera from 1."""
+    """Return the events with boot and seq, counted per camera from 1."""
     seqs: dict[str, int] = {}
     result = []
     for event in events:
@@ -108,7 +112,7 @@ def numbered(events: list[Event], boot: str = "b1") -> list[Event]:
 
 
 def camtopod(*arguments: str, **popen: object) -> subprocess.Popen[bytes]:
-    """The program in a process of its own."""
+    """Start the program in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
         [sys.executable, "-m", "camtopod", *arguments], env=environment, **popen

@@ -1,6 +1,4 @@
-"""A subscriber's process: follows the versions and writes each as one line, until standard input
-ends.
-"""
+"""A subscriber's process: writes each version as one line until standard input ends."""
 
 from __future__ import annotations
 

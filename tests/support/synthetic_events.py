@@ -1,4 +1,4 @@
-"""Made things for tests: a topology that is exactly the truth; passages through views."""
+"""Synthetic data for tests: a topology equal to the ground truth; passages through views."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,11 @@ from camtopod.sim.truth import Truth
 from camtopod.topology.lag_bins import LagBins
 
 LINKED = np.array([100.0])
-"""Evidence that something is linked."""
+"""Evidence far above that of a link, nats."""
 
 
 def topology_of(truth: Truth) -> Topology:
-    """What a learner that knew everything would publish."""
+    """Return the topology that a learner with all identities would publish."""
     zones = [
         Zone(id=z.id, camera=z.camera, entries=100, exits=100, x=z.x, y=z.y, cov=z.cov)
         for z in truth.zones
@@ -53,7 +53,7 @@ def topology_of(truth: Truth) -> Topology:
 
 
 def passage(camera: str, entered: float, stay: float, track: str) -> list[Event]:
-    """The two events of somebody who is in view for ``stay`` seconds."""
+    """Return entry and exit of an object that is in view for ``stay`` seconds."""
     return [
         Event(camera, "entry", entered, track=track),
         Event(camera, "exit", entered + stay, track=track),
@@ -61,7 +61,7 @@ def passage(camera: str, entered: float, stay: float, track: str) -> list[Event]
 
 
 def learned_from(events: list[Event]) -> Topology:
-    """The one version that `camtopod learn` makes of a recording."""
+    """Return the one version that `camtopod learn` makes of a recording."""
     learner = Learner(only_last=True)
     for event in events:
         learner.receive(event)
@@ -71,8 +71,9 @@ def learned_from(events: list[Event]) -> Topology:
 
 
 class Views:
-    """Objects passing through views: what a fit works on. ``camera`` is that of each zone; tracks
-    tie every passage.
+    """Passages of objects through views, as input of a fit.
+
+    ``camera`` is that of each zone; tracks tie every exit to its entry.
     """
 
     def __init__(self, camera: list[int]) -> None:
@@ -80,11 +81,13 @@ class Views:
         self.rows: list[tuple[float, float, int, int, int]] = []
 
     def through(self, entered: float, left: float, entry: int, leave: int, block: int = -1) -> None:
-        """One passage from zone ``entry`` to zone ``leave``, in a block of the image at its end."""
+        """Add a passage from zone ``entry`` to zone ``leave``; ``block`` is the image block at its
+        end.
+        """
         self.rows.append((entered, left, entry, leave, block))
 
     def columns(self) -> tuple[Departures, Arrivals]:
-        """What left and what came, by time."""
+        """Return departures and arrivals, each by time."""
         since, t, entry, leave, block = (
             np.array(column) for column in zip(*self.rows, strict=True)
         )
@@ -118,7 +121,7 @@ def fit_posterior(
     evidence: NDArray[np.float64],
     screened: bool = False,
 ) -> Posterior:
-    """The posterior of these candidates, both steps in one."""
+    """Return the posterior of these candidates, in one step."""
     cameras = int(max(departures.camera.max(initial=0), arrivals.camera.max(initial=0))) + 1
     nothing = np.zeros((cameras, cameras), np.bool_)
     followed = followed_of(departures, arrivals, candidates, bins, zones, until, nothing)

@@ -1,6 +1,4 @@
-"""A made-up topology of any size, as a learner would publish it: for what draws and tells
-topologies.
-"""
+"""A synthetic topology of any size, as a learner would publish it."""
 
 from __future__ import annotations
 
@@ -35,8 +33,9 @@ SHARE = 0.45
 def synthetic_topology(
     cameras: int, seed: int = 1, version: int = 1, as_of: float = AS_OF
 ) -> Topology:
-    """A site on a grid with streets missing: a zone on each side that leads somewhere, a link each
-    way across.
+    """Return a site on a grid with streets missing.
+
+    There is a zone on each side that leads somewhere, and a link in each direction across a street.
     """
     chance = random.Random(seed)
     side = math.ceil(math.sqrt(1.6 * cameras))
@@ -53,7 +52,7 @@ def synthetic_topology(
         sides[b].add(OPPOSITE[way])
     zones = [
         _zone(names[k], way, chance) for k in range(cameras) for way in sorted(sides[k] or {0})
-    ]  # a camera that leads nowhere has one zone
+    ]  # a camera without streets has one zone
     exits = {zone.id: zone.exits for zone in zones}
     links, pairs = [], []
     for a, b, way in streets:
@@ -99,7 +98,7 @@ def made_link(
     overlapped: bool = False,
     visible: bool = False,
 ) -> Link:
-    """A link with a bell-shaped histogram about ``middle`` seconds."""
+    """Return a link with a bell-shaped histogram about ``middle`` seconds."""
     sd = 0.5 + 0.15 * abs(middle)
     bell = [
         math.exp(-0.5 * ((x - middle) / sd) ** 2) * w

@@ -1,4 +1,4 @@
-"""A recording with identities, made by hand, in a folder as `bench real` takes it."""
+"""A synthetic recording with identities, in a folder as `bench real` takes it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ EVERY_SECONDS = 30.0
 
 
 def a_recording(path: Path) -> Path:
-    """Who passes a is at b 9 to 11 s later, who passes e is in the view of c before leaving e, who
-    passes d is never seen again.
+    """Write a recording with three kinds of objects and return its folder.
+
+    One kind passes a, then b 9 to 11 s later; one enters the view of c before leaving e; one passes
+    d and is not seen again.
     """
     path.mkdir()
     chance, events, rows = np.random.default_rng(3), list[Event](), ["track,identity"]
