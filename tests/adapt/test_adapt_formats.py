@@ -1,5 +1,6 @@
-"""Frigate's, MOTChallenge's and SceneScape's lines -> events. The payloads are written after their
-documentation.
+"""Lines of Frigate, MOTChallenge and SceneScape become events.
+
+The payloads follow the documentation of these programs.
 """
 
 from __future__ import annotations
@@ -170,8 +171,8 @@ def test_mosquitto_sub_may_put_the_topic_in_front() -> None:
 
 
 def mot_lines(frames: int = 60) -> list[bytes]:
-    """Three people in a picture of 1920x1080, sorted by track as in ground truth; other lines do
-    not count.
+    """Return three people in a picture of 1920x1080, sorted by track, and lines that
+    do not count.
     """
     lines = []
     lines += [f"{frame},1,{20 * frame},400,80.5,200,1,1,0.9" for frame in range(15, frames)]
@@ -247,9 +248,7 @@ def test_a_mot_file_has_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
 def frame(
     t: float, people: list[tuple[int, int]], camera: str = "cam1", tracked: bool = False
 ) -> bytes:
-    """A message of a camera at ``t``: people by (id, left edge), listed by confidence, so in
-    changing order.
-    """
+    """Return a message of a camera at ``t``: people as (id, left edge), in changing order."""
     chance = random.Random(f"{t}")
     listed = sorted(people, key=lambda _: chance.random())
     persons = [
@@ -278,9 +277,7 @@ def frame(
 
 
 def walks(tracked: bool) -> list[bytes]:
-    """One from the left, one from the right, passing each other in another row of the list each
-    frame.
-    """
+    """Return walks from the left and from the right; their order in the list alternates."""
     lines = []
     for n in range(130):
         left = [(41, 8 * (n - 15))] if 15 <= n < 90 else []
@@ -308,7 +305,7 @@ def test_scenescape_frames_become_passages(tracked: bool) -> None:
 
 
 def test_ids_that_only_count_are_not_believed() -> None:
-    """What would come of it: who came from the left turns back half way, and so does the other."""
+    """If they were, both people would appear to turn round half-way."""
 
     def passages(reader: SceneScape) -> set[tuple[float | None, ...]]:
         events = read(reader, walks(tracked=False))
@@ -338,7 +335,7 @@ def test_cameras_and_kinds_are_apart() -> None:
 
 
 def test_a_frame_that_comes_too_late_changes_nothing() -> None:
-    """It would lead the track of who is there astray."""
+    """It would mislead the track of the person in view."""
     size = {"": (2000, 600)}
     lines = [frame(T + n / 10, [(1, 40 * n)] if 15 <= n < 40 else []) for n in range(70)]
     expected = read(SceneScape(size), lines)

@@ -1,4 +1,4 @@
-"""Any tracker's output -> events: against a slow twin, and what trackers hand out."""
+"""The output of any tracker becomes events, as in a slow version of the conversion."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_documentation_runs() -> None:
 
 
 def fed(frames: list[tuple[float, dict[Any, list[float]]]], **options: Any) -> list[Event]:
-    """All events of frames (time, boxes by id)."""
+    """Return all events of frames (time, boxes by id)."""
     events = TrackEvents("c", SIZE, **options)
     found = [e for t, boxes in frames for e in events.update(list(boxes), list(boxes.values()), t)]
     return found + events.close()
@@ -41,8 +41,10 @@ def fed(frames: list[tuple[float, dict[Any, list[float]]]], **options: Any) -> l
 def by_definition(
     frames: list[tuple[float, dict[Any, list[float]]]], life: float, lost: float
 ) -> set[Any]:
-    """A passage: sightings of one id without a gap above ``lost``, from the first to the last over
-    ``life``.
+    """Return the passages by their definition.
+
+    A passage is the sightings of one id without a gap above ``lost``, from the first to the last,
+    if it is longer than ``life``.
     """
     seen = defaultdict(list)
     for t, boxes in frames:

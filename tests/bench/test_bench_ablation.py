@@ -1,4 +1,4 @@
-"""The bench that leaves mechanisms out: each can be, and comes back; what the table says of it."""
+"""`bench ablation`: each mechanism can be left out and is restored; the report."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_a_mechanism_earns_its_place_by_more_than_two_standard_errors() -> None:
 
 
 def test_a_constant_is_chosen_on_the_other_networks() -> None:
-    """Halved it is better on x and y and worse on z; doubled, worse on all."""
+    """Halved, the constant is better on x and y and worse on z; doubled, worse on all."""
     means = {}
     for network, halved in (("x", 0.4), ("y", 0.45), ("z", 0.53)):
         for name, loss in (("", 0.5), ("POOLING x 0.5", halved), ("POOLING x 2", 0.6)):

@@ -1,4 +1,4 @@
-"""`bench change`: how it sums up what was found how soon."""
+"""`bench change`: the summary of how soon changes are found."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from bench.change import Found, summary
 
 
 def found(after: float, needed: float, known: bool = True) -> Found:
-    """A link of so many passages since the change that was right after so many, and said so if
-    ever.
-    """
+    """Return a link with ``after`` passages since the change that was right after ``needed``."""
     return Found(known, 50.0, after, needed, not math.isnan(needed))
 
 

@@ -1,6 +1,4 @@
-"""The parts of the bench that measure the daemon, at a size of seconds: what they say has the right
-shape.
-"""
+"""The parts of the bench that measure the daemon, run for seconds: shape of their output."""
 
 from __future__ import annotations
 
@@ -21,13 +19,13 @@ SMALL = ["--cameras", "4", "--learned", "400", "--rounds", "1"]
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """A site that has learned, laid out once."""
+    """Lay out a site that has learned, once."""
     return [*SMALL, "--site", str(tmp_path_factory.mktemp("site"))]
 
 
 @pytest.fixture(autouse=True)
 def cold(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No round to warm up."""
+    """Measure without a warm-up round."""
     monkeypatch.setattr(ratios, "WARM_ROUNDS", 0)
 
 

@@ -1,6 +1,4 @@
-"""What a camera costs, measured small: the parts of `bench grab`, and the arithmetic of
-`bench.support.ratios`.
-"""
+"""`bench grab` at a small size, and the arithmetic of `bench.support.ratios`."""
 
 from __future__ import annotations
 
@@ -33,9 +31,7 @@ def test_everybody_has_a_turn_in_every_round_and_another_one_begins() -> None:
 
 
 def test_ratios_are_taken_within_a_round() -> None:
-    """The machine is twice as slow in the second round and ten times in the third: the ratio does
-    not see it.
-    """
+    """A machine that is slower in some rounds does not change the ratios."""
     costs = {"base": [1.0, 2.0, 10.0], "other": [1.5, 3.0, 15.0]}
     table = ratios.compare("title", "s", costs, "base", {"other": 1.4})
     base, other = table.rows

@@ -1,4 +1,4 @@
-"""The benches of how the learner's cost grows."""
+"""The parts of the bench about the growth of the learner's cost."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The bench of real networks: its definitions on a recording made by hand, and that it finds its
-data.
-"""
+"""`bench real`: its definitions on a synthetic recording, and where it looks for data."""
 
 from __future__ import annotations
 

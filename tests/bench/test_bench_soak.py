@@ -1,4 +1,4 @@
-"""What the soak says of its days."""
+"""`bench soak`: its messages about the days."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MEGABYTE = 2**20
 
 
 def days(resident: list[int], disk: int = 10) -> list[Day]:
-    """So many megabytes of memory at the end of each, and the same on the disk all the time."""
+    """Return days with these sizes of memory, megabytes, and constant sizes on disk."""
     return [
         Day(number, size * MEGABYTE, disk * MEGABYTE, disk * MEGABYTE, number, 1.0, 1.0)
         for number, size in enumerate(resident, start=1)
@@ -86,7 +86,7 @@ def test_one_lost_and_one_doubled_do_not_cancel_out() -> None:
 
 
 def test_a_day_in_small(capfd: pytest.CaptureFixture[str]) -> None:
-    """It goes through; too few days and events to say that memory is flat, and it says so."""
+    """A short run completes and reports that days and events are too few to judge."""
     assert main(["--days", "1", "--cameras", "3", "--events", "120"]) == 1
     said = capfd.readouterr().out.splitlines()[-5:]
     assert [line for line in said if "are needed" in line or "never come near" in line] == said

@@ -1,6 +1,4 @@
-"""`bench zones`, measured small: what zones cost with more events, and against methods that look at
-points.
-"""
+"""`bench zones` at a small size."""
 
 from __future__ import annotations
 

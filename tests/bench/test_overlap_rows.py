@@ -1,4 +1,4 @@
-"""The overlap test gives the thesis's tables 5.3 and 5.4."""
+"""The overlap test reproduces the thesis's tables 5.3 and 5.4."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_table_5_3_needs_its_tolerance() -> None:
 
 @pytest.mark.parametrize("row", TABLE_5_4)
 def test_table_5_4_but_for_the_row_its_own_figures_contradict(row: tuple) -> None:
-    """Row by row, for the last two rows contradict each other."""
+    """Row by row, as the last two rows contradict each other."""
     rows = overlap_rows(table_5_4_transit(row), TABLE_5_4_CAMERAS, 0.450)
     found = [(r.camera_ab, r.camera_c, r.a + 1, r.b + 1, r.c + 1) for r in rows]
     if row == TABLE_5_4[-1]:

@@ -1,4 +1,4 @@
-"""The regimes to measure on are what their names say."""
+"""The regimes of the bench have the properties that their names say."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_the_rows_have_the_sizes_asked_for() -> None:
 
 
 def test_the_told_chain_counts() -> None:
-    """People go a, b, c or c, b, a: the present camera alone knows half, the previous one all."""
+    """People walk a, b, c or c, b, a: the present camera tells half, the previous one all."""
     events, identity, passage = [], [], []
     for who in range(40):
         for number, camera in enumerate("abc" if who % 2 else "cba"):

@@ -28,7 +28,7 @@ Run = Callable[..., tuple[int, bytes, str]]
 
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, capfdbinary: pytest.CaptureFixture[bytes]) -> Run:
-    """A command: exit status, standard output, standard error."""
+    """Run a command; return exit status, standard output, standard error."""
 
     def go(*args: object, stdin: bytes = b"") -> tuple[int, bytes, str]:
         monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(stdin)))
@@ -53,7 +53,7 @@ def recording(tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def topology(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Learned from the recording."""
+    """Learn the recording and return the topology's file."""
     folder = tmp_path_factory.mktemp("learned")
     (folder / "events.jsonl").write_bytes(lines(EVENTS))
     out = folder / "topology.json"
@@ -236,9 +236,7 @@ def test_predictions_are_the_contracts(run: Run, topology: Path, recording: Path
 
 
 def test_later_lines_change_no_answer(run: Run, topology: Path) -> None:
-    """The answers to the first part are the same whether or not the rest is there; those at the
-    same moment too.
-    """
+    """Answers to the first part of a file do not depend on later lines, also at the same moment."""
     _, whole, _ = run("predict", topology, "-", stdin=lines(EVENTS))
     for cut in (100, 333, 600):
         first = [event for event in EVENTS if event.t <= EVENTS[cut].t]

@@ -1,6 +1,4 @@
-"""The dispatcher: commands, common options, exit statuses, and no traceback for what can be
-expected.
-"""
+"""The command dispatcher: commands, common options, exit statuses, no traceback."""
 
 from __future__ import annotations
 
@@ -31,7 +29,7 @@ from camtopod.serve.storage.journal import Journal
 
 @pytest.fixture(autouse=True)
 def _root_logger() -> Iterator[None]:
-    """Commands set up logging for their process; here the process goes on."""
+    """Restore the log, which commands set up for their process."""
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     yield
@@ -40,7 +38,7 @@ def _root_logger() -> Iterator[None]:
 
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
-    """A command ``probe`` which keeps its arguments and does what ``act`` says."""
+    """Add a command ``probe`` which keeps its arguments and calls ``act``."""
     module = types.ModuleType("camtopod.cli.cameras.probe")
     module.seen = []  # type: ignore[attr-defined]
     module.act = lambda args: 0  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""The completions, in the shells they are for."""
+"""The completion scripts in their shells."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ zpty -d z
 
 @pytest.fixture
 def of(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Callable[[str], Path]:
-    """The file that the command writes for a shell, which has to be there."""
+    """Return the file that the command writes for a shell; skip the test without that shell."""
 
     def write(shell: str) -> Path:
         if shutil.which(shell) is None:

@@ -1,6 +1,4 @@
-"""The configuration's JSON Schema: what is right passes, and mistakes an editor should see do
-not.
-"""
+"""The JSON Schema of the configuration: valid files pass, common mistakes do not."""
 
 from __future__ import annotations
 
@@ -21,7 +19,7 @@ VALIDATOR = jsonschema.Draft7Validator(schema())
 
 
 def wrong(toml: str) -> list[str]:
-    """Where the schema finds mistakes."""
+    """Return the places where the schema finds mistakes."""
     return sorted(
         ".".join(map(str, error.path)) for error in VALIDATOR.iter_errors(tomllib.loads(toml))
     )

@@ -1,6 +1,4 @@
-"""`doctor`: what it tells, also when much is wrong, and that no secret is in it, wherever it
-stands.
-"""
+"""`camtopod doctor`: its findings, also with many faults, and that it prints no secret."""
 
 from __future__ import annotations
 
@@ -55,7 +53,7 @@ def _alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.fixture
 def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A configuration that has a secret, or the way to one, in every place there is."""
+    """Write a configuration with a secret, or a path to one, in every possible place."""
     credentials = tmp_path / "credentials"
     credentials.mkdir()
     (credentials / "source").write_text(f"rtsp://admin:{SECRETS['credential']}@192.0.2.4/x\n")
@@ -90,7 +88,7 @@ def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def without_secrets(text: str) -> str:
-    """The text, after a look for each secret, in the forms that quoting gives it."""
+    """Return the text, after checking that no secret is in it, in any quoted form."""
     for name, secret in SECRETS.items():
         for form in (secret, json.dumps(secret)[1:-1], repr(secret)[1:-1]):
             assert form not in text, name
@@ -219,7 +217,7 @@ def test_a_wrong_configuration_and_nothing_there(
 
 
 class _Blind(contextlib.AbstractContextManager["_Blind"]):
-    """The bus as a camera's certificate sees it."""
+    """The bus as a camera's certificate allows."""
 
     endpoint, site = "tls/hub:7447", "hq"
 

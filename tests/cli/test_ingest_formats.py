@@ -1,6 +1,4 @@
-"""`camtopod ingest` of other programs' formats: into a file, onto the bus, and lines that do not
-fit.
-"""
+"""`camtopod ingest` of other formats: into a file, onto the bus, and lines that are refused."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ def lines_of(path: Path) -> list[Event]:
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    """What `mosquitto_sub -v` printed of ten passages, with some lines of another kind."""
+    """Return the output of `mosquitto_sub -v` for ten passages, with some other lines."""
     lines = [b"frigate/events " + line for n in range(10) for line in says.passage(n, T0 + 20 * n)]
     lines[4:4] = [
         b'frigate/tracked_object_update {"type": "face", "name": "Jane Doe"}',
@@ -59,7 +57,7 @@ def test_lines_without_a_bus(
 def test_from_standard_input_to_standard_output(
     monkeypatch: pytest.MonkeyPatch, capsysbinary: pytest.CaptureFixture[bytes]
 ) -> None:
-    """A MOTChallenge file through a pipe."""
+    """A MOTChallenge file passes through a pipe."""
     rows = (
         "".join(f"{n},4,{8 * n},20,30,60,1,-1,-1,-1\n" for n in range(15, 40)) + "90,9,0,0,1,1,1\n"
     )
@@ -129,7 +127,10 @@ def test_lines_that_come_to_nothing_are_not_passed_over_in_silence(
     ("arguments", "said"),
     [
         (["mot", "x.txt"], "mot needs --camera and --fps and --size"),
-        (["mot", "x.txt", "--camera", "daemon", "--fps", "5", "--size", "4x4"], "reserved on the bus"),
+        (
+            ["mot", "x.txt", "--camera", "daemon", "--fps", "5", "--size", "4x4"],
+            "reserved on the bus",
+        ),
         (["mot", "x.txt", "--camera", "a", "--fps", "-5", "--size", "4x4"], "above 0"),
         (["mot", "x.txt", "--camera", "a", "--fps", "0", "--size", "4x4"], "above 0"),
         (["mot", "x.txt", "--camera", "", "--fps", "5", "--size", "4x4"], "1 to 64"),

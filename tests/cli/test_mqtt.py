@@ -1,6 +1,4 @@
-"""Frigate's messages straight from a broker: a real mosquitto, with passwords, with TLS, and away
-for a while.
-"""
+"""Frigate's messages from a real broker (mosquitto): with passwords, with TLS, with outages."""
 
 from __future__ import annotations
 
@@ -161,7 +159,7 @@ def test_a_password_from_a_file_or_the_environment(
 
 
 def certificate(folder: Path) -> tuple[Path, Path]:
-    """A certificate for 127.0.0.1 that vouches for itself, and its key."""
+    """Write a self-signed certificate for 127.0.0.1, and its key."""
     x509 = pytest.importorskip("cryptography.x509", reason="needs cryptography (camtopod[keys])")
     from cryptography.hazmat.primitives import hashes, serialization
     from cryptography.hazmat.primitives.asymmetric import ec
@@ -275,7 +273,7 @@ HUGE = 200_000_000
 
 
 def packet(kind: int, content: bytes, more: int = 0) -> bytes:
-    """An MQTT packet, of whose content ``more`` bytes follow."""
+    """Return the head of an MQTT packet; ``more`` bytes of content follow."""
     length, head = len(content) + more, bytes([kind])
     while True:
         length, digit = divmod(length, 128)
@@ -289,7 +287,7 @@ def text(value: str) -> bytes:
 
 
 def publish_huge(connection: socket.socket) -> None:
-    """A message of `HUGE` bytes, without having it."""
+    """Publish a message of `HUGE` bytes without holding it in memory."""
     topic = text("frigate/events")
     connection.sendall(packet(0x30, topic, HUGE))
     for _ in range(HUGE // 1_000_000):
@@ -318,9 +316,7 @@ def test_a_broker_that_speaks_5_does_not_send_a_huge_message(tmp_path: Path) -> 
 
 
 class Old:
-    """A broker that speaks MQTT 3.1.1 only. The first who subscribes is sent a huge message, the
-    next a passage.
-    """
+    """A broker of MQTT 3.1.1: its first subscriber gets a huge message, the next a passage."""
 
     def __init__(self, answers_5: bool) -> None:
         self._answers_5 = answers_5

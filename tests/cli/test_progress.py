@@ -1,4 +1,4 @@
-"""Long work says how far it has come, to a terminal and to nothing else."""
+"""Long commands report progress to a terminal, and to nothing else."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""`camtopod ingest` beside real daemons: whose events are whose, and what is said to have become of
-them.
-"""
+"""`camtopod ingest` beside real daemons: which daemon takes an event, and the reported outcome."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ from camtopod.serve.daemon import Daemon
 
 @contextlib.contextmanager
 def site(folder: Path, name: str) -> Iterator[Daemon]:
-    """A daemon of a site, with a state directory of its own."""
+    """Run a daemon of a site, with a state directory of its own."""
     config = msgspec.structs.replace(small_config(folder / name), site=SiteSettings(name))
     with Daemon(config, clock=lambda: T0 + 100_000.0) as daemon:
         yield daemon
@@ -40,7 +38,7 @@ def lines(path: Path, events: list[Event]) -> Path:
 
 
 def stored(folder: Path, name: str) -> list[bytes]:
-    """The events in the journal of a daemon."""
+    """Return the events in the journal of a daemon."""
     with contextlib.closing(sqlite3.connect(folder / name / "journal.db")) as journal:
         return [
             raw

@@ -1,4 +1,4 @@
-"""No password in any output."""
+"""No output has a password in it."""
 
 from __future__ import annotations
 

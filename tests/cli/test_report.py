@@ -1,4 +1,4 @@
-"""`camtopod report`: the page as one file; that a browser shows it is in `test_web_browser`."""
+"""`camtopod report`: a web page as one file; `test_web_browser` tests it in a browser."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SITE = msgspec.structs.replace(synthetic_topology(12), version=3)
 
 
 def written(tmp_path: Path, *options: str, topology: Topology = SITE) -> str:
-    """The report on a topology, by the command."""
+    """Write the report on a topology with the command."""
     source, out = tmp_path / "topology.json", tmp_path / "report.html"
     source.write_bytes(codec.to_json(topology))
     assert main.main(["report", str(source), "--out", str(out), *options]) == exits.DONE
@@ -30,7 +30,7 @@ def written(tmp_path: Path, *options: str, topology: Topology = SITE) -> str:
 
 
 def held(text: str) -> Any:
-    """The data in a report."""
+    """Return the data in a report."""
     found = re.search(
         r'<script type="application/json" id="report">(.*?)</script>', text, re.DOTALL
     )

@@ -1,6 +1,4 @@
-"""The client library against a real daemon on a real bus: what it holds, what it says, what it
-waits for.
-"""
+"""The client library with a real daemon on a real bus: what it stores, publishes and waits for."""
 
 from __future__ import annotations
 
@@ -144,7 +142,7 @@ def test_a_prediction_is_the_daemons(hub: Hub, site: Topology) -> None:
 
 
 def test_what_has_been_told_since_counts_when_asked_again(site: Topology) -> None:
-    """Whoever leaves a at 0.9, 0.5 appears at b or c 9 s later, as a rule."""
+    """Objects that leave a at (0.9, 0.5) usually appear at b or c 9 s later."""
     left = Event("a", "exit", NOW, 0.9, 0.5, "7")
     for event in (Event("a", "entry", NOW - 4.0, 0.1, 0.5, "7"), Event("b", "exit", NOW - 1.0)):
         site.observe(event)
@@ -340,7 +338,7 @@ def test_one_may_wait_for_ever(site: Topology) -> None:
 
 
 def test_it_needs_only_the_core_packages() -> None:
-    """And of those not OpenCV: a program in which nothing else can be imported imports it."""
+    """A program in which nothing else can be imported, not even OpenCV, can import it."""
     program = """
 import sys
 class Only:

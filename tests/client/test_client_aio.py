@@ -1,6 +1,4 @@
-"""The client library in asyncio: the same as in threads, and what waits or connects can be
-cancelled.
-"""
+"""The client library in asyncio: as in threads, and waits and connections can be cancelled."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The examples of the client library as their readers run them, against a real daemon; the pages
-show the same.
-"""
+"""The examples of the client library with a real daemon; the pages show the same code."""
 
 from __future__ import annotations
 
@@ -41,9 +39,7 @@ def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
 def said(
     hub: Hub, name: str, events: list[Event], looks: dict[str, list[float]] | None = None
 ) -> list[str]:
-    """What an example prints when it is told of the events, and of how the people of tracks
-    look.
-    """
+    """Return the output of an example for these events, with an appearance for each track."""
     command = [sys.executable, str(EXAMPLES / name), hub.daemon.endpoint]
     lines = [json.loads(to_json(event)) for event in events]
     if looks is not None:
@@ -55,7 +51,7 @@ def said(
 
 
 def walk(track: int, t: float, to: str) -> list[Event]:
-    """From the view of a to another, which takes 9 s."""
+    """Return events of a walk from the view of a to another, which takes 9 s."""
     a, other = (str(10 * track + k) for k in (1, 2))
     return [
         Event("a", "entry", t, 0.11, 0.5, a),
@@ -76,7 +72,7 @@ def test_where_next(hub: Hub) -> None:
 
 
 def through_both(number: int, t: float) -> list[Event]:
-    """Eight seconds in the view of a, of which the last three in that of b, too."""
+    """Return events of eight seconds in the view of a, the last three of them also in that of b."""
     a, b = (str(10 * number + k) for k in (1, 2))
     return [
         Event("a", "entry", t, 0.11, 0.5, a),
@@ -119,9 +115,7 @@ def test_who_is_who(hub: Hub) -> None:
 
 
 def test_who_is_who_by_looks_and_by_the_site(hub: Hub) -> None:
-    """Of two at the same time looks tell; of two who look alike, the times and ways that the site
-    knows.
-    """
+    """Appearance decides between simultaneous exits; times and links decide between equal looks."""
     two = [*walk(1, NOW, "b"), *walk(2, NOW + 0.3, "b"), *walk(3, NOW + 300, "b")]
     red, blue = [1.0, 0.0, 0.2], [0.0, 1.0, 0.2]
     looks = {"11": red, "21": blue, "12": blue, "22": red, "31": red, "32": red}
@@ -140,7 +134,7 @@ def test_who_is_who_by_looks_and_by_the_site(hub: Hub) -> None:
 
 
 def test_as_it_comes(hub: Hub) -> None:
-    """Until interrupted, after which nothing keeps the process."""
+    """It follows until interrupted, and then ends completely."""
     command = [sys.executable, "-u", str(EXAMPLES / "in_asyncio.py"), hub.daemon.endpoint]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -187,7 +181,7 @@ def printed_until_a_prediction(hub: Hub, block: str, lines_min: int) -> list[str
 
 
 def test_the_bus_itself_as_the_page_shows_it(hub: Hub) -> None:
-    """The lines without camtopod, word for word but for where the daemon is."""
+    """The lines without camtopod run as shown, except for the endpoint."""
     [shown] = blocks(PROTOCOL, "python")
     assert (
         len([line for line in shown.splitlines() if line and not line.startswith("import ")])
@@ -228,5 +222,5 @@ def test_the_page_has_the_tested_lines() -> None:
 
 
 def code(name: str) -> str:
-    """An example without its docstring."""
+    """Return an example without its docstring."""
     return (EXAMPLES / name).read_text().split('"""', 2)[2].lstrip()

@@ -1,6 +1,4 @@
-"""Configuration: what a file says, every mistake at once with its line, and which line a key is
-on.
-"""
+"""The configuration: values, all mistakes at once with their lines, and the line of each key."""
 
 from __future__ import annotations
 
@@ -237,7 +235,7 @@ EXPECTED = {
 
 
 def paths(value: Any, path: tuple[str | int, ...] = ()) -> set[tuple[str | int, ...]]:
-    """Every path into what tomllib read."""
+    """Yield every path into the output of tomllib."""
     found = {path} if path else set()
     pairs = (
         value.items()
@@ -271,7 +269,7 @@ values = st.recursive(
 
 
 def render(value: Any) -> str:
-    """Inline TOML; arrays over several lines, now and then a multi-line string."""
+    """Render inline TOML, with arrays over several lines and some multi-line strings."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

@@ -1,6 +1,4 @@
-"""Exports are read back by other people's programs, or by slow obvious parsers where these are
-missing.
-"""
+"""Exports are read back by other programs, or by simple parsers where these are missing."""
 
 from __future__ import annotations
 
@@ -35,7 +33,7 @@ EMPTY = msgspec.structs.replace(TOPOLOGY, cameras=[], zones=[], links=[], pairs=
 
 
 def related(graph: list[tuple[str, str, bool]]) -> set[tuple[tuple[str, str], bool]]:
-    """Directed edges to pairs."""
+    """Convert directed edges to pairs."""
     pairs: dict[tuple[str, str], bool] = {}
     for a, b, overlapped in graph:
         key = (min(a, b), max(a, b))
@@ -130,8 +128,9 @@ def test_svg_survives_a_site_with_markup_in_its_name() -> None:
 
 
 def test_aicity_lines_are_read_as_the_challenge_code_reads_them() -> None:
-    """The rules of UWIPL's camera_transition.py: integers, lower camera first, zones in their zone
-    lists.
+    """The rules are those of UWIPL's camera_transition.py.
+
+    Integers, lower camera first, zones in their zone lists.
     """
     numbers = camera_numbers(TOPOLOGY)
     names = {number: name for name, number in numbers.items()}

@@ -1,6 +1,4 @@
-"""The site in Home Assistant: what discovery promises is published, by a real bridge at a real
-broker.
-"""
+"""Home Assistant discovery: everything announced is published, by a real bridge and broker."""
 
 from __future__ import annotations
 
@@ -53,7 +51,7 @@ def to_hall(leave: float, *shares: tuple[str, float]) -> Prediction:
 
 
 def test_every_entity_finds_its_figure() -> None:
-    """Its topic is one that is published, and has the field that its template takes."""
+    """Its topic is published and has the field that its template takes."""
     cameras = ["lobby", "north.gate", "a_b", "a.b"]
     announced = decoded(homeassistant.discovery(TOPICS, cameras))
     states = homeassistant.site_state(TOPICS, True, SiteSaid("running"), TOPOLOGY)
@@ -142,7 +140,7 @@ def test_the_next_camera_is_that_of_all_its_zones_together() -> None:
 
 
 class HomeAssistant:
-    """Somebody who listens to everything, and remembers the newest of each topic."""
+    """A subscriber to everything that stores the newest message of each topic."""
 
     def __init__(self, broker: Broker) -> None:
         from paho.mqtt.client import Client

@@ -1,9 +1,7 @@
-"""Files that were cut or have flipped bits: what is gone is noticed, and comes again from the
-grabber's spool.
+"""Files that are cut or have flipped bits: losses are noticed, and refilled from the spool.
 
-Silent is the one thing that damage must not be. It is not when the file is set aside, when
-something says so in the log, or when a grabber says that more was acknowledged than the journal
-has.
+Damage must not be silent. It is not silent if the file is set aside, if the log reports it, or if a
+grabber reports that more was acknowledged than the journal has.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ Key = tuple[str, str | None, int | None]
 
 
 class Found(NamedTuple):
-    """What is in the files in the end; ``said``: everything that was said of damage."""
+    """Final content of the files; ``said``: all reports of damage."""
 
     events: dict[Key, bytes]
     versions: dict[int, bytes | None]
@@ -46,9 +44,7 @@ class Found(NamedTuple):
 
 
 class Before(NamedTuple):
-    """Files as a kill leaves them, and what was in them; where in the log the last transaction
-    is.
-    """
+    """Files as a kill leaves them, their content, and where in the log the last transaction is."""
 
     content: Content
     found: Found
@@ -67,7 +63,7 @@ class Installation(NamedTuple):
 
 @contextmanager
 def said() -> Iterator[list[str]]:
-    """What the program logs of the level warning and above."""
+    """Collect the program's log from the level warning up."""
     lines: list[str] = []
     handler = logging.Handler(logging.WARNING)
     handler.emit = lambda record: lines.append(record.getMessage())  # type: ignore[method-assign]
@@ -130,7 +126,7 @@ def installation(quick_path: Path) -> Iterator[Installation]:
 
 
 def files_of(directory: Path) -> Content:
-    """As a kill would leave them; the shared memory is made anew."""
+    """Copy files as a kill leaves them; the shared memory is made anew."""
     return {
         path.name: path.read_bytes()
         for path in directory.iterdir()
@@ -184,7 +180,7 @@ def look_into_journal(content: Content, grabber: Spool, directory: Path) -> Foun
 
 
 def look_into_spool(content: Content, directory: Path) -> Found:
-    """Open it as the next grabber does and give all it has."""
+    """Open it as the next grabber does and read all events."""
     clear(directory)
     put(content, directory)
     events: dict[Key, bytes] = {}
@@ -206,9 +202,7 @@ def clear(directory: Path) -> None:
 
 
 def verdict(before: Before, now: Found) -> str:
-    """``same``, ``said`` (something is missing, and that was said), ``refused``; anything else must
-    not be.
-    """
+    """Return ``same``, ``said`` (a loss, and it was reported) or ``refused``; fail otherwise."""
     was = before.found
     if not (
         now.events.items() <= was.events.items()
@@ -233,7 +227,7 @@ def missing(before: Found, now: Found) -> str:
 
 
 def damaged(before: Before, name: str, chance: random.Random) -> Content:
-    """One bit is not what it was, anywhere in the files."""
+    """Flip one bit anywhere in the files."""
     files = [name, f"{name}-wal"]
     chosen = chance.choices(files, [len(before.content[one]) for one in files])[0]
     content = bytearray(before.content[chosen])
@@ -244,7 +238,7 @@ def damaged(before: Before, name: str, chance: random.Random) -> Content:
 def flip(
     installation: Installation, count: int, directory: Path, seed: int
 ) -> dict[str, collections.Counter[str]]:
-    """``count`` flips, half of them in the journal and half in the spool."""
+    """Make ``count`` flips, half of them in the journal and half in the spool."""
     chance = random.Random(seed)
     counts: dict[str, collections.Counter[str]] = {
         "journal": collections.Counter(),
@@ -262,7 +256,7 @@ def flip(
 def cut(
     installation: Installation, every: int, directory: Path
 ) -> dict[str, collections.Counter[str]]:
-    """The log ends anywhere in its last transaction, with the snapshot and the version in it."""
+    """Cut the log anywhere in its last transaction, with the snapshot and the version in it."""
     counts: dict[str, collections.Counter[str]] = {
         "journal": collections.Counter(),
         "spool": collections.Counter(),
@@ -338,7 +332,7 @@ def test_a_snapshot_cut_at_any_byte_is_not_used(
 def test_the_harness_sees_silent_damage(
     installation: Installation, quick_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without checksums it is silent, and wrong."""
+    """Without checksums, damage is silent and the content wrong."""
     chance = random.Random(3)
     clear(quick_path / "image")
     put(installation.spool.content, quick_path / "image")

@@ -1,6 +1,4 @@
-"""Shuffled, repeated and delayed events: as long as nothing comes later than allowed, one result
-for all orders.
-"""
+"""Shuffled, repeated and delayed events: one result for all orders, within the lateness."""
 
 from __future__ import annotations
 
@@ -40,7 +38,7 @@ AGAIN = st.lists(st.tuples(st.integers(0, len(EVENTS) - 1), st.integers(0, 6000)
 
 
 class Shelf:
-    """Stands in for the journal: what is committed."""
+    """A fake journal; stores commits."""
 
     def __init__(self) -> None:
         self.entries: list[Any] = []
@@ -60,11 +58,11 @@ class Shelf:
         return None
 
     def prune(self, now: float) -> None:
-        """Nothing is old."""
+        """Do nothing: nothing is old."""
 
 
 class Line:
-    """Stands in for the bus: the acks."""
+    """A fake bus; stores acknowledgements."""
 
     def __init__(self) -> None:
         self.acks: dict[str, int] = {}
@@ -80,7 +78,7 @@ def versions(learner: Learner) -> list[tuple[int, str]]:
 def received(
     arrivals: Sequence[Event], learn: Settings = LEARN
 ) -> tuple[list[tuple[int, str]], Learner, Shelf, Line]:
-    """What comes of events that arrive in this order, through the receiver and the learner."""
+    """Return the result of events that arrive in this order at the receiver and the learner."""
     learner, shelf, line, made = Learner(learn, "site", "e"), Shelf(), Line(), []
 
     def take(batch: list[Received]) -> None:
@@ -120,7 +118,7 @@ EXPECTED = expected()
 
 
 def one_result(tenths: list[int], again: list[tuple[int, int]]) -> None:
-    """Each event is delayed by so many tenths of a second; some come again."""
+    """Delay each event by so many tenths of a second; repeat some."""
     at = [
         (event.t + late / 10, number)
         for number, (event, late) in enumerate(zip(EVENTS, tenths, strict=True))

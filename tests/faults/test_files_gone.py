@@ -1,6 +1,7 @@
-"""The journal's files are removed, moved, cut off or replaced under the running daemon: nothing is
-acknowledged from then on, what is wrong is said, and after a restart nothing that a spool still has
-is missing.
+"""The journal's files are removed, moved, cut or replaced under the running daemon.
+
+From then on nothing is acknowledged, the fault is reported, and after a restart nothing is missing
+that a spool still has.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ def replaced_by_a_copy(state: Path) -> None:
 
 
 def overwritten(state: Path) -> None:
-    """As `cp` restores a backup: the file stays the same and has the same size."""
+    """Overwrite a file as `cp` does when it restores a backup: same file, same size."""
     with (state / "journal.db").open("r+b") as file:
         content = bytearray(file.read())
         content[24:28] = bytes(4)  # how often it was changed
@@ -127,7 +128,7 @@ NEW_DIRECTORY = (directory_moved, directory_removed)
 
 
 class Grabber:
-    """A spool that keeps what is acknowledged, and how many events it has had."""
+    """A spool that keeps acknowledged events, and the number of its events."""
 
     def __init__(self, directory: Path) -> None:
         self._directory = directory
@@ -145,7 +146,7 @@ class Grabber:
 
     @contextlib.contextmanager
     def at(self, endpoint: str) -> Iterator[Bus]:
-        """On a daemon's bus; a publisher of its own, as after a restart."""
+        """Attach to a daemon's bus with a new publisher, as after a restart."""
         with contextlib.closing(dial(small_config(self._directory, endpoint))) as bus:
             self.publisher = Publisher(self._spool, 100)
             self.publisher.attach(bus, ["lobby"])
@@ -162,16 +163,14 @@ def grabber(tmp_path: Path) -> Iterator[Grabber]:
 
 
 def is_clear_about(reason: str, state: Path) -> bool:
-    """Whether it says what is wrong, with which file, and what to do."""
+    """Return True if a message names the fault, the file and the remedy."""
     return (
         str(state / "journal") in reason and "while it is in use" in reason and "restart" in reason
     )
 
 
 class Seen(NamedTuple):
-    """A daemon that has stopped acknowledging: its epoch, what others know it by, and where it was
-    reached.
-    """
+    """A daemon that has stopped acknowledging: its epoch, identity and endpoint."""
 
     epoch: str
     name: str
@@ -179,14 +178,15 @@ class Seen(NamedTuple):
 
 
 def config_at(state: Path, endpoint: str) -> Config:
-    """Of the daemon that is started again at the same endpoint: a spool knows its own by that, or
-    by its name.
+    """Return the configuration of a daemon started again at the same endpoint.
+
+    A spool recognises its daemon by that, or by its name.
     """
     return msgspec.structs.replace(small_config(state), bus=BusSettings(listen=(endpoint,)))
 
 
 def stops(harm: Harm, state: Path, grabber: Grabber, caplog: pytest.LogCaptureFixture) -> Seen:
-    """A daemon to which it happens; it is stopped then."""
+    """Run a daemon, inject the fault, and stop it."""
     with Daemon(small_config(state), clock=lambda: NOW) as daemon, grabber.at(daemon.endpoint):
         grabber.publish(BEFORE)
         assert grabber.publisher.drained(20)
@@ -290,7 +290,7 @@ def test_of_two_daemons_in_one_directory_the_one_whose_lock_is_gone_stops(
 
 
 class Process:
-    """The real program, its status and what it has said."""
+    """The real program, its status and its output."""
 
     def __init__(self, directory: Path) -> None:
         self.state, self._config, self.endpoint = (
@@ -306,7 +306,7 @@ class Process:
 
     @contextlib.contextmanager
     def running(self) -> Iterator[subprocess.Popen[bytes]]:
-        """Until it is killed with SIGKILL."""
+        """Run until killed with SIGKILL."""
         process = camtopod("--config", str(self._config), "run", stderr=subprocess.PIPE)
         assert process.stderr is not None
         try:
@@ -364,7 +364,7 @@ def test_a_process_that_is_killed_then_has_acknowledged_nothing_that_is_gone(
 
 
 class Hanging:
-    """A connection whose COMMIT does not come back until it may."""
+    """A connection whose COMMIT does not return until allowed."""
 
     def __init__(self, database: Any, let_in: threading.Event, let_out: threading.Event) -> None:
         self._database, self._let_in, self._let_out = database, let_in, let_out

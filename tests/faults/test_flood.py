@@ -1,4 +1,4 @@
-"""A camera that sends far too much hurts only itself."""
+"""A camera that floods the site harms only itself."""
 
 from __future__ import annotations
 
@@ -46,9 +46,7 @@ once a minute.
 
 
 class Flooded:
-    """The real daemon, a camera that floods it, and quiet ones that just put, without a spool to
-    fall back on.
-    """
+    """The real daemon, a camera that floods it, and quiet cameras without spools."""
 
     def __init__(self, directory: Path, settings: str = "") -> None:
         self.endpoint, self.health = free_endpoint(), free_endpoint().removeprefix("tcp/")
@@ -75,7 +73,7 @@ class Flooded:
         self._floods: list[subprocess.Popen[bytes]] = []
 
     def quiet(self, times: int = 1) -> None:
-        """Each quiet camera has an event."""
+        """Publish an event of each quiet camera."""
         for _ in range(times):
             self.sent += 1
             for camera in QUIET:
@@ -83,7 +81,7 @@ class Flooded:
                 self.bus.put(f"event/{camera}", event, "event")
 
     def flood(self, seconds: float) -> subprocess.Popen[bytes]:
-        """Begin to."""
+        """Start a flood."""
         path = os.pathsep.join(str(folder) for folder in (HERE.parent.parent, HERE))
         flood = subprocess.Popen(
             [
@@ -101,9 +99,7 @@ class Flooded:
         return flood
 
     def status(self) -> dict[str, Any]:
-        """The daemon's; on a busy machine a question may not be answered in time, so it is asked
-        again.
-        """
+        """Return the daemon's status, asking again if a busy machine delays the answer."""
         answers: list[tuple[str, bytes]] = []
 
         def answered() -> bool:
@@ -115,15 +111,15 @@ class Flooded:
         return status
 
     def stored(self, camera: str) -> int:
-        """Events of a camera."""
+        """Return the number of stored events of a camera."""
         return int(self.status()["cameras"].get(camera, {}).get("events", 0))
 
     def resident_bytes(self) -> int:
-        """Of the daemon and its learner."""
+        """Return the memory of the daemon and its learner, bytes."""
         return resident(self.daemon.pid)
 
     def close(self) -> None:
-        """End it, and the floods."""
+        """End the daemon and the floods."""
         self.bus.close()
         for flood in self._floods:
             flood.kill()
@@ -144,22 +140,20 @@ def flooded(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Flooded]
 
 
 class Outcome(NamedTuple):
-    """What a flood was, how many events it had, and the memory of the daemon and its learner while
-    it lasted, in MB.
-    """
+    """Events of a flood, and the memory of the daemon and its learner during it, MB."""
 
     said: str
     put: int
     sizes: list[float]
 
     def thirds(self) -> tuple[float, float, float]:
-        """The most memory in each third of the flood, in MB."""
+        """Peak memory in each third of the flood, MB."""
         third = len(self.sizes) // 3
         assert third > 0, f"memory was looked at {len(self.sizes)} times only: {self.said}"
         return max(self.sizes[:third]), max(self.sizes[third:-third]), max(self.sizes[-third:])
 
     def growth(self) -> float:
-        """The share by which memory grew from the second to the last third."""
+        """Relative growth of memory from the second to the last third."""
         _, full, last = self.thirds()
         return last / full - 1.0
 
@@ -172,7 +166,7 @@ class Outcome(NamedTuple):
 
 
 def flood(one: Flooded, seconds: float) -> Outcome:
-    """Quiet cameras beside one that floods; they lose nothing."""
+    """Run quiet cameras beside one that floods; they lose nothing."""
     one.quiet()
     wait_for(lambda: one.stored(QUIET[-1]) == 1, "the quiet cameras to be known")
     wild = one.flood(seconds)
@@ -225,7 +219,7 @@ def test_with_the_guard_memory_is_flat(flooded: Flooded) -> None:
 @pytest.mark.campaign
 @pytest.mark.parametrize("flooded", [UNGUARDED], indirect=True, ids=["unguarded"])
 def test_without_the_guard_the_learner_keeps_the_newest(flooded: Flooded) -> None:
-    """It has a limit of its own for what one camera sends until the next version."""
+    """It has its own limit for the events of a camera between two versions."""
     outcome = flood(flooded, 12.0)
     assert flooded.status()["learner"]["surplus"] > 0, str(outcome)
     assert outcome.growth() <= GROWTH_MAX, str(outcome)
@@ -234,7 +228,7 @@ def test_without_the_guard_the_learner_keeps_the_newest(flooded: Flooded) -> Non
 @pytest.mark.campaign
 @pytest.mark.timeout(3600)
 def test_a_long_flood(flooded: Flooded) -> None:
-    """With the default settings; the window, of 60,000 events, is what fills last."""
+    """With default settings the window, of 60,000 events, fills last."""
     seconds = size("FLOOD_SECONDS", 600)
     outcome = flood(flooded, seconds)
     print(outcome)
@@ -243,7 +237,7 @@ def test_a_long_flood(flooded: Flooded) -> None:
 
 
 def readiness(address: str) -> tuple[int, list[str]]:
-    """The answer of ``/readyz``: its status, and the reasons."""
+    """Return status and reasons of ``/readyz``."""
     host, _, port = address.rpartition(":")
     connection = http.client.HTTPConnection(host, int(port), timeout=30)
     try:
@@ -258,9 +252,7 @@ NAMES = 5_000
 
 
 def test_invented_names_keep_no_camera_out(flooded: Flooded, tmp_path: Path) -> None:
-    """One that merely sends, as they do, is refused, and it is said why; one with a grabber has a
-    place at once.
-    """
+    """A new camera without a grabber is refused with a reason; one with a grabber is accepted."""
     flooded.quiet()
     wait_for(lambda: flooded.stored(QUIET[-1]) == 1, "the quiet cameras to be known")
     for number in range(NAMES):
@@ -298,9 +290,7 @@ def test_invented_names_keep_no_camera_out(flooded: Flooded, tmp_path: Path) -> 
 
 
 def quiet_events_lost(known: bool) -> int:
-    """How many of the quiet cameras' events do not get through an inbox that is emptied too
-    slowly.
-    """
+    """Return the number of quiet cameras' events lost by an inbox that is emptied too slowly."""
     inbox = Inbox(2_000, 500, 100, lambda camera: known)
     got = 0
     for number in range(100):

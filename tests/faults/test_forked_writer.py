@@ -1,4 +1,4 @@
-"""A writer is killed at any moment, and what it had said to be durable is there."""
+"""A writer is killed at any moment; steps that it reported durable are there."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NAMES = ("journal", "spool")
 
 
 def killed(name: str, directory: Path, kills: int, *more: str) -> dict[str, int]:
-    """In a process of its own: forking is for programs of one thread."""
+    """Run in a process of its own: only programs with one thread can fork safely."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     command = [
         sys.executable,

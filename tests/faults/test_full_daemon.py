@@ -1,5 +1,7 @@
-"""The disk is full under the real daemon: it says so, acknowledges nothing that is not there,
-starts again on the full disk, and goes on by itself when there is room.
+"""The disk is full under the real daemon.
+
+It reports that, acknowledges nothing that is not stored, starts again on the full disk, and
+continues by itself when there is room.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ NOW = T0 + 5000.0
 
 
 class Box:
-    """A grabber's spool on another disk, and how many events it has had."""
+    """A grabber's spool on another disk, and the number of its events."""
 
     def __init__(self, directory: Path) -> None:
         self._directory = directory
@@ -50,7 +52,7 @@ class Box:
 
     @contextlib.contextmanager
     def at(self, daemon: Daemon) -> Iterator[None]:
-        """On the bus of this daemon; a publisher of its own, as after a restart of the box."""
+        """Attach to this daemon's bus with a new publisher, as after a restart of the box."""
         with contextlib.closing(dial(small_config(self._directory, daemon.endpoint))) as bus:
             self.publisher = Publisher(self._spool, AT_A_TIME)
             self.publisher.attach(bus, ["lobby"])
@@ -61,7 +63,7 @@ class Box:
 
 
 def stored(state: Path, copy: Path) -> list[int | None]:
-    """The numbers of the events in a journal, read where there is room."""
+    """Return the numbers of the events in a journal, copied to where there is room."""
     shutil.copytree(state, copy)
     with contextlib.closing(Journal(copy)) as journal:
         return [
@@ -125,7 +127,7 @@ def test_campaign_of_a_daemon_on_a_full_file_system(
 def test_the_harness_sees_what_is_acknowledged_and_not_there(
     small_disk: Path, box: Box, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The canary: a journal that says it has stored what it could not."""
+    """Check of the harness: a journal that claims to have stored what it could not."""
     commit = Journal.commit
 
     def careless(self: Journal, *given: Any, **more: Any) -> None:

@@ -1,5 +1,6 @@
-"""The disk is full or fails, at any single operation: nothing is acknowledged that is not there,
-and it goes on by itself when there is room again.
+"""The disk is full or fails, at any single operation.
+
+Nothing is acknowledged that is not stored, and writing continues by itself when there is room.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ STEPS_AFTER = 8
 
 
 class Spoiler:
-    """In one directory: records, and spoils ``count`` operations from the ``first`` on (counted
-    from 1).
+    """Records operations in one directory, and spoils ``count`` of them from number
+    ``first`` on.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -79,7 +80,7 @@ class Suffered(NamedTuple):
 
 
 def reference(make: Open, steps: int, directory: Path) -> list[State]:
-    """What is there after opening and after each step when nothing fails."""
+    """Return the content after opening and after each step without faults."""
     directory.mkdir()
     one = make(directory)
     states = [one.state()]
@@ -91,7 +92,7 @@ def reference(make: Open, steps: int, directory: Path) -> list[State]:
 
 
 def attempt(one: Written, number: int) -> int:
-    """Repeat a step until it is done; how often it was refused."""
+    """Repeat a step until it succeeds; return the number of refusals."""
     for refused in range(ATTEMPTS_MAX):
         try:
             one.step(number)
@@ -104,7 +105,7 @@ def attempt(one: Written, number: int) -> int:
 
 
 def after_power_cut(record: Record, make: Open, directory: Path) -> State:
-    """What is there when the power goes now and nothing survives that need not."""
+    """Return the content after a power cut in which only certain data survives."""
     disk = Disk()
     for op in record.ops:
         disk.apply(op)
@@ -121,9 +122,7 @@ def after_power_cut(record: Record, make: Open, directory: Path) -> State:
 def each_write_fails_once(
     name: str, kind: Kind, steps: int, quick_path: Path, disk_watch: Vfs
 ) -> None:
-    """One file: each step is tried with its first operation failing, then with its second, until
-    none is left.
-    """
+    """Try each step of a file with its first operation failing, then its second, and so on."""
     make = FILES[name]
     states = reference(make, steps, quick_path / "reference")
     spoiler, suffered = Spoiler(quick_path / "real"), Suffered(0, 0)
@@ -174,8 +173,9 @@ def test_campaign_of_each_write_of_each_commit(
 def fails_at(
     make: Open, kind: Kind, first: int, count: int, states: list[State], base: Path, watch: Vfs
 ) -> tuple[int, bool]:
-    """One run with ``count`` operations failing from the ``first`` on; refused attempts, and
-    whether any failed.
+    """Run with ``count`` operations failing from number ``first`` on.
+
+    Returns the refused attempts and whether any operation failed.
     """
     directory = base / f"{kind} {first}"
     directory.mkdir()
@@ -202,7 +202,7 @@ def fails_at(
 def test_any_operation_fails_in_a_file_of_its_own(
     name: str, kind: Kind, count: int, quick_path: Path, disk_watch: Vfs
 ) -> None:
-    """Checkpoints, too: for those a failing commit before them is in the way in the test above."""
+    """This covers checkpoints; in the test above, failing commits prevent them."""
     steps = 75
     states = reference(FILES[name], steps, quick_path / "reference")
     points = refused = 0
@@ -237,7 +237,7 @@ def test_campaign_of_operations_that_fail(
 
 
 class Careless(WrittenJournal):
-    """Takes no for an answer: what is refused is forgotten."""
+    """A journal that ignores refusals, and so loses data."""
 
     def step(self, number: int) -> None:
         with contextlib.suppress(sqlite3.Error):
@@ -265,7 +265,7 @@ def test_the_harness_sees_a_sync_that_is_not_waited_for(quick_path: Path, disk_w
 
 
 def child(name: str, directory: Path, limit: int, steps: int) -> dict[str, int]:
-    """Write in a process of its own whose files may be ``limit`` bytes long until it has been
+    """Write in a process of its own, whose files are limited to ``limit`` bytes until
     refused often.
     """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -297,7 +297,7 @@ def test_a_file_that_may_not_grow(name: str, quick_path: Path) -> None:
 
 @pytest.fixture
 def small_disk(quick_path: Path) -> Iterator[Path]:
-    """A file system of its own, of 3 MB, which is left out only where somebody has said so."""
+    """Mount a file system of 3 MB; skipped only if the environment says so."""
     disk = quick_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=3m", "camtopod-test", str(disk)]
@@ -313,7 +313,7 @@ def small_disk(quick_path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def full(disk: Path) -> Iterator[None]:
-    """While something else has taken what was left."""
+    """Fill the rest of the disk while the block runs."""
     with (disk / "filler").open("wb", buffering=0) as file, contextlib.suppress(OSError):
         while True:
             file.write(bytes(4096))
@@ -329,7 +329,7 @@ def full(disk: Path) -> Iterator[None]:
 def test_campaign_on_a_file_system_that_is_full(
     name: str, small_disk: Path, quick_path: Path
 ) -> None:
-    """Filled up by something else, at forty different moments, and each time freed again."""
+    """It is filled at forty different moments, and freed again each time."""
     one = FILES[name](small_disk)
     try:
         steps, refused = 400, 0
@@ -354,9 +354,7 @@ def test_campaign_on_a_file_system_that_is_full(
 
 
 def refused_while_full(one: Written, number: int, disk: Path) -> int:
-    """A step while something else has filled the disk, and after it is free again; how often it was
-    refused.
-    """
+    """Run a step on a full disk, then with room again; return the number of refusals."""
     with full(disk):
         for refused in range(3):
             try:

@@ -1,5 +1,6 @@
-"""kill -9 of real grabbers and of the one that looks after them, while events flow: what a spool
-has is in the journal, and nothing is there twice.
+"""kill -9 of real grabbers and their supervisor while events flow.
+
+All events of a spool are in the journal, and none twice.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ Numbers = dict[str, list[int]]
 
 @pytest.fixture(scope="module")
 def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
-    """A camera past which somebody walks every second, on one of three ways."""
+    """Serve a camera past which somebody walks every second, on one of three paths."""
     folder = tmp_path_factory.mktemp("camera")
     people = [
         Person(line(3.0 + n, (-0.05, height), (1.05, height), 3.0), seed=n)
@@ -56,7 +57,7 @@ def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
 
 
 class Box:
-    """`camtopod grab` of one camera, in a process that looks after another."""
+    """`camtopod grab` of one camera, in a process under a supervisor."""
 
     def __init__(self, directory: Path, endpoint: str, port: int) -> None:
         self._log, self._config = directory / "log", directory / "box.toml"
@@ -76,12 +77,12 @@ class Box:
 
     @property
     def grabber(self) -> int | None:
-        """The process that has the camera, if there is one."""
+        """The process id of the grabber, if there is one."""
         assert self._process is not None
         return children_of(self._process.pid).get(CAMERA)
 
     def kill(self, whole: bool) -> None:
-        """kill -9; what is gone with it is started again."""
+        """Kill with SIGKILL; what ends with it is started again."""
         before = self.grabber
         assert before is not None
         assert self._process is not None
@@ -101,7 +102,7 @@ class Box:
 
 
 def spooled(path: Path) -> Numbers:
-    """What the spool has, acknowledged or not."""
+    """Return the events in the spool, acknowledged or not."""
     found: Numbers = defaultdict(list)
     with contextlib.closing(sqlite3.connect(path)) as database:
         for boot, seq in database.execute("SELECT boot, seq FROM event ORDER BY id"):
@@ -110,7 +111,7 @@ def spooled(path: Path) -> Numbers:
 
 
 def stored(state: Path) -> Numbers:
-    """What the journal has."""
+    """Return the events in the journal."""
     found: Numbers = defaultdict(list)
     with contextlib.closing(Journal(state, KeepSettings())) as journal:
         for _, entry in journal.entries():
@@ -122,7 +123,7 @@ def stored(state: Path) -> Numbers:
 
 
 def send_the_rest(path: Path, daemon: Daemon, directory: Path) -> None:
-    """What a killed grabber had no time for, as the next one does."""
+    """Publish the events that a killed grabber had not published, as the next one does."""
     spool = Spool(path, "last", 100_000)
     with (
         contextlib.closing(spool),
@@ -134,7 +135,7 @@ def send_the_rest(path: Path, daemon: Daemon, directory: Path) -> None:
 
 
 def await_events(daemon: Daemon, count: int) -> None:
-    """Until so many are stored."""
+    """Wait until so many events are stored."""
     wait_for(lambda: bool(daemon.status()["events"]["stored"] >= count), f"{count} events", 60.0)
 
 

@@ -1,8 +1,7 @@
-"""Who should not be there: against the real daemon, over mutual TLS, every session in a process of
-its own.
+"""Intruders against the real daemon, over mutual TLS, each session in a process of its own.
 
-Each attack is made twice: with the rules, where it must come to nothing, and by somebody whom the
-rules allow everything (or where there are none), where it must succeed; else the test would prove
+Each attack is made twice: under the access rules, where it must have no effect, and by a client
+that the rules allow everything (or without rules), where it must succeed. Otherwise the test proves
 nothing.
 """
 
@@ -42,7 +41,7 @@ GROWTH_BYTES_MAX = 24 * 1024 * 1024
 
 
 class Puppet:
-    """A process that does on the bus as it is told; see puppet.py."""
+    """A process on the bus that is controlled by the test; see puppet.py."""
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
@@ -57,7 +56,7 @@ class Puppet:
         return self._process.pid
 
     def open(self, **settings: Any) -> bool:
-        """Whether it is let in."""
+        """Return True if the session is accepted."""
         return "open" in self._say(settings)
 
     def do(self, name: str, **arguments: Any) -> Any:
@@ -82,7 +81,7 @@ class Puppet:
 
 
 class Keys:
-    """A site's authority, and what went wrong with some certificates."""
+    """A site's authority, and certificates of which some are faulty."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -105,7 +104,7 @@ class Keys:
         Authority(folder / "old", now - 50 * 86400.0).issue("camera", "cam1", 20)
 
     def tls(self, own: str) -> dict[str, Any]:
-        """Zenoh's settings for the certificate in the folder ``own``, with this site's
+        """Return zenoh's settings for the certificate in the folder ``own``, with this site's
         authority.
         """
         folder = self.folder / own
@@ -139,7 +138,7 @@ class Keys:
 
 
 class RealDaemon:
-    """`camtopod run` on a free port; what it says is in ``said``."""
+    """`camtopod run` on a free port; its output is in ``said``."""
 
     def __init__(self, folder: Path, bus: str) -> None:
         folder.mkdir(exist_ok=True)
@@ -191,7 +190,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
 
 @pytest.fixture(scope="module")
 def guarded(keys: Keys, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RealDaemon]:
-    """A daemon with the rules as they are."""
+    """Run a daemon with the access rules."""
     daemon = RealDaemon(
         tmp_path_factory.mktemp("d") / "d", tls_table(keys, keys.folder / "daemon" / "access.json")
     )
@@ -201,7 +200,7 @@ def guarded(keys: Keys, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Re
 
 @pytest.fixture(scope="module")
 def unguarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RealDaemon]:
-    """A daemon without authentication, for this machine alone."""
+    """Run a daemon without authentication, for this machine only."""
     daemon = RealDaemon(tmp_path_factory.mktemp("u") / "d", '[bus]\nlisten = ["tcp/127.0.0.1:0"]\n')
     yield daemon
     daemon.stop()
@@ -229,7 +228,7 @@ def client(endpoint: str, mode: str = "client") -> dict[str, Any]:
 
 
 def status(observer: Puppet) -> dict[str, Any]:
-    """The daemon's; a question that ends late is asked again."""
+    """Return the daemon's status, asking again if the answer is late."""
     answers: list[str] = []
 
     def answered() -> bool:
@@ -267,8 +266,10 @@ STOLEN = [
 def attack(
     thief: Puppet, observer: Puppet, hears: tuple[str, ...] = ("ack/cam1",), seconds: float = 0.5
 ) -> set[str]:
-    """Everything a stolen box of cam1 might try; returns what of it had an effect. ``hears``: what
-    to wait for; ``seconds``: for an answer, which a question that is not allowed waits out.
+    """Try everything a stolen box of cam1 might try; return the attempts that had an effect.
+
+    hears: message to wait for.
+    seconds: timeout of answers, which a query that is not allowed waits out.
     """
     observer.do("subscribe", key=f"{HQ}/**")
     observer.do("watch", key=f"{HQ}/alive/**")
@@ -315,7 +316,10 @@ def attack(
 
 
 def reaches(one: Puppet, other: Puppet, key: str) -> bool:
-    """A peer's session is open before it is connected, so what it puts first is lost."""
+    """Return True if messages arrive.
+
+    A peer's session is open before it is connected, so its first messages are lost.
+    """
     one.do("put", key=key)
     return f"put {key}" in other.do("heard")
 
@@ -532,12 +536,12 @@ def test_who_is_not_let_in(keys: Keys, guarded: RealDaemon, cleanup: contextlib.
 
 
 def _own(tls: dict[str, Any]) -> dict[str, Any]:
-    """The certificate and the key alone; the authority stays the site's."""
+    """Return a folder with certificate and key only; the authority stays the site's."""
     return {key: value for key, value in tls.items() if "root_ca" not in key}
 
 
 def test_a_stolen_box_cannot_pass_for_the_daemon(keys: Keys, cleanup: contextlib.ExitStack) -> None:
-    """Whoever answers at the daemon's address has to show the daemon's certificate."""
+    """A listener at the daemon's address has to present the daemon's certificate."""
     for own, accepted in (("camera/cam2", False), ("daemon", True)):
         listening = Config(bus=keys.bus(own, listen="tls/127.0.0.1:0"))
         listening = msgspec.structs.replace(
@@ -559,7 +563,7 @@ def test_a_stolen_box_cannot_pass_for_the_daemon(keys: Keys, cleanup: contextlib
 
 
 def memory(pid: int) -> int:
-    """Resident bytes."""
+    """Return the resident bytes."""
     found = re.search(r"VmRSS:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
     assert found is not None
     return 1024 * int(found.group(1))
@@ -596,9 +600,7 @@ def test_what_is_too_large_neither_arrives_nor_takes_memory(
 def test_what_is_dropped_for_its_size_is_named_and_a_late_answer_is_not(
     guarded: bool, keys: Keys, tmp_path: Path, cleanup: contextlib.ExitStack
 ) -> None:
-    """The session of a box that does not answer in time says so to the daemon, in a message without
-    a key.
-    """
+    """A box whose answer is late makes zenoh log a message without a key."""
     access = keys.folder / "daemon" / "access.json"
     daemon = RealDaemon(
         tmp_path / "d",
@@ -649,9 +651,7 @@ def test_what_a_stolen_box_makes_too_large_is_counted_whatever_its_size(
 def test_no_message_of_any_kind_may_be_that_large(
     unguarded: RealDaemon, cleanup: contextlib.ExitStack
 ) -> None:
-    """The filter knows the sizes of events; this is the limit of what the daemon puts together from
-    pieces.
-    """
+    """The filter limits events; this limits the messages that the daemon reassembles."""
     flooder, observer = puppet(cleanup), puppet(cleanup)
     assert observer.open(**client(unguarded.endpoint))
     assert flooder.open(**client(unguarded.endpoint))
@@ -680,7 +680,7 @@ def test_without_limits_the_same_arrives(cleanup: contextlib.ExitStack) -> None:
 
 
 def listening(pid: int) -> set[str]:
-    """The addresses, in hexadecimal as the kernel shows them, at which a process waits for others
+    """Return the addresses, in the kernel's hexadecimal, on which a process listens
     (TCP and UDP).
     """
     links = []

@@ -1,6 +1,6 @@
-"""kill -9 of the real daemon, of its learner, of publishers and of the router while events flow.
+"""kill -9 of the real daemon, its learner, publishers and the router while events flow.
 
-The quick form is in test_links_cut.py: one site that all of it is done to.
+The quick form is in test_links_cut.py, where one site is used for all faults.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ def test_many_kills(make_site: MakeSite) -> None:
 
 @pytest.mark.campaign
 def test_the_harness_sees_a_loss(make_site: MakeSite) -> None:
-    """The canary: publishers that just put lose what is under way when the daemon is killed."""
+    """Check of the harness: publishers without spools lose messages in flight when
+    the daemon dies.
+    """
     site = make_site(400, 1800.0, 600.0, spools=False)
     site.start_all()
     kill_and_restart(site, 1, 1, (("daemon",),), print)

@@ -1,4 +1,4 @@
-"""Links that go silent, and the router and the daemon restarted, while events flow."""
+"""Links without traffic, and restarts of router and daemon, while events flow."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EVENTS_PER_SECOND = 400
 
 
 def behind_proxies(site: Site) -> tuple[FaultProxy, FaultProxy]:
-    """Publishers and daemon reach the router through a proxy each."""
+    """Connect publishers and daemon to the router through a proxy each."""
     port = int(site.router_endpoint.rsplit(":", 1)[1])
     proxies = FaultProxy(port), FaultProxy(port)
     site.at_publishers, site.at_daemon = (f"tcp/127.0.0.1:{proxy.port}" for proxy in proxies)
@@ -22,7 +22,7 @@ def behind_proxies(site: Site) -> tuple[FaultProxy, FaultProxy]:
 
 
 def silent(proxy: FaultProxy, seconds: float, cut: bool = False) -> None:
-    """Nothing passes, and nobody is told; then all goes on, or all connections are closed."""
+    """Stop all traffic unnoticed; then resume, or close all connections."""
     proxy.stall()
     time.sleep(seconds)
     if cut:
@@ -75,7 +75,7 @@ def test_links_router_and_daemon_fail_in_turn(make_site: MakeSite) -> None:
 
 @pytest.mark.campaign
 def test_the_harness_sees_a_loss(make_site: MakeSite) -> None:
-    """The canary: without spools, what is under way in a link that is cut is lost."""
+    """Check of the harness: without spools, messages in flight are lost with a link."""
     site = make_site(400, 1800.0, 600.0, spools=False)
     for_publishers, for_daemon = behind_proxies(site)
     site.start_all()

@@ -1,6 +1,4 @@
-"""A daemon that may have so much memory and no more, beside cameras that stay just below what
-counts as a flood.
-"""
+"""A daemon with limited memory, beside cameras just below the flood limit."""
 
 from __future__ import annotations
 
@@ -38,7 +36,7 @@ def limited() -> None:
 
 @contextlib.contextmanager
 def running(directory: Path, endpoint: str) -> Iterator[subprocess.Popen[bytes]]:
-    """`camtopod run` with the usual settings, as far as memory goes."""
+    """Run `camtopod run` with the default settings of memory."""
     config = directory / "camtopod.toml"
     config.write_text(f'[bus]\nlisten = ["{endpoint}"]\n[state]\ndirectory = "{directory}/state"\n')
     process = program("--config", str(config), "run", stderr=subprocess.DEVNULL, preexec_fn=limited)
@@ -67,7 +65,7 @@ def learned(bus: Bus, events: int) -> bool:
 
 
 def crowd(camera: str, until: float, count: int, chance: random.Random) -> list[Event]:
-    """Passages at random places, 190 events a second, the last at ``until``."""
+    """Return passages at random places, 190 events a second, the last at ``until``."""
     began, events = until - count / PER_SECOND, []
     for number in range(count // 2):
         for kind, later in (("entry", 0.0), ("exit", 0.5 / PER_SECOND)):

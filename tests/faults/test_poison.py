@@ -1,4 +1,4 @@
-"""Any bytes on any key: counted by reason, a few kept, the next handled, nothing changed."""
+"""Arbitrary bytes on any key are counted by reason and sampled, and change nothing else."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ NOW = T0 + 20 * serving.SPAN_SECONDS
 
 
 def fuzz(count: int, seed: int) -> Counter[str]:
-    """Decode ``count`` damaged messages; what is taken must be a good event. Returns how many by
-    reason.
+    """Decode ``count`` damaged messages; accepted ones must be valid. Returns the
+    counts by reason.
     """
     chance, good = random.Random(seed), seeds("lobby")
     outcome: Counter[str] = Counter()
@@ -77,7 +77,7 @@ def test_very_many_damaged_messages() -> None:
 
 
 def test_the_fuzzer_finds_what_a_plain_decoder_lets_through() -> None:
-    """The canary: msgspec's own errors are not all that comes out of it."""
+    """Check of the harness: plain msgspec raises other errors as well."""
     chance, good = random.Random(1), seeds("lobby")
     plain = msgspec.msgpack.Decoder(Event)
 
@@ -95,7 +95,7 @@ def test_the_fuzzer_finds_what_a_plain_decoder_lets_through() -> None:
 
 
 class Poisoner:
-    """A daemon that has learned something, and one who sends it damaged messages on every key."""
+    """A daemon that has learned, and a client that publishes damaged messages on every key."""
 
     def __init__(self, directory: Path, stack: ExitStack) -> None:
         self.daemon = Daemon(
@@ -126,7 +126,7 @@ class Poisoner:
         self.answers = 0
 
     def state(self) -> dict[str, Any]:
-        """What poison must not change."""
+        """The state that damaged messages must not change."""
         status = self.daemon.status()
         events = status["events"]
         digest = None if self.daemon.topology is None else self.daemon.topology.digest
@@ -140,7 +140,7 @@ class Poisoner:
         }
 
     def events(self, count: int, chance: random.Random) -> int:
-        """Damaged events that are none; returns how many were sent."""
+        """Publish damaged messages that are no events; return their number."""
         sent = 0
         while sent < count:
             camera = chance.choice("abcxyz")
@@ -155,7 +155,7 @@ class Poisoner:
         return sent
 
     def acks(self, count: int, chance: random.Random) -> int:
-        """Damaged acks that are none; returns how many were sent."""
+        """Publish damaged messages that are no acknowledgements; return their number."""
         good = [to_pack(Ack("lobby", "b1", seq)) for seq in (0, 50, 2**40)]
         sent = 0
         while sent < count:
@@ -171,7 +171,7 @@ class Poisoner:
         return sent
 
     def spools(self, cameras: int, chance: random.Random) -> None:
-        """Grabbers that answer nonsense."""
+        """Answer the daemon's queries of spools with nonsense."""
         batch = SpoolBatch("junk", "b1", 1, 0, True, [(n, b"\xc1" * n) for n in range(1, 4)])
 
         def answer(key: str, parameters: dict[str, str]) -> msgspec.Raw:
@@ -185,7 +185,7 @@ class Poisoner:
             self.bus.appear("grabber", name)
 
     def questions(self, count: int, chance: random.Random) -> None:
-        """Parameters that make no sense."""
+        """Send queries with invalid parameters."""
         values = (
             "",
             "nan",
@@ -231,8 +231,9 @@ def poisoner(tmp_path: Path) -> Iterator[Poisoner]:
 
 
 def poison(one: Poisoner, count: int, seed: int) -> str:
-    """``count`` damaged messages over every key, and a tenth as many questions; afterwards nothing
-    has changed.
+    """Publish ``count`` damaged messages on every key, and a tenth as many queries.
+
+    Nothing may have changed afterwards.
     """
     chance = random.Random(seed)
     before = one.state()

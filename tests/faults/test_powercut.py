@@ -1,6 +1,4 @@
-"""The power goes between any two operations on the disk: what was said to be durable is there when
-it comes back.
-"""
+"""Power cuts between any two operations on the disk: data reported durable survives."""
 
 from __future__ import annotations
 
@@ -32,16 +30,14 @@ FILES: dict[str, Open] = {"journal": WrittenJournal, "spool": WrittenSpool}
 
 
 class Outcome(NamedTuple):
-    """``images`` by model; ``lost``: those in which something was not as it must be, and what."""
+    """``images`` by model; ``lost``: faulty images and their faults."""
 
     images: collections.Counter[str]
     lost: list[str]
 
 
 def recorded(make: Open, steps: int, directory: Path, watch: Vfs) -> tuple[Record, list[State]]:
-    """Write ``steps`` steps; the operations, and what was in the file after opening and after each
-    step.
-    """
+    """Write ``steps`` steps; return the operations, and the content after opening and each step."""
     record, states = Record(), []
     directory.mkdir()
     with watch.watching(record):
@@ -58,7 +54,7 @@ def recorded(make: Open, steps: int, directory: Path, watch: Vfs) -> tuple[Recor
 
 
 def wrong(image: Image, make: Open, states: list[State], directory: Path, goes_on: bool) -> str:
-    """What is not as it must be when ``image`` is opened; "" if nothing."""
+    """Return the fault found when ``image`` is opened; "" if there is none."""
     put(image.content, directory)
     try:
         one = make(directory)
@@ -87,8 +83,9 @@ def wrong(image: Image, make: Open, states: list[State], directory: Path, goes_o
 
 
 def run(make: Open, steps: int, each: int, base: Path, watch: Vfs, opened: bool = True) -> Outcome:
-    """All images of a file that is written ``steps`` steps; ``opened``: only those after it was
-    opened.
+    """Check all images of a file written in ``steps`` steps.
+
+    With ``opened`` only those after the file was opened.
     """
     record, states = recorded(make, steps, base / "real", watch)
     directory = base / "image"
@@ -126,7 +123,7 @@ def test_no_power_cut_while_a_file_is_made_needs_help(
 
 
 class NormalJournal(WrittenJournal):
-    """Does not sync the log at each commit."""
+    """A journal that does not sync the log at each commit."""
 
     def __init__(self, directory: Path) -> None:
         super().__init__(directory)
@@ -159,7 +156,7 @@ class _MadeUnderFull(sqlite_file.Connection):
 def without_table(
     make_under_full: bool, base: Path, watch: Vfs, monkeypatch: pytest.MonkeyPatch
 ) -> list[str]:
-    """The images, after the table was made durably, in which there is none."""
+    """Return the images without a table, after the table was made durable."""
     schema = "CREATE TABLE IF NOT EXISTS event (id INTEGER PRIMARY KEY)"
     record = Record()
     real = sqlite_file._switch_to_wal

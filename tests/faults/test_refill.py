@@ -1,4 +1,4 @@
-"""A journal that came back shorter than it was is noticed, and filled again from the spools."""
+"""A journal that comes back shorter is noticed, and filled again from the spools."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FILES = ("journal.db", "journal.db-wal")
 
 
 def raws(directory: Path) -> list[tuple[int | None, bytes]]:
-    """What is in a journal, in order."""
+    """Return the payloads in a journal, in order."""
     journal = Journal(directory)
     found = [(entry.seq, entry.raw) for _, entry in journal.entries() if entry is not None]
     journal.close()
@@ -54,8 +54,8 @@ def rubbish(state: Path, earlier: Path) -> None:
 def before_and_after(
     damage: Callable[[Path, Path], None], directory: Path, kept_events_max: int
 ) -> tuple[list[tuple[int | None, bytes]], list[tuple[int | None, bytes]], int]:
-    """The journal before ``damage`` and after another daemon went on with it; and how much that one
-    got back.
+    """Return the journal before ``damage``, after the next daemon, and the events
+    that one recovered.
     """
     state, earlier = directory / "state", directory / "earlier"
     spool = Spool(directory / "spool.db", "boot-1", 1000, kept_events_max=kept_events_max)

@@ -1,7 +1,7 @@
-"""Programs that subscribe and stop reading: everybody else goes on being told, at once.
+"""Programs that subscribe and stop reading do not delay others.
 
-The daemon and every reader that stops is a process of its own. The control is a reader in the
-test's own process: it has to hear each prediction, soon after the exit it belongs to.
+The daemon and every stopped reader are processes of their own. The control is a reader in the
+test's process: it has to receive each prediction soon after its exit.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ PAGE_SECONDS = 0.02
 
 
 class Walks:
-    """Exits at a steady rate, with what became of each: a prediction and an ack, and when."""
+    """Exits at a steady rate, with the delay of each prediction and acknowledgement."""
 
     def __init__(self, publisher: Bus, reader: Bus, per_second: float, folder: Path) -> None:
         self._publisher, self._per_second, self._folder = publisher, per_second, folder
@@ -64,9 +64,7 @@ class Walks:
             publisher.subscribe(f"ack/{camera}", self._on_ack)
 
     def be_heard(self) -> None:
-        """Until the bus knows that the reader wants to hear of predictions; what was put before
-        that does not count.
-        """
+        """Wait until the bus knows the reader's subscription; earlier exits do not count."""
 
         def heard() -> bool:
             self._walk(1.01 / self._per_second)
@@ -78,7 +76,7 @@ class Walks:
                 noted.clear()
 
     def late(self) -> str:
-        """What came late, and how many seconds after the first exit that had been."""
+        """Return late messages, and how many seconds after the first exit they were."""
         allowed, said = LATE_SECONDS_MAX + self.held_up, []
         for what, delays in ("predictions", self.delays), ("acks", self.ack_delays):
             late = [(put - self._began, delay) for put, delay in delays if delay >= allowed]
@@ -100,8 +98,8 @@ class Walks:
             writer.join()
 
     def _write_pages(self, done: threading.Event) -> None:
-        """What a commit needs of the machine, beside no bus and no reader: what it takes is
-        nobody's fault.
+        """Write pages as a commit does, without bus and readers, to measure the
+        machine's own delays.
         """
         with tempfile.TemporaryFile(dir=self._folder) as page:
             while not done.is_set():
@@ -149,7 +147,7 @@ class Walks:
 
 
 def learned_state(directory: Path) -> None:
-    """A state directory whose newest version is a large one."""
+    """Return a state directory whose newest version is large."""
     topology = synthetic_topology(SITE_CAMERAS)
     journal = Journal(directory)
     content = codec.to_json(topology)
@@ -162,7 +160,7 @@ def learned_state(directory: Path) -> None:
 
 
 class Stopping:
-    """Readers that hear predictions, ask for the topology, stop reading, and may come back."""
+    """Readers that subscribe to predictions, ask for the topology, stop reading, and may return."""
 
     def __init__(self, settings: dict[str, Any]) -> None:
         self._settings = settings
@@ -183,7 +181,7 @@ class Stopping:
 
 
 def end(puppets: list[Puppet]) -> None:
-    """Processes that have been stopped."""
+    """End stopped processes."""
     for puppet in puppets:
         os.kill(puppet.pid, signal.SIGKILL)
         os.kill(puppet.pid, signal.SIGCONT)
@@ -196,8 +194,10 @@ Scene = Callable[[bool], tuple[Bus, Bus, dict[str, Any], Path]]
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Iterator[Scene]:
-    """Makes a daemon with a large topology, over TLS or not; gives a publisher's session, a
-    reader's, and what those who stop are told, and the daemon's folder.
+    """Return a function that runs a daemon with a large topology, with TLS or without.
+
+    It returns sessions of a publisher and a reader, the settings of stopped readers, and the
+    daemon's folder.
     """
     with contextlib.ExitStack() as stack:
 
@@ -236,7 +236,7 @@ def walks_beside(
     turns: int,
     seconds: float,
 ) -> tuple[Walks, Bus]:
-    """Exits while readers stop, are killed and come back."""
+    """Publish exits while readers stop, are killed and return."""
     publisher, reader, settings, folder = scene(secured)
     walks = Walks(publisher, reader, per_second, folder)
     walks.be_heard()
@@ -266,7 +266,7 @@ def test_readers_that_stop_and_come_back_hold_up_nobody(scene: Scene, secured: b
 
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "tls"])
 def test_many_that_stop_hold_up_nobody_where_many_walk(scene: Scene, secured: bool) -> None:
-    """Also not when the bus gives them up, after its lease of ten seconds."""
+    """Nor when the bus gives them up, after its lease of ten seconds."""
     walks, _ = walks_beside(
         scene, secured, readers=8, questions=3, per_second=400, turns=1, seconds=14
     )
@@ -276,8 +276,8 @@ def test_many_that_stop_hold_up_nobody_where_many_walk(scene: Scene, secured: bo
 def test_closing_the_connections_of_those_who_stopped_takes_no_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The bus gives them up when their lease is over, while each has more to take than its
-    connection holds, and before the kernel ends a connection by itself.
+    """The bus gives them up when their lease ends, with full connections, before the
+    kernel does.
     """
     monkeypatch.setattr(sockets, "STALLED_SECONDS_MAX", 60.0)
     site = SiteSettings("hq")

@@ -1,4 +1,4 @@
-"""Skips are failures in CI, unless for want of data that is not there."""
+"""With CI set, skips are failures, unless they are for lack of the optional data."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The files for containers: what they start exists, what they confine is confined, and a router
-runs as they say.
-"""
+"""The container files: commands exist, confinement is complete, and a router runs as configured."""
 
 from __future__ import annotations
 
@@ -43,7 +41,7 @@ def containers() -> list[dict[str, Any]]:
 
 
 def routers(tmp_path: Path) -> dict[str, zenoh.Config]:
-    """Every configuration of a router there is, as zenoh reads it."""
+    """Return every router configuration, as zenoh reads it."""
     [config_map] = of_kind("ConfigMap")
     inline = tmp_path / "inline.json5"
     inline.write_text(config_map["data"]["router.json5"])
@@ -172,7 +170,7 @@ def test_images_are_pinned() -> None:
 
 
 def test_a_router_looks_for_nobody(tmp_path: Path) -> None:
-    """As the daemon's own session and the router with certificates do."""
+    """Like the daemon's own session and the router with certificates."""
     quiet = rules.quiet("router")
     for name, config in routers(tmp_path).items():
         for path in (

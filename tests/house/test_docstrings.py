@@ -1,4 +1,4 @@
-"""Everything public says what it is: modules, classes, functions, methods, properties."""
+"""Everything public has a docstring: modules, classes, functions, methods, properties."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ Documented = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def unsaid(node: ast.Module | Documented, name: str) -> list[str]:
-    """Names of what has no docstring: this, or something public in it, wherever it is defined in a
-    module or class.
-    """
+    """Return the names of public objects without a docstring, wherever they are defined."""
     found = [] if ast.get_docstring(node) else [name]
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
         return found  # what is inside belongs to nobody else

@@ -1,6 +1,4 @@
-"""The examples for authors of trackers, with the real packages: a film of people in, right event
-lines out.
-"""
+"""The examples for trackers with the real packages: from a film to correct event lines."""
 
 from __future__ import annotations
 
@@ -26,7 +24,7 @@ not.
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two people, one a while after the other, along two ways; 24 seconds."""
+    """Write a film of 24 seconds with two people on two paths, one some time after the other."""
     there, back = line(3, (-0.1, 0.5), (1.1, 0.5), 9), line(9, (1.1, 0.9), (-0.1, 0.9), 9)
     scene = Scene([Person(there, shade=30, tall=0.3), Person(back, shade=220, tall=0.3, seed=1)])
     path = tmp_path_factory.mktemp("film") / "film.avi"
@@ -56,7 +54,7 @@ def test_the_example_sees_who_comes_and_goes(package: str, film: Path) -> None:
 
 
 def assert_near(events: list[Event], kind: str, truth: list[tuple[float, float, float]]) -> None:
-    """Within a second, which trackers need to be sure, and what one walks in it."""
+    """Check times and positions within a second, which trackers need to confirm a track."""
     seen = sorted((e.t, e.x or 0.0, e.y or 0.0) for e in events if e.kind == kind)
     for (t, x, y), (at, true_x, true_y) in zip(seen, truth, strict=True):
         assert abs(t - at) <= 1.0
@@ -72,6 +70,6 @@ def test_a_tracker_plugs_in_within_ten_lines(path: Path) -> None:
 
 
 def test_there_is_one_opencv() -> None:
-    """Trackers like to bring one of their own, which then hides ours."""
+    """Tracker packages tend to bring another OpenCV, which would hide ours."""
     names = {(found.metadata["Name"] or "").lower() for found in importlib.metadata.distributions()}
     assert {name for name in names if name.startswith("opencv")} == {"opencv-python-headless"}

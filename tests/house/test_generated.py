@@ -1,4 +1,4 @@
-"""What is made from the program is as the program makes it, and the manual page is one."""
+"""Generated files are up to date, and the manual page is valid."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Imports go one way, and through the packages' doors.
+"""Imports go one way, and from outside only to the names that packages export.
 
-`FLOORS` lists the packages from the ground up: a module imports from its own package and from lower
-ones. From outside, a package is used through its door: the names in its ``__all__``.
+`FLOORS` lists the packages from the lowest up: a module imports from its own package and from lower
+ones. From outside, a package is used through the names in its ``__all__``.
 """
 
 from __future__ import annotations
@@ -90,9 +90,7 @@ HOMES = {
 
 
 def imports(source: str) -> list[tuple[str, str | None]]:
-    """Every (module, name) that a source text imports, wherever in it; of plain ``import`` no
-    name.
-    """
+    """Return every (module, name) that a source text imports; plain ``import`` has no name."""
     found: list[tuple[str, str | None]] = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
@@ -104,12 +102,12 @@ def imports(source: str) -> list[tuple[str, str | None]]:
 
 
 def below(name: str, package: str) -> bool:
-    """Whether a module is a package, or lies in it."""
+    """Return True if a module is a package, or lies in it."""
     return f"{name}.".startswith(f"{package}.")
 
 
 def floor_of(module: str) -> int:
-    """The floor of a module's nearest listed package."""
+    """Return the floor of a module's nearest listed package."""
     while module not in FLOOR:
         module, _, rest = module.rpartition(".")
         assert module, f"no floor for {rest}"
@@ -117,18 +115,18 @@ def floor_of(module: str) -> int:
 
 
 def package_of(module: str) -> str:
-    """The package that a module lies in."""
+    """Return the package that a module lies in."""
     module = module.removesuffix(".__init__")
     return module if module in PACKAGES else module.rpartition(".")[0]
 
 
 def door_of(module: str) -> list[str]:
-    """The names in a package's ``__all__``."""
+    """Return the names in a package's ``__all__``."""
     return list(getattr(importlib.import_module(module), "__all__", ()))
 
 
 def problems(module: str, source: str) -> list[str]:
-    """What is wrong with the imports of ``module`` (its dotted name)."""
+    """Return the forbidden imports of ``module`` (its dotted name)."""
     wrong = []
     here = package_of(module)
     for target, name in imports(source):
@@ -165,7 +163,7 @@ def problems(module: str, source: str) -> list[str]:
 
 
 def wall_clock_reads(source: str) -> list[int]:
-    """Lines that read the wall clock."""
+    """Return the lines that read the wall clock."""
     lines = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
@@ -261,8 +259,6 @@ def test_a_package_is_small_and_has_a_door(package: str) -> None:
 
 @pytest.mark.parametrize("module", ["camtopod.predict", "camtopod.client", "camtopod.serve.daemon"])
 def test_programs_that_only_predict_do_not_load_scipy(module: str) -> None:
-    """SciPy takes 50 MB and most of a second; the daemon's own process and every tracker would have
-    it.
-    """
+    """SciPy takes 50 MB and most of a second, in the daemon's own process and in every tracker."""
     code = f"import sys, {module}; sys.exit(any(name.split('.')[0] == 'scipy' for name in sys.modules))"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -1,7 +1,7 @@
-"""What the pages show is there: commands, benches, lines of Python, tests, files and extras.
+"""The contents of the pages exist: commands, benches, Python lines, tests, files and extras.
 
-Of the lines of Python those of the client and of the bus are in `test_client_examples`; what is
-special to the pages of deploy/ is in `test_deploy`.
+Python lines of the client and the bus are tested in `test_client_examples`, what is special to the
+pages of deploy/ in `test_deploy`.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def test_every_command_is_in_both_tables() -> None:
 
 
 def test_every_bench_takes_what_it_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    """None is run: it ends where it has read its arguments."""
+    """None is run: each ends after parsing its arguments."""
 
     class Read(Exception):
         pass
@@ -165,7 +165,7 @@ def test_every_test_exists() -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=ids)
 def test_every_file_exists(page: Path) -> None:
-    """A path below the checkout, and a module's file in a page that lies beside it."""
+    """A path is relative to the checkout, a module's file to its page."""
     text = page.read_text()
     for path in re.findall(r"(?<![\w/.-])((?:tests|deploy|bench|camtopod)/[\w./@-]*\w)", text):
         if not path.startswith("deploy/site"):
@@ -228,7 +228,7 @@ def test_every_block_of_python_compiles_and_is_run_by_some_test() -> None:
 
 
 def test_a_tracker_s_boxes_become_event_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    """Somebody crosses an empty picture in four seconds."""
+    """A person crosses an empty picture in four seconds."""
     before, after = ([(k / 10, [], []) for k in some] for some in (range(20), range(60, 120)))
     there = [(k / 10, [7], [(48 * k - 960, 400, 48 * k - 860, 900)]) for k in range(20, 60)]
     exec(block_with("your_tracker"), {"your_tracker": [*before, *there, *after]})

@@ -1,4 +1,4 @@
-"""What version 0.1 wrote and says goes on: its state directory, its topology file, its grabbers.
+"""State directory, topology file and grabbers of version 0.1 still work.
 
 ``written_by_0_1.zip`` is a state directory that its daemon and its grabber of camera ``a`` left
 behind, with one event that was not acknowledged, and the topology they had learned.
@@ -74,7 +74,7 @@ def test_its_topology_file_is_predicted_with(
 
 
 class OldAck(msgspec.Struct):
-    """As version 0.1 reads it."""
+    """An acknowledgement as version 0.1 reads it."""
 
     camera: str
     boot: str
@@ -82,7 +82,7 @@ class OldAck(msgspec.Struct):
 
 
 class OldBatch(msgspec.Struct):
-    """As version 0.1 answers from its spool."""
+    """An answer of a spool of version 0.1."""
 
     camera: str
     boot: str

@@ -1,6 +1,4 @@
-"""The authority of a site: what it makes, what it refuses, who can read it; and the rules it stands
-for.
-"""
+"""The authority of a site: files, refusals, permissions, and the access rules it stands for."""
 
 from __future__ import annotations
 
@@ -358,7 +356,7 @@ def test_rules_name_exact_keys_only(authority: Authority) -> None:
 
 
 def test_one_certificate_for_several_cameras(authority: Authority) -> None:
-    """For events of another program; a box with one camera has no use for it."""
+    """It is for events of another program; a box with one camera does not need it."""
     for name, cameras in (("nvr", ["a/b"]), ("nvr", ["daemon"]), ("nvr", ["hall", "hall"])):
         with pytest.raises(KeysError, match=r"cannot be a camera's name|reserved|twice"):
             authority.issue("camera", name, 10, cameras=cameras)
@@ -406,9 +404,7 @@ def test_the_router_s_file_has_the_same_rules(authority: Authority) -> None:
 
 
 def test_the_bus_opens_at_once(tmp_path: Path) -> None:
-    """With nobody to look for there is nobody to wait for, which zenoh does for half a second all
-    the same.
-    """
+    """Without scouting there is nothing to wait for, yet zenoh would wait for half a second."""
     took = []
     for _ in range(3):
         began = time.monotonic()

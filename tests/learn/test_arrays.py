@@ -1,4 +1,4 @@
-"""Rows by their group, all groups at once, against one look at all rows for each group."""
+"""Grouping of rows for all groups at once, against a scan of all rows for each group."""
 
 from __future__ import annotations
 

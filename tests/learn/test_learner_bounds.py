@@ -1,7 +1,7 @@
 """No step of the learner takes more than a gigabyte or a minute, whatever the valid events.
 
-Each crowd is learned in a process of its own, which says what it took. A quarter of each runs with
-the other tests; the whole is behind the marker ``campaign``.
+Each crowd is learned in a process of its own, which reports its time and memory. A quarter of each
+runs with the other tests; the whole is behind the marker ``campaign``.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ def passages(
     placed: bool = True,
     zones: int = 0,
 ) -> Iterator[Event]:
-    """Entries and exits by turns in each of some cameras, ``apart`` seconds, at random places or in
-    few ``zones``.
+    """Return alternating entries and exits in each of some cameras, ``apart`` seconds.
+
+    They are at random places or in few ``zones``.
     """
     chance = random.Random(1)
     for number in range(count):
@@ -48,7 +49,7 @@ def passages(
 
 
 def beside_others(cameras: int, count: int, apart: float) -> Iterator[Event]:
-    """The same beside people who walk past twelve other cameras for half an hour before."""
+    """Return the same, after half an hour of people who walk past twelve other cameras."""
     chance, walks = random.Random(2), []
     for person in range(400):
         t, camera = T0 - 1800.0 + 4.5 * person, chance.randrange(12)
@@ -77,7 +78,7 @@ CROWDS: dict[str, Callable[[float], Iterator[Event]]] = {
 
 
 def main(name: str, scale: float) -> None:
-    """Learn a crowd; print the longest step in seconds of processor time, and the most memory."""
+    """Learn a crowd; print the longest step (processor seconds) and the peak memory."""
     learner, longest, versions = Learner(), 0.0, 0
     steps: list[Callable[[], object]] = [
         *(lambda event=event: learner.receive(event) for event in CROWDS[name](scale)),
@@ -92,8 +93,9 @@ def main(name: str, scale: float) -> None:
 
 
 def most_megabytes() -> float:
-    """The most memory of this process so far; `resource.getrusage` begins with that of the process
-    which started it.
+    """Return the peak memory of this process, megabytes.
+
+    `resource.getrusage` would begin with that of the parent process.
     """
     return int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
 

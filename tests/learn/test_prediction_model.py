@@ -1,6 +1,4 @@
-"""What prediction reads off a version: the posterior, as it has changed since, without what is
-negligible.
-"""
+"""The prediction model of a version: posterior, later changes, without negligible parts."""
 
 from __future__ import annotations
 
@@ -25,8 +23,9 @@ NAMES = ["a", "b", "c"]
 
 @pytest.fixture(scope="module")
 def learned() -> tuple[Scene, Posterior]:
-    """From a, six in ten go on to b, 8 s after; three in ten to c. All have a known block and
-    entry.
+    """Learn a site where six in ten go from a to b, 8 s after the exit, and three in ten to c.
+
+    All have a known block and entry.
     """
     rng = np.random.default_rng(0)
     views = Views([0, 1, 2])
@@ -67,7 +66,7 @@ def topology_of(model: Model) -> Topology:
 
 
 def chances(model: Model, known: bool) -> dict[str, float]:
-    """From a; ``known``: where they came in and where they left."""
+    """Return predictions from a; ``known``: zone of entry and block."""
     predictor = Predictor(topology_of(model))
     predictor.observe(Event("a", "entry", 996.0, track="1"))
     exit_ = Event("a", "exit", 1000.0, 0.92, 0.1, "1") if known else Event("a", "exit", 1000.0)
@@ -97,7 +96,7 @@ def test_the_posterior_as_it_is(learned: tuple[Scene, Posterior], known: bool) -
 def test_a_way_that_has_closed_is_not_expected(
     learned: tuple[Scene, Posterior], known: bool
 ) -> None:
-    """The others share what it had, whatever is known of the departure."""
+    """The other paths share its probability, in every context."""
     found = chances(made(learned, [Change(0, 1, 20_000.0, 0.9, 0.0, 50.0)]), known)
     assert "b" not in found
     assert found["c"] == pytest.approx(0.3 / 0.4, abs=0.07)
@@ -106,9 +105,7 @@ def test_a_way_that_has_closed_is_not_expected(
 def test_where_every_way_has_closed_no_context_has_fewer_departures_than_none(
     learned: tuple[Scene, Posterior],
 ) -> None:
-    """Transitions are counted in single precision, and may come to more than the departures they
-    are of.
-    """
+    """Transitions are counted in single precision and may exceed the departures."""
     scene, posterior = learned
     levels = [
         level._replace(

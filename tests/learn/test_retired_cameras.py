@@ -1,6 +1,4 @@
-"""Cameras that have left are forgotten in all respects; those that return have their zones' numbers
-back.
-"""
+"""Cameras without events are forgotten; those that return get their zone numbers back."""
 
 from __future__ import annotations
 
@@ -33,7 +31,7 @@ def entry(camera: str, t: float, **more: object) -> Event:
 
 
 def passages(start: float, cameras: Iterable[str] = PLACES, number: int = 200) -> list[Event]:
-    """Of objects that appear and leave at the places of each camera, one every 20 s."""
+    """Return objects that appear and leave at the places of each camera, one every 20 s."""
     rng = np.random.default_rng(1)
     events = []
     for k in range(number):
@@ -58,7 +56,7 @@ def told(learner: Learner, events: Iterable[Event]) -> list[Topology]:
 
 
 def zones_of(topology: Topology, camera: str) -> dict[str, tuple[float, float]]:
-    """The zones' places, to a tenth."""
+    """Return the zones' places, to a tenth."""
     return {
         zone.id: (round(zone.x or 0.0, 1), round(zone.y or 0.0, 1))
         for zone in topology.zones
@@ -67,7 +65,7 @@ def zones_of(topology: Topology, camera: str) -> dict[str, tuple[float, float]]:
 
 
 def names_known(learner: Learner) -> set[str]:
-    """Every camera that the learner has anything of but its zones' numbers."""
+    """Return every camera of which the learner has more than its zone numbers."""
     state = learner.save()
     assert len(state.cameras) <= len(state.window.cameras) == len(state.window.seen)
     assert len(state.clocks.offset) <= len(state.window.cameras)
@@ -100,9 +98,7 @@ def test_names_that_have_left_take_no_places() -> None:
 
 @pytest.mark.parametrize(("window_days", "days"), [(1.0, 7), (10.0, 10)])
 def test_a_camera_without_events_stays_for_a_while(window_days: float, days: int) -> None:
-    """Also when others are so busy that none of its events is in the window any more: it is listed
-    without zones.
-    """
+    """Also if busy cameras have pushed its events out of the window: it is listed without zones."""
     learner = Learner(
         Settings(window_hours=24.0 * window_days, window_events=50, window_camera_events=1, **RARE)
     )
@@ -115,7 +111,7 @@ def test_a_camera_without_events_stays_for_a_while(window_days: float, days: int
 
 
 def test_one_whose_events_are_all_late_is_known_until_they_are_old() -> None:
-    """That a clock is behind is found out from late events alone."""
+    """The offset of a clock that is behind is estimated from late events."""
     learner = Learner(Settings(window_hours=24.0))
     for minute in range(30):
         t = T0 + 60.0 * minute
@@ -158,7 +154,7 @@ def test_one_of_which_something_is_held_keeps_its_place() -> None:
 
 @pytest.mark.parametrize("days", [2.5, 20.0], ids=["weekend", "holiday"])
 def test_a_camera_that_returns_has_its_zones_back(days: float) -> None:
-    """Whether others went on meanwhile or all was closed."""
+    """Whether others went on meanwhile or the whole site was closed."""
     for busy in (False, True):
         learner = Learner(Settings(**RARE))
         told(learner, passages(T0))
@@ -179,7 +175,7 @@ def test_a_camera_that_returns_has_its_zones_back(days: float) -> None:
 
 
 def test_numbers_of_so_many_cameras_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those that left last."""
+    """Those that left last are remembered."""
     monkeypatch.setattr(module, "LEFT_CAMERAS_MAX", 3)
     learner = Learner(Settings())
     for k in range(6):
@@ -188,7 +184,7 @@ def test_numbers_of_so_many_cameras_are_remembered(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_camera_that_fell_silent_is_said_to_be_so_and_to_be_back() -> None:
-    """Though it has left since."""
+    """Though it has been forgotten since."""
     learner = Learner(Settings(**RARE))
     told(learner, passages(T0))
     told(learner, passages(T0 + 2 * HOUR, ["hall"], 400))
@@ -201,7 +197,7 @@ def test_a_camera_that_fell_silent_is_said_to_be_so_and_to_be_back() -> None:
 
 
 def test_a_camera_can_be_forgotten_by_name() -> None:
-    """Nothing is left of it, not even its zones' numbers."""
+    """Nothing is left of it, not even its zone numbers."""
     learner = Learner(Settings())
     told(learner, passages(T0))
     learner.forget({"yard", "never heard of"})
@@ -220,7 +216,7 @@ def test_a_camera_can_be_forgotten_by_name() -> None:
 
 
 def comings_and_goings(chance: random.Random) -> list[Event]:
-    """Of seven cameras over some weeks; few of them at a time."""
+    """Return some weeks of events of seven cameras, a few of them at a time."""
     events, t = [], T0
     for _ in range(40):
         t += chance.choice([10.0, 600.0, 9 * HOUR, 3 * DAY])
@@ -259,7 +255,7 @@ def test_saved_and_loaded_in_between_the_versions_are_the_same(cameras_max: int,
 
 
 def test_a_snapshot_of_an_older_program_is_gone_on_from() -> None:
-    """Which had kept every name: those that have nothing in the window leave with the next tick."""
+    """It has every name; cameras without events in the window are forgotten at the next tick."""
     learner = Learner(Settings(window_hours=24.0))
     told(learner, [entry("gone", T0), *passages(T0 + 20 * HOUR)])
     state = learner.save()

@@ -1,4 +1,4 @@
-"""A learner that is saved and loaded anywhere goes on as if nothing had been."""
+"""A learner that is saved and loaded at any point continues as if uninterrupted."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ NETWORKS = {
 
 @lru_cache
 def events_of(name: str) -> list[Event]:
-    """Events out of order within the lateness, some twice, with boot and seq."""
+    """Return events out of order within the lateness, some twice, with boot and seq."""
     events, _ = simulate(NETWORKS[name])
     chance = random.Random(1)
     events = sorted(events, key=lambda event: event.t + chance.uniform(0.0, 4.0))
@@ -61,9 +61,9 @@ def learned(
     left_at: int = -1,
     left: list[bytes] | None = None,
 ) -> list[tuple[int, str]]:
-    """(version, digest) of all that is learned to the end, by a learner that is replaced by its
-    snapshot at each of ``points``. At ``left_at`` a snapshot of its double goes to ``left``, from
-    which so much can be learned again.
+    """Return (version, digest) of all versions, with the learner replaced at each of ``points``.
+
+    At ``left_at`` a snapshot of a copy is appended to ``left``, from which to learn again.
     """
     made = []
     for number, event in enumerate(events):
@@ -78,7 +78,7 @@ def learned(
 
 
 def restored(blob: bytes, spoiled: str = "", rules: Settings = SETTINGS) -> Learner:
-    """A learner from a snapshot; one part of it may be as in a new learner."""
+    """Return a learner from a snapshot; one part of it may be as in a new learner."""
     state, learner = unpack(blob), Learner(rules, "s", "e")
     if spoiled:
         setattr(state, spoiled, getattr(learner.save(), spoiled))
@@ -88,7 +88,7 @@ def restored(blob: bytes, spoiled: str = "", rules: Settings = SETTINGS) -> Lear
 
 @lru_cache
 def at_once(name: str) -> tuple[list[tuple[int, str]], bytes]:
-    """What one that never stopped learns, and a snapshot of it after nine tenths of the events."""
+    """Return the versions of an uninterrupted learner, and its snapshot after nine tenths."""
     events, left = events_of(name), list[bytes]()
     made = learned(Learner(SETTINGS, "s", "e"), events, left_at=int(0.9 * len(events)), left=left)
     return made, left[0]
@@ -104,7 +104,7 @@ def late(name: str) -> bytes:
 
 @lru_cache
 def tail_of(name: str) -> list[tuple[int, str]]:
-    """What is learned of the last tenth of the events from `late` on."""
+    """Return the versions of the last tenth of the events from `late` on."""
     events = events_of(name)
     return learned(restored(late(name)), events[int(0.9 * len(events)) :])
 
@@ -118,15 +118,13 @@ def test_restored_anywhere_the_versions_are_the_same(name: str) -> None:
 
 
 def test_restored_with_screening_the_versions_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is followed of each zone depends on when it was last looked at: only a few are in each
-    fit.
-    """
+    """Candidates depend on when each zone was last screened; only a few zones are in each fit."""
     monkeypatch.setattr(screening, "LOOKS_MIN", 1)
     monkeypatch.setattr(screening, "LOOKS_PER_EVENT", 3)
     rules, events = msgspec.structs.replace(SETTINGS, candidates_max=20_000), events_of("usual")
 
     def from_half(forgetful: bool = False) -> list[tuple[int, str]]:
-        """Once more a snapshot after two thirds."""
+        """Take another snapshot after two thirds."""
         with monkeypatch.context() as patch:
             patch.setattr(Learner, "load", forgetting if forgetful else Learner.load)
             return learned(

@@ -1,4 +1,4 @@
-"""Backlogs of several cameras come out by time, whoever gives its own first."""
+"""Backlogs of several cameras are merged by time, in any order of arrival."""
 
 from __future__ import annotations
 
@@ -118,9 +118,7 @@ def test_what_has_no_time_keeps_its_place() -> None:
 
 
 def test_after_an_outage_of_the_daemon_nothing_is_late(tmp_path: Path) -> None:
-    """Three grabbers with an hour of events each; the learner allows for five seconds of
-    disorder.
-    """
+    """Three grabbers have an hour of events each; the learner's lateness is five seconds."""
     config = small_config(tmp_path / "state", pull_events_max=200)
     config = msgspec.structs.replace(config, learn=Settings())
     chance = random.Random(1)

@@ -1,6 +1,4 @@
-"""Healthy means making progress: marks of loops, the health pages, systemd's watchdog, another
-configuration.
-"""
+"""Health means progress: heartbeats of loops, the health endpoints, systemd's watchdog, reloads."""
 
 from __future__ import annotations
 
@@ -87,7 +85,7 @@ def put(daemon: Daemon, *events: Event) -> None:
 
 
 def stuck_in(owner: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    """Make ``owner.name`` block; returns what lets it go."""
+    """Make ``owner.name`` block; return a function that releases it."""
     go = threading.Event()
     real = getattr(owner, name)
 
@@ -100,7 +98,7 @@ def stuck_in(owner: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> Callable
 
 
 def stopped(daemon: Daemon) -> Callable[[], None]:
-    """Let the learner's process do nothing any more; returns what lets it go."""
+    """Stop the learner's process; return a function that resumes it."""
     assert daemon._process is not None
     pid = daemon._process.pid
     os.kill(pid, signal.SIGSTOP)
@@ -124,7 +122,7 @@ def test_an_idle_daemon_is_healthy_and_a_stuck_learner_is_not(daemon: Daemon) ->
 
 
 def connections_at(endpoint: str) -> int:
-    """How many programs are connected there."""
+    """Return the number of connected programs."""
     port, established = f":{int(endpoint.rpartition(':')[2]):04X}", "01"
     rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
     return sum(row[1].endswith(port) and row[3] == established for row in rows)
@@ -140,7 +138,9 @@ def test_a_bus_that_is_dead_is_noticed(tmp_path: Path, monkeypatch: pytest.Monke
         assert (daemon.failing(), daemon.unready()) == ([], [])
         daemon.bus._session.close()  # type: ignore[no-untyped-call]
         wait_for(
-            lambda: any(reason.startswith("bus has made no progress") for reason in daemon.failing()),
+            lambda: any(
+                reason.startswith("bus has made no progress") for reason in daemon.failing()
+            ),
             "it to be noticed",
         )
 
@@ -206,7 +206,7 @@ def test_a_question_to_a_spool_that_never_ends_is_seen(
 
 
 class HangingSession:
-    """A session whose publications do not end before ``go``."""
+    """A session whose publications do not return before ``go``."""
 
     def __init__(self, session: Any) -> None:
         self._session, self.go = session, threading.Event()
@@ -281,7 +281,7 @@ def test_a_daemon_that_dials_is_ready_while_it_reaches_the_bus(tmp_path: Path) -
 
 
 class Pages:
-    """The two pages, saying what the test wants."""
+    """The two health endpoints, with answers set by the test."""
 
     def __init__(self) -> None:
         self.failing: list[str] = []
@@ -302,7 +302,7 @@ class Pages:
             connection.close()
 
     def send(self, raw: bytes) -> bytes:
-        """What comes back for these bytes."""
+        """Send these bytes and return the answer."""
         with socket.create_connection(self.at, timeout=WAIT_SECONDS) as client:
             got = b""
             try:
@@ -358,7 +358,7 @@ def test_garbage_and_requests_without_end_are_refused(pages: Pages) -> None:
 
 
 def test_slow_clients_hold_nobody_up(pages: Pages, monkeypatch: pytest.MonkeyPatch) -> None:
-    """More of them than are heard at a time, sending a byte now and then for ever."""
+    """More clients than are served at a time each send a byte now and then."""
     monkeypatch.setattr(health, "CONNECTION_SECONDS_MAX", 0.4)
     clients = [socket.create_connection(pages.at) for _ in range(health.CONNECTIONS_MAX + 5)]
     stop = threading.Event()
@@ -451,7 +451,9 @@ def test_a_daemon_whose_learner_hangs_does_not_feed_the_watchdog(
         wait_for(lambda: daemon.failing() != [], "it to be noticed")
         systemd_socket.hear(0.2)
         assert "WATCHDOG=1" not in systemd_socket.hear(0.5)
-        assert any(line.startswith("STATUS=learn has made no progress") for line in systemd_socket.told)
+        assert any(
+            line.startswith("STATUS=learn has made no progress") for line in systemd_socket.told
+        )
         with caplog.at_level(logging.INFO):
             let_go()
             wait_for(lambda: "WATCHDOG=1" in systemd_socket.hear(), "it to be fed again")
@@ -469,7 +471,7 @@ def test_a_start_that_gets_on_may_take_its_time(systemd_socket: Systemd) -> None
 
 
 class Program:
-    """`camtopod` in a process of its own, under a systemd of ours."""
+    """`camtopod` in a process of its own, under a fake systemd."""
 
     def __init__(self, directory: Path, systemd_socket: Systemd) -> None:
         self.directory, self.systemd = directory, systemd_socket

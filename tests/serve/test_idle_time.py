@@ -1,4 +1,4 @@
-"""Event time that goes on although no event says so."""
+"""Event time that advances without events."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ from camtopod.serve.ingest.idle_time import EventTime
 
 
 def test_time_follows_the_clock_when_the_learner_waits_for_it_and_is_told_once() -> None:
-    """Told again and again while it has other things to learn, it would find thousands of them in
-    the journal.
-    """
+    """If ticks were repeated while it learns, it would find thousands of them in the journal."""
     time = EventTime()
     assert time.went_on(100.0, 10.0) is None
     time.note([1000.0, 1004.0, 5000.0], 1005.0, 100.0, 60.0)

@@ -1,6 +1,4 @@
-"""The journal: what is committed stays, once, in order; damage is noticed; what is old is
-forgotten, no more.
-"""
+"""The journal: commits stay, once and in order; damage is noticed; old data is deleted."""
 
 from __future__ import annotations
 
@@ -183,7 +181,7 @@ def test_what_can_be_read_of_a_damaged_journal_goes_on(journal: Journal, tmp_pat
 def test_a_damaged_journal_is_read_out_though_the_first_try_fails(
     journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A kill or a full disk between setting it aside and reading it out."""
+    """A kill or a full disk comes between setting it aside and reading it out."""
     journal.commit([entry(n) for n in range(1, 400)])
     journal.close()
     content = bytearray((tmp_path / "journal.db").read_bytes())
@@ -303,7 +301,7 @@ def test_entries_are_forgotten_by_age_behind_both_snapshots(tmp_path: Path) -> N
 def test_a_transaction_of_any_size_is_there_as_it_was_given(
     tmp_path: Path, variables_max: int
 ) -> None:
-    """Rows are inserted many at a time; an older SQLite takes fewer variables."""
+    """Many rows are inserted at a time; an older SQLite takes fewer variables."""
     with closing(Journal(tmp_path)) as journal:
         journal._db.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, variables_max)
         given = [Entry("event", f"c{k % 130}", "b1", k, b"%d" % k) for k in range(2_345)]
@@ -327,9 +325,7 @@ def test_the_file_stays_within_its_size(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def versions_left(journal: Journal, clocks: list[tuple[float, float]]) -> list[int]:
-    """How many versions the journal has after each look at what is old, at such times (wall clock,
-    steady clock).
-    """
+    """Return the number of versions after each pruning at such times (wall clock, steady clock)."""
     told, left = [clocks[0]], []
     storing = Storing(journal, lambda: told[-1][0], lambda: told[-1][1], lambda _: None)
     for wall_and_steady in clocks:

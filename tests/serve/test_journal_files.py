@@ -1,5 +1,6 @@
-"""The journal's files are not the ones that are open any more: that is noticed before anything
-counts as stored; and the witness beside it says what a journal had that has come back older.
+"""The journal's open files are not those in the folder: noticed before an event counts as stored.
+
+The witness file beside the journal shows that an older journal has come back.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
 
 
 def copy_of(directory: Path, target: Path) -> Path:
-    """As a kill leaves it."""
+    """Copy the journal as a kill leaves it."""
     return shutil.copytree(directory, target)
 
 
@@ -71,7 +72,7 @@ HARMS: dict[str, tuple[str, Harm]] = {
 
 @pytest.fixture(params=HARMS)
 def harm(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[], None]:
-    """What happens to a file, and when called does."""
+    """Harm to a file, and a function that does it."""
     name, happens = HARMS[request.param]
     return lambda: happens(tmp_path / name)
 
@@ -94,9 +95,7 @@ def test_it_is_noticed_though_there_is_nothing_to_store(
 
 
 class Harmed:
-    """A connection to whose files something happens just before a COMMIT takes effect, or just
-    after it.
-    """
+    """A connection to whose files something happens just before or after a COMMIT takes effect."""
 
     def __init__(
         self, connection: sqlite3.Connection, harm: Callable[[], None], after: bool
@@ -119,7 +118,7 @@ class Harmed:
 def test_what_is_committed_into_a_file_that_is_gone_is_not_stored(
     journal: Journal, harm: Callable[[], None], after: bool
 ) -> None:
-    """It happens while the transaction is under way."""
+    """The file goes during the transaction."""
     journal._db = Harmed(journal._db, harm, after)  # type: ignore[assignment]
     with pytest.raises(Displaced, match="while it is in use"):
         journal.commit(entries(4, 5))
@@ -167,7 +166,7 @@ def in_another_process(statement: str, path: Path) -> None:
 def test_another_program_may_read_it_and_fold_its_log_in(
     journal: Journal, tmp_path: Path, statement: str
 ) -> None:
-    """As `sqlite3` does, or what makes a backup of a database in use."""
+    """As `sqlite3` does, or a backup of a database in use."""
     for number in range(4, 400, 3):
         journal.commit(entries(number, number + 1, number + 2))
         if number % 30 == 4:
@@ -183,7 +182,9 @@ def test_another_program_may_read_it_and_fold_its_log_in(
 def test_entries_of_another_program_are_no_reason_to_count_ones_own_as_stored(
     journal: Journal, tmp_path: Path
 ) -> None:
-    """As many as are to be stored: one's own may be there after a transaction that failed."""
+    """There are as many as ours, which after a failed transaction may look as if it
+    had succeeded.
+    """
     (tmp_path / "journal.lock").rename(tmp_path / "lock")
     with closing(Journal(tmp_path)) as other:
         other.commit(entries(10, 11))
@@ -195,7 +196,7 @@ def test_entries_of_another_program_are_no_reason_to_count_ones_own_as_stored(
 
 
 def test_any_database_can_be_asked(tmp_path: Path) -> None:
-    """A spool's, too."""
+    """Also a spool's."""
     with closing(sqlite_file.connect(tmp_path / "one.db", SCHEMA)) as connection:
         connection.check()
         connection.execute("INSERT INTO one VALUES (1)")
@@ -213,7 +214,7 @@ def test_any_database_can_be_asked(tmp_path: Path) -> None:
 def test_a_journal_that_is_gone_leaves_its_log_to_be_looked_at(
     journal: Journal, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """SQLite would delete it without a word."""
+    """SQLite would delete the log silently."""
     killed = copy_of(tmp_path, tmp_path / "killed")
     (killed / "journal.db").unlink()
     content = (killed / "journal.db-wal").read_bytes()
@@ -242,7 +243,7 @@ def test_a_spool_that_is_gone_leaves_its_log_to_be_looked_at(
 
 
 def as_it_was(tmp_path: Path, earlier: Path) -> None:
-    """The database of an earlier day is back, beside the witness of today."""
+    """Put the database of an earlier day beside the witness of today."""
     for path in tmp_path.glob("journal.db*"):
         path.unlink()
     for path in earlier.glob("journal.db*"):

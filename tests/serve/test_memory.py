@@ -1,4 +1,4 @@
-"""What was freed is given back, and what is kept is not gone through again and again."""
+"""Freed memory is returned to the system, and the collector does not scan permanent objects."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ print(resident_bytes() - before)
 
 
 def measured(program: str) -> dict[str, int]:
-    """What the program prints with the arenas limited, and with as many as glibc likes: bytes."""
+    """Return the program's output, bytes: with limited arenas, and with glibc's default."""
     return {
         how: int(
             subprocess.run(
@@ -177,7 +177,7 @@ def test_a_program_that_does_not_collect_goes_on_without() -> None:
 
 
 def test_the_collector_does_not_go_through_events_on_their_way() -> None:
-    """In a flood that would take longer than to decode them."""
+    """In a flood that would take longer than decoding them."""
     event, entry = Event("a", "exit", 1.0), Entry("event", "a", None, None, b"raw")
     assert not any(
         gc.is_tracked(one) for one in (event, entry, Received(entry, event), Message("a", b"raw"))
@@ -196,7 +196,7 @@ def test_the_collector_looks_seldom(threshold: None) -> None:
 
 @pytest.fixture
 def threshold() -> Iterator[None]:
-    """As it was, and so are those who are told."""
+    """Restore the collector's threshold."""
     before, told = gc.get_threshold(), gc.callbacks.copy()
     gc.collect()
     yield

@@ -1,6 +1,4 @@
-"""What Prometheus scrapes is what the status says: a real daemon, a real grabber's answer,
-Prometheus's own parser.
-"""
+"""Prometheus metrics equal the status, with a real daemon and Prometheus's own parser."""
 
 from __future__ import annotations
 
@@ -70,7 +68,7 @@ def daemon(tmp_path: Path) -> Iterator[Daemon]:
 
 @pytest.fixture(scope="module")
 def idle(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
-    """The names of what a daemon says that has nothing to do."""
+    """Return the names of the metrics of an idle daemon."""
     with Daemon(small_config(tmp_path_factory.mktemp("idle"))) as one:
         return {name for name, _ in scraped(one)}
 
@@ -87,7 +85,9 @@ def test_the_figures_are_those_of_the_status(daemon: Daemon, tmp_path: Path) -> 
     moments: list[tuple[Samples, dict[str, Any]]] = []
 
     def settled() -> bool:
-        """Whether the journal, which may still write a version, was the same before and after."""
+        """Return True if the journal was the same before and after; it may still
+        write a version.
+        """
         before = daemon.status()["journal"]
         moments.append((scraped(daemon), daemon.status()))
         return bool(moments[-1][1]["journal"] == before)
@@ -132,7 +132,7 @@ def test_the_figures_are_those_of_the_status(daemon: Daemon, tmp_path: Path) -> 
 
 
 def test_every_metric_of_the_site_is_there_from_the_start(idle: set[str]) -> None:
-    """An alert on a counter that is not there yet would never fire."""
+    """An alert on a missing counter would never fire."""
     later = (
         "topology_timestamp",
         "topology_cameras",
@@ -296,7 +296,7 @@ def board() -> dict[str, Any]:
 
 
 def expressions() -> list[str]:
-    """Everything the rules and the board ask Prometheus for."""
+    """Return every expression of the rules and the dashboard."""
     found = [rule["expr"] for rule in rules()]
     found += [target["expr"] for panel in board()["panels"] for target in panel.get("targets", [])]
     found += [

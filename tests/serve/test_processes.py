@@ -1,6 +1,4 @@
-"""Publishers, daemon and subscribers as separate processes, and what is left when one of them is
-killed.
-"""
+"""Publishers, daemon and subscribers as processes, and what is left when one of them is killed."""
 
 from __future__ import annotations
 
@@ -31,9 +29,7 @@ from camtopod.serve.storage.journal import Journal
 
 
 class Installation:
-    """A daemon's process, on a port of its own, and the others'. Everything it started is ended
-    with it.
-    """
+    """A daemon's process on a port of its own, and others; all processes end with it."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -120,7 +116,7 @@ class Installation:
 
 
 class Subscriber:
-    """Reads what a subscriber's process says."""
+    """Reads the output of a subscriber's process."""
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         self.process = process
@@ -201,7 +197,7 @@ def test_three_publishers_one_daemon_two_subscribers_and_a_late_one(
 
 
 def test_a_killed_daemon_has_lost_nothing_it_acknowledged(installation: Installation) -> None:
-    """kill -9 while events stream in, twice; what was published in between comes from the spool."""
+    """kill -9 during a stream of events, twice; events published in between come from the spool."""
     installation.daemon()
     spool = Spool(installation.directory / "spool.db", "boot-1", 100_000)
     publisher = Publisher(spool, 100)

@@ -1,4 +1,4 @@
-"""`camtopod learn --state`: a daemon goes on from what a recording taught."""
+"""`camtopod learn --state`: a daemon continues from a recording."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def recording(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
-    """A configuration with the settings of the learner alone."""
+    """Return a configuration with the settings of the learner only."""
     path = tmp_path / "site.toml"
     path.write_text(f'[site]\nname = "site"\n[learn]\nrefit_share = {LEARN.refit_share}\n')
     return path
@@ -47,8 +47,8 @@ def learn(recording: Path, site: Path, state: Path, *more: str) -> int:
 
 
 def daemon_on(state: Path, events: list[Event]) -> Daemon:
-    """A daemon that has had the events on the bus and made of them all the versions there are to
-    make.
+    """Return a daemon that has received the events on the bus and published all
+    versions of them.
     """
     daemon = Daemon(replace(small_config(state), learn=LEARN), clock=lambda: T0 + 20 * SPAN_SECONDS)
     daemon.start()

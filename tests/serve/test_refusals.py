@@ -1,4 +1,4 @@
-"""What zenoh's log says of who is refused."""
+"""zenoh's log about refused messages and sessions."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_without_certificates_it_is_said_from_where_and_over_which_limit(
 def test_a_question_that_is_not_answered_in_time_is_no_message_too_large(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Whose session says so says it without a key: nothing else is written of it."""
+    """Its session reports it without a key; nothing else is logged."""
     refusals = Refusals()
     for line in (dropped(18), allowed(18), over_limit(16), dropped(18), dropped(16), dropped(16)):
         refusals.hear(line)
@@ -114,9 +114,7 @@ ACTIONS = (
 
 
 def declares(refusals: Refusals, key: str, allowed_are: str) -> None:
-    """What zenoh says when a session declares a key: of each kind of message whether it would be
-    allowed.
-    """
+    """Return zenoh's log of a session that declares a key, and whether each message is allowed."""
     control = f"{STAMP.format(16)}::access_control:"
     for way in ("ingress", "egress"):
         refusals.hear(f"{control} ACL ({way}): caching permissions for `{key}` ...")

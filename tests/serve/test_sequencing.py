@@ -1,4 +1,4 @@
-"""Order within each stream: everything once, in order, whatever the network and the spool do."""
+"""Order within each stream: every event once and in order, despite network and spool."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_what_the_spool_no_longer_has_is_lost() -> None:
 
 
 def test_of_a_camera_that_is_another_daemons_nothing_is_lost() -> None:
-    """It is a guest for a while, and one again hours later."""
+    """It is a guest for a while, and again hours later."""
     order, key = streams(), ("other's", "b1")
     assert order.offer(key, 1, 1, 0.0) == ("ready", [1])
     assert order.offer(key, 900, 900, 9000.0) == ("held", [])
@@ -120,9 +120,7 @@ def test_any_order_with_repetitions_comes_out_once_in_order(
 @given(st.data())
 @settings(max_examples=200, deadline=None)
 def test_losses_with_pulls_lose_nothing(data: st.DataObject) -> None:
-    """Some puts get lost, some are repeated; now and then the spool answers from what is wanted
-    on.
-    """
+    """Some messages get lost, some are repeated; the spool answers now and then."""
     one = streams(held=3)
     total = 20
     out: list[int] = []
@@ -142,7 +140,7 @@ def test_losses_with_pulls_lose_nothing(data: st.DataObject) -> None:
 
 
 def test_what_a_spool_twice_does_not_have_is_nobody_s() -> None:
-    """A made-up seq would make all true ones below it duplicates."""
+    """An invented seq would make all true ones below it duplicates."""
     order = streams(stored={KEY: 4})
     order.offer(KEY, 50, 50, 0.0)
     order.answered(KEY, 5, [], more=False)
@@ -197,7 +195,7 @@ def test_a_seq_too_far_ahead_is_no_gap() -> None:
 
 
 def test_of_many_boots_those_heard_last_are_followed() -> None:
-    """Years of nightly reboots, and a camera that makes up boots."""
+    """Years of nightly reboots, and a camera that invents boots."""
     order = streams(boots_max=3)
     for night in range(1000):
         assert order.offer(("lobby", f"b{night}"), 1, night, 0.0) == ("ready", [night])
@@ -225,7 +223,7 @@ def test_what_is_held_is_counted_by_camera() -> None:
 
 
 def test_of_very_many_cameras_those_heard_last_are_followed() -> None:
-    """Names that were made up long ago keep nobody out."""
+    """Names invented long ago keep no camera out."""
     order = streams(streams_max=3, stored={(f"name{n}", "b1"): 7 for n in range(10)})
     assert order.wanted("name9") == ("b1", 8)
     assert order.wanted("name0") is None

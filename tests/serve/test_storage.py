@@ -1,4 +1,4 @@
-"""The spool: what is committed stays, once, in order, and damage is noticed."""
+"""The spool: commits stay, once and in order, and damage is noticed."""
 
 from __future__ import annotations
 
@@ -264,7 +264,7 @@ def test_acknowledged_events_are_kept_for_a_journal_that_came_back_shorter(tmp_p
 
 
 def test_what_is_acknowledged_of_older_boots_is_not_forgotten_by_a_kill(tmp_path: Path) -> None:
-    """The daemon knows only a camera's newest boots again: events of others would count twice."""
+    """The daemon knows only a camera's newest boots; events of others would count twice."""
     path = tmp_path / "spool.db"
     boots = [f"boot-{number:02}" for number in range(20)]
     for number, boot in enumerate(boots):
@@ -295,7 +295,7 @@ def test_a_full_spool_forgets_what_is_acknowledged_before_it_drops_anything(tmp_
 
 
 def copy_of(path: Path, to: Path) -> Path:
-    """The files as a kill would leave them."""
+    """Copy the files as a kill would leave them."""
     to.mkdir()
     for name in (path.name, f"{path.name}-wal"):
         shutil.copyfile(path.with_name(name), to / name)
@@ -461,9 +461,7 @@ def test_text_that_is_no_text_any_more_damages_its_row_alone(spool: Spool) -> No
 
 
 def damaged_log(spool: Spool, tmp_path: Path) -> Path:
-    """A copy of the spool as after a kill, whose log has a flipped bit in front of whole
-    transactions.
-    """
+    """Return a copy of the spool after a kill, with a flipped bit before whole transactions."""
     for n in range(6):
         spool.append([event(n)])
     path = copy_of(tmp_path / "spool.db", tmp_path / "killed")
@@ -499,7 +497,7 @@ def test_the_copy_of_a_damaged_log_is_nobody_elses_to_read(spool: Spool, tmp_pat
 def test_a_log_that_cannot_be_copied_leaves_no_part_of_a_copy(
     spool: Spool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Or a disk that is full for a while would count as one that damages every file."""
+    """Otherwise a disk that is full for a while would count as one that damages every file."""
     path = damaged_log(spool, tmp_path)
 
     def full(source: Any, target: Any) -> None:
@@ -513,7 +511,7 @@ def test_a_log_that_cannot_be_copied_leaves_no_part_of_a_copy(
 
 
 def test_an_index_of_the_log_without_content_is_no_trouble(tmp_path: Path) -> None:
-    """As a power cut leaves it, and somebody has moved the file away."""
+    """As a power cut leaves it, when the file itself was moved away."""
     (tmp_path / "spool.db-shm").write_bytes(b"")
     Spool(tmp_path / "spool.db", "b", events_max=10).close()
 
@@ -565,8 +563,8 @@ def test_a_connection_that_is_not_closed_is_reported(tmp_path: Path) -> None:
 def test_who_reads_a_database_beside_its_process_does_not_take_the_memory_from_under_it(
     tmp_path: Path,
 ) -> None:
-    """SQLite knows by a lock on the log's index that another process uses it; without, the reader
-    truncates it.
+    """SQLite sees other processes by a lock on the log's index; without it a reader truncates the
+    index.
     """
     path = tmp_path / "spool.db"
     with contextlib.closing(Spool(path, "boot-1", events_max=1000)) as killed:

@@ -1,4 +1,4 @@
-"""What is published and asked for by one thread, instead of calling it back."""
+"""Subscriptions and queries that one thread reads, instead of callbacks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def bus(tmp_path: Path) -> Iterator[buses.Bus]:
 
 
 def taken(ear: buses.Ear) -> list[buses.Heard]:
-    """Everything until it is closed."""
+    """Read all messages until it is closed."""
     heard = []
     while (some := ear.take()) is not None:
         heard += some
@@ -44,7 +44,7 @@ def test_without_waiting_there_may_be_nothing(bus: buses.Bus) -> None:
 
 @pytest.mark.parametrize("closers", [1, 4])
 def test_who_waits_is_told_the_end(bus: buses.Bus, closers: int) -> None:
-    """By the bus that closes, or by several at the same time, as at the end of a daemon."""
+    """Whether the bus closes or several threads close it at once."""
     ear, heard = bus.listen("event/*", 10), []
     waiting = threading.Thread(target=lambda: heard.append(taken(ear)))
     waiting.start()

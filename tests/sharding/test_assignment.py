@@ -1,4 +1,4 @@
-"""Dealing: every camera has one district, every district one shard, and both stay."""
+"""Assignment: every camera has one district, every district one shard, and both are stable."""
 
 from __future__ import annotations
 
@@ -35,9 +35,7 @@ def test_there_is_no_such_shard(shard: int, shards: int) -> None:
 
 
 def test_a_camera_stays_in_its_district() -> None:
-    """Other numbers would deal every site anew, and each of its districts would begin from
-    nothing.
-    """
+    """Other hashes would reassign every site, and each district would start from nothing."""
     dealing = Dealing(Sharding(guest_turns=4))
     assert [dealing.district(f"cam{k:02d}") for k in range(8)] == [14, 3, 14, 5, 6, 1, 13, 2]
     turns = [[turn for turn in range(4) if dealing.guest(f"cam{k:02d}", turn)] for k in range(8)]
@@ -45,7 +43,7 @@ def test_a_camera_stays_in_its_district() -> None:
 
 
 def test_names_that_are_made_up_fill_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Anybody may ask for a prediction of any camera."""
+    """Any client may ask for a prediction of any camera."""
     monkeypatch.setattr(dealing_module, "REMEMBERED_MAX", 100)
     dealing = Dealing(Sharding())
     tracemalloc.start()

@@ -1,6 +1,4 @@
-"""What a topology file says is believed only if it can be so; then every command that reads it gets
-to its end.
-"""
+"""A topology file is checked for consistency; then every command can read it."""
 
 from __future__ import annotations
 
@@ -32,7 +30,7 @@ from camtopod.web.single_file import page
 
 
 def learned(settings: SimSettings) -> Topology:
-    """What is made of a simulated site in a few fits."""
+    """Learn a simulated site in a few fits."""
     learner = Learner(Settings(refit_share=10.0))
     for event in simulate(settings)[0]:
         learner.receive(event)
@@ -79,7 +77,7 @@ ODD = (
 
 
 def changed(path: str, value: Any) -> bytes:
-    """The site's JSON with one value put in the place of another, for example ``zones.0.cov``."""
+    """Return the site's JSON with one value replaced, for example ``zones.0.cov``."""
     content = copy.deepcopy(PLAIN)
     *before, last = path.split(".")
     place: Any = content
@@ -248,7 +246,7 @@ def test_a_site_without_a_model_is_sound() -> None:
 
 
 def places(content: Any, path: str = "") -> list[str]:
-    """Where there is something to change."""
+    """Return the places where a value can be replaced."""
     if isinstance(content, dict):
         return [
             one
@@ -262,7 +260,7 @@ def places(content: Any, path: str = "") -> list[str]:
 
 
 def use(topology: Topology) -> None:
-    """Everything that the commands do with it."""
+    """Do everything with it that commands do."""
     assert page(gather(topology, [topology], None))
     for form, exported in FORMATS.items():
         text = exported(topology)

@@ -1,4 +1,4 @@
-"""What FFmpeg says on standard output is heard while it is listened to."""
+"""FFmpeg's output on standard output is captured while a block runs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_reason_is_heard_and_standard_output_is_itself_again(
 
 
 def test_what_waits_in_the_buffer_of_c_is_heard_too() -> None:
-    """Where standard output is no terminal C keeps some kilobytes, as OpenCV prints with it."""
+    """C buffers some kilobytes if standard output is no terminal, and OpenCV prints through it."""
     done = subprocess.run(
         [sys.executable, "-c", PRINTS_AS_C_DOES], capture_output=True, text=True, check=True
     )
@@ -50,7 +50,7 @@ def test_what_waits_in_the_buffer_of_c_is_heard_too() -> None:
 def test_the_level_ends_with_the_block_and_a_user_s_own_stays(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Or a process that is started afterwards would be silent, too."""
+    """Otherwise a process started afterwards would be silent, too."""
     monkeypatch.delenv(LEVEL_VARIABLE, raising=False)
     with listening():
         assert os.environ[LEVEL_VARIABLE] == LEVEL_WARNINGS

@@ -1,4 +1,4 @@
-"""Capture times out of stamps and arrivals; which frames are analysed; how sources are spelled."""
+"""Capture times from stamps and arrivals; selection of frames; spellings of sources."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from camtopod.vision.source.source_url import kind_of, percent_encoded
 
 
 def errors(stamps: np.ndarray, captured: np.ndarray, delays: np.ndarray) -> np.ndarray:
-    """Of the estimated capture times, seconds."""
+    """Return the errors of the estimated capture times, seconds."""
     clock = StampClock()
     found = []
     for stamp, t, delay in zip(stamps, captured, delays, strict=True):

@@ -1,4 +1,4 @@
-"""Frames to events on made-up pictures: what an entry and an exit are, and what they are not."""
+"""From rendered frames to events: what counts as an entry or exit, and what does not."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from camtopod.vision.settings import VisionSettings
 
 
 def passages(events: list[Event]) -> list[tuple[str, str]]:
-    """(kind, side of the picture) in order of time."""
+    """Return (kind, side of the picture) in order of time."""
     return [(event.kind, side(event)) for event in sorted(events, key=lambda event: event.t)]
 
 
@@ -214,8 +214,8 @@ def test_a_camera_that_shakes_by_a_pixel_sees_nothing_in_an_empty_scene_and_peop
 
 @pytest.mark.parametrize("seed", range(4))
 def test_whatever_the_pictures_events_are_well_formed(seed: int) -> None:
-    """Crowds that jump about, flashes and gaps: no error, each track enters and leaves at most
-    once.
+    """Jumping crowds, flashes and gaps cause no error; each track enters and leaves
+    at most once.
     """
     rng = np.random.default_rng(seed)
 

@@ -1,6 +1,4 @@
-"""Files and streams to frames: what cannot be read, times, pace, and every way a stream can
-fail.
-"""
+"""From files and streams to frames: unreadable input, times, pace, and failures of streams."""
 
 from __future__ import annotations
 
@@ -39,7 +37,7 @@ needs_server = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two people walk through, 14 s."""
+    """Write a film of 14 s in which two people walk through."""
     people = [
         Person(line(3.5, (-0.05, 0.7), (1.05, 0.6), 5.0)),
         Person(line(5.0, (1.05, 0.85), (-0.05, 0.9), 6.0), seed=4),
@@ -49,7 +47,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def server(film: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
-    """The film served over RTSP; gives the port."""
+    """Serve the film over RTSP; return the port."""
     path = tmp_path_factory.mktemp("served") / "film.mp4"
     transcode(film, path, FPS)
     with served(path) as port:
@@ -197,7 +195,7 @@ def test_the_decoder_s_plane_is_taken_where_there_is_one(
 def run_until(
     stream: Iterator[Event | None], condition: Callable[[], bool], seconds: float = 15.0
 ) -> list[Event]:
-    """Events until ``condition``; control must come back at least once a second."""
+    """Return events until ``condition``; control must return at least once a second."""
     events, began = [], time.monotonic()
     heard = began
     for event in stream:

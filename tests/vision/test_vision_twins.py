@@ -1,4 +1,4 @@
-"""What the grabber does quickly, against slow and obvious twins."""
+"""Fast parts of the grabber against slow and obvious versions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ seeds = pytest.mark.parametrize("seed", range(6))
 
 
 def picture(rng: np.random.Generator, height: int, width: int, coarse: int = 4) -> Picture:
-    """Patches of all grey levels."""
+    """Return patches of all grey levels."""
     small = rng.integers(0, 256, (height // coarse + 1, width // coarse + 1)).astype(np.float32)
     large = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
     result: Picture = np.clip(large + rng.normal(0, 3, large.shape), 0, 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The grabber on real video against what somebody saw on it (see `watched` for the tolerances)."""
+"""The grabber on real video against annotations by hand (see `watched` for the tolerances)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Wiener filter equals its slow twin; the noise estimate finds the noise that was added."""
+"""The Wiener filter equals its slow version; the noise estimate finds the noise that was added."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The page in a real browser on a real daemon: what it shows, that it stays live, and what it never
-does.
-"""
+"""The web page in a real browser with a real daemon: its contents, and that it stays live."""
 
 from __future__ import annotations
 
@@ -46,9 +44,7 @@ DOTTED = "gate.1-_x"
 
 
 class Site:
-    """A daemon that can be stopped and started again, and a page that stays; time goes on, from
-    long after `T0`.
-    """
+    """A daemon that can be restarted, and a page that stays; time runs, from long after `T0`."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -68,12 +64,12 @@ class Site:
 
     @property
     def cameras(self) -> int:
-        """In the newest version."""
+        """Number of cameras in the newest version."""
         return len(self.daemon.topology.cameras) if self.daemon.topology else 0
 
     @property
     def version(self) -> int:
-        """The newest."""
+        """The newest version."""
         return self.daemon.topology.version if self.daemon.topology else 0
 
     def client(self) -> Bus:
@@ -87,7 +83,7 @@ class Site:
 
     @contextlib.contextmanager
     def page(self, bus: Bus, port: int = 0) -> Iterator[int]:
-        """A server of the page; yields its port."""
+        """Serve the page; yield its port."""
         with (
             listening("127.0.0.1", port) as listener,
             app.serving(bus, listener, names("127.0.0.1"), self.directory, self.now, 1.0),
@@ -95,12 +91,12 @@ class Site:
             yield listener.getsockname()[1]
 
     def start(self) -> None:
-        """The same daemon again, on what it has stored."""
+        """Start the same daemon again, on its stored state."""
         self.daemon = self._daemon()
         self.daemon.start()
 
     def learn(self, bus: Bus) -> None:
-        """Enough walkers for a topology."""
+        """Publish enough walkers for a topology."""
         events = [
             msgspec.structs.replace(event, camera=DOTTED if event.camera == "b" else event.camera)
             for event in (*walkers(60), closing_event())
@@ -112,7 +108,7 @@ class Site:
         )
 
     def learn_more(self, bus: Bus) -> None:
-        """More walkers, and then a leap of time after which they are learned."""
+        """Publish more walkers, and then a leap of time after which they are learned."""
         later = self.now() - SPAN_SECONDS - T0
         for event in numbered(
             [*walkers(60, seed=2), Event("late", "entry", T0 + 5 * SPAN_SECONDS)], "b2"
@@ -133,8 +129,9 @@ class Site:
 
 @contextlib.contextmanager
 def refusing(port: int) -> Iterator[list[str]]:
-    """A proxy whose server is away: 503 to everything, after which a browser does not try again by
-    itself; yields the paths asked for.
+    """Run a proxy whose server is away: 503 to everything; yield the requested paths.
+
+    After a 503 a browser does not reconnect by itself.
     """
     asked: list[str] = []
 
@@ -165,9 +162,7 @@ def site(tmp_path_factory: pytest.TempPathFactory, started_browser: Browser) -> 
 
 @pytest.fixture
 def shown(site: Site, browser: Browser) -> Iterator[Browser]:
-    """The page as it opens; afterwards nothing may have been complained about or asked of another
-    host.
-    """
+    """Open the page; at the end there must be no complaint and no request to another host."""
     browser.open(site.address)
     browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
     browser.wait(lambda: browser.count(".node") == site.cameras, "the cameras")
@@ -181,7 +176,7 @@ def shown(site: Site, browser: Browser) -> Iterator[Browser]:
 
 
 def leave(site: Site, bus: Bus, camera: str = "a", seq: int = 0) -> None:
-    """Somebody leaves the view now."""
+    """Publish an exit now."""
     bus.put(
         f"event/{camera}",
         Event(camera, "exit", site.now(), 0.9, 0.5, "x", f"live{seq}", 1),
@@ -223,7 +218,7 @@ def test_a_prediction_moves_on_the_map(site: Site, shown: Browser) -> None:
 
 
 def test_who_sees_somebody_now_is_in_the_list_and_at_the_camera(site: Site, shown: Browser) -> None:
-    """Not by track, which would be somebody."""
+    """Tracks are not shown, as they would identify an object."""
     in_view = [InView("c", "somebody", site.now() - 3, 0.83)]
     said = Prediction("a", "a/1", site.now(), "another", 1, 1.0, [], None, in_view)
     with site.client() as bus:
@@ -318,7 +313,8 @@ def test_hostile_text_and_odd_names_stay_text(site: Site, shown: Browser) -> Non
     assert "owned" not in shown.run("return document.title")
     shown.go("#/camera/%3Cimg%20src%3Dx%3E")
     shown.wait(
-        lambda: "is not in the newest version" in shown.text(".panel"), "an unknown camera to be told"
+        lambda: "is not in the newest version" in shown.text(".panel"),
+        "an unknown camera to be told",
     )
     assert shown.run("return document.querySelector('.panel h2').textContent") == "<img src=x>"
     shown.complaints()  # the 404 it answered is in the browser's log
@@ -379,9 +375,7 @@ def test_it_is_live_again_after_its_own_server_is_restarted(site: Site, browser:
             browser.open(f"http://127.0.0.1:{port}/")
             browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
         with refusing(port) as refused:
-            browser.wait(
-                lambda: "cannot reach its server" in browser.text(".banner"), "the banner"
-            )
+            browser.wait(lambda: "cannot reach its server" in browser.text(".banner"), "the banner")
             wait_for(lambda: "/live" in refused, "the page to try again")
         with site.page(bus, port):
             browser.wait(lambda: browser.text("#live").startswith("live"), "live again")

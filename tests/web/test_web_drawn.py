@@ -1,6 +1,4 @@
-"""What the page draws, as a browser has it: edges, times and names on the map, the time line of the
-versions.
-"""
+"""The page's drawings in a browser: edges, times and names on the map, line of versions."""
 
 from __future__ import annotations
 
@@ -38,9 +36,7 @@ Shows = Callable[..., None]
 
 @pytest.fixture
 def show(browser: Browser, tmp_path: Path) -> Iterator[Shows]:
-    """Open a report on a topology, on a desktop or in another size; the page may complain about
-    nothing.
-    """
+    """Open a report on a topology, on a desktop or in another size, without complaints."""
 
     def open_report(topology: Topology, width: int = 1280, height: int = 800) -> None:
         path = tmp_path / "report.html"
@@ -55,9 +51,7 @@ def show(browser: Browser, tmp_path: Path) -> Iterator[Shows]:
 
 
 def joined(*edges: tuple[str, str, float, float, float]) -> Topology:
-    """Cameras that are joined as told: from, to, seconds that way, seconds back, and how many took
-    each.
-    """
+    """Return cameras joined as given: from, to, seconds there, seconds back, transitions."""
     names = sorted({name for a, b, *_ in edges for name in (a, b)})
     links = [
         made_link(f"{one}/1", f"{other}/1", seconds, taken, overlapped=seconds < 0)
@@ -85,7 +79,7 @@ def joined(*edges: tuple[str, str, float, float, float]) -> Topology:
 
 
 def times(browser: Browser) -> list[str]:
-    """The times on the map."""
+    """Return the times on the map."""
     found = browser.run(
         "return [...document.querySelectorAll('.labels .time')].map((one) => one.textContent)"
     )
@@ -133,9 +127,7 @@ def test_each_time_says_which_way_it_is_of_where_they_differ(browser: Browser, s
 def test_published_and_busy_edges_have_their_times_before_others(
     browser: Browser, show: Shows
 ) -> None:
-    """A wheel with so many spokes that not all have room; those that come first by name are the
-    least.
-    """
+    """A wheel has more spokes than there is room for; the first by name are the least busy."""
     spokes = [f"c{k:02d}" for k in range(60)]
     rare, busy = spokes[:40], spokes[40:]
     topology = joined(

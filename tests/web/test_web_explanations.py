@@ -1,4 +1,4 @@
-"""What the page says of cameras, pairs, links and versions."""
+"""The page's texts about cameras, pairs, links and versions."""
 
 from __future__ import annotations
 

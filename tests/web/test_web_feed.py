@@ -1,4 +1,4 @@
-"""What the page's server takes from the bus, and hands to open pages within limits."""
+"""The feed of the web server: its use of the bus, and bounded queues to open pages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NEWER = msgspec.structs.replace(SITE, version=2, links=SITE.links[1:])
 
 
 class Heard(Hub):
-    """A hub that keeps what was told."""
+    """A hub that stores messages."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -39,7 +39,7 @@ class Heard(Hub):
 
 
 class Rig:
-    """A feed whose two loops run; time stands still unless it is moved."""
+    """A feed with its two loops running; time stands still unless it is moved."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -193,7 +193,11 @@ def test_a_page_that_has_just_begun_does_not_blame_a_daemon_it_has_given_no_time
         rig.now += feed.SILENT_STATUSES + 1
         wait_for(lambda: bool(rig.hub.of("live")), "that nobody is there")
     (told,) = rig.hub.of("live")
-    assert told == {"live": False, "reason": "no daemon has published its status yet", "since": 1000.0}
+    assert told == {
+        "live": False,
+        "reason": "no daemon has published its status yet",
+        "since": 1000.0,
+    }
 
 
 def test_a_grabber_that_says_nothing_more_is_silent_whatever_it_said_last() -> None:

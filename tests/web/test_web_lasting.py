@@ -1,5 +1,6 @@
-"""The page over hours and with little to show, in a real browser: what it says stays true, who uses
-keys stays where they are, and no part that is missing breaks it.
+"""The page over hours, and with little data, in a real browser.
+
+Its texts stay true, keyboard focus stays, and missing parts do not break it.
 """
 
 from __future__ import annotations
@@ -187,9 +188,7 @@ def test_when_a_camera_was_heard_is_as_of_now(browser: Browser) -> None:
 
 
 def seconds_ago(browser: Browser) -> int | None:
-    """How long ago a camera's page says that it was heard; None if that is minutes or it says
-    nothing.
-    """
+    """Return how long ago a camera was last received, by its page; None for minutes or nothing."""
     found = re.search(r"last event (?:now|(\d+) s ago)", browser.text(".panel .status"))
     return None if found is None else int(found[1] or 0)
 
@@ -267,7 +266,7 @@ def test_the_scores_axis_says_which_day_it_was(browser: Browser) -> None:
 
 
 def contrast(one: str, other: str) -> float:
-    """Of two colours as a browser computes them (WCAG 2.2)."""
+    """Return the contrast of two colours as a browser computes them (WCAG 2.2)."""
 
     def light(colour: str) -> float:
         parts = [int(part) / 255 for part in re.findall(r"\d+", colour)[:3]]

@@ -1,4 +1,4 @@
-"""The map: what is drawn of a topology, where, and what changes from version to version."""
+"""The map: the drawing of a topology, and its changes from version to version."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SETTLED = Pair(("a", "b"), "overlapped", "overlapped", "overlapped")
 
 
 def applied(old: Map, delta: MapChange) -> tuple[dict[str, object], dict[str, object]]:
-    """Cameras and edges as the page has them after a change."""
+    """Return the page's cameras and edges after a change."""
     cameras = {
         name: one for name, one in old.cameras.items() if name not in delta.gone_cameras
     } | delta.cameras
@@ -102,7 +102,7 @@ def test_of_several_links_the_nearest_to_being_published_speaks_for_the_pair() -
 
 
 def with_weak(topology: Topology, **changed: float) -> Topology:
-    """Weak evidence between the first and the last camera."""
+    """Add weak evidence between the first and the last camera."""
     link = made_link(topology.zones[0].id, topology.zones[-1].id, 20.0, 12.0)
     weak: list[Link] = [replace(link, **{"q_value": 0.02, **changed})]
     return replace(topology, weak_links=weak)

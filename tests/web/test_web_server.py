@@ -1,4 +1,4 @@
-"""The page's server: what it answers, to whom, and within which limits; no browser needed."""
+"""The web server without a browser: responses, access and limits."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ NEWER = msgspec.structs.replace(
 
 
 class Server:
-    """The application on a bus of its own, with two versions; pictures in ``folder``."""
+    """The application on a fake bus, with two versions; pictures in ``folder``."""
 
     def __init__(self, port: int) -> None:
         self.port = port
@@ -233,7 +233,7 @@ def test_the_stream_begins_with_what_is_and_refuses_odd_names(server: Server) ->
 
 @pytest.fixture
 def crowd(server: Server) -> Iterator[Callable[[int], list[socket.socket]]]:
-    """Opens so many connections to the page."""
+    """Open so many connections to the page."""
     opened: list[socket.socket] = []
 
     def more(count: int) -> list[socket.socket]:
@@ -283,7 +283,7 @@ def test_of_many_that_wait_the_oldest_are_closed(
 
 
 def closed(connection: socket.socket) -> bool:
-    """Whether the other side has closed it."""
+    """Return True if the other side has closed the connection."""
     connection.setblocking(False)
     try:
         return connection.recv(1) == b""

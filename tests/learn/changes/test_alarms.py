@@ -1,4 +1,4 @@
-"""Alarms: each once, in the version that knows; silent cameras; nothing at the start."""
+"""Alarms: each once, in the first version that shows it; silent cameras; none at the start."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_only_the_newest_are_kept() -> None:
 
 
 def heard(*times: NDArray[np.float64]) -> list[Silences]:
-    """Silences of cameras with events at these times."""
+    """Return the silences of cameras with events at these times."""
     t, camera = (
         np.concatenate(times),
         np.repeat(np.arange(len(times)), [len(part) for part in times]),
@@ -125,7 +125,7 @@ def test_few_events_say_nothing() -> None:
 
 
 def test_a_camera_that_stops_while_an_installation_starts_is_not_said_to_be_silent() -> None:
-    """Whoever was about has yet to be seen: of the first half hour nothing is told."""
+    """In the first half hour no alarm is raised, as traffic has yet to be learned."""
     log, silent = AlarmLog(), Silences([(100.0, np.inf)], True)
     log.cameras(1, 900.0, [silent], ["a"], 1800.0)
     assert said(log) == []
@@ -155,8 +155,9 @@ def test_a_clock_is_told_when_it_moves_and_not_when_it_becomes_known() -> None:
 
 
 def walkers(begin: float, end: float, way: str, seed: int, way_to: float = 0.8) -> list[Event]:
-    """Objects that leave camera a by its right side and may appear at b at ``way`` 8 s later;
-    others come to b.
+    """Return objects that leave camera a on its right and may appear at b at ``way`` 8 s later.
+
+    Others come to b independently.
     """
     chance = np.random.default_rng(seed)
     events = []
@@ -180,7 +181,7 @@ def walkers(begin: float, end: float, way: str, seed: int, way_to: float = 0.8) 
 def passage(
     camera: str, t: float, x: float, track: str, chance: np.random.Generator
 ) -> list[Event]:
-    """Through one view from x to the bottom."""
+    """Return a passage through one view from x to the bottom."""
     noise = 0.02 * chance.standard_normal(4)
     x, y, x2, y2 = (float(v) for v in np.clip(np.array([x, 0.3, 0.5, 0.9]) + noise, 0, 1))
     return [Event(camera, "entry", t, x, y, track), Event(camera, "exit", t + 4, x2, y2, track)]
@@ -196,7 +197,7 @@ def versions(events: list[Event]) -> list[Topology]:
 
 @pytest.fixture(scope="module")
 def rerouted() -> list[Topology]:
-    """From a to the left of b for three hours, then to the right."""
+    """Return traffic from a to the left of b for three hours, then to the right."""
     return versions(walkers(0, 10_800, "b/left", 1) + walkers(10_800, 18_000, "b/right", 2))
 
 
@@ -278,7 +279,7 @@ def test_a_door_of_its_own_that_comes_into_use_is_a_new_zone() -> None:
 
 
 def test_a_scene_that_fills_tells_nothing() -> None:
-    """Exits begin when the first who entered have reached them."""
+    """Exits begin when the first objects have crossed."""
     chance = np.random.default_rng(7)
     events = []
     for k, t in enumerate(poisson(0.1, 0, 3_600, 7)):
@@ -291,7 +292,7 @@ def test_a_scene_that_fills_tells_nothing() -> None:
 
 
 def of_boots(*boots: str) -> list[Event]:
-    """Events of one camera, a second apart, by the boots of their publishers."""
+    """Return events of one camera, a second apart, by the boots of their publishers."""
     return [Event("a", "entry", 1000.0 + k, boot=boot, seq=k) for k, boot in enumerate(boots)]
 
 

@@ -1,4 +1,4 @@
-"""Changes of shares: found soon, not made up, and what they do to the links."""
+"""Change points of shares: found early, rarely false, and their effect on links."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ THRESHOLD = threshold_nats(100, 10_000)
 def trials(
     share: Floats, seed: int, weight: Floats | None = None, times: Floats | None = None
 ) -> Trials:
-    """Departures a minute apart that each take the way with their own probability."""
+    """Return departures a minute apart that take the path with these probabilities."""
     chance = np.random.default_rng(seed)
     t: Floats = 60.0 * np.arange(len(share)) if times is None else times
     moved = t[chance.random(len(share)) < share]
@@ -35,7 +35,7 @@ def trials(
 
 
 def two(before: float, after: float, n: int, late: int) -> Floats:
-    """Shares of n departures of which the last ``late`` come after the change."""
+    """Return shares of n departures of which the last ``late`` follow the change."""
     return np.where(np.arange(n) < n - late, before, after)
 
 
@@ -121,7 +121,7 @@ def test_too_little_says_nothing() -> None:
 
 
 def slow_gain(given: Trials) -> float:
-    """Best gain over every split, factors by numerical search."""
+    """Return the best gain over every split, with factors by numerical search."""
 
     def best(begin: int, end: int) -> float:
         t0, t1 = given.t[begin], given.t[end] if end < len(given.t) else np.inf
@@ -153,7 +153,7 @@ BINS = LagBins(-20.0, 120.0)
 
 
 def table(rows: list[tuple[int, int, int]], leaving: float = 100.0) -> LinkTable:
-    """Links (source, target, transitions) of four zones."""
+    """Return links (source, target, transitions) of four zones."""
     columns = [
         np.repeat([row[k] for row in rows], [row[2] for row in rows]).astype(np.int32)
         for k in (0, 1)

@@ -1,4 +1,4 @@
-"""Clock offsets: counting lags, ways walked in both directions, and what a network of them says."""
+"""Clock offsets: correlograms, paths walked in both directions, and networks of offsets."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_of_a_large_network_the_promising_pairs_of_cameras_are_looked_at(
 
 
 def lag_counts(seed: int, *peaks: tuple[float, float, int]) -> np.ndarray:
-    """A correlogram (1, lags) with chance of 1 a bin and peaks (at, spread, number)."""
+    """Return a correlogram (1, lags): a null rate of 1 a bin, and peaks (at, spread, number)."""
     rng = np.random.default_rng(seed)
     counts = rng.poisson(1.0, 2 * LAGS + 1)
     for at, spread, number in peaks:
@@ -171,7 +171,7 @@ def test_one_way_alone_tells_nothing() -> None:
 
 
 def test_two_answers_are_none() -> None:
-    """Back it is 20 s as often as 60 s."""
+    """The way back takes 20 s as often as 60 s."""
     forth, back = (
         lag_counts(1, (200.0, 2.0, 100)),
         lag_counts(2, (20.0, 2.0, 100), (100.0, 2.0, 100)),
@@ -184,7 +184,7 @@ def test_two_answers_are_none() -> None:
 
 
 class Walks:
-    """Walks between the doors of cameras, as the cameras' clocks tell them."""
+    """Walks between the doors of cameras, by the cameras' clocks."""
 
     def __init__(self, ahead: list[float], seed: int = 0) -> None:
         self.ahead, self.rng = np.array(ahead), np.random.default_rng(seed)
@@ -192,13 +192,13 @@ class Walks:
         self.events: list[tuple[float, int, bool]] = []
 
     def door(self, camera: int, number: int) -> int:
-        """Index of a camera's door."""
+        """Return the index of a camera's door."""
         if (camera, number) not in self.doors:
             self.doors.append((camera, number))
         return self.doors.index((camera, number))
 
     def way(self, a: tuple[int, int], b: tuple[int, int], seconds: float, walks: int = 150) -> None:
-        """People who leave at door ``a`` and enter at ``b``."""
+        """Add people who leave at door ``a`` and enter at ``b``."""
         start = self.rng.uniform(0.0, HOURS_2, walks)
         u, v = self.door(*a), self.door(*b)
         later = seconds * np.exp(0.25 * self.rng.standard_normal(walks))
@@ -244,7 +244,7 @@ class Walks:
 
 
 def ring(ahead: list[float], seed: int = 0) -> Walks:
-    """Cameras in a ring, each with a door to the next and one to the one before."""
+    """Return cameras in a ring, each with a door to the next and one to the previous."""
     walks = Walks(ahead, seed)
     n = len(ahead)
     for camera in range(n):
@@ -285,9 +285,7 @@ def test_where_all_go_one_way_nothing_is_known() -> None:
 
 
 def test_one_door_for_all_on_a_one_way_road_is_no_way_back() -> None:
-    """Whoever leaves the second camera entered the first some time ago: that is not a way back with
-    a wrong clock.
-    """
+    """Objects that leave the second camera entered the first earlier; that is no path back."""
     walks = Walks([0.0, 0.0, 0.0])
     start = walks.rng.uniform(0.0, HOURS_2, 300)
     for camera in range(3):
@@ -398,8 +396,9 @@ def test_the_keeper_looks_when_there_is_enough_new() -> None:
 
 
 def learned(correct_clocks: bool) -> Topology:
-    """Four cameras in a ring, the clock of the third 14 s ahead; doors left and right in the
-    image.
+    """Learn four cameras in a ring, the clock of the third 14 s ahead.
+
+    Doors are left and right in the image.
     """
     walks = ring([0.0, 0.0, 14.0, 0.0])
     learner = Learner(Settings(correct_clocks=correct_clocks, refit_hours=24.0, refit_share=10.0))
@@ -417,18 +416,18 @@ def learned(correct_clocks: bool) -> Topology:
 
 @pytest.fixture(scope="module")
 def stated() -> Topology:
-    """By the cameras' own clocks."""
+    """Return the events by the cameras' own clocks."""
     return learned(False)
 
 
 @pytest.fixture(scope="module")
 def corrected() -> Topology:
-    """In right time."""
+    """Return the events in corrected time."""
     return learned(True)
 
 
 def medians(topology: Topology) -> dict[str, float]:
-    """Median of each link by its cameras."""
+    """Return the median transit time of each link by its cameras."""
     camera = {zone.id: zone.camera for zone in topology.zones}
     return {
         camera[k.from_] + camera[k.to]: k.transit.q50
@@ -460,7 +459,7 @@ def test_transit_times_are_in_right_time_when_asked(stated: Topology, corrected:
 def test_predictions_are_stated_by_the_clocks_that_will_tell(
     stated: Topology, corrected: Topology
 ) -> None:
-    """An exit at c1 towards c2: in 11 s, when the clock there says 25 s later."""
+    """An exit at c1 arrives at c2 in 11 s, when the clock there shows 25 s more."""
     for topology, seconds in ((stated, 25.0), (corrected, 11.0)):
         prediction = Predictor(topology).predict(Event("c1", "exit", 1e6 + 9000.0, 0.2, 0.5))
         first = prediction.next_[0]
@@ -469,9 +468,7 @@ def test_predictions_are_stated_by_the_clocks_that_will_tell(
 
 
 def test_what_has_been_seen_by_a_wrong_clock_counts(stated: Topology) -> None:
-    """From c2, 14 s ahead, to c3 takes 14 s. Somebody at c3 half a second before the exit, as the
-    clocks tell it.
-    """
+    """From c2, 14 s ahead, to c3 takes 14 s; by the clocks, the entry at c3 precedes the exit."""
     leaves = Event("c2", "exit", 1e6 + 9000.0, 0.2, 0.5)
     alone, seen = Predictor(stated), Predictor(stated)
     seen.observe(Event("c3", "entry", leaves.t - 0.5, 0.8, 0.5))

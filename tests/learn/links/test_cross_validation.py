@@ -1,4 +1,4 @@
-"""Evidence from bets: what the parts could have seen, and how rarely chance wins."""
+"""Evidence by cross-validation: exposure of the parts, and rare success under the null model."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ BINS = LagBins(-60.0, 90.0)
 
 
 def crowd(seed: int, zones: int, each: int, seconds: float) -> tuple[Departures, Arrivals]:
-    """Every zone a camera of its own, where people leave and come by chance, after stays of five
-    seconds or so.
+    """Return independent traffic; every zone is a camera, and dwell times are about
+    five seconds.
     """
     rng = np.random.default_rng(seed)
     n = zones * each
@@ -35,7 +35,7 @@ def test_every_part_but_the_first_is_bet_on_once() -> None:
 
 @pytest.mark.parametrize("seconds", [300.0, 20_000.0])
 def test_parts_together_see_what_the_whole_sees(seconds: float) -> None:
-    """But for arrivals before the first departure."""
+    """Except for arrivals before the first departure."""
     departures, arrivals = crowd(1, 4, 50, seconds)
     found = find_candidates(departures, arrivals, BINS, 4)
     fit = fit_jointly(departures, arrivals, found, BINS, 4, seconds)
@@ -49,8 +49,7 @@ def test_parts_together_see_what_the_whole_sees(seconds: float) -> None:
 
 
 def test_chance_rarely_wins_where_it_is_dense_and_short() -> None:
-    """Stretches of time hardly longer than the lags: what is cut off at their ends must not make
-    short lags stand out.
+    """Recordings hardly longer than the lags must not make short lags stand out.
 
     The bound allows one pair in exp(4) an evidence of four nats.
     """

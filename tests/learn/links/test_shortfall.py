@@ -1,4 +1,4 @@
-"""What weak links lack: forecasts of when they are published."""
+"""Weak links: the evidence they lack, and forecasts of their publication."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HOUR = 3600.0
 
 
 def table(*rows: tuple[int, int, float, float, float]) -> LinkTable:
-    """Of pairs (source, target, transitions, evidence in nats, probability)."""
+    """Return pairs (source, target, transitions, evidence in nats, probability)."""
     source, target, total, ratio, probability = (
         np.array(column) for column in zip(*rows, strict=True)
     )
@@ -59,9 +59,7 @@ def test_the_evidence_needed_is_that_at_which_the_rule_is_met(rank: int) -> None
 
 
 def test_a_passage_brings_as_much_as_those_so_far() -> None:
-    """Ten passages brought 20 nats in the fit, 3 of them held out; the rest is to come, at 2 nats a
-    passage.
-    """
+    """Ten passages have brought 20 nats, 3 of them held out; the rest comes at 2 nats a passage."""
     found = of((0, 1, 10.0, 20.0, 0.5), held_out=3.0)
     assert found.passages == pytest.approx([(np.log(100 / 0.01) - 3.0) / 2.0])
     assert found.seconds == pytest.approx(found.passages * HOUR / 10.0)
@@ -103,9 +101,7 @@ def test_where_waiting_does_not_help_nothing_is_said(
 
 
 def test_what_is_forecast_is_published_about_then() -> None:
-    """Half of the forecasts that came due are right within a factor of two and a half, and most
-    come true.
-    """
+    """Half of the forecasts are right within a factor of 2.5, and most come true."""
     learner, versions = Learner(), list[Topology]()
     for event in simulate(SimSettings(cameras=6, hours=2.0, seed=4, objects_per_second=0.05))[0]:
         learner.receive(event)

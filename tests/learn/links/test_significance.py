@@ -31,7 +31,9 @@ def test_more_evidence_never_has_the_larger_q(ratios: list[float]) -> None:
 
 
 def test_benjamini_and_hochberg_among_chance() -> None:
-    """Of many tests of nothing hardly any are discoveries; one with 20 nats among them is."""
+    """Many tests of the null model give hardly any discovery; one with 20 nats among
+    them is found.
+    """
     p = np.random.default_rng(0).random(10_000)
     q = q_values(np.append(-np.log(p), 20.0), 10_001)
     assert (q[:-1] > 0.05).all()

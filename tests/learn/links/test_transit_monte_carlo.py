@@ -1,6 +1,4 @@
-"""Transit times, Monte Carlo observations and the variance of Mahalanobis distances (thesis 4.3 to
-4.5).
-"""
+"""Transit times, Monte Carlo observations, Mahalanobis distances (thesis 4.3 to 4.5)."""
 
 from __future__ import annotations
 
@@ -19,15 +17,16 @@ BINS = LagBins(-20.0, 120.0)
 
 
 def lags(seed: int, n: int, pairs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pair, lag and weight of n transitions; some have no weight."""
+    """Return pair, lag and weight of n transitions; some have no weight."""
     rng = np.random.default_rng(seed)
     weight = rng.random(n) * (rng.random(n) < 0.8)
     return rng.integers(0, pairs, n).astype(np.int32), rng.uniform(-20, 120, n), weight
 
 
 def telling(weight: np.ndarray) -> np.ndarray:
-    """The weights of one pair that count for its quantiles: what is unlikely does only where
-    nothing else is.
+    """Return the weights of one pair that count for its quantiles.
+
+    Unlikely transitions count only if there are no others.
     """
     likely = np.where(weight > WEIGHT_MIN, weight, 0.0)
     return likely if likely.any() else weight
@@ -89,8 +88,9 @@ def test_figures_equal_their_definitions(seed: int, n: int, pairs: int) -> None:
 
 
 def walks(seed: int, pairs: int, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pair, lag and log slowness of ``n`` transitions of each pair; the median transit is 10 s,
-    objects differ much in speed, and one's speed is known nearly.
+    """Return pair, lag and log slowness of ``n`` transitions of each pair.
+
+    The median transit time is 10 s; objects differ much in speed, and their speed is nearly known.
     """
     rng = np.random.default_rng(seed)
     pace = 0.3 * rng.standard_normal(pairs * n)
@@ -147,7 +147,7 @@ def test_figures_of_no_pair() -> None:
 
 @pytest.mark.parametrize("at", [-8.0, -1.0, 0.0, 0.3, 7.8102, 25.0, 90.0])
 def test_peak_lies_between_the_bins(at: float) -> None:
-    """Of a bell of three bins' width, within a fifth of the bin it is in."""
+    """The peak of a bell three bins wide is found within a fifth of a bin."""
     (k,) = BINS.index(np.array([at]))
     position = np.arcsinh(BINS.edges / BINS.scale) / BINS.step - BINS.first
     middle = np.arcsinh(at / BINS.scale) / BINS.step - BINS.first
@@ -181,13 +181,13 @@ def test_iterations_of_the_thesis() -> None:
 
 
 def a_density() -> np.ndarray:
-    """Two humps of unequal height and a gap between them."""
+    """Return a density of two unequal humps with a gap between them."""
     shape = np.exp(-0.5 * ((BINS.centres - 5) / 1.5) ** 2)
     return shape + 0.25 * np.exp(-0.5 * ((BINS.centres - 30) / 3) ** 2)
 
 
 def test_observations_keep_the_density_they_come_from() -> None:
-    """The thesis's walk, which refuses nothing, does not."""
+    """The thesis's walk, which accepts every step, does not."""
     density = np.repeat(a_density()[None, :], 60, axis=0)
     found = monte_carlo.observe(density, np.full(60, 2.0), BINS, 1)
     assert found.shape == (60, monte_carlo.OBSERVATIONS)
@@ -202,7 +202,7 @@ def test_observations_keep_the_density_they_come_from() -> None:
 
 
 def test_observations_move_and_stay_inside() -> None:
-    """Where the density is nothing no observation goes, and the walk does go somewhere."""
+    """Observations move, but never to where the density is zero."""
     density = np.where((BINS.centres > 3) & (BINS.centres < 8), 1.0, 0.0)[None, :]
     still = monte_carlo.observe(density, np.zeros(1), BINS, 1)
     moved = monte_carlo.observe(density, np.ones(1), BINS, 1)

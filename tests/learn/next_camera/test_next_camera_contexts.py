@@ -1,6 +1,4 @@
-"""Contexts of a departure: counted and backed off as by hand, and what they know about where
-objects go.
-"""
+"""Contexts of a departure: counts, back-off, and information about the next camera."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ be far smaller.
 
 
 def anything(seed: int, n: int) -> tuple[Departures, Arrivals, Candidates]:
-    """Passages anywhere at any time, some without a known entry or block."""
+    """Return random passages, some without a known entry or block."""
     rng = np.random.default_rng(seed)
     t = np.sort(rng.uniform(0, 40, n))
     zone = rng.integers(0, 4, n).astype(np.int32)
@@ -51,7 +49,7 @@ def anything(seed: int, n: int) -> tuple[Departures, Arrivals, Candidates]:
 
 
 def surely(level: Level, context: int) -> dict[int, float]:
-    """Sure transitions of a context by zone."""
+    """Return sure transitions of a context by zone."""
     rows = slice(level.first[context], level.first[context + 1])
     return dict(zip(level.target[rows].tolist(), level.transitions[rows].tolist(), strict=True))
 
@@ -111,8 +109,9 @@ def test_multipliers_are_bounded_ratios(pairs: list[tuple[float, float]]) -> Non
 def told(
     views: Views, true: dict[float, float]
 ) -> tuple[list[Level], Candidates, Departures, np.ndarray]:
-    """Levels when it is known who is who: ``true`` has, by the time of an exit, the time of the
-    next appearance.
+    """Return the levels when identities are known.
+
+    ``true`` maps the time of an exit to the time of the next appearance.
     """
     departures, arrivals = views.columns()
     zones = len(views.camera)
@@ -136,8 +135,8 @@ def told(
 
 @pytest.mark.parametrize("known", ["entry", "block"])
 def test_where_they_came_in_and_where_they_left_says_where_they_go(known: str) -> None:
-    """From zone 2, those who came in at 0 (or left in block 7) go to zone 3, the others to zone
-    4.
+    """From zone 2, those who entered at 0 (or left in block 7) go to zone 3, the
+    others to zone 4.
     """
     rng = np.random.default_rng(0)
     views, true, firsts = Views([0, 0, 0, 1, 2]), {}, []
@@ -185,7 +184,7 @@ def test_a_context_seen_once_hardly_counts() -> None:
 
 
 def test_the_camera_before() -> None:
-    """Of those at zone 2 who came from camera 0 all go to zone 3; of the others none."""
+    """Of those at zone 2, all who came from camera 0 go to zone 3, and none of the others."""
     rng = np.random.default_rng(1)
     views, true = Views([0, 1, 2, 3, 4]), {}
     for t in np.sort(rng.uniform(0, 40_000, 300)):

@@ -1,6 +1,4 @@
-"""Views that overlap: which they are, and which passages elsewhere are of the object that
-leaves.
-"""
+"""Overlapping views: which overlap, and which passages elsewhere are of the leaving object."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ BINS = offset_bins(LAG_SCALE_SECONDS, LAG_STEP)
 
 
 def made(seed: int, n: int, cameras: int = 3, span: float = 300.0) -> Views:
-    """Passages that have nothing to do with each other; some begin and end at the same instants."""
+    """Return unrelated passages; some begin and end at the same instants."""
     rng = np.random.default_rng(seed)
     entered = np.floor(rng.uniform(0, span, n))
     left = entered + np.floor(rng.exponential(15.0, n))
@@ -61,8 +59,9 @@ def test_the_newest_exits_count_beyond_the_limit(seed: int, n: int, most: int) -
 
 
 def walkers(seed: int, objects: int, share: float = 1.0, seconds: float = 30.0) -> list[Event]:
-    """Of the objects in the view of a this share enters that of b five seconds after it, and stays
-    longer; others come to b and c by themselves. One comes every so many ``seconds``.
+    """Return walkers of which a share enters the view of b five seconds after that of a, and stays.
+
+    Others come to b and c independently. One comes every so many ``seconds``.
     """
     rng = np.random.default_rng(seed)
     events: list[Event] = []
@@ -106,7 +105,7 @@ def test_views_that_overlap_are_found_with_the_share_that_is_in_both(share: floa
 
 @pytest.mark.parametrize("seed", range(5))
 def test_views_with_nothing_to_do_with_each_other_do_not_overlap(seed: int) -> None:
-    """Not even where everybody comes in platoons of a minute or so, every five."""
+    """Nor if all traffic comes in platoons of a minute every five minutes."""
     rng = np.random.default_rng(seed)
     begun = 300.0 * rng.integers(0, 60, 1500) + rng.normal(0, 25, 1500)
     left = begun + rng.uniform(5, 40, 1500)
@@ -144,7 +143,7 @@ def test_who_leaves_a_view_is_looked_for_where_another_sees_it() -> None:
 
 @pytest.mark.parametrize("where", range(3))
 def test_passages_in_view_do_not_depend_on_the_order_of_lines_of_one_instant(where: int) -> None:
-    """Whoever leaves another view at that instant is still there, whoever enters one is not yet."""
+    """An object that leaves another view at that instant still counts, one that enters does not."""
     topology, t = learned_from(walkers(1, 200)), 1e6
     before = [
         Event(camera, "entry", t - ago, track=str(ago))

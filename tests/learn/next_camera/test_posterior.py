@@ -1,6 +1,4 @@
-"""The posterior: entry kernels beside exit kernels, overlaps only where they show, the negligible
-left out.
-"""
+"""The posterior: entry kernels and exit kernels, overlaps where they show, pruning."""
 
 from __future__ import annotations
 
@@ -43,9 +41,7 @@ def share(found: Posterior, source: int, target: int) -> float:
 
 
 def one_way(seed: int, objects: int, span: float, goes: float = 0.6, clutter: int = 0) -> Views:
-    """From zone 0 to zone 1, 8 s after the exit; at zone 2 others come and go. Every zone is a
-    camera.
-    """
+    """Return traffic from zone 0 to zone 1, 8 s after the exit, and unrelated traffic at zone 2."""
     rng = np.random.default_rng(seed)
     views = Views([0, 1, 2])
     for t in rng.uniform(0, span, objects):
@@ -74,7 +70,7 @@ def test_finds_the_share_the_time_and_who_leaves() -> None:
 
 
 def test_few_events_leave_much_open() -> None:
-    """Weak evidence that is none fades as events come."""
+    """Weak evidence of nothing fades as events come."""
     few, many = (
         [
             fit_posterior(*problem(one_way(seed, 100 * n, 2000.0 * n, clutter=50 * n)), LINKED)
@@ -115,9 +111,11 @@ def test_what_becomes_of_the_departures_adds_up() -> None:
 
 
 def under_one_roof(seed: int, objects: int, span: float) -> tuple[Views, dict[float, float]]:
-    """Two views that overlap: 5 s after coming into the first (zone 0) three in four are in the
-    second (zone 1), which has visitors of its own as well, but leave the first after 8 to 80 s. And
-    by the time of the exit, the true times of the next appearance.
+    """Return two overlapping views, and the true times of the next appearance by the time of the
+    exit.
+
+    5 s after entering the first view (zone 0) three in four are in the second (zone 1), which has
+    visitors of its own; but they leave the first after 8 to 80 s.
     """
     rng = np.random.default_rng(seed)
     views, true = Views([0, 1]), {}
@@ -139,15 +137,15 @@ def right_share(
     arrivals: Arrivals,
     true: dict[float, float],
 ) -> float:
-    """Responsibility of the true candidates, of all."""
+    """Return the share of the responsibility that is of true candidates."""
     pairs = zip(candidates.departure, candidates.arrival, strict=True)
     right = np.array([true.get(departures.t[d]) == arrivals.t[a] for d, a in pairs])
     return float(responsibility[right].sum()) / len(true)
 
 
 def test_entry_kernels_know_when_the_exit_says_little() -> None:
-    """Five objects are in the first view at a time. Counted from the exit the lags lie anywhere in
-    72 s.
+    """Five objects are in the first view at a time; counted from the exit, lags
+    spread over 72 s.
     """
     views, true = under_one_roof(3, 500, 5000.0)
     asked = problem(views)
@@ -164,9 +162,7 @@ def test_entry_kernels_know_when_the_exit_says_little() -> None:
 
 
 def test_views_that_do_not_overlap_take_nothing_ahead_of_the_exit() -> None:
-    """By chance somebody is always just coming elsewhere; where views overlap, candidates ahead of
-    the exit stay.
-    """
+    """Coincidences ahead of the exit are dropped, but kept where views overlap."""
     apart = fit_posterior(*problem(one_way(4, 300, 4000.0, clutter=300)), LINKED)
     assert (apart.fit.candidates.lag > 0).all()
     assert len(apart.entry_source) == 0

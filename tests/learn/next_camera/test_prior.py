@@ -1,4 +1,4 @@
-"""The prior of the posterior: zones of one view go alike, and a way is taken in both directions."""
+"""The prior of the posterior: zones of a view share destinations, and paths are two-way."""
 
 from __future__ import annotations
 
@@ -18,9 +18,7 @@ SHORT = LagBins(-3.0, 8.0)
 
 
 def unrelated(seed: int, camera: list[int]) -> PosteriorFitter:
-    """Of departures and arrivals that have nothing to do with each other, in a minute; ``camera``
-    of each zone.
-    """
+    """Return unrelated departures and arrivals in a minute; ``camera`` is that of each zone."""
     rng = np.random.default_rng(seed)
     views, of = Views(camera), np.array(camera)
     for t, zone in zip(
@@ -57,7 +55,7 @@ def test_it_equals_its_slow_twins(seed: int) -> None:
 
 
 def test_what_comes_back_tells_what_goes_there() -> None:
-    """Eight go from zone 0 to zone 1 among others who come and go; three hundred come back."""
+    """Eight go from zone 0 to zone 1 among unrelated traffic; three hundred come back."""
     bins = LagBins(-20.0, 60.0)
 
     def believed(back: int) -> float:

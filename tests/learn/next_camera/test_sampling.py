@@ -1,4 +1,4 @@
-"""Draws of who came from where, and what they are good for."""
+"""Samples of correspondences, and their effect on predictions."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_the_same_seed_draws_the_same() -> None:
 
 
 def test_a_draw_teaches_what_the_same_responsibilities_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only what is drawn is looked at where nothing else counts; to the last bit."""
+    """A sample gives bit by bit the result of equal responsibilities."""
     network = REGIMES["overlapped"].make(0, 0.1)
     fitters: list[module.PosteriorFitter] = []
     monkeypatch.setattr(
@@ -105,8 +105,8 @@ def test_faint_transitions_are_spread_over_later_lags() -> None:
 
 
 def test_little_is_not_taken_for_more_than_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Walkway: a few hundred events. What is prediction_quality is less surely wrong with samples
-    than without.
+    """On the walkway, with a few hundred events, predictions with samples are less
+    overconfident.
     """
     networks = [REGIMES["walkway"].make(seed) for seed in range(20, 28)]
     sampled = np.mean([prediction_quality(*network)["log_loss"] for network in networks])

@@ -1,6 +1,4 @@
-"""What of the posterior may be chance: what is out of character on its site, and everything where
-nothing is linked.
-"""
+"""Spurious transitions in the posterior: unusual pairs, and everything where nothing is linked."""
 
 from __future__ import annotations
 
@@ -96,7 +94,7 @@ def test_whether_anything_is_linked_takes_evidence_or_departures_to_tell() -> No
 
 
 def said(events: list[Event], settings: Settings = ONCE) -> tuple[Topology, list[Prediction]]:
-    """What is learned, and a prediction by it for each exit, told nothing but the exit."""
+    """Return the learned topology and its prediction for each exit, without observing events."""
     learner = Learner(settings)
     for event in events:
         learner.receive(event)
@@ -108,7 +106,7 @@ def said(events: list[Event], settings: Settings = ONCE) -> tuple[Topology, list
 
 @pytest.mark.parametrize("seconds", [8.0, 100.0])
 def test_who_always_comes_is_foretold_as_surely_as_is_published(seconds: float) -> None:
-    """However long the way: chance has nothing to do with how long it is."""
+    """The spurious share does not depend on the length of the path."""
     rng = np.random.default_rng(3)
     events = []
     for t in np.sort(rng.uniform(0, 40_000, 400)):
@@ -126,9 +124,7 @@ def test_who_always_comes_is_foretold_as_surely_as_is_published(seconds: float) 
 
 
 def test_before_anything_can_be_known_much_is_open() -> None:
-    """A few minutes after the start it is neither said that everybody leaves nor where to they
-    go.
-    """
+    """A few minutes after the start neither leaving nor any destination is predicted surely."""
     events, _ = simulate(SimSettings(seed=100, objects_per_second=0.108, hours=0.2))
     _, predictions = said(events[:120])
     assert 0.5 < np.mean([prediction.leave for prediction in predictions]) < 0.9

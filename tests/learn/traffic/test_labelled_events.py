@@ -1,4 +1,4 @@
-"""The window seen through the zones: who left, who came, who passed through."""
+"""The events of the window with their zones: departures, arrivals and passages."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ LEFT, RIGHT = (0.1, 0.5), (0.9, 0.5)
 
 
 def made(seed: int, n: int, tracked: float = 0.8) -> list[Event]:
-    """n passages through each of two cameras with positions and one without, some without a track,
-    some clutter.
+    """Return n passages through each of two cameras with positions and one without.
+
+    Some have no track, some are clutter.
     """
     rng = np.random.default_rng(seed)
     events = []
@@ -177,7 +178,7 @@ def test_passages_are_counted_where_tracks_tie_them() -> None:
 
 
 def test_passages_are_joined_where_they_do_not() -> None:
-    """As many as there are, of the right ways, and of the right length on average."""
+    """Their number, zones and mean dwell time are right."""
     _, _, truth = seen(made(4, 150, 1.0))
     _, _, scene = seen(made(4, 150, 0.0))
     found = visible_transitions(scene, STAYS, 10**6)

@@ -1,6 +1,4 @@
-"""Cameras that look at the same instants: entries into several views come at once, and none is
-before the other.
-"""
+"""Cameras with simultaneous frames: entries into several views coincide, none is earlier."""
 
 from __future__ import annotations
 
@@ -17,8 +15,9 @@ Line = Callable[[Event], object]
 
 
 def in_step(objects: int, seed: int) -> list[Event]:
-    """Objects enter the views of a and of b at one instant, leave a after some seconds and b later;
-    c has nothing to do with them. Pictures are taken twice a second.
+    """Return objects that enter the views of a and b at one instant, and leave a before b.
+
+    Camera c is unrelated. There are two frames a second.
     """
     rng = np.random.default_rng(seed)
     events: list[Event] = []
@@ -56,7 +55,7 @@ def test_who_is_in_the_other_view_since_the_same_instant_is_expected_there(line:
 
 
 def test_one_who_came_at_the_same_instant_and_has_left_is_not() -> None:
-    """It has left first, so it came before, as far as anybody can tell."""
+    """It left first, so it is taken as having come first."""
     topology, said = learned_from(in_step(150, 1)), []
     for gone in (2.0, 7.0):
         predictor = Predictor(topology)

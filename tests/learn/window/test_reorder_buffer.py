@@ -1,4 +1,4 @@
-"""The reorder buffer: verdicts, and the same sequence out whatever the order in."""
+"""The reorder buffer: verdicts, and the same output for any order of input."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_sequence_is_a_set(numbers: list[int]) -> None:
 
 @given(st.lists(st.integers(0, 60), max_size=80))
 def test_sequence_forgets_the_oldest_gap(numbers: list[int]) -> None:
-    """With room for three gaps it is a set in which the oldest gap beyond them is filled."""
+    """With room for three gaps it is a set in which older gaps are filled."""
     sequence, seen = Sequence(), set[int]()
     patch = pytest.MonkeyPatch()
     with patch.context() as limits:
@@ -149,7 +149,7 @@ EVENTS = st.lists(
 def test_any_order_within_the_lateness_gives_the_same(
     events: list[Event], chance: random.Random
 ) -> None:
-    """Also when every event comes twice and time is told in between."""
+    """Also with duplicates and ticks in between."""
     numbered = [
         Event(e.camera, e.kind, e.t, e.x, e.y, e.track, boot="x", seq=k)
         for k, e in enumerate(events)
@@ -188,7 +188,7 @@ def test_ties_do_not_depend_on_the_order(events: list[Event], chance: random.Ran
 
 
 def test_a_single_clock_that_is_ahead_makes_nobody_late() -> None:
-    """Camera b is 40 s ahead; with no allowance for that everybody else would be late."""
+    """Camera b is 40 s ahead; without an allowance the others would be late."""
     for ahead, late in ((60.0, 0), (0.0, 98 + 100)):
         intake = Intake(5.0, 9, ahead)
         for t in range(100):
@@ -239,8 +239,9 @@ def test_event_time_is_where_a_second_camera_has_come_to(events: list[Event]) ->
 
 
 def test_a_clock_that_is_behind_is_waited_for() -> None:
-    """Camera b is 30 s behind: its events are late until that is known, then no more; put right,
-    nobody waits.
+    """Camera b is 30 s behind: its events are late until its offset is known, and no longer then.
+
+    Once it is put right, nothing waits.
     """
     intake = Intake(5.0, 9, 60.0)
     verdicts = []
@@ -299,8 +300,8 @@ def test_within_the_lateness_nobody_is_waited_for_longer(
 
 @pytest.mark.parametrize("seed", [4, 5, 6])
 def test_of_a_site_with_wrong_clocks_nearly_all_is_learned(seed: int) -> None:
-    """A third of the clocks are up to 30 s off, and events come when they happen, not when their
-    stamps say: one clock is behind, or two are ahead and all others behind these.
+    """A third of the clocks are up to 30 s off, and events come when they happen, not at their
+    times: one clock is behind, or two are ahead and all others behind these.
     """
     events, truth = simulate(
         SimSettings(cameras=6, hours=2.0, seed=seed, clock_max=30.0, clock_share=1 / 3)

@@ -1,4 +1,4 @@
-"""The sliding window: integer sums that equal a recount whatever has come and gone."""
+"""The sliding window: integer sums that always equal a recount."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def at(t: float, batch: list[Event]) -> list[tuple[int, Event]]:
 def bounded(
     kept: list[tuple[int, Event]], events_max: int, seen: list[Event]
 ) -> list[tuple[int, Event]]:
-    """What stays of a window beyond its size: a camera that floods gives way first."""
+    """Return the part of a window that remains: cameras that flood lose events first."""
     cameras = list(dict.fromkeys(e.camera for e in seen))
     held = [sum(e.camera == camera for _, e in kept) for camera in cameras]
     wild = cameras[held.index(max(held))] if len(cameras) >= FLOOD_CAMERAS_MIN else ""
@@ -90,7 +90,7 @@ def test_sums_equal_a_recount(steps: list[tuple[list[Event], int, bool]], events
 
 @given(STEPS)
 def test_what_is_forgotten_leaves_no_trace(steps: list[tuple[list[Event], int, bool]]) -> None:
-    """The sums are those of a fresh window over the events that remain."""
+    """The sums are those of a fresh window over the remaining events."""
     window, kept, now = Window(1000), list[tuple[int, Event]](), 0
     for batch, age, _ in steps:
         now += 5
@@ -112,8 +112,8 @@ def test_what_is_forgotten_leaves_no_trace(steps: list[tuple[list[Event], int, b
 
 @given(STEPS)
 def test_mates(steps: list[tuple[list[Event], int, bool]]) -> None:
-    """An exit's mate is the newest event of its camera and track, if that is an entry and still
-    there.
+    """An exit's mate is the newest event of its camera and track, if that is an entry
+    in the window.
     """
     window, events, now = Window(1000), list[Event](), 0
     for batch, age, _ in steps:

@@ -1,6 +1,4 @@
-"""DaSpec over weighted cells equals DaSpec over points, and finds what the thesis and its authors
-say.
-"""
+"""DaSpec over weighted cells equals DaSpec over points, and agrees with thesis and authors."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ def grid_of(points: np.ndarray) -> np.ndarray:
 
 
 def blobs(seed: int, sizes: list[int], sd: float) -> np.ndarray:
-    """Points (n, 2) of whole grid steps, a blob for each size."""
+    """Return points (n, 2) of whole grid steps, a blob for each size."""
     rng = np.random.default_rng(seed)
     centres = rng.uniform((4, 4), (26, 20), (len(sizes), 2))
     points = np.concatenate(
@@ -74,8 +72,9 @@ def test_new_points_by_the_eigenfunction() -> None:
 
 
 def test_counts_scale_the_operator_not() -> None:
-    """Ten million times as many events are the same operator; only the tolerance max|v| / n of the
-    sign test shrinks."""
+    """Ten million times as many events are the same operator; only the sign tolerance max|v| / n
+    shrinks.
+    """
     grid = grid_of(blobs(5, [20, 30], 1.0))
     few, many = data_spectroscopy(grid, 1.5), data_spectroscopy(grid * 10_000_000, 1.5)
     assert 1 <= many.groups <= few.groups == 2
@@ -127,7 +126,7 @@ def test_no_points_are_refused() -> None:
 
 
 def test_plain_daspec_on_the_simulation_of_figure_4_4() -> None:
-    """Without clutter the plain method does what the thesis says of it."""
+    """Without clutter the plain method performs as in the thesis."""
     positions, _ = figure_4_4(0)
     groups = []
     for place in positions:

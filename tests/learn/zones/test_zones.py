@@ -41,9 +41,7 @@ from camtopod.topology.grid import POSITION_ONE
 def events(
     seed: int, zones: list[tuple[float, float, float, int]], clutter: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (n, 2) in zones (x, y, sd, events) and uniform clutter, and the zone of each
-    (-1).
-    """
+    """Return positions (n, 2) in zones (x, y, sd, events) and clutter, and each one's zone (-1)."""
     rng = np.random.default_rng(seed)
     parts = [np.array([x, y]) + sd * rng.standard_normal((n, 2)) for x, y, sd, n in zones]
     labels = [np.full(zone[3], k) for k, zone in enumerate(zones)]
@@ -58,7 +56,7 @@ def found(positions: np.ndarray, previous: ZoneMap | None = None) -> ZoneMap:
 
 
 def zone_at(zones: ZoneMap, x: float, y: float) -> int:
-    """Number of the zone there, 0 for none."""
+    """Return the number of the zone there, 0 for none."""
     index = int(zones.cells[cell_of(x, y)])
     return zones.zones[index].number if index >= 0 else 0
 
@@ -110,7 +108,7 @@ def test_shape_is_the_exact_mean_and_covariance_of_the_events() -> None:
 
 
 def test_shape_of_a_whole_camera_is_exact() -> None:
-    """Under five events everything is one zone."""
+    """With fewer than five events everything is one zone."""
     positions, _ = events(2, [(0.4, 0.6, 0.03, 4)])
     (zone,) = found(positions).zones
     fixed = np.rint(positions * POSITION_ONE) / POSITION_ONE
@@ -142,7 +140,7 @@ def test_a_fire_door_of_one_percent_is_a_zone_and_clutter_is_none() -> None:
 
 
 def test_two_events_that_coincide_are_no_zone_beside_others() -> None:
-    """Where there is no clutter at all, nothing is too unlikely to be some."""
+    """Without any clutter, no event is too unlikely to be clutter."""
     doors = events(5, [(0.1, 0.5, 0.01, 80), (0.6, 0.98, 0.01, 90), (0.99, 0.5, 0.01, 70)])[0]
     stray = np.tile([[0.28, 0.3]], (2, 1))
     zones = found(np.concatenate([doors, stray]))
@@ -360,9 +358,7 @@ def test_open_borders_of_a_real_plaza_are_several_zones() -> None:
 
 @pytest.mark.parametrize("seed", [5, 20, 33])
 def test_groups_around_one_point_are_no_trouble(seed: int) -> None:
-    """Events at exactly the same few places, as made-up or broken sources send them; warnings are
-    errors here.
-    """
+    """Simulated or faulty sources send events at a few exact places; warnings are errors here."""
     chance = np.random.default_rng(seed)
     count = chance.integers(5, 120)
     places = [chance.choice([0.0, 1.0, 0.5], count) for _ in range(2)]

@@ -1,6 +1,4 @@
-"""Zones are held: their numbers stay while traffic is steady or shifts, and change when the
-evidence is clear.
-"""
+"""Zones are stable: numbers stay in steady or drifting traffic, and change on clear evidence."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ def stream(seed: int, shares: list[float], n: int, clutter: float = 0.25) -> np.
 
 
 def maps(positions: np.ndarray, step: int = 150) -> list[ZoneMap]:
-    """The map after every ``step`` events of a sliding window."""
+    """Yield the map after every ``step`` events of a sliding window."""
     made = [find_zones(cell_sums(*positions[:step].T))]
     for at in range(2 * step, len(positions) + 1, step):
         made.append(refresh_zones(cell_sums(*positions[max(0, at - WINDOW) : at].T), made[-1]))
@@ -36,7 +34,7 @@ def numbers(zones: ZoneMap) -> tuple[int, ...]:
 
 
 def number_at(zones: ZoneMap, place: tuple[float, float]) -> int:
-    """Number of the zone there, 0 for none."""
+    """Return the number of the zone there, 0 for none."""
     index = int(zones.cells[cell_of(*place)])
     return zones.zones[index].number if index >= 0 else 0
 
@@ -80,7 +78,7 @@ def test_a_door_that_opens_has_a_number_of_its_own_and_one_that_closes_none() ->
 
 
 def test_early_errors_do_not_stay() -> None:
-    """What forty events could not tell apart are three zones later."""
+    """Zones that forty events could not separate are three later."""
     few = stream(5, [0.5, 0.5, 0.0, 0.0], 40)
     made = find_zones(cell_sums(*few.T))
     later = stream(6, [0.4, 0.3, 0.3, 0.0], 1500)

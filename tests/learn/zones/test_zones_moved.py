@@ -1,4 +1,4 @@
-"""A camera that is turned gets new zones, and nothing else is taken for that."""
+"""A camera that is turned gets new zones; nothing else is mistaken for that."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def cells(positions: np.ndarray) -> np.ndarray:
 
 
 def first_look(before: np.ndarray, after: np.ndarray) -> int | None:
-    """After how many of the later events a move is seen, looking every 25; None: never."""
+    """Return after how many events a move is detected, checking every 25; None: never."""
     table = find_zones(cell_sums(*before.T)).cells
     cell = cells(np.concatenate([before, after]))
     looks = range(len(before) + 25, len(cell) + 1, 25)
@@ -118,8 +118,9 @@ def test_window_forgets_one_camera_and_keeps_the_passages_of_the_others() -> Non
 
 
 def walks(seed: int, start: float, n: int, doors: list[tuple[float, float]]) -> list[Event]:
-    """People who leave camera a at its first door and appear in b 8 seconds later; others come and
-    go in a.
+    """Return people who leave camera a at its first door and appear in b 8 s later.
+
+    Others come and go in a.
     """
     rng = np.random.default_rng(seed)
     made, t = list[Event](), start
