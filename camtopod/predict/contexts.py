@@ -1,69 +1,51 @@
-"""What the context of an exit says about where the object goes, read off a topology version (see
-`contexts`).
+"""The effect of an exit's context on where the object goes, read off a topology version.
+
+A context is what is known of an exit beside its zone: zone of entry, block of the image, and camera
+before. `camtopod.learn.next_camera.contexts` learns them.
 """
 
 from __future__ import annotations
 
-from array import array
-from typing import NamedTuple
+import numpy as np
 
-from camtopod.cooperative import Pause, no_pause, unhurried
+from camtopod.arrays import Floats
 from camtopod.predict.hazards import Outcomes
 from camtopod.records import Context, Topology
 from camtopod.topology import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 
 Key = tuple[int | None, int | None, str | None]
-
-
-class _Counts(NamedTuple):
-    """What a context has counted, beside what it backs off to."""
-
-    below: float
-    moved: list[float]
-    """(targets,)"""
-    stays: float
-
-
-class _Uncounted:
-    """Contexts that nobody has asked about, by number: there are thousands, and as columns they
-    take a tenth.
-    """
-
-    def __init__(self) -> None:
-        self.departures, self.stays, self.ends = array("d"), array("d"), array("l", [0])
-        self._to, self._moved = array("l"), array("d")
-
-    def add(self, row: Context, index: dict[str, int]) -> int:
-        """Its number."""
-        self.departures.append(row.departures)
-        self.stays.append(max(row.departures - sum(row.to.values()), 0.0))
-        self._to.extend([index.get(name, -1) for name in row.to])
-        self._moved.extend(row.to.values())
-        self.ends.append(len(self._to))
-        return len(self.stays) - 1
-
-    def counts(self, number: int, targets: list[int]) -> _Counts:
-        """Of one, on its zone's targets."""
-        first, end = self.ends[number], self.ends[number + 1]
-        to = dict(zip(self._to[first:end], self._moved[first:end], strict=True))
-        below = self.departures[number] + BACK_OFF_DEPARTURES
-        return _Counts(below, [to.get(target, 0.0) for target in targets], self.stays[number])
+"""A context of a zone: zone of entry, block and camera before; None where any."""
 
 
 class Surroundings:
-    """Contexts by zone index (the order of ``topology.zones``), each by (zone of entry, block,
-    camera before).
+    """Contexts by zone index (the order of ``topology.zones``).
+
+    There are thousands, so their counts are kept in columns.
     """
 
-    def __init__(self, topology: Topology, pause: Pause = no_pause) -> None:
+    def __init__(self, topology: Topology) -> None:
         index = {zone.id: k for k, zone in enumerate(topology.zones)}
-        self._uncounted = _Uncounted()
-        self._of_zone: dict[int, dict[Key, int | _Counts]] = {}
-        for row in unhurried((topology.model and topology.model.contexts) or [], pause):
+        rows: list[Context] = (topology.model.contexts if topology.model else None) or []
+
+        # Columns with one element for each context.
+        self._departures = np.array([row.departures for row in rows])
+        self._not_seen_again = np.array(
+            [max(row.departures - sum(row.to.values()), 0.0) for row in rows]
+        )
+
+        # Transitions of all contexts one after the other; those of context k end at `_end[k + 1]`.
+        # Zones that this version does not have get the number behind the last zone.
+        self._end = np.cumsum([0, *(len(row.to) for row in rows)])
+        self._to = np.array([index.get(to, len(index)) for row in rows for to in row.to], np.int32)
+        self._transitions = np.array([number for row in rows for number in row.to.values()])
+        self._zones = len(index)
+
+        # Numbers of the contexts of each zone.
+        self._numbers: dict[int, dict[Key, int]] = {}
+        for number, row in enumerate(rows):
             entry = index[row.entry] if row.entry is not None else None
-            self._of_zone.setdefault(index[row.zone], {})[entry, row.block, row.previous] = (
-                self._uncounted.add(row, index)
-            )
+            numbers = self._numbers.setdefault(index[row.zone], {})
+            numbers[entry, row.block, row.previous] = number
 
     def multipliers(
         self,
@@ -73,50 +55,51 @@ class Surroundings:
         entry: int | None,
         previous: str | None,
         sure: float,
-    ) -> tuple[list[float], float]:
-        """By how much each target (targets,) is likelier than for a departure of which nothing is
-        known; and the probability of not being seen again. ``sure``: probability that ``previous``
-        is right.
-        """
-        known = self._of_zone.get(zone)
-        if known is None:
-            return [1.0] * len(outcomes.targets), outcomes.leave
-        asked: list[Key] = []
-        if entry is not None:
-            asked.append((entry, None, None))
-        if block is not None:
-            asked.append((None, block, None))
-        if entry is not None and block is not None:
-            asked.append((entry, block, None))
-        usual: list[float] = outcomes.share.tolist()
-        share, leave, few = usual, outcomes.leave, BACK_OFF_DEPARTURES
-        for key in asked:
-            below, moved, stays = self._counted(known, key, outcomes.targets)
-            share = [(more + few * one) / below for more, one in zip(moved, share, strict=True)]
-            leave = (stays + few * leave) / below
-        if previous is not None:
-            below, moved, stays = self._counted(known, (None, None, previous), outcomes.targets)
-            told = min(sure, 1.0)
-            rest = 1.0 - told
-            share = [
-                told * (more + few * one) / below + rest * one
-                for more, one in zip(moved, share, strict=True)
-            ]
-            leave = told * (stays + few * leave) / below + rest * leave
-        most, least = MULTIPLIER_MAX, 1.0 / MULTIPLIER_MAX
-        likelier = [  # as `contexts.multipliers`; `min` and `max` would take most of the time
-            least if (more := now / (before or 1e-300)) < least else more if more < most else most
-            for now, before in zip(share, usual, strict=True)
-        ]
-        return likelier, max(leave, LEAVE_FLOOR)
+    ) -> tuple[Floats, float]:
+        """Return by how much a context raises each target's odds, and the probability of leaving.
 
-    def _counted(self, known: dict[Key, int | _Counts], key: Key, targets: list[int]) -> _Counts:
-        """Of a context of a zone, on the zone's targets; worked out when it is first asked
-        about.
+        The multipliers (targets,) are relative to a departure of which only the zone is known.
+
+        previous: camera where the object probably was before; None if unknown.
+        sure: probability that ``previous`` is right.
         """
-        row = known.get(key)
-        if row is None:
-            return _Counts(BACK_OFF_DEPARTURES, [0.0] * len(targets), 0.0)
-        if isinstance(row, int):
-            known[key] = row = self._uncounted.counts(row, targets)
-        return row
+        numbers = self._numbers.get(zone)
+        if numbers is None:
+            return np.ones(len(outcomes.targets)), outcomes.leave
+
+        # Contexts that apply, from coarse to fine, each with the probability that it does.
+        keys: list[tuple[Key, float]] = []
+        if entry is not None:
+            keys.append(((entry, None, None), 1.0))
+        if block is not None:
+            keys.append(((None, block, None), 1.0))
+        if entry is not None and block is not None:
+            keys.append(((entry, block, None), 1.0))
+        if previous is not None:
+            keys.append(((None, None, previous), min(sure, 1.0)))
+
+        # Each backs off to what is expected without it. Contexts without departures say nothing.
+        share, leave = outcomes.share, outcomes.leave
+        for key, probability in keys:
+            number = numbers.get(key)
+            if number is None:
+                continue
+            total = self._departures[number] + BACK_OFF_DEPARTURES
+            moved = self._transitions_to(number, outcomes.targets)
+            share_here = (moved + BACK_OFF_DEPARTURES * share) / total
+            leave_here = (self._not_seen_again[number] + BACK_OFF_DEPARTURES * leave) / total
+            share = probability * share_here + (1.0 - probability) * share
+            leave = probability * leave_here + (1.0 - probability) * leave
+
+        # Ratio to the share without any context, within limits.
+        ratio = share / np.maximum(outcomes.share, 1e-300)
+        limited = np.minimum(np.maximum(ratio, 1.0 / MULTIPLIER_MAX), MULTIPLIER_MAX)
+        return limited, max(float(leave), LEAVE_FLOOR)
+
+    def _transitions_to(self, number: int, targets: list[int]) -> Floats:
+        """Return the number of transitions (targets,) to each target in a context."""
+        of_context = slice(self._end[number], self._end[number + 1])
+        by_zone = np.zeros(self._zones + 1)
+        by_zone[self._to[of_context]] = self._transitions[of_context]
+        counts: Floats = by_zone[targets]
+        return counts

@@ -1,9 +1,9 @@
 """Hand-over: the open passages in other views that may be of the object that is leaving one.
 
-Of the open passages in an overlapping view at most one is of the same object. Each is weighed by
+At most one of the open passages in an overlapping view is of the same object. Each is weighted by
 its offset, the seconds by which it began later than the passage that ends: the rate of passages of
-the same object at that offset over the rate of others (`overlapping`), as the topology version has
-them.
+the same object at that offset over the rate of passages of others. Topology versions carry both
+(`camtopod.records.Overlap`).
 """
 
 from __future__ import annotations
@@ -13,20 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.predict.open_passages import Passage, UnderWay
+from camtopod.predict.open_passages import OpenPassages, Passage
 from camtopod.records import InView, Look, NextCamera, Topology
-from camtopod.topology import LAG_SCALE_SECONDS, LAG_STEP, STEPS, offset_bins, on_bins
+from camtopod.topology import LAG_SCALE_SECONDS, LAG_STEP, STEPS, offset_bins, masses_on_bins
 
 SHARE_MAX = 0.98
-"""Largest probability that another camera sees the object, before its open passages are looked
-at.
-"""
+"""Largest probability that another camera sees the object, before its open passages are known."""
 PROBABILITY_MIN = 1e-3
-"""Passages and cameras with a smaller probability are left out."""
+"""Least probability of passages and cameras that are reported."""
 SEEN_NOW_MIN = 0.3
-"""Least probability with which a camera is said to see the object now."""
+"""Least probability with which `seen_now` returns a camera."""
 RATE_MIN = 1e-9
-"""Least rate of passages of other objects in a bin, for each exit."""
+"""Least expected number of passages of other objects in a bin, per exit."""
 
 
 class _Overlap(NamedTuple):
@@ -34,8 +32,9 @@ class _Overlap(NamedTuple):
 
     camera: str
     share: float
+    """Probability that its camera sees the object at the exit."""
     odds: list[float]
-    """(bins + 1,) same object over another one, by offset; 0 beyond the bins."""
+    """(bins + 1,) rate of the same object over the rate of others, by offset; 0 beyond the bins."""
 
 
 class HandOver:
@@ -47,48 +46,53 @@ class HandOver:
         self._bins = offset_bins(scale, step)
         self._from: dict[str, list[_Overlap]] = {}
         for row in (model.overlaps if model else None) or []:
-            same, others = on_bins(row.same, self._bins), on_bins(row.others, self._bins)
-            resolution = max(
-                float(others.max()) / STEPS, RATE_MIN
-            )  # smaller rates are 0 in a version
+            same, others = masses_on_bins(row.same, self._bins), masses_on_bins(row.others, self._bins)
+
+            # Smaller rates are stored as 0.
+            resolution = max(float(others.max()) / STEPS, RATE_MIN)
             odds = np.append(same / np.maximum(others, resolution), 0.0)
             self._from.setdefault(row.camera, []).append(
                 _Overlap(row.to, min(row.share, SHARE_MAX), odds.tolist())
             )
 
     def overlaps(self, camera: str) -> bool:
-        """Whether any view overlaps the camera's."""
+        """Return True if any view overlaps the camera's."""
         return camera in self._from
 
     def in_view(
-        self, passage: Passage, t: float, under_way: UnderWay, ahead: dict[str, float]
+        self, passage: Passage, t: float, open_passages: OpenPassages, offsets: dict[str, float]
     ) -> list[InView]:
-        """Open passages that may be of the object whose ``passage`` ends at ``t`` (seconds in right
-        time), the most probable first. ``ahead``: by how many seconds each camera's clock is fast.
+        """Return the open passages that may be of the object whose passage ends, likeliest first.
+
+        t: corrected time of the exit, seconds.
+        offsets: clock offset of each camera, seconds.
         """
         found: list[InView] = []
         for camera, share, odds in self._from.get(passage.camera, ()):
-            fast = ahead.get(camera, 0.0)
-            tracks = under_way.open_at(camera, t, t + fast)
+            offset = offsets.get(camera, 0.0)
+            tracks = open_passages.open_at(camera, t, t + offset)
+
+            # Odds of each against all others and against none.
             weights = [odds[self._bins.bin_of(other.t - passage.t)] for _, other in tracks]
             total = 1.0 - share + sum(weights)
             for (track, other), weight in zip(tracks, weights, strict=True):
                 if weight > PROBABILITY_MIN * total:
-                    found.append(InView(camera, track, other.t + fast, weight / total))
+                    found.append(InView(camera, track, other.t + offset, weight / total))
         return sorted(found, key=lambda one: (-one.probability, one.camera, one.track))
 
 
 def look(in_view: Iterable[InView], following: Iterable[NextCamera]) -> list[Look]:
-    """Cameras by the probability that they see the object now or, if none does, are the next to see
-    it. Views are taken as independent of each other.
+    """Return the cameras by the probability that they see the object now or are the next to see it.
+
+    The latter counts only if no camera sees it now. Views are taken as independent of each other.
     """
-    # Cameras that see the object now
+    # Cameras that see the object now.
     now = added_up((one.camera, one.probability) for one in in_view)
     unseen = 1.0
     for probability in now.values():
         unseen *= 1.0 - min(probability, 1.0)
 
-    # Cameras where it appears next, if none sees it now
+    # Cameras where it appears next, if none sees it now.
     following_unseen = ((one.camera, unseen * one.probability) for one in following)
     seen = added_up([*now.items(), *following_unseen])
     looks = [Look(camera, min(p, 1.0)) for camera, p in seen.items() if p >= PROBABILITY_MIN]
@@ -96,8 +100,9 @@ def look(in_view: Iterable[InView], following: Iterable[NextCamera]) -> list[Loo
 
 
 def seen_now(in_view: Iterable[InView]) -> list[Look]:
-    """The cameras that probably see the object now, by their open passages together, the most
-    probable first.
+    """Return the cameras that probably see the object now, the most probable first.
+
+    The probabilities of a camera's open passages are added.
     """
     now = added_up((one.camera, one.probability) for one in in_view)
     likely = [Look(camera, min(p, 1.0)) for camera, p in now.items() if p >= SEEN_NOW_MIN]
@@ -105,7 +110,7 @@ def seen_now(in_view: Iterable[InView]) -> list[Look]:
 
 
 def added_up(shares: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """The sum of each camera's probabilities."""
+    """Return the sum of each camera's probabilities."""
     total: dict[str, float] = {}
     for camera, probability in shares:
         total[camera] = total.get(camera, 0.0) + probability

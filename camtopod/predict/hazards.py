@@ -1,250 +1,246 @@
-"""The hazards of a topology version, ready for prediction: where objects that leave a zone appear,
-and when.
+"""The hazards of a topology version, ready for prediction: where and when objects appear next.
 
-Read off the posterior that the version carries; where it carries none, off its links.
+They are read off the model that the version carries; if it carries none, off its links.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Set
+from collections.abc import Set
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Singles
-from camtopod.cooperative import Pause, no_pause, unhurried
+from camtopod.arrays import Bools, Floats, Ints, Rows, Singles
 from camtopod.records import Link, Onward, Topology
 from camtopod.topology import (
     LAG_SCALE_SECONDS,
     LAG_STEP,
     LEAVE_FLOOR,
-    UNKNOWN_STAY_SECONDS,
+    UNKNOWN_DWELL_SECONDS,
     LagBins,
-    on_bins,
+    masses_on_bins,
     smooth,
 )
 
 EXPOSURE_MIN = 0.02
+"""Least share of departures that count as exposed to a lag before the exit."""
 NORMAL_Q90 = 1.2816
+"""0.9 quantile of the standard normal distribution."""
 LEAVE_MIN = 1e-6
-"""Where every other outcome has become impossible an object has left."""
+"""Least probability of not being seen again, so that some outcome is always possible."""
+ARRIVAL_RATE_MIN = 1e-6
+"""Added to the learned rate of arrivals from outside at each zone (1/s)."""
 
 
 class Outcomes(NamedTuple):
     """Where objects that leave one zone appear next."""
 
     targets: list[int]
+    """Zones (indices)."""
     share: Floats
-    """(targets,) of the departures."""
+    """(targets,) share of the departures."""
     leave: float
-    """Share of the departures not seen again."""
+    """Share of the departures that are not seen again."""
     hazard: Singles
-    """(targets, bins) per second and exposed departure; a version says it to fewer digits."""
+    """(targets, bins) arrivals per second and exposed departure."""
     exposure: Floats
-    """(bins,) share of the departures here that are exposed."""
+    """(bins,) share of the departures of this zone that are exposed to each lag."""
     doubt: Floats
-    """(targets,) share of those seen there that may as well be chance."""
+    """(targets,) share of the transitions that may be spurious."""
     delay: Floats
-    """(targets,) seconds to add to the lags of the bins, for long ways."""
+    """(targets,) seconds to add to the lags of the bins, for long paths."""
 
     def exposed(self, exposure: Floats) -> Floats:
-        """Share (targets, bins) exposed, where it is ``exposure`` (bins,) of lags that count from
-        the exit: what takes a long way always is.
+        """Return the exposure (targets, bins), given that (bins,) of lags counted from the exit.
+
+        Transitions over a long path are always exposed.
         """
         return np.where(self.delay[:, None] > 0.0, 1.0, exposure)
 
 
 class Hazards:
-    """Hazards by zone index (the order of ``topology.zones``). ``pause`` is called often while they
-    are made.
-    """
+    """Hazards by zone index (the order of ``topology.zones``)."""
 
-    def __init__(self, topology: Topology, pause: Pause = no_pause) -> None:
+    def __init__(self, topology: Topology) -> None:
         model = topology.model
+        index = {zone.id: k for k, zone in enumerate(topology.zones)}
+
+        # Lag bins.
         if model is None:
             self.bins = LagBins(*_lag_range(topology), LAG_SCALE_SECONDS, LAG_STEP)
         else:
             self.bins = LagBins(model.lag_min, model.lag_max, model.lag_scale, model.lag_step)
+        self.bin_of = self.bins.bin_of
+        """See `LagBins.bin_of`."""
         self.past = self.bins.edges[1:] <= 0
-        index = {zone.id: k for k, zone in enumerate(topology.zones)}
-        self.arrival_rate = [1e-6] * len(index)
+        """(bins,) True for lags before the exit."""
+
+        # Zones: arrivals, dwell times and departures.
+        self.arrival_rate = [ARRIVAL_RATE_MIN] * len(index)
         """(zones,) arrivals per second from outside."""
         self.stay: list[list[float]] = [[] for _ in index]
-        """(zones,) deciles of the seconds that passages leaving there have lasted; empty where
+        """(zones,) deciles of the dwell times (seconds) of passages that end there; empty if
         unknown.
         """
         self.departures = [0] * len(index)
-        """(zones,) exits in the window the hazards were learned from."""
+        """(zones,) exits in the window that the hazards were learned from."""
         for known in model.zones if model else []:
             self.departures[index[known.zone]] = known.departures
             self.arrival_rate[index[known.zone]] += known.arrival_rate
             self.stay[index[known.zone]] = known.stay
+
+        # Hazards from zone to zone.
         if model is None or model.onward is None:
-            self.outcomes = self._from_links([*topology.links, *(topology.weak_links or [])], index)
+            links = [*topology.links, *(topology.weak_links or [])]
+            self.outcomes = self._from_links(links, index)
         else:
-            self.outcomes = self._from_posterior(unhurried(model.onward, pause), index)
-        self._entered: dict[int, dict[int, list[float]]] = {}
-        for kernel in unhurried((model and model.entered) or [], pause):
-            hazard = on_bins(kernel.hazard, self.bins) / self.bins.widths
-            self._entered.setdefault(index[kernel.zone], {})[index[kernel.to]] = hazard.tolist()
-        every = list(self.outcomes.items())
-        first_rows = np.cumsum([1, *(len(o.targets) for _, o in every)]).tolist()
-        self._first_row: dict[int, int] = dict(zip(self.outcomes, first_rows, strict=False))
-        # The last column is for lags without a bin.
-        self._rows: Singles = np.zeros((first_rows[-1], self.bins.size + 1), np.float32)
-        self._delay = np.zeros(first_rows[-1])  # of each row
-        for zone, o in unhurried(every, pause):  # the same hazards, kept once
-            rows = self._rows[self._first_row[zone] :][: len(o.targets), :-1]
-            rows[:] = o.hazard
-            self._delay[self._first_row[zone] :][: len(o.targets)] = o.delay
-            self.outcomes[zone] = o._replace(hazard=rows)
+            self.outcomes = self._from_posterior(model.onward, index)
+        self._index_by_target(len(index))
         self.lag_max = self.bins.lag_max + float(self._delay.max())
         """Longest lag with a bin, seconds."""
-        self._limits = np.array(self.bins.limits)
-        self.bin_of = self.bins.bin_of
-        """As of `LagBins`."""
-        into: dict[int, list[tuple[int, int]]] = {}
-        pairs = [(zone, target) for zone, outcomes in every for target in outcomes.targets]
-        for row, (zone, target) in enumerate(unhurried(pairs, pause), start=1):
-            into.setdefault(target, []).append((zone, row))
-        self._into = {
-            target: np.array(rows, np.int32).T for target, rows in unhurried(into.items(), pause)
-        }
-        """By target, its sources and their rows (2, sources); row 0, all zeros, is of the
-        others.
-        """
-        self._row = np.zeros(len(index), np.int32)  # all 0 between calls
-        self._ahead = self._mean_rates_ahead(topology, pause)
-        self._index_before(topology, pause)
 
-    def rates(
-        self, sources: NDArray[np.int32], target: int, lag: Floats
-    ) -> tuple[NDArray[np.int32], Floats]:
-        """Hazards in 1/s from several zones (n,) to one at lags (n,) in seconds: those (m,) of the
-        zones from which there are any, and theirs (m,).
+        # Hazards that count from the entry, and rates before the exit.
+        self._entered: dict[int, dict[int, list[float]]] = {}
+        for kernel in (model.entered if model else None) or []:
+            hazard = masses_on_bins(kernel.hazard, self.bins) / self.bins.widths
+            self._entered.setdefault(index[kernel.zone], {})[index[kernel.to]] = hazard.tolist()
+        self._rate_before_exit = self._mean_rates_before_exit(topology)
+        self._index_overlaps(topology)
+
+    def rates(self, sources: Ints, target: int, lag: Floats) -> tuple[Ints, Floats]:
+        """Return the hazards (1/s) from several zones to one.
+
+        Only zones from which there is a hazard are in the result: the zones (m,), theirs (m,).
+
+        sources (n,): zones (indices); lag (n,): seconds.
         """
         if target not in self._into:
             return sources[:0], lag[:0]
         zones, rows = self._into[target]
-        self._row[zones] = rows
-        row = self._row.take(sources)
-        self._row[zones] = 0
+        row = self._rows_of(zones, rows, sources)
         [some] = row.nonzero()
         return sources.take(some), self._at(row.take(some), lag.take(some))
 
-    def rates_from(self, source: int, targets: NDArray[np.int32], lag: Floats) -> Floats:
-        """Hazards (n,) in 1/s from one zone to several (n,) at lags (n,) in seconds."""
+    def rates_from(self, source: int, targets: Ints, lag: Floats) -> Floats:
+        """Return the hazards (n,) in 1/s from one zone to several (n,) at lags (n,) in seconds."""
         if source not in self.outcomes:
             return np.zeros(len(lag))
-        all_targets, first = self.outcomes[source].targets, self._first_row[source]
-        self._row[all_targets] = np.arange(first, first + len(all_targets))
-        row = self._row.take(targets)
-        self._row[all_targets] = 0
+        reached, first = self.outcomes[source].targets, self._first_row[source]
+        row = self._rows_of(reached, np.arange(first, first + len(reached)), targets)
         return self._at(row, lag)
 
-    def _at(self, row: NDArray[np.int32], lag: Floats) -> Floats:
-        """Hazards (n,) of rows (n,) at lags (n,) in seconds. What is before the first bin is
-        counted as -1, behind the last as one more: both are in the last column, of this row or the
-        one before.
-        """
-        at = self._limits.searchsorted(lag - self._delay.take(row), "right")
-        at += row * np.intp(self._rows.shape[1])
-        at -= 1
-        return self._rows.take(at).astype(float)
-
-    def rates_entered(self, entry: int, targets: NDArray[np.int32], elapsed: Floats) -> Floats:
-        """`rate_entered` for several zones (n,) and times (n,)."""
+    def rates_entered(self, entry: int, targets: Ints, elapsed: Floats) -> Floats:
+        """Return `rate_entered` for several zones (n,) and times (n,) since the entry."""
         if entry not in self._entered:
             return np.zeros(len(elapsed))
         pairs = zip(targets.tolist(), elapsed.tolist(), strict=True)
         return np.array([self.rate_entered(entry, target, seconds) for target, seconds in pairs])
 
-    def rates_ahead(self, camera: str, targets: NDArray[np.int32]) -> Floats:
-        """`rate_ahead` for several zones (n,)."""
-        return np.array([self._ahead.get((camera, target), 0.0) for target in targets.tolist()])
-
-    def exposed(self, stay: float) -> Floats:
-        """Share (bins,) of each bin of lags that a passage of ``stay`` seconds is exposed to."""
-        begun = np.clip((self.bins.edges[1:] + stay) / self.bins.widths, 0.0, 1.0)
-        return np.where(self.past, begun, 1.0)
-
-    def before(self, hazard: Singles, later: float | Floats) -> NDArray[np.bool_]:
-        """In which bins (..., bins) objects of these hazards may have appeared by the time they
-        leave, where the clock is ``later`` seconds ahead of the one where they do.
-        """
-        possible: NDArray[np.bool_] = (hazard > 0.0) & (self.bins.edges[:-1] < -later)
-        return possible
-
-    def seen_before(self, zone: int) -> NDArray[np.intp]:
-        """Zones of other cameras where objects may appear before they leave at this one."""
-        return self._before[zone]
-
-    def cameras_ahead(self, target: int) -> list[str]:
-        """Cameras from whose views objects may appear at a zone before they leave."""
-        return self._cameras_ahead.get(target, [])
-
     def rate_entered(self, entry: int | None, target: int, elapsed: float) -> float:
-        """Rate (1/s) at which an object that entered a view at zone ``entry`` (None: unknown)
-        ``elapsed`` seconds ago and is still in it appears at another zone.
+        """Return the rate (1/s) at which an object that is still in a view appears at a zone.
+
+        entry: zone where it entered the view, ``elapsed`` seconds ago; None if unknown.
+        target: a zone of another view.
         """
         row = self._entered.get(entry, {}).get(target) if entry is not None else None
-        return 0.0 if row is None or elapsed < 0.0 or (at := self.bin_of(elapsed)) < 0 else row[at]
+        if row is None or elapsed < 0.0:
+            return 0.0
+        at = self.bin_of(elapsed)
+        return row[at] if at >= 0 else 0.0
 
-    def kernels_to(self, target: int) -> Set[int]:
-        """Zones of entry for which `rate_entered` knows something of the target."""
-        return self._kernels_to.get(target, frozenset())
+    def entries_before(self, target: int) -> Set[int]:
+        """Return the zones of entry for which `rate_entered` may be above 0."""
+        return self._entries_before.get(target, frozenset())
 
-    def rate_ahead(self, camera: str, target: int) -> float:
-        """Rate (1/s) at which an object in the view of a camera appears at a zone before it leaves
-        the view.
+    def rates_before_exit(self, camera: str, targets: Ints) -> Floats:
+        """Return `rate_before_exit` for several zones (n,)."""
+        return np.array([self.rate_before_exit(camera, target) for target in targets.tolist()])
+
+    def rate_before_exit(self, camera: str, target: int) -> float:
+        """Return the rate (1/s) at which an object in a camera's view appears at a zone.
+
+        It is the mean over the passage; the zone is one of another view.
         """
-        return self._ahead.get((camera, target), 0.0)
+        return self._rate_before_exit.get((camera, target), 0.0)
+
+    def cameras_before(self, target: int) -> list[str]:
+        """Return the cameras from whose views objects may appear at a zone before they leave."""
+        return self._cameras_before.get(target, [])
+
+    def seen_before(self, zone: int) -> Bools:
+        """Return (zones,) where objects may appear before they leave at a zone.
+
+        True only for zones of other cameras.
+        """
+        return self._seen_before[zone]
+
+    def exposed(self, stay: float) -> Floats:
+        """Return the share (bins,) of each lag bin that lies within a passage, or after it.
+
+        stay: dwell time, seconds.
+        """
+        begun = (self.bins.edges[1:] + stay) / self.bins.widths
+        return np.where(self.past, np.minimum(np.maximum(begun, 0.0), 1.0), 1.0)
 
     def longest_stay(self, zones: list[int]) -> float | None:
-        """Longest passage known that left at one of the zones, seconds."""
+        """Return the longest known dwell time that ended at one of the zones, in seconds."""
         return max((self.stay[zone][-1] for zone in zones if self.stay[zone]), default=None)
 
-    def _from_posterior(self, rows: Iterable[Onward], index: dict[str, int]) -> dict[int, Outcomes]:
+    def _from_posterior(self, rows: list[Onward], index: dict[str, int]) -> dict[int, Outcomes]:
         outcomes = {}
         for row in rows:
-            if row.next_:
-                mass = np.stack([on_bins(outcome.hazard, self.bins) for outcome in row.next_])
-                hazard = (mass / self.bins.widths).astype(np.float32)
-                share = np.array([outcome.share for outcome in row.next_])
-                zone, targets = index[row.zone], [index[outcome.to] for outcome in row.next_]
-                doubt = np.array([outcome.doubt for outcome in row.next_])
-                delay = np.array([outcome.hazard.delay for outcome in row.next_])
-                leave = max(row.leave, LEAVE_MIN)
-                outcomes[zone] = Outcomes(
-                    targets, share, leave, hazard, self._exposure(zone), doubt, delay
-                )
+            if not row.next_:
+                continue
+            zone = index[row.zone]
+            mass = np.stack([masses_on_bins(outcome.hazard, self.bins) for outcome in row.next_])
+            outcomes[zone] = Outcomes(
+                targets=[index[outcome.to] for outcome in row.next_],
+                share=np.array([outcome.share for outcome in row.next_]),
+                leave=max(row.leave, LEAVE_MIN),
+                hazard=(mass / self.bins.widths).astype(np.float32),
+                exposure=self._exposure(zone),
+                doubt=np.array([outcome.doubt for outcome in row.next_]),
+                delay=np.array([outcome.hazard.delay for outcome in row.next_]),
+            )
         return outcomes
 
     def _from_links(self, links: list[Link], index: dict[str, int]) -> dict[int, Outcomes]:
+        """Take the histograms of links for hazards."""
+        # Links by their source.
         grouped: dict[int, list[Link]] = {}
         for link in links:
             if link.relation != "visible" and link.from_ in index and link.to in index:
                 grouped.setdefault(index[link.from_], []).append(link)
+
         outcomes = {}
         for zone, out in grouped.items():
-            exposure = self._exposure(zone)
+            # Distribution of the lags of each link.
             spread = smooth(np.stack([_counts(link, self.bins) for link in out]))[0]
             share = spread / np.maximum(spread.sum(axis=1, keepdims=True), 1e-300)
-            probability = np.array([link.probability for link in out])[:, None]
+
+            # Hazard: what is expected per second, over the share that is exposed.
+            probability = np.array([link.probability for link in out])
             delay = np.array([link.histogram.delay if link.histogram else 0.0 for link in out])
+            exposure = self._exposure(zone)
             exposed = np.where(delay[:, None] > 0.0, 1.0, exposure)
-            hazard = (probability * share / (self.bins.widths * exposed)).astype(np.float32)
-            leave = max(1.0 - float(probability.sum()), LEAVE_FLOOR)
-            targets = [index[link.to] for link in out]
+            hazard = probability[:, None] * share / (self.bins.widths * exposed)
+
             outcomes[zone] = Outcomes(
-                targets, probability[:, 0], leave, hazard, exposure, np.zeros(len(out)), delay
+                targets=[index[link.to] for link in out],
+                share=probability,
+                leave=max(1.0 - float(probability.sum()), LEAVE_FLOOR),
+                hazard=hazard.astype(np.float32),
+                exposure=exposure,
+                doubt=np.zeros(len(out)),
+                delay=delay,
             )
         return outcomes
 
     def _exposure(self, zone: int) -> Floats:
-        """Share (bins,) of the passages leaving at the zone that had begun by the lag; 1 for lags
-        after the exit.
+        """Return the share (bins,) of the passages ending at a zone that had begun by each lag.
+
+        It is 1 for lags after the exit.
         """
         stay = self.stay[zone]
         if not stay:
@@ -252,74 +248,130 @@ class Hazards:
         begun = 1.0 - np.interp(-self.bins.centres, stay, np.linspace(0.0, 1.0, len(stay)))
         return np.where(self.past, np.clip(begun, EXPOSURE_MIN, 1.0), 1.0)
 
-    def _index_before(self, topology: Topology, pause: Pause) -> None:
-        """For `seen_before` and `cameras_ahead`."""
-        clock = {camera.id: camera.clock_offset for camera in topology.cameras}
-        clocks = np.array([clock.get(zone.camera, 0.0) for zone in topology.zones])
-        ahead: dict[str, set[int]] = {}
-        for (camera, target), rate in self._ahead.items():
-            if rate:
-                ahead.setdefault(camera, set()).add(target)
-        for entry, targets in self._entered.items():
-            ahead.setdefault(topology.zones[entry].camera, set()).update(targets)
-        self._kernels_to: dict[int, set[int]] = {}
-        for entry, targets in self._entered.items():
-            for target in targets:
-                self._kernels_to.setdefault(target, set()).add(entry)
-        self._cameras_ahead: dict[int, list[str]] = {}
-        for camera, reached in ahead.items():
-            for target in sorted(reached):
-                self._cameras_ahead.setdefault(target, []).append(camera)
-        self._before: list[NDArray[np.intp]] = []
-        for k, zone in enumerate(unhurried(topology.zones, pause)):
-            found = set(ahead.get(zone.camera, ()))
-            if k in self.outcomes:
-                out = self.outcomes[k]
-                later = clocks[out.targets] - clocks[k] + out.delay
-                possible = np.any(self.before(out.hazard, later[:, None]), axis=1)
-                found.update(
-                    target
-                    for target, some in zip(out.targets, possible.tolist(), strict=True)
-                    if some
-                )
-            others = [
-                target for target in sorted(found) if topology.zones[target].camera != zone.camera
-            ]
-            self._before.append(np.array(others, np.intp))
+    def _index_by_target(self, zones: int) -> None:
+        """Put all hazards into one table, with the rows of each target.
 
-    def _mean_rates_ahead(self, topology: Topology, pause: Pause) -> dict[tuple[str, int], float]:
-        """Expected appearances before leaving over the time in view, weighed by where objects
-        leave, by camera.
+        Row 0 is all zeros, for pairs of zones without a hazard; so is the last column, for lags
+        without a bin.
+        """
+        # The table; `outcomes` refer to its rows, so that hazards are kept once.
+        first_rows = np.cumsum([1, *(len(o.targets) for o in self.outcomes.values())]).tolist()
+        self._first_row: dict[int, int] = dict(zip(self.outcomes, first_rows, strict=False))
+        self._table: Singles = np.zeros((first_rows[-1], self.bins.size + 1), np.float32)
+        self._delay = np.zeros(first_rows[-1])
+        for zone, outcomes in self.outcomes.items():
+            first = self._first_row[zone]
+            rows = slice(first, first + len(outcomes.targets))
+            self._table[rows, :-1] = outcomes.hazard
+            self._delay[rows] = outcomes.delay
+            self.outcomes[zone] = outcomes._replace(hazard=self._table[rows, :-1])
+
+        # Sources and rows (2, sources) of each target.
+        into: dict[int, list[tuple[int, int]]] = {}
+        for zone, outcomes in self.outcomes.items():
+            for row, target in enumerate(outcomes.targets, start=self._first_row[zone]):
+                into.setdefault(target, []).append((zone, row))
+        self._into = {target: np.array(pairs, np.int32).T for target, pairs in into.items()}
+        self._limits = np.array(self.bins.limits)
+        self._row_of_zone = np.zeros(zones, np.int32)  # all 0 between calls
+
+    def _rows_of(self, zones: list[int] | Ints, rows: Ints | Rows, wanted: Ints) -> Ints:
+        """Return the row (n,) of each wanted zone, given those of some zones; 0 for the others."""
+        self._row_of_zone[zones] = rows
+        row = self._row_of_zone.take(wanted)
+        self._row_of_zone[zones] = 0
+        return row
+
+    def _at(self, row: Ints, lag: Floats) -> Floats:
+        """Return the hazards (n,) of rows (n,) of the table at lags (n,) in seconds.
+
+        Lags before the first bin get column -1 and those behind the last one more than its number:
+        both are last columns, of the row before or of this one.
+        """
+        at = self._limits.searchsorted(lag - self._delay.take(row), "right")
+        at += row * np.intp(self._table.shape[1])
+        at -= 1
+        return self._table.take(at).astype(float)
+
+    def _mean_rates_before_exit(self, topology: Topology) -> dict[tuple[str, int], float]:
+        """Return `rate_before_exit` by camera and zone.
+
+        It is the number of appearances expected before the exit over the dwell time, weighted by
+        the exits at each zone of the camera.
         """
         exits: dict[str, int] = {}
         for zone in topology.zones:
             exits[zone.camera] = exits.get(zone.camera, 0) + zone.exits
+
         rates: dict[tuple[str, int], float] = {}
-        for k, outcomes in unhurried(self.outcomes.items(), pause):
-            zone = topology.zones[k]
-            stay = self.stay[k][len(self.stay[k]) // 2] if self.stay[k] else UNKNOWN_STAY_SECONDS
-            share = zone.exits / max(exits[zone.camera], 1) / max(stay, 1.0)
-            ahead = (outcomes.hazard * self.bins.widths * outcomes.exposure)[:, self.past].sum(
-                axis=1
-            )
-            ahead[outcomes.delay > 0.0] = 0.0
-            for target, expected in zip(outcomes.targets, ahead.tolist(), strict=True):
+        for k, outcomes in self.outcomes.items():
+            zone, deciles = topology.zones[k], self.stay[k]
+            median = deciles[len(deciles) // 2] if deciles else UNKNOWN_DWELL_SECONDS
+            share = zone.exits / max(exits[zone.camera], 1) / max(median, 1.0)
+            mass = outcomes.hazard * self.bins.widths * outcomes.exposure
+            expected = mass[:, self.past].sum(axis=1)
+            expected[outcomes.delay > 0.0] = 0.0
+            for target, number in zip(outcomes.targets, expected.tolist(), strict=True):
                 key = zone.camera, target
-                rates[key] = rates.get(key, 0.0) + share * expected
+                rates[key] = rates.get(key, 0.0) + share * number
         return rates
+
+    def _index_overlaps(self, topology: Topology) -> None:
+        """Prepare `entries_before`, `cameras_before` and `seen_before`."""
+        # Zones of entry by target.
+        self._entries_before: dict[int, set[int]] = {}
+        for entry, targets in self._entered.items():
+            for target in targets:
+                self._entries_before.setdefault(target, set()).add(entry)
+
+        # Targets by camera, and cameras by target.
+        reached: dict[str, set[int]] = {}
+        for (camera, target), rate in self._rate_before_exit.items():
+            if rate:
+                reached.setdefault(camera, set()).add(target)
+        for entry, targets in self._entered.items():
+            reached.setdefault(topology.zones[entry].camera, set()).update(targets)
+        self._cameras_before: dict[int, list[str]] = {}
+        for camera, zones in reached.items():
+            for target in sorted(zones):
+                self._cameras_before.setdefault(target, []).append(camera)
+
+        # For each zone also those of its own outcomes that are possible before the exit.
+        offset = {camera.id: camera.clock_offset for camera in topology.cameras}
+        offsets = np.array([offset.get(zone.camera, 0.0) for zone in topology.zones])
+        cameras = np.array([zone.camera for zone in topology.zones])
+        self._seen_before = np.zeros((len(cameras), len(cameras)), np.bool_)
+        for k, zone in enumerate(topology.zones):
+            self._seen_before[k, list(reached.get(zone.camera, ()))] = True
+            if k in self.outcomes:
+                outcomes = self.outcomes[k]
+                shift = offsets[outcomes.targets] - offsets[k] + outcomes.delay
+                self._seen_before[k, outcomes.targets] |= self._possible_before(
+                    outcomes.hazard, shift
+                )
+            self._seen_before[k] &= cameras != zone.camera
+
+    def _possible_before(self, hazard: Singles, shift: Floats) -> Bools:
+        """Return for which targets (n,) an arrival may be reported before the exit.
+
+        hazard (n, bins): hazards of the targets.
+        shift (n, seconds): added to lags to get the time at which arrivals are reported.
+        """
+        possible: NDArray[np.bool_] = (hazard > 0.0) & (self.bins.edges[:-1] < -shift[:, None])
+        return possible.any(axis=1)
 
 
 def _lag_range(topology: Topology) -> tuple[float, float]:
-    """Lags to look at when the topology does not say: what its links need."""
+    """Return the lags to consider (seconds) when the topology does not say: what its links need."""
     low = min((link.transit.q10 for link in topology.links), default=0.0)
     high = max((link.transit.q90 for link in topology.links), default=60.0)
     return min(2.0 * low, 0.0), max(2.0 * high, 1.0)
 
 
 def _counts(link: Link, bins: LagBins) -> Floats:
-    """The link's histogram on the bins, (bins,); one without is spread as its quantiles say."""
+    """Return a link's histogram (bins,); without one, a normal density with its quantiles."""
     if link.histogram is not None:
-        return on_bins(link.histogram, bins)
+        return masses_on_bins(link.histogram, bins)
     sd = max((link.transit.q90 - link.transit.q10) / (2 * NORMAL_Q90), 0.5)
     shape = np.exp(-0.5 * ((bins.centres - link.transit.q50) / sd) ** 2) * bins.widths
     return shape / max(float(shape.sum()), 1e-300) * link.transitions

@@ -1,6 +1,4 @@
-"""Passages under way, who came into a view and has not left it; and of the newest who have, the
-passages they ended.
-"""
+"""Open passages: objects that entered a view and have not left it, and passages that just ended."""
 
 from __future__ import annotations
 
@@ -11,133 +9,151 @@ from msgspec import Struct
 
 from camtopod.predict.recent_events import RECENT_MAX
 
-UNDER_WAY_MAX = RECENT_MAX
-"""Passages under way that are remembered; of those that have ended as many."""
-UNDER_WAY_SECONDS_MAX = 600.0
-"""A passage without an exit is forgotten after this, or after the longest known at its camera."""
+OPEN_MAX = RECENT_MAX
+"""Number of open passages, and of ended ones, that are remembered."""
+OPEN_SECONDS_MAX = 600.0
+"""Seconds after which a passage without an exit is forgotten, if its camera's longest dwell time is
+not known.
+"""
 
 
 class Passage(Struct):
-    """A stay in a view, as far as it is known when it begins; ``t`` in right time."""
+    """A passage through a view, as far as it is known when it begins. Never changed."""
 
     t: float
+    """Corrected time of the entry, seconds."""
     camera: str
     entry: int
     """Zone of entry."""
     previous: str | None = None
-    """Camera it most probably came from, and the probability of that."""
+    """Camera where the object most probably was before."""
     sure: float = 0.0
+    """Probability that ``previous`` is right."""
 
 
-class UnderWay:
-    """Passages by camera and track, in the order they began. ``stay_max``: the longest known by
-    camera, seconds.
-    """
+class OpenPassages:
+    """Passages by camera and track, in the order in which they began."""
 
-    def __init__(self, stay_max: dict[str, float]) -> None:
-        self._stay_max = stay_max
+    def __init__(self, longest: dict[str, float]) -> None:
+        """``longest``: the longest known dwell time of cameras, in seconds."""
+        self._longest = longest
         self._passages: dict[tuple[str, str], Passage] = {}
         self._in_view: dict[str, dict[str, tuple[int, Passage]]] = {}
-        """The same by camera and track, each with its place among all."""
+        """The same by camera and track, each with its number in the order of all."""
         self._begun = 0
+        """Number of passages that have begun."""
         self._ended: dict[tuple[str, str], tuple[float, Passage | None]] = {}
-        """When the newest left, by their cameras' clocks, and after which passage."""
-        self._left_last: dict[str, tuple[float, list[tuple[str, Passage]]]] = {}
-        """By camera, the newest time of an exit by its clock, and the passages that ended then,
+        """The newest exits, oldest first: their time by the camera's clock, and the passage that
+        ended, None if it is not known.
+        """
+        self._last_exits: dict[str, tuple[float, list[tuple[str, Passage]]]] = {}
+        """By camera: the time of its newest exits by its clock, and the passages that ended then,
         with their tracks.
         """
 
     def begin(self, camera: str, track: str, passage: Passage) -> None:
-        """One whose track is under way already keeps its place."""
+        """Add a passage. It replaces one of the same track, and takes its place in the order."""
         self._passages[camera, track] = passage
         in_view = self._in_view.setdefault(camera, {})
         self._begun += 1
-        in_view[track] = (in_view[track][0] if track in in_view else self._begun, passage)
+        number = in_view[track][0] if track in in_view else self._begun
+        in_view[track] = number, passage
 
     def end(self, camera: str, track: str, t: float) -> Passage | None:
-        """Not under way any more since ``t`` by the camera's clock; what was."""
-        passage = self._leaves(camera, track)
+        """End a track's passage at ``t`` by the camera's clock, and return it if it was open."""
+        passage = self._remove(camera, track)
         self._ended.pop((camera, track), None)  # the newest come last
         self._ended[camera, track] = t, passage
-        self._note_last(camera, track, t, passage)
-        if len(self._ended) > UNDER_WAY_MAX:
+        self._note_last_exit(camera, track, t, passage)
+        if len(self._ended) > OPEN_MAX:
             del self._ended[next(iter(self._ended))]
         return passage
 
     def get(self, camera: str, track: str) -> Passage | None:
-        """The passage under way."""
+        """Return a track's open passage."""
         return self._passages.get((camera, track))
 
     def left_at(self, camera: str, track: str, t: float) -> Passage | None:
-        """The passage that ended at ``t`` by the camera's clock, or is about to."""
+        """Return the passage that ended at ``t`` by the camera's clock, or is about to end."""
         left, passage = self._ended.get((camera, track), (None, None))
         return passage if left == t else self.get(camera, track)
 
     def in_view(self, camera: str) -> Collection[tuple[int, Passage]]:
-        """Those at a camera, each with its place among all."""
+        """Return a camera's open passages, each with its number in the order of all."""
         return self._in_view.get(camera, {}).values()
 
     def was_in_view(self, camera: str, entry: int, began: float, t: float) -> bool:
-        """Whether a passage that ``began`` at the zone ``entry`` was not over before ``t`` by the
-        camera's clock.
+        """Return True if a passage that began then and there had not ended before ``t``.
+
+        entry: its zone of entry; began: corrected time, seconds; t: seconds by the camera's clock.
         """
-        going_on = (passage for _, passage in self.in_view(camera))
-        over = (
-            one
-            for (of, _), (left, one) in self._ended.items()
-            if of == camera and one is not None and left >= t
+        still_open = (passage for _, passage in self.in_view(camera))
+        ended = (
+            passage
+            for (of, _), (left, passage) in self._ended.items()
+            if of == camera and passage is not None and left >= t
         )
-        return any(passage.t == began and passage.entry == entry for passage in (*going_on, *over))
+        return any(one.t == began and one.entry == entry for one in (*still_open, *ended))
 
     def open_at(self, camera: str, t: float, by_clock: float) -> list[tuple[str, Passage]]:
-        """Passages at a camera, with their tracks, that are open at the newest time ``t`` (seconds
-        in right time; ``by_clock``: by the camera's clock). Those that end at that instant are
-        among them, those that begin then are not: so the order in which events of one instant come
-        does not matter.
+        """Return the passages of a camera, with their tracks, that are open at the present moment.
+
+        Passages that end at this moment are included, those that begin are not, so the order of
+        simultaneous events does not matter.
+
+        t, by_clock: the present moment, as corrected time and by the camera's clock.
         """
-        last, ended = self._left_last.get(camera, (None, []))
-        now = [(track, passage) for track, (_, passage) in self._in_view.get(camera, {}).items()]
-        return [one for one in [*now, *(ended if last == by_clock else [])] if one[1].t < t]
+        still_open = [(track, one) for track, (_, one) in self._in_view.get(camera, {}).items()]
+        last, ended = self._last_exits.get(camera, (None, []))
+        just_ended = ended if last == by_clock else []
+        return [each for each in [*still_open, *just_ended] if each[1].t < t]
 
     def forget_stale(self, now: float) -> None:
-        """Forget the oldest: those that have lasted too long, and any beyond the limit."""
+        """Forget the oldest passages: those that last too long, and those above the limit."""
         while self._passages:
             key, oldest = next(iter(self._passages.items()))
-            fresh = now - oldest.t <= self._stay_max.get(oldest.camera, UNDER_WAY_SECONDS_MAX)
-            if fresh and len(self._passages) <= UNDER_WAY_MAX:
+            is_fresh = now - oldest.t <= self._longest.get(oldest.camera, OPEN_SECONDS_MAX)
+            if is_fresh and len(self._passages) <= OPEN_MAX:
                 return
-            self._leaves(*key)
+            self._remove(*key)
 
     def passages(self) -> list[tuple[str, str, Passage]]:
-        """(camera, track, passage) of all under way, oldest first."""
+        """Return (camera, track, passage) of all open passages, oldest first."""
         return [(camera, track, passage) for (camera, track), passage in self._passages.items()]
 
-    def take_over(self, older: UnderWay, moved: dict[int, int]) -> None:
-        """Remember what another has and nothing else; ``moved``: its zones' numbers here, without
-        those gone.
+    def take_over(self, older: OpenPassages, moved: dict[int, int]) -> None:
+        """Replace all passages by those of an older version.
+
+        moved: the present number of each zone by its older number; zones that are gone are missing.
         """
+        # Open passages, except those whose zone of entry is gone.
         self._passages = {
-            key: _moved(passage, moved)
+            key: _with_moved_entry(passage, moved)
             for key, passage in older._passages.items()
             if passage.entry in moved
         }
         self._begun, self._in_view = len(self._passages), {}
-        for place, ((camera, track), passage) in enumerate(self._passages.items(), start=1):
-            self._in_view.setdefault(camera, {})[track] = place, passage
+        for number, ((camera, track), passage) in enumerate(self._passages.items(), start=1):
+            self._in_view.setdefault(camera, {})[track] = number, passage
+
+        # Ended passages.
         self._ended = {
-            key: (t, None if ended is None or ended.entry not in moved else _moved(ended, moved))
-            for key, (t, ended) in older._ended.items()
+            key: (
+                t,
+                None if one is None or one.entry not in moved else _with_moved_entry(one, moved),
+            )
+            for key, (t, one) in older._ended.items()
         }
         for (camera, track), (t, ended) in self._ended.items():
-            self._note_last(camera, track, t, ended)
+            self._note_last_exit(camera, track, t, ended)
 
-    def _note_last(self, camera: str, track: str, t: float, passage: Passage | None) -> None:
-        if camera not in self._left_last or self._left_last[camera][0] != t:
-            self._left_last[camera] = t, []
+    def _note_last_exit(self, camera: str, track: str, t: float, passage: Passage | None) -> None:
+        if camera not in self._last_exits or self._last_exits[camera][0] != t:
+            self._last_exits[camera] = t, []
         if passage is not None:
-            self._left_last[camera][1].append((track, passage))
+            self._last_exits[camera][1].append((track, passage))
 
-    def _leaves(self, camera: str, track: str) -> Passage | None:
+    def _remove(self, camera: str, track: str) -> Passage | None:
         passage = self._passages.pop((camera, track), None)
         if passage is not None:
             in_view = self._in_view[camera]
@@ -147,7 +163,7 @@ class UnderWay:
         return passage
 
 
-def _moved(passage: Passage, moved: dict[int, int]) -> Passage:
-    """Passages are never changed, so most are the same one."""
+def _with_moved_entry(passage: Passage, moved: dict[int, int]) -> Passage:
+    """Return the passage with the present number of its zone of entry; most stay the same."""
     entry = moved[passage.entry]
     return passage if entry == passage.entry else msgspec.structs.replace(passage, entry=entry)

@@ -1,69 +1,60 @@
-"""Where an object that has just left will appear next: competing outcomes, weighed by what has been
-seen since.
+"""Predict where an object that has just left a zone appears next, and when.
 
-For an exit at zone u the outcomes are: appearing at each zone v with a lag, or not being seen
-again. Their prior odds are the learned hazards, all of them, weak evidence included. Five things
-are then known at the time of the exit:
+The outcomes of an exit compete: the object appears at one of the zones with some lag, or is not
+seen again. Their prior odds are the learned hazards of all links, also those with weak evidence.
+At the exit five things change them:
 
-* *context*: where the object came in, where exactly it left, from which camera it probably came before;
-* *exposure*: a lag of -L is only possible if this passage has lasted L;
-* *seen*: where views overlap the object may already have appeared; each recent arrival counts for its hazard over the
-  rate of everything else that could have caused it, and an overlapped view without an arrival loses its share;
-* *pace*: who was slow in this view takes longer to the next;
-* *alive*: a camera silent for far longer than its traffic allows is not where objects will be seen.
+* *context*: where the object entered the view, where exactly it left it, and at which camera it
+  probably was before (`contexts`);
+* *exposure*: a lag of -L is only possible if the passage has lasted L;
+* *seen arrivals*: where views overlap, the object may already have appeared. Each recent arrival
+  counts with its hazard over the rate of all its other causes; an overlapping view without an
+  arrival loses its share (`odds`);
+* *speed*: an object that was slow in this view takes longer to the next (`speed`);
+* *silent cameras*: a camera that is silent for far longer than its traffic explains has probably
+  stopped reporting.
 
-Asked again later, what would have shown by then has lost its odds to the rest, and each arrival
-since the exit counts as those before it do; both by the object's pace. Windows are those of the
+If the same question is asked later, arrivals that should have been seen by then lose their odds to
+the rest, and arrivals since the exit count like those before it. The time windows are those of the
 odds that remain.
 
-Events come with their cameras' own clocks; inside, times are right ones, as far as the topology
-knows the clocks.
+Events have the times of their cameras' clocks. Inside, all times are corrected for the clock
+offsets that the topology knows.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from operator import mul
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats
-from camtopod.cooperative import Pause, no_pause, unhurried
+from camtopod.arrays import Floats, Rows
 from camtopod.predict.contexts import Surroundings
-from camtopod.predict.exit_tables import AtExit, Ready, ReadyZones, Site
 from camtopod.predict.hand_over import HandOver, look
 from camtopod.predict.hazards import Hazards
-from camtopod.predict.open_passages import Passage, UnderWay
-from camtopod.predict.recent_events import (
-    RECENT_MAX,
-    Arrival,
-    Recent,
-    RecentArrivals,
-    renumbered,
-    take_over_arrivals,
-    take_over_exits,
-)
-from camtopod.predict.speed import Paces
-from camtopod.predict.time_windows import paced, quantiles, unknown
-from camtopod.predict.zone_lookup import Places
+from camtopod.predict.odds import ExitTable, Odds, Query, SeenArrivals, Site, find_odds
+from camtopod.predict.open_passages import OpenPassages, Passage
+from camtopod.predict.recent_events import Arrival, RecentEvents, moved_zones
+from camtopod.predict.speed import Pace, Paces, windows_at_pace
+from camtopod.predict.time_windows import quantiles
+from camtopod.predict.zone_lookup import ZoneLookup
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
 from camtopod.topology import LEAVE_FLOOR, block_of
 
 DEAD_PRIOR = 1e-3
-"""Prior probability that a camera has gone silent for good."""
+"""Prior probability that a camera has stopped reporting for good."""
 SILENCE_NATS_MAX = 50.0
+"""Largest evidence (nats) of a camera's silence that counts."""
 NEXT_PROBABILITY_MIN = 1e-4
-"""Outcomes less likely than this are left out."""
-RATE_MIN = 1e-6
+"""Least probability of the outcomes in a prediction."""
 
 
 class PredictorState(Struct):
-    """What a `Predictor` has observed; what it knows beside that is its topology.
+    """What a `Predictor` has observed; the rest of it follows from its topology.
 
-    Passages that have ended are left out: they only matter to who asks again about an exit.
+    Ended passages are left out: they only matter if an exit is asked about again.
     """
 
     arrivals: list[Arrival]
@@ -75,135 +66,110 @@ class PredictorState(Struct):
 
 
 class Predictor:
-    """Prediction over one topology version. `observe` keeps it abreast of events; `predict` answers
-    for an exit.
+    """Predictions by one topology version: feed events to `observe`, ask for exits with `predict`.
 
-    An exit is to be predicted before it is observed, else it competes with itself; not so where
-    `predict` is told when it is asked. ``pause`` is called often while it is made. Of the topology
-    it keeps the zones.
+    Ask for an exit before it is observed, else it competes with itself; this does not hold if
+    `predict` is given the time of the question. Of the topology only the zones are kept.
     """
 
-    def __init__(self, topology: Topology, pause: Pause = no_pause) -> None:
+    def __init__(self, topology: Topology) -> None:
         self.version, self.as_of, self.zones = topology.version, topology.as_of, topology.zones
-        self._hazards = Hazards(topology, pause)
-        self._surroundings = Surroundings(topology, pause)
+
+        # What the version knows.
+        self._hazards = Hazards(topology)
+        self._surroundings = Surroundings(topology)
         self._paces = Paces(topology)
-        site = Site(topology, self._hazards, self._paces)
-        self._ready = ReadyZones(site)
         self._hand_over = HandOver(topology)
-        self._places = Places(self.zones)
-        self._of_camera = self._places.of_camera
-        self._ahead, self._clocks_apart = site.ahead, site.clocks_apart
-        stay_max = {
-            camera: self._hazards.longest_stay(zones) for camera, zones in self._of_camera.items()
+        self._lookup = ZoneLookup(self.zones)
+        self._site = Site(topology, self._hazards)
+        longest = {
+            camera: self._hazards.longest_stay(zones)
+            for camera, zones in self._lookup.of_camera.items()
         }
-        self._stay_max = {camera: stay for camera, stay in stay_max.items() if stay}
-        self._ahead_of = np.array([self._ahead.get(zone.camera, 0.0) for zone in self.zones])
-        self._wanted = np.zeros(len(self.zones), np.bool_)  # all False between calls
-        self._row_of = np.full(len(self.zones), -1, np.intp)  # all -1 between calls
-        self._names, self._camera_of = list(site.cameras), site.camera_of
-        self._number_of: list[int] = self._camera_of.tolist()
+        self._longest_stay = {camera: stay for camera, stay in longest.items() if stay}
+
+        # What has been observed.
         self.forget()
 
     def forget(self) -> None:
-        """Nothing has been observed (any more): event time has gone back."""
-        self._under_way = UnderWay(self._stay_max)
-        self._arrivals, self._exits = RecentArrivals(), Recent()
+        """Forget all that has been observed, as when event time has gone back."""
+        self._open_passages = OpenPassages(self._longest_stay)
+        self._arrivals, self._exits = RecentEvents(), RecentEvents()
         self._events = 0
-        self._last_event = [0] * len(self._names)
-        """Of each camera, by the count of all events."""
-
-    def make_ready(self, wanted: Callable[[str], bool], pause: Pause = no_pause) -> None:
-        """Work out for each zone of the cameras ``wanted`` what would else be worked out at its
-        first exit.
-        """
-        for k, zone in enumerate(unhurried(self.zones, pause)):
-            if wanted(zone.camera):
-                self.predict_from(k, self.as_of)
+        self._last_event = np.zeros(len(self._site.cameras), np.int64)
+        """Number of each camera's last event in the order of all events."""
 
     def follow(self, topology: Topology) -> Predictor:
-        """A predictor over a newer version that remembers what this one has observed."""
+        """Return a predictor by a newer version that remembers what this one has observed."""
         newer = Predictor(topology)
         newer.take_over(self)
         return newer
 
     def take_over(self, older: Predictor) -> None:
-        """Remember what one over an older version has observed; this one must be new."""
-        moved = renumbered(older.zones, self.zones)
-        take_over_arrivals(self._arrivals, older._arrivals, moved)
-        take_over_exits(self._exits, older._exits, moved)
-        self._under_way.take_over(older._under_way, moved)
+        """Remember what a predictor by an older version has observed; this one must be new."""
+        moved = moved_zones(older.zones, self.zones)
+        self._arrivals.take_over(older._arrivals, moved)
+        self._exits.take_over(older._exits, moved)
+        self._open_passages.take_over(older._open_passages, moved)
         self._events = older._events
-        last_event = dict(zip(older._names, older._last_event, strict=True))
-        self._last_event = [last_event.get(camera, older._events) for camera in self._names]
+        self._set_last_events(older._last_events())
 
     def save(self) -> PredictorState:
-        """Everything `load` needs, beside the topology, to go on from here."""
-        under_way, exits = self._under_way.passages(), self._exits.save()
-        last_event = dict(zip(self._names, self._last_event, strict=True))
+        """Return all that `load` needs, beside the topology, to continue from here."""
         return PredictorState(
-            self._arrivals.arrivals(), *exits, under_way, self._events, last_event
+            arrivals=self._arrivals.arrivals(),
+            exit_times=self._exits.t.copy(),
+            exit_zones=self._exits.zone.copy(),
+            under_way=self._open_passages.passages(),
+            events=self._events,
+            last_event=self._last_events(),
         )
 
     def load(self, state: PredictorState) -> None:
-        """Go on from there, over the same topology."""
+        """Continue from a state that was saved by the same topology; this one must be new."""
         for arrival in state.arrivals:
             self._arrivals.append(arrival.t, arrival.zone, arrival.rate)
         self._exits.load(state.exit_times, state.exit_zones)
         for camera, track, passage in state.under_way:
-            self._under_way.begin(camera, track, passage)
+            self._open_passages.begin(camera, track, passage)
         self._events = state.events
-        self._last_event = [state.last_event[camera] for camera in self._names]
+        self._set_last_events(state.last_event)
 
     def observe(self, event: Event) -> None:
-        """Take note of an event; they must come by time as far as that is possible."""
+        """Take an event into account; as far as possible events must come in order of time."""
         self._events += 1
         zone = self.zone_of(event)
         if zone is None:
             return
-        self._last_event[self._number_of[zone]] = self._events
-        t = event.t - self._ahead[event.camera]
+        self._last_event[self._site.camera_of[zone]] = self._events
+        t = event.t - self._site.clock_offset[event.camera]
         if event.kind == "entry":
-            causes = self._causes(zone, t)
-            rate = self._hazards.arrival_rate[zone] + sum(causes.values())
-            self._arrivals.append(t, zone, rate)
-            if event.track is not None:
-                previous = max(causes, key=causes.__getitem__, default=None)
-                sure = causes[previous] / rate if previous is not None else 0.0
-                passage = Passage(t, event.camera, zone, previous, sure)
-                self._under_way.begin(event.camera, str(event.track), passage)
-                self._share_with_simultaneous(passage)
-                self._under_way.forget_stale(t)
-            return
-        left = (
-            None
-            if event.track is None
-            else self._under_way.end(event.camera, str(event.track), event.t)
-        )
-        self._exits.append(t, zone)
-        self._share_causes(zone, t, left)
+            self._observe_entry(event, zone, t)
+        else:
+            self._observe_exit(event, zone, t)
 
     def zone_of(self, event: Event) -> int | None:
-        """Index of the zone the event most likely belongs to; None for a camera without zones."""
-        return self._places.zone_of(event)
+        """Return the zone (index) that an event belongs to; None if its camera has none."""
+        return self._lookup.zone_of(event)
 
     def predict(self, event: Event, now: float | None = None) -> Prediction:
-        """Next appearance of the object of an exit, by what is known at the exit.
+        """Return where the object of an exit appears next, by what is known at the exit.
 
-        Or, asked again, by what is known at ``now``, seconds by the same camera's clock. The exit
-        may have been observed since. Where an arrival may have been the object's, the window may
-        lie before ``now``. Raises ValueError for a ``now`` before the exit.
+        With ``now`` (seconds by the same camera's clock), by what is known then. The exit may have
+        been observed by then. Where an arrival may have been the object's, the window may lie
+        before ``now``. Raises ValueError for a ``now`` before the exit.
         """
         _check(event.t, now)
         zone = self.zone_of(event)
         track = None if event.track is None else str(event.track)
         if zone is None:
             return Prediction(event.camera, None, event.t, track, self.version, 1.0, [])
+
         passage = None
         if track is not None and now is None:
-            passage = self._under_way.get(event.camera, track)
+            passage = self._open_passages.get(event.camera, track)
         elif track is not None:
-            passage = self._under_way.left_at(event.camera, track, event.t)
+            passage = self._open_passages.left_at(event.camera, track, event.t)
         return self.predict_from(zone, event.t, passage, track, block_of(event.x, event.y), now)
 
     def predict_from(
@@ -215,67 +181,53 @@ class Predictor:
         block: int | None = None,
         now: float | None = None,
     ) -> Prediction:
-        """The same for an object that left a zone (index) at ``t`` by the clock of the zone's
-        camera, after a passage and in a block of the image, if known.
+        """Return the prediction for an exit whose zone (index) is known; see `predict`.
+
+        t: seconds by the clock of the zone's camera.
+        passage, block: the passage that ended, and the block of the image where; None if unknown.
         """
         _check(t, now)
-        here, ready = self.zones[zone], self._ready.of(zone)
-        if ready is None:
+        here, table = self.zones[zone], self._site.table(zone)
+        if table is None:
             return self._prediction(here, t, track, 1.0, [], passage)
-        left, outcomes, edges = (
-            t - self._ahead[here.camera],
-            ready.outcomes,
-            self._hazards.bins.edges,
-        )
-        entry, previous, sure, stay = None, None, 0.0, None
-        if passage is not None:
-            entry, previous, sure, stay = (
-                passage.entry,
-                passage.previous,
-                passage.sure,
-                left - passage.t,
-            )
-        pace = self._paces.of_passage(entry, zone, stay)
-        observed = now is not None and self._has_left(zone, left)
-        if observed:
-            mass, known = self._odds(zone, ready, left, passage, observed), None
-            odds: list[float] = mass.sum(axis=1).tolist()
-        else:
-            known = self._at_exit(ready, left, passage)
-            odds = known.odds
-        likelier, leave = self._surroundings.multipliers(
-            zone, outcomes, block, entry, previous, sure
-        )
-        odds = list(map(mul, odds, likelier))
-        leave += math.fsum(map(mul, ready.doubt, odds))
-        if (
-            now is not None and now > t
-        ):  # what may as well be chance was so at the exit: it is gone, seen or not
-            slower, pace = 1.0 if pace is None else pace[0], None
-            mass, known = self._odds(zone, ready, left, passage, observed, now - t, slower), None
-            edges, leave = paced(edges, slower), max(leave, LEAVE_FLOOR)
-            odds = list(map(mul, mass.sum(axis=1).tolist(), likelier))
-        odds = list(map(mul, odds, ready.sure))
-        least = NEXT_PROBABILITY_MIN * (leave + math.fsum(odds))
-        order = [
-            k
-            for k in sorted(range(len(odds)), key=odds.__getitem__, reverse=True)
-            if odds[k] >= least
-        ]
-        kept = leave + math.fsum(odds[k] for k in order)
-        if known is None:
-            lags = quantiles(mass[order], edges)
-            windows: Sequence[Sequence[float]] = [
-                ready.window(k, pace, usual) for k, usual in zip(order, lags, strict=True)
-            ]
-        else:
-            windows = ready.windows(order, pace, known)
-        following = [
-            NextCamera(ready.targets[k].camera, ready.targets[k].id, odds[k] / kept, *times)
-            for k, times in zip(order, windows, strict=True)
+
+        # Odds at the exit.
+        corrected = t - self._site.clock_offset[here.camera]
+        is_observed = now is not None and self._has_left(zone, corrected)
+        query = Query(zone, corrected, passage, is_observed)
+        odds = self._odds(query, table)
+
+        # The context multiplies them. Spurious mass counts as "not seen again", from the exit on.
+        multiplier, leave = self._multipliers(query, table, block)
+        spurious = table.outcomes.doubt
+        leave += float(spurious @ (multiplier * odds.by_target()))
+
+        # Odds at a later moment. The lag bins are already at the object's pace then.
+        pace = self._pace(query)
+        if now is not None and now > t:
+            slowness = 1.0 if pace is None else pace.factor
+            odds = self._odds(query._replace(elapsed=now - t, slowness=slowness), table)
+            leave, pace = max(leave, LEAVE_FLOOR), None
+
+        # Probabilities of the outcomes that are likely enough.
+        by_target = odds.by_target() * multiplier * (1.0 - spurious)
+        order = np.argsort(-by_target, kind="stable")
+        least = NEXT_PROBABILITY_MIN * (leave + float(by_target.sum()))
+        order = order[by_target[order] >= least]
+        total = leave + float(by_target[order].sum())
+        probabilities = (by_target[order] / total).tolist()
+
+        # Their time windows.
+        lags = quantiles(odds.mass[order], odds.edges)
+        lags = windows_at_pace(pace, lags, table.transitions[order])
+        windows = np.round(lags + table.window_shift[order, None], 3).tolist()
+
+        next_ = [
+            NextCamera(table.targets[k].camera, table.targets[k].id, probability, *window)
+            for k, probability, window in zip(order.tolist(), probabilities, windows, strict=True)
         ]
         return self._prediction(
-            here, t, track, leave / kept, following, passage if now is None else None
+            here, t, track, leave / total, next_, passage if now is None else None
         )
 
     def _prediction(
@@ -284,261 +236,199 @@ class Predictor:
         t: float,
         track: str | None,
         leave: float,
-        following: list[NextCamera],
+        next_: list[NextCamera],
         passage: Passage | None,
     ) -> Prediction:
-        """With who sees the object at the exit, where its ``passage`` is known and other views
-        overlap.
-        """
+        """Return a prediction, with the hand-over if the passage is known and views overlap."""
         if passage is None or not self._hand_over.overlaps(here.camera):
-            return Prediction(here.camera, here.id, t, track, self.version, leave, following)
-        in_view = self._hand_over.in_view(
-            passage, t - self._ahead[here.camera], self._under_way, self._ahead
-        )
-        seen = look(in_view, following)
+            return Prediction(here.camera, here.id, t, track, self.version, leave, next_)
+        offsets = self._site.clock_offset
+        corrected = t - offsets[here.camera]
+        in_view = self._hand_over.in_view(passage, corrected, self._open_passages, offsets)
+        looks = look(in_view, next_)
         return Prediction(
-            here.camera, here.id, t, track, self.version, leave, following, seen, in_view
+            here.camera, here.id, t, track, self.version, leave, next_, looks, in_view
         )
 
-    def _at_exit(self, ready: Ready, t: float, passage: Passage | None) -> AtExit:
-        """`_odds` for an exit that has not been observed, by what is known then."""
-        stay, alive = None if passage is None else t - passage.t, self._alive(ready)
-        odds = list(map(mul, ready.odds(stay), alive))
-        arrivals, hazards, came_there = self._arrivals, self._hazards, dict[int, dict[int, float]]()
-        counts, since = (
-            arrivals.dropped + arrivals.first,
-            -math.inf if passage is None else passage.t,
+    # --- What is known of an exit ---
+
+    def _odds(self, query: Query, table: ExitTable) -> Odds:
+        """Return the odds of where and when the object of a query appears next."""
+        is_alive = self._is_alive()[table.target_cameras]
+        return find_odds(query, self._site, table, is_alive, self._seen_arrivals(query))
+
+    def _multipliers(
+        self, query: Query, table: ExitTable, block: int | None
+    ) -> tuple[Floats, float]:
+        """Return the context's effect on each target (targets,), and the odds of leaving."""
+        entry, previous, sure = None, None, 0.0
+        if query.passage is not None:
+            passage = query.passage
+            entry, previous, sure = passage.entry, passage.previous, passage.sure
+        return self._surroundings.multipliers(
+            query.zone, table.outcomes, block, entry, previous, sure
         )
-        oldest = max(t + hazards.bins.lag_min, since)
-        for k, target, later, earliest, ahead, kernels, hazard in ready.before:
-            entered = passage is not None and passage.entry in kernels
-            reach = oldest if entered else max(oldest, t + earliest)
-            for came, number in reversed(arrivals.of_zone.get(target, ())):
-                if came < reach:
-                    break
-                if came < since or came + later >= t or number < counts:
-                    continue
-                if came == since and not self._in_view(target, came, t):
-                    continue  # the two passages began together and the other ended first, so it was the earlier one
-                at = hazards.bin_of(came - t)
-                here = hazard.get(at, 0.0)
-                if at < 0 or not (here or entered):
-                    continue
-                here, rate = (
-                    here and here * ready.exposure(at, stay),
-                    arrivals.rate.item(number - arrivals.dropped),
-                )
-                if passage is not None:
-                    from_view = (
-                        hazards.rate_entered(passage.entry, target, came - since)
-                        if entered
-                        else 0.0
-                    )
-                    here, rate = here + from_view, rate - (from_view + ahead)
-                if here:
-                    more = here / max(rate, RATE_MIN)
-                    odds[k] += more
-                    there = came_there.setdefault(k, {})
-                    there[at] = there.get(at, 0.0) + more
-        return AtExit(odds, alive, came_there, stay)
 
-    def _odds(
-        self,
-        zone: int,
-        ready: Ready,
-        t: float,
-        passage: Passage | None,
-        observed: bool,
-        elapsed: float = 0.0,
-        slower: float = 1.0,
-    ) -> Floats:
-        """Odds of every (target, lag bin), (targets, bins), beside those of not being seen again.
+    def _pace(self, query: Query) -> Pace | None:
+        """Return the pace expected of the object after the exit."""
+        entry = None if query.passage is None else query.passage.entry
+        return self._paces.of_passage(entry, query.zone, query.dwell)
 
-        ``observed``: the exit has been, so that arrivals have it among their causes. ``elapsed``:
-        what is known so many seconds after it, of an object that takes ``slower`` times as long as
-        usual; bins are at its pace then.
+    def _seen_arrivals(self, query: Query) -> SeenArrivals:
+        """Return the observed arrivals that may be of the object of a query."""
+        # Before the exit.
+        arrivals = self._arrivals
+        rows = self._arrivals_before(query.zone, query.t, query.began)
+        tied = rows[arrivals.t[rows] == query.began]
+        if len(tied):
+            rows = np.setdiff1d(rows, [row for row in tied if not self._is_open(row, query.t)])
+        before, remembered = len(rows), -math.inf
+
+        # Since the exit, as far as they are reported by the moment of the question.
+        if query.elapsed:
+            offsets = self._site.offset_of
+            reported = arrivals.t + (offsets[arrivals.zone] - offsets[query.zone])
+            since = (reported >= query.t) & (reported <= query.t + query.elapsed)
+            rows = np.concatenate((rows, np.flatnonzero(since)))
+            if arrivals.is_full:
+                remembered = float(reported[0]) - query.t
+
+        is_before = np.arange(len(rows)) < before
+        return SeenArrivals(
+            arrivals.zone[rows], arrivals.t[rows], arrivals.rate[rows], is_before, remembered
+        )
+
+    def _arrivals_before(self, zone: int, t: float, began: float) -> Rows:
+        """Return the arrivals (rows) that may be of an object leaving at a zone.
+
+        These are in other views, not before its passage, and reported before the exit.
+
+        t: corrected time of the exit; began: that of the entry, minus infinity if unknown.
         """
-        bins, outcomes, since = (
-            self._hazards.bins,
-            ready.outcomes,
-            -math.inf if passage is None else passage.t,
-        )
+        # Recent enough.
+        arrivals, offsets = self._arrivals, self._site.offset_of
+        oldest = max(t + self._hazards.bins.lag_min, began)
+        rows = np.flatnonzero(arrivals.t >= oldest)
+
+        # At zones where objects may appear before they leave here.
+        rows = rows[self._hazards.seen_before(zone)[arrivals.zone[rows]]]
+
+        # Reported before the exit.
+        shift = offsets[arrivals.zone[rows]] - offsets[zone]
+        return rows[arrivals.t[rows] + shift < t]
+
+    def _is_open(self, row: int, t: float) -> bool:
+        """Return True if the passage that began with an arrival (row) had not ended before ``t``.
+
+        Of two passages that begin together, the one that ends first was the earlier one.
+        """
+        zone, began = int(self._arrivals.zone[row]), float(self._arrivals.t[row])
         camera = self.zones[zone].camera
-        exposed = outcomes.exposure if passage is None else self._hazards.exposed(t - since)
-        exposed = outcomes.exposed(exposed)
-        prior = outcomes.hazard * bins.widths * exposed
-        found = self._recent(t, since, zone)
-        before = len(found)
-        if elapsed:
-            edges = paced(bins.edges, slower)
-            came_since, remembered = self._since(t, elapsed, camera)
-            found = np.concatenate((found, came_since))
-            prior *= unknown(edges, elapsed, remembered, ready.later)
-        else:
-            prior = np.where(bins.edges[1:] <= -ready.later[:, None], 0.0, prior)
-        mass: Floats = prior * np.array(self._alive(ready))[:, None]
-        there, came = self._arrivals.zone[found], self._arrivals.t[found]
-        self._row_of[outcomes.targets] = np.arange(len(outcomes.targets))
-        k = self._row_of[there]
-        self._row_of[outcomes.targets] = -1
-        lag = came - t - np.where(k >= 0, outcomes.delay[k], 0.0)
-        at = bins.index(paced(lag, 1.0 / slower) if elapsed else lag)
-        some = np.flatnonzero((k >= 0) & (at >= 0))
-        k, at, there, came, rate = (
-            k[some],
-            at[some],
-            there[some],
-            came[some],
-            self._arrivals.rate[found[some]],
-        )
-        here = outcomes.hazard[k, at] * exposed[k, at]
-        if elapsed:
-            here *= (bins.widths / np.diff(edges))[at]
-        if observed:
-            rate = rate - self._hazards.rates_from(zone, there, came - t)
-        if passage is not None:
-            entered = self._hazards.rates_entered(passage.entry, there, came - since)
-            own = entered if observed else entered + self._hazards.rates_ahead(camera, there)
-            if elapsed:  # those who came after the exit: not from within the view, though it was not known any better
-                in_view = some < before
-                own = own * (
-                    in_view if observed else self._camera_of[there] != self._camera_of[zone]
-                )
-                entered = entered * in_view
-            here = here + entered
-            rate = rate - own
-        np.add.at(mass, (k, at), here / np.maximum(rate, RATE_MIN))
-        return mass
+        by_clock = t + self._site.clock_offset[camera]
+        return self._open_passages.was_in_view(camera, zone, began, by_clock)
 
     def _has_left(self, zone: int, t: float) -> bool:
-        """Whether an exit there and then has been observed."""
-        times, zones = self._exits.after(-math.inf)
-        return bool(((times == t) & (zones == zone)).any())
+        """Return True if an exit at this zone and corrected time has been observed."""
+        return bool(((self._exits.t == t) & (self._exits.zone == zone)).any())
 
-    def _since(self, t: float, elapsed: float, camera: str) -> tuple[NDArray[np.intp], float]:
-        """Arrivals (indices) from an exit until ``elapsed`` seconds after it, clocks taken as they
-        are; and from how many seconds after it on they are remembered.
+    def _is_alive(self) -> Floats:
+        """Return the probability (cameras,) that each camera still reports.
+
+        It follows from the events of others since a camera's last event.
         """
+        nats = (self._events - self._last_event) * self._site.event_share
+        return 1.0 / (1.0 + DEAD_PRIOR * np.exp(np.minimum(nats, SILENCE_NATS_MAX)))
+
+    # --- Observed events ---
+
+    def _observe_entry(self, event: Event, zone: int, t: float) -> None:
+        """Note an arrival with its possible causes, and the passage that begins."""
+        causes = self._causes(zone, t)
+        rate = self._hazards.arrival_rate[zone] + sum(causes.values())
+        self._arrivals.append(t, zone, rate)
+        if event.track is None:
+            return
+
+        previous = max(causes, key=causes.__getitem__, default=None)
+        sure = causes[previous] / rate if previous is not None else 0.0
+        passage = Passage(t, event.camera, zone, previous, sure)
+        self._open_passages.begin(event.camera, str(event.track), passage)
+        self._add_simultaneous_cause(passage)
+        self._open_passages.forget_stale(t)
+
+    def _observe_exit(self, event: Event, zone: int, t: float) -> None:
+        """Note an exit, and that it may be the cause of arrivals before it."""
+        passage = None
+        if event.track is not None:
+            passage = self._open_passages.end(event.camera, str(event.track), event.t)
+        self._exits.append(t, zone)
+
+        # The hazard of the exit takes the place of the rate of an object in view.
         arrivals = self._arrivals
-        first = arrivals.first
-        zones = arrivals.zone[first : arrivals.stop]
-        shown = arrivals.t[first : arrivals.stop] + (self._ahead_of[zones] - self._ahead[camera])
-        remembered = float(shown[0]) - t if len(shown) >= RECENT_MAX else -math.inf
-        return np.flatnonzero((shown >= t) & (shown <= t + elapsed)) + first, remembered
+        rows = self._arrivals_before(zone, t, -math.inf if passage is None else passage.t)
+        targets = arrivals.zone[rows]
+        arrivals.rate[rows] += self._hazards.rates_from(zone, targets, arrivals.t[rows] - t)
+        if passage is not None:
+            arrivals.rate[rows] -= self._hazards.rates_before_exit(event.camera, targets)
 
-    def _recent(self, t: float, since: float, zone: int) -> NDArray[np.intp]:
-        """Arrivals (indices, newest first) in other views from ``since`` on that were there by
-        ``t``, clocks taken as they are, and could be the object leaving at ``zone`` at ``t``.
-        """
-        arrivals, targets = self._arrivals, self._hazards.seen_before(zone)
-        first, oldest = arrivals.first, max(t + self._hazards.bins.lag_min, since)
-        self._wanted[targets] = True
-        found = np.flatnonzero(self._wanted[arrivals.zone[first : arrivals.stop]])[::-1] + first
-        self._wanted[targets] = False
-        if len(found):
-            came = arrivals.t[found]
-            later = self._ahead_of[arrivals.zone[found]] - self._ahead[self.zones[zone].camera]
-            found = found[(came + later < t) & (came >= since) & (came >= oldest)]
-            tied = found[arrivals.t[found] == since].tolist()
-            gone = [row for row in tied if not self._in_view(int(arrivals.zone[row]), since, t)]
-            found = found[~np.isin(found, gone)]
-        return found
-
-    def _share_causes(self, zone: int, t: float, passage: Passage | None) -> None:
-        """Whoever has left is among the causes of what has come since elsewhere, but no longer as
-        one in the view.
-        """
-        arrivals, bin_of = self._arrivals, self._hazards.bin_of
-        counts, since = (
-            arrivals.dropped + arrivals.first,
-            -math.inf if passage is None else passage.t,
-        )
-        oldest = max(t + self._hazards.bins.lag_min, since)
-        for _, target, later, earliest, ahead, _, hazard in self._ready.before(zone):
-            in_view = 0.0 if passage is None else ahead
-            reach = oldest if in_view else max(oldest, t + earliest)
-            for came, number in reversed(arrivals.of_zone.get(target, ())):
-                if came < reach:
-                    break
-                if came >= since and came + later < t and number >= counts:
-                    arrivals.rate[number - arrivals.dropped] += (
-                        hazard.get(bin_of(came - t), 0.0) - in_view
-                    )
-
-    def _in_view(self, zone: int, came: float, t: float) -> bool:
-        """Whether somebody who came to a zone at ``came`` was still in the view at ``t``, seconds
-        in right time.
-        """
-        camera = self.zones[zone].camera
-        return self._under_way.was_in_view(camera, zone, came, t + self._ahead[camera])
-
-    def _share_with_simultaneous(self, passage: Passage) -> None:
-        """A passage that has just begun is among the causes of what came at the same instant
-        elsewhere.
-        """
+    def _add_simultaneous_cause(self, passage: Passage) -> None:
+        """Add a passage that begins to the causes of arrivals in other views at the same time."""
         arrivals, hazards = self._arrivals, self._hazards
-        for row in range(arrivals.stop - 1, arrivals.first - 1, -1):
+        for row in range(len(arrivals.t) - 1, -1, -1):
             if arrivals.t[row] != passage.t:
                 break
             target = int(arrivals.zone[row])
             if self.zones[target].camera != passage.camera:
                 entered = hazards.rate_entered(passage.entry, target, 0.0)
-                arrivals.rate[row] += hazards.rate_ahead(passage.camera, target) + entered
+                before_exit = hazards.rate_before_exit(passage.camera, target)
+                arrivals.rate[row] += before_exit + entered
 
     def _causes(self, zone: int, t: float) -> dict[str, float]:
-        """Rate (1/s) at which those who have left each camera and those still in its view could
-        cause an arrival now.
+        """Return by camera the rate (1/s) of its objects that arrive now at a zone.
 
-        What comes from outside is not among them.
+        They have left its view, or are in it. Objects from outside are not included.
         """
-        left, zones = self._exits.after(t - self._hazards.lag_max - self._clocks_apart)
-        sources, rates = self._hazards.rates(zones, zone, t - left)
-        total = np.bincount(self._camera_of.take(sources), rates)
-        [some] = total.nonzero()
-        names = map(self._names.__getitem__, some.tolist())
-        causes: dict[str, float] = dict(zip(names, total.take(some).tolist(), strict=True))
-        here, kernels, further = self.zones[zone].camera, self._hazards.kernels_to(zone), []
-        for camera in self._hazards.cameras_ahead(zone):
+        # Objects that have left.
+        hazards, site = self._hazards, self._site
+        oldest = t - hazards.lag_max - site.offset_range
+        left, zones = self._exits.after(oldest)
+        sources, rates = hazards.rates(zones, zone, t - left)
+        total = np.bincount(site.camera_of[sources], rates, minlength=len(site.cameras))
+        causes = {site.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
+
+        # Objects in views from which they may appear here before they leave.
+        here, entries, in_views = self.zones[zone].camera, hazards.entries_before(zone), []
+        for camera in hazards.cameras_before(zone):
             if camera == here:
                 continue
-            if not (passages := self._under_way.in_view(camera)):
-                continue
-            ahead, rate, first = (
-                self._hazards.rate_ahead(camera, zone),
-                causes.get(camera, 0.0),
-                None,
-            )
-            for place, passage in passages:
-                one = ahead
-                if passage.entry in kernels:
-                    one += self._hazards.rate_entered(passage.entry, zone, t - passage.t)
+            before_exit = hazards.rate_before_exit(camera, zone)
+            rate, first = causes.get(camera, 0.0), None
+            for number, passage in self._open_passages.in_view(camera):
+                one = before_exit
+                if passage.entry in entries:
+                    one += hazards.rate_entered(passage.entry, zone, t - passage.t)
                 if one:
                     rate += one
-                    first = first or place
+                    first = number if first is None else first
             if first is not None:
-                further.append((first, camera, rate))
-        causes.update(
-            (camera, rate) for _, camera, rate in sorted(further)
-        )  # as they came: sums depend on the order
+                in_views.append((first, camera, rate))
+
+        # In the order in which they came, as sums depend on the order.
+        causes.update((camera, rate) for _, camera, rate in sorted(in_views))
         return causes
 
-    def _alive(self, ready: Ready) -> list[float]:
-        """Probability (targets,) that each camera still reports, from how many events of others it
-        has let pass.
-        """
-        events, last_event, exp, most = self._events, self._last_event, math.exp, SILENCE_NATS_MAX
-        return [
-            1.0
-            / (
-                1.0
-                + DEAD_PRIOR
-                * exp(nats if (nats := (events - last_event[k]) * share) < most else most)
-            )
-            for k, share in zip(ready.cameras, ready.share, strict=True)
-        ]
+    def _last_events(self) -> dict[str, int]:
+        """Return the number of each camera's last event."""
+        return dict(zip(self._site.cameras, self._last_event.tolist(), strict=True))
+
+    def _set_last_events(self, known: dict[str, int]) -> None:
+        """Set the numbers of the cameras' last events; new cameras count as just heard from."""
+        numbers = [known.get(camera, self._events) for camera in self._site.cameras]
+        self._last_event = np.array(numbers, np.int64)
 
 
 def _check(t: float, now: float | None) -> None:
+    """Raise ValueError for a question before the exit."""
     if now is not None and not t <= now < math.inf:
         raise ValueError(
             f"now is {now}: give the time of the exit, {t}, or a later one, in seconds"

@@ -1,98 +1,110 @@
-"""Time windows of a prediction for an object of known or unknown pace, read off a topology version
-(see `slowness`).
+"""Adjust the time windows of a prediction to an object's speed, read off a topology version.
+
+Slowness is the log of a dwell time over the usual one of its route through the view
+(`camtopod.learn.traffic.speed`). It persists in part from one view to the next.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+import numpy as np
+
+from camtopod.arrays import Floats
 from camtopod.records import Topology
 from camtopod.topology import (
     LAG_SECONDS_MIN,
     LAG_STEP,
     SLOWNESS_MAX,
     SMOOTHING_SD_BINS,
-    STAY_SECONDS_MIN,
+    DWELL_SECONDS_MIN,
 )
 
 NORMAL_Q90 = 1.2816
+"""0.9 quantile of the standard normal distribution."""
 SHARP_MIN = 0.5
-"""Smoothing is not taken to have widened a window by more than makes up this share of it."""
-_WIDENED = tuple(
-    (least, (NORMAL_Q90 * LAG_STEP * sd_bins) ** 2) for least, sd_bins in SMOOTHING_SD_BINS
-)
+"""Least share of a window's width that is left when the effect of smoothing is taken out."""
+_SMOOTHING_TRANSITIONS = np.array([least for least, _ in SMOOTHING_SD_BINS])
+"""Least number of transitions for each amount of smoothing, descending."""
+_SMOOTHING_WIDTHS = np.array([NORMAL_Q90 * LAG_STEP * sd_bins for _, sd_bins in SMOOTHING_SD_BINS])
+"""Distance from the median to the 0.9 quantile that each amount of smoothing adds (log scale)."""
+
+
+class Pace(NamedTuple):
+    """An object's expected speed on its way to the next view, relative to the usual speed."""
+
+    factor: float
+    """Expected transit time over the usual one."""
+    spread: float
+    """Uncertainty of ``factor``: its 0.9 quantile over the median, log scale."""
 
 
 class Paces:
-    """The learned pace of a site; without one, windows are as they are."""
+    """The learned persistence of speed at a site; without one, windows are not adjusted."""
 
     def __init__(self, topology: Topology) -> None:
         index = {zone.id: k for k, zone in enumerate(topology.zones)}
-        pace = topology.model and topology.model.pace
-        self._pace = pace or None
-        self._usual = {
-            (index[way.entry], index[way.exit]): way.stay for way in (pace.ways if pace else [])
+        self._pace = topology.model.pace if topology.model else None
+        self._usual_dwell = {
+            (index[route.entry], index[route.exit]): route.stay
+            for route in (self._pace.ways if self._pace else [])
         }
 
-    def window(
-        self,
-        entry: int | None,
-        left: int,
-        stay: float | None,
-        transitions: float,
-        q10: float,
-        q50: float,
-        q90: float,
-    ) -> tuple[float, float, float]:
-        """Quantiles in seconds after the exit, from those of an object of usual pace.
+    def of_passage(self, entry: int | None, exit_: int, dwell: float | None) -> Pace | None:
+        """Return the pace expected after a passage; None if none has been learned.
 
-        ``entry``, ``left``: zones (indices) of a passage that took ``stay`` seconds; None where
-        unknown. ``transitions``: how many the quantiles rest on, which says how much they were
-        smoothed. Transit times were learned by the mean slowness of the views before and after. The
-        one before is known at best; the other is expected to be a share of it, and the rest of what
-        it may be widens the window.
-        """
-        return self.at_pace(self.of_passage(entry, left, stay), transitions, q10, q50, q90)
+        Transit times were learned as proportional to the mean slowness of the views before and
+        after. At best the slowness before is known. The one after is expected to be a share of it;
+        the rest of its variance widens the window.
 
-    def of_passage(
-        self, entry: int | None, left: int, stay: float | None
-    ) -> tuple[float, float] | None:
-        """What a passage says of every window after it: the factor of its times, and by how much
-        (log scale) it is wider; None where there is nothing to say.
+        entry, exit_: zones (indices) of the passage; the entry is None if unknown.
+        dwell (seconds): duration of the passage; None if unknown.
         """
         if self._pace is None:
             return None
-        usual = self._usual.get((entry, left)) if entry is not None else None
-        r, sd = self._pace.correlation, self._pace.sd
-        if usual is None or stay is None:
-            expected, doubt = 0.0, sd * math.sqrt((1.0 + r) / 2.0)
+        usual = self._usual_dwell.get((entry, exit_)) if entry is not None else None
+        correlation, sd = self._pace.correlation, self._pace.sd
+
+        # Mean slowness of the two views, and its standard deviation.
+        if usual is None or dwell is None:
+            expected, uncertain = 0.0, sd * math.sqrt((1.0 + correlation) / 2.0)
         else:
-            slow = math.log(max(stay, STAY_SECONDS_MIN) / usual)
-            expected = min(max(slow, -SLOWNESS_MAX), SLOWNESS_MAX) * (1.0 + r) / 2.0
-            doubt = sd * math.sqrt(1.0 - r * r) / 2.0
-        return math.exp(self._pace.scaling * expected), NORMAL_Q90 * self._pace.scaling * doubt
-
-    def at_pace(
-        self,
-        pace: tuple[float, float] | None,
-        transitions: float,
-        q10: float,
-        q50: float,
-        q90: float,
-    ) -> tuple[float, float, float]:
-        """`window` for a pace as of `of_passage`."""
-        if pace is None or q50 <= LAG_SECONDS_MIN:
-            return q10, q50, q90  # short lags do not scale with speed
-        factor, wider = pace
-        below = _sharp(math.log(q50 / min(max(q10, LAG_SECONDS_MIN), q50)), transitions)
-        above = _sharp(math.log(q90 / q50), transitions)
-        low = q50 * math.exp(-math.hypot(below, wider)) if q10 > 0 else q10
-        return low * factor, q50 * factor, q50 * math.exp(math.hypot(above, wider)) * factor
+            slowness = math.log(max(dwell, DWELL_SECONDS_MIN) / usual)
+            slowness = min(max(slowness, -SLOWNESS_MAX), SLOWNESS_MAX)
+            expected = slowness * (1.0 + correlation) / 2.0
+            uncertain = sd * math.sqrt(1.0 - correlation**2) / 2.0
+        scaling = self._pace.scaling
+        return Pace(math.exp(scaling * expected), NORMAL_Q90 * scaling * uncertain)
 
 
-def _sharp(width: float, transitions: float) -> float:
-    """Width (log scale) of a quantile that smoothing the hazards had widened."""
-    few = 0
-    while transitions < _WIDENED[few][0]:
-        few += 1
-    return math.sqrt(max(width**2 - _WIDENED[few][1], (SHARP_MIN * width) ** 2))
+def windows_at_pace(pace: Pace | None, lags: Floats, transitions: Floats) -> Floats:
+    """Return the lag quantiles (n, 3) of an object of some pace from those of one of usual pace.
+
+    lags (n, 3, seconds): 0.1, 0.5 and 0.9 quantiles.
+    transitions (n,): transitions that the quantiles rest on, which decide how much the hazards
+        were smoothed.
+    """
+    # Short lags do not scale with speed, nor do lags before the exit.
+    scales = lags[:, 1] > LAG_SECONDS_MIN
+    if pace is None or not scales.any():
+        return lags
+    q10, q50, q90 = lags[scales].T
+
+    # Widths to both sides of the median, without smoothing and with the uncertainty of the pace.
+    below = np.log(q50 / np.minimum(np.maximum(q10, LAG_SECONDS_MIN), q50))
+    below = np.hypot(_without_smoothing(below, transitions[scales]), pace.spread)
+    above = np.hypot(_without_smoothing(np.log(q90 / q50), transitions[scales]), pace.spread)
+
+    # The new quantiles.
+    low = np.where(q10 > 0, q50 * np.exp(-below), q10)
+    adjusted = lags.copy()
+    adjusted[scales] = np.stack((low, q50, q50 * np.exp(above)), axis=1) * pace.factor
+    return adjusted
+
+
+def _without_smoothing(width: Floats, transitions: Floats) -> Floats:
+    """Return the widths (n,) of windows (log scale) less what smoothing the hazards has added."""
+    smoothing = (transitions[:, None] < _SMOOTHING_TRANSITIONS).sum(axis=1)
+    added = _SMOOTHING_WIDTHS[smoothing]
+    return np.sqrt(np.maximum(width**2 - added**2, (SHARP_MIN * width) ** 2))

@@ -1,4 +1,4 @@
-"""Which zone of its camera an event belongs to."""
+"""Find the zone of its camera that an event belongs to."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 
 class _Shape(NamedTuple):
-    """A zone's weighted normal density (thesis 2.8), ready to be worked out at a point."""
+    """A zone's weighted normal density (thesis 2.8), ready to be evaluated at a point."""
 
     zone: int
     x: float
@@ -20,11 +20,11 @@ class _Shape(NamedTuple):
     yy: float
     det: float
     weight: float
-    """Log of the density in the middle, up to a constant."""
+    """Log of the density at the mean, up to a constant."""
 
 
-class Places:
-    """The zones of a topology by camera, as indices."""
+class ZoneLookup:
+    """The zones of a topology (indices) by camera."""
 
     def __init__(self, zones: list[Zone]) -> None:
         self.of_camera: dict[str, list[int]] = {}
@@ -40,14 +40,17 @@ class Places:
         }
 
     def zone_of(self, event: Event) -> int | None:
-        """The zone the event most likely belongs to; None for a camera without zones. One without a
-        shape is the last choice.
+        """Return the zone that an event most probably belongs to; None if its camera has none.
+
+        Without a position it is the camera's busiest zone. A zone without a shape is chosen only if
+        no zone of the camera has one.
         """
         own = self.of_camera.get(event.camera)
         if not own:
             return None
         if event.x is None or event.y is None:
             return self._busiest[event.camera]
+
         likeliest, most = own[0], -math.inf
         for zone, x, y, xx, two_xy, yy, det, weight in self._shapes[event.camera]:
             dx, dy = event.x - x, event.y - y
@@ -58,11 +61,11 @@ class Places:
 
 
 def _shape(k: int, zone: Zone) -> _Shape | None:
-    """A zone may be as narrow as a line, so the spread of a cell is added, as where zones are
-    learned.
-    """
+    """Return the density of a zone; None if its position is not known."""
     if zone.cov is None or zone.x is None or zone.y is None:
         return None
+
+    # A zone may be as narrow as a line: add the variance within a grid cell, as zone learning does.
     (xx, xy), (_, yy) = zone.cov
     xx, yy = xx + 1 / (12 * GRID_COLUMNS**2), yy + 1 / (12 * GRID_ROWS**2)
     det = xx * yy - xy * xy

@@ -1,6 +1,4 @@
-"""Long ways: looked for in the correlograms of cameras, learned around their lag, foretold and
-drawn there.
-"""
+"""Long paths: found in correlograms of cameras, learned around their lag, predicted and drawn."""
 
 from __future__ import annotations
 
@@ -30,8 +28,9 @@ STAY_SECONDS = 6.0
 def site(
     seed: int, lags: dict[tuple[str, str], tuple[float, float]], alone: str = "abc"
 ) -> list[Event]:
-    """Walks by the first camera of each pair and then the second, ``lags`` (mean, sd) seconds
-    after; as many again pass each of the cameras ``alone`` and no other.
+    """Return walks past the first camera of each pair, then the second, ``lags`` (mean, sd) later.
+
+    As many objects pass each of the cameras ``alone`` and no other.
     """
     chance, events, track = np.random.default_rng(seed), list[Event](), itertools.count()
 
@@ -63,7 +62,7 @@ def between(topology: Topology) -> dict[tuple[str, str], Link]:
 
 @pytest.fixture(scope="module")
 def far_and_near() -> Topology:
-    """From a to b in five minutes, from b to c in twenty seconds."""
+    """Return transitions from a to b in five minutes and from b to c in twenty seconds."""
     return learned_from(site(1, {("a", "b"): (300.0, 6.0), ("b", "c"): (20.0, 2.0)}, "abc"))
 
 
@@ -101,7 +100,7 @@ def test_who_arrives_in_time_is_probably_the_one_who_left(far_and_near: Topology
     predictor, exit_at = Predictor(far_and_near), T0 + SPAN_SECONDS + 1000.0
     predictor.observe(Event("a", "exit", exit_at))
     predictor.observe(Event("b", "entry", exit_at + 300.0, track="x"))
-    passage = predictor._under_way.get("b", "x")
+    passage = predictor._open_passages.get("b", "x")
     assert passage is not None
     assert passage.previous == "a"
     assert passage.sure > 0.3, "as many come from elsewhere"
@@ -139,7 +138,7 @@ def test_a_sharp_way_of_two_minutes_is_told_to_the_second() -> None:
 
 
 def ends(events: list[Event], cameras: str = "abc") -> tuple[Departures, Arrivals]:
-    """Departures and arrivals of events of cameras with a zone each."""
+    """Return departures and arrivals of cameras with a zone each."""
     sides = []
     for kind in ("exit", "entry"):
         some = [event for event in events if event.kind == kind]

@@ -1,6 +1,4 @@
-"""Asked again after the exit: what has not come by then shifts the odds to the rest, what has may
-have been it.
-"""
+"""Predictions asked for after the exit, when some entries have come and others have not."""
 
 from __future__ import annotations
 
@@ -27,7 +25,6 @@ from test_predictor import (
     sound,
 )
 
-from camtopod.predict import predictor as module
 from camtopod.predict import recent_events
 from camtopod.predict.predictor import Predictor
 from camtopod.records import (
@@ -41,7 +38,7 @@ from camtopod.records import (
     Topology,
     Way,
 )
-from camtopod.sim.score import PredictionScore, score_predictions
+from camtopod.sim.scoring import PredictionScore, score_predictions
 from camtopod.topology.lag_bins import LagBins
 from camtopod.topology.shared_constants import LEAVE_FLOOR
 
@@ -49,7 +46,7 @@ AT_B = Event("b", "entry", 1008.0, 0.5, 0.5)
 
 
 def later(seconds: float, events: list[Event], topology: Topology = THREE) -> Prediction:
-    """So long after the exit, all of these having been observed."""
+    """Predict so long after the exit, with all of these events observed."""
     predictor = Predictor(topology)
     for event in events:
         predictor.observe(event)
@@ -59,7 +56,7 @@ def later(seconds: float, events: list[Event], topology: Topology = THREE) -> Pr
 
 
 def test_who_has_not_come_is_elsewhere_or_gone() -> None:
-    """Of a/1: 0.5 to b in 8 s, 0.3 to c in 20 s, 0.1 to a/2 in 30 s, 0.1 leave."""
+    """From a/1: 0.5 to b in 8 s, 0.3 to c in 20 s, 0.1 to a/2 in 30 s, 0.1 leave the site."""
     none_at_b = later(14.0, [])
     assert chances(none_at_b).get("b/1", 0.0) < 0.01
     assert chances(none_at_b)["c/1"] == pytest.approx(0.6, abs=0.02)
@@ -117,7 +114,7 @@ def test_at_the_exit_the_answer_is_that_of_the_exit(topology: Topology) -> None:
 
 
 def test_an_exit_does_not_compete_with_itself() -> None:
-    """Where it has been observed and where it has not, before a newer version and after."""
+    """Whether it has been observed or not, before a newer version and after."""
     for events in ([AT_B], [ENTERED, THERE, AT_B], [ENTERED, replace(AT_B, camera="c")]):
         answers = [later(14.0, events, OVERLAP)]
         predictor = Predictor(OVERLAP)
@@ -134,9 +131,7 @@ def test_an_exit_does_not_compete_with_itself() -> None:
 
 
 def test_clocks_are_taken_as_they_are() -> None:
-    """That of b is 5 s ahead: who came there by right time after 8 s has not been heard of before
-    13 s.
-    """
+    """The clock of b is 5 s ahead: arrivals there after 8 s are not received before 13 s."""
     ahead = replace(
         THREE, cameras=[replace(c, clock_offset=5.0 * (c.id == "b")) for c in THREE.cameras]
     )
@@ -153,8 +148,8 @@ def test_clocks_are_taken_as_they_are() -> None:
 
 
 def test_who_was_slow_is_awaited_for_longer() -> None:
-    """Three times as long in this view as usual, and the next way takes as much longer: 8 s are 24
-    s.
+    """The dwell time is three times the usual one, and so is the transit time: 24 s
+    instead of 8 s.
     """
     pace = Pace(1.0, 1.0, 0.3, [Way("a/2", "a/1", 10.0)])
     walk = replace(
@@ -180,9 +175,7 @@ def an_onward(leave: float, doubt: float) -> Topology:
 
 
 def test_what_may_as_well_have_been_chance_is_gone_from_the_exit_on() -> None:
-    """Nine in ten never were on their way to b; when the tenth does not come either they are still
-    gone.
-    """
+    """Nine in ten transitions to b are spurious; these objects count as gone also later."""
     assert chances(later(0.0, [], an_onward(0.05, 0.9)))["b/1"] == pytest.approx(0.095, abs=0.001)
     halfway = later(8.0, [], an_onward(0.05, 0.9))
     assert 0.02 < chances(halfway)["b/1"] < 0.08
@@ -197,8 +190,7 @@ def test_who_can_only_come_and_does_not_is_gone() -> None:
 
 
 def test_arrivals_that_are_forgotten_may_have_been_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    for place in (module, recent_events):
-        monkeypatch.setattr(place, "RECENT_MAX", 5)
+    monkeypatch.setattr(recent_events, "RECENT_MAX", 5)
     alive = [Event(camera, "exit", 990.0) for camera in "abc"]
     crowd = [Event("d", "entry", 1000.0 + k, 0.5, 0.5) for k in range(40)]
     late = later(40.0, [*crowd, *alive])
@@ -225,7 +217,7 @@ def test_nobody_is_asked_about_before_leaving(now: float) -> None:
 def test_every_later_prediction_is_sound(
     links: list[Link], stay: list[float], events: list[Event], seconds: float
 ) -> None:
-    """Asked at any time about any exit so far, of events that come as they like."""
+    """Asked at any time about any exit so far, for arbitrary events."""
     predictor = Predictor(a_topology(links, stay=stay))
     for event in events:
         sound(predictor.predict(event, event.t + seconds))

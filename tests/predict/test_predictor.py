@@ -1,4 +1,4 @@
-"""Prediction: competing outcomes that sum to 1, and what is known at the moment of the exit."""
+"""Predictions: competing outcomes that sum to 1, from what is known at the exit."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.predict import open_passages, recent_events
 from camtopod.predict import predictor as module
+from camtopod.predict.odds import RATE_MIN
 from camtopod.predict.predictor import NEXT_PROBABILITY_MIN, Predictor
-from camtopod.predict.recent_events import take_over_arrivals, take_over_exits
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
@@ -39,7 +39,7 @@ from camtopod.records import (
     Zone,
     ZoneModel,
 )
-from camtopod.sim.score import score_predictions
+from camtopod.sim.scoring import score_predictions
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth
 from camtopod.topology.lag_bins import LagBins
@@ -48,7 +48,7 @@ from camtopod.topology.shared_constants import (
     LEAVE_FLOOR,
     MULTIPLIER_MAX,
     SLOWNESS_MAX,
-    STAY_SECONDS_MIN,
+    DWELL_SECONDS_MIN,
 )
 
 COV = [[0.001, 0.0], [0.0, 0.001]]
@@ -67,7 +67,7 @@ def link(
 def a_topology(
     links: list[Link], weak: list[Link] | None = None, stay: list[float] | None = None
 ) -> Topology:
-    """Cameras a (two zones), b, c, d, each with a quarter of the events."""
+    """Return cameras a (two zones), b, c, d, each with a quarter of the events."""
     zones = [
         Zone("a/1", "a", 100, 100, 0.1, 0.5, COV),
         Zone("a/2", "a", 100, 100, 0.9, 0.5, COV),
@@ -111,7 +111,7 @@ def chances(prediction: Prediction) -> dict[str, float]:
 
 
 def sound(prediction: Prediction) -> None:
-    """What holds of every prediction."""
+    """Check the invariants of every prediction."""
     probabilities = [found.probability for found in prediction.next_]
     assert prediction.leave + sum(probabilities) == pytest.approx(1.0)
     assert 0 < prediction.leave <= 1
@@ -148,7 +148,7 @@ def test_without_further_knowledge_the_learned_shares() -> None:
 
 
 def test_a_histogram_says_more_than_quantiles() -> None:
-    """Two humps, 8 s and 40 s, which the median of 20 s knows nothing of."""
+    """It has two humps, at 8 s and 40 s, which the median of 20 s does not show."""
     bins = LagBins(-20.0, 120.0)
     mass = np.zeros(bins.size)
     mass[bins.index(np.array([8.0, 40.0]))] = 0.45, 0.55
@@ -189,8 +189,8 @@ def test_a_zone_without_shape_is_the_last_choice() -> None:
 
 
 def test_zones_as_narrow_as_a_line() -> None:
-    """Foot points on the lower edge of the image have no spread in y; x still tells the zones
-    apart.
+    """Positions on the lower edge of the image have no spread in y; x still tells the
+    zones apart.
     """
     line = [[0.0004, 0.0], [0.0, 0.0]]
     zones = [
@@ -256,9 +256,7 @@ def test_who_has_been_seen_in_the_overlapping_view_is_there() -> None:
 
 
 def test_who_has_not_been_seen_there_is_not() -> None:
-    """The share of the overlapped view, 0.4, is gone; the others are as likely beside each other as
-    before.
-    """
+    """The share of the overlapped view, 0.4, is gone; the ratios of the others stay."""
     prediction = after([ENTERED])
     assert chances(prediction).get("d/1", 0.0) < 0.01
     assert chances(prediction)["b/1"] == pytest.approx(0.3 / 0.6, abs=0.01)
@@ -273,7 +271,7 @@ def test_who_has_not_been_seen_there_is_not() -> None:
 
 
 def test_nobody_is_seen_there_before_coming() -> None:
-    """A passage of 1 s cannot have been seen elsewhere 3 s ago."""
+    """An object whose passage took 1 s cannot have been seen elsewhere 3 s ago."""
     short = after([THERE, replace(ENTERED, t=999.0)])
     assert chances(short).get("d/1", 0.0) < 0.01
     assert chances(short)["b/1"] == pytest.approx(0.3 / 0.6, abs=0.01)
@@ -287,7 +285,7 @@ def test_without_a_track_the_usual_stays_count() -> None:
 
 
 def test_others_who_may_be_the_one_seen_lower_the_chance() -> None:
-    """Another object leaving at the same time, or still in the view, may be the one seen at d."""
+    """Another object that leaves at the same time, or is in the view, may be the one seen at d."""
     alone = chances(after([ENTERED, THERE]))["d/1"]
     two = chances(
         after([ENTERED, replace(ENTERED, track="18"), THERE, replace(EXIT, t=999.9, track="18")])
@@ -323,17 +321,17 @@ def test_a_silent_camera_is_not_where_they_appear() -> None:
 
 
 def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Passages that never end among them."""
+    """Also with passages that never end."""
     monkeypatch.setattr(recent_events, "RECENT_MAX", 7)
-    monkeypatch.setattr(open_passages, "UNDER_WAY_MAX", 7)
+    monkeypatch.setattr(open_passages, "OPEN_MAX", 7)
     predictor = Predictor(THREE)
     for k in range(50):
         predictor.observe(replace(ENTERED, t=float(k), track=str(k)))
         predictor.observe(replace(EXIT, t=float(k), track=None))
         predictor.observe(replace(EXIT, t=float(k), track=f"only {k}"))
-    held = [*vars(predictor).items(), *vars(predictor._under_way).items()]
+    held = [*vars(predictor).items(), *vars(predictor._open_passages).items()]
     sizes = {name: len(value) for name, value in held if isinstance(value, dict | list)}
-    sizes["in view"] = sum(map(len, predictor._under_way._in_view.values()))
+    sizes["in view"] = sum(map(len, predictor._open_passages._in_view.values()))
     state = predictor.save()
     assert (
         max(sizes.values())
@@ -344,7 +342,7 @@ def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         == 7
     )
     assert len(predictor._exits.after(-math.inf)[0]) == 7
-    assert len(predictor._arrivals.t) == len(predictor._exits.t) == 14
+    assert len(predictor._arrivals._t) == len(predictor._exits._t) == 14
 
 
 def test_a_newer_version_remembers_what_has_been_seen() -> None:
@@ -373,34 +371,17 @@ def test_a_newer_version_remembers_what_has_been_seen() -> None:
 @pytest.mark.parametrize("count", [0, 1, 30, 2000, 4001])
 def test_what_a_newer_version_remembers_is_as_if_it_had_come_again(left: int, count: int) -> None:
     rng = np.random.default_rng(count)
-    before, expected = recent_events.RecentArrivals(), recent_events.RecentArrivals()
-    exits, exits_expected = recent_events.Recent(), recent_events.Recent()
+    before, expected, taken = (recent_events.RecentEvents() for _ in range(3))
     for t in np.round(
         np.arange(count) / 10 + rng.normal(size=count), 1
     ).tolist():  # not quite by time, some at once
         before.append(t, int(rng.integers(5)), float(rng.random()))
-        exits.append(t, int(rng.integers(5)))
     moved = dict(zip(range(5 - left, 5), rng.permutation(7).tolist(), strict=False))
     for arrival in before.arrivals():
         if arrival.zone in moved:
             expected.append(arrival.t, moved[arrival.zone], arrival.rate)
-    for t, zone in zip(*(column.tolist() for column in exits.after(-math.inf)), strict=True):
-        if zone in moved:
-            exits_expected.append(t, moved[zone])
-    arrivals, exits_now = recent_events.RecentArrivals(), recent_events.Recent()
-    take_over_arrivals(arrivals, before, moved)
-    take_over_exits(exits_now, exits, moved)
-    for one, wanted in ((arrivals, expected), (exits_now, exits_expected)):
-        assert {
-            name: np.asarray(value).tolist()
-            for name, value in vars(one).items()
-            if name != "of_zone"
-        } == {
-            name: np.asarray(value).tolist()
-            for name, value in vars(wanted).items()
-            if name != "of_zone"
-        }
-    assert arrivals.of_zone == expected.of_zone
+    taken.take_over(before, moved)
+    assert taken.arrivals() == expected.arrivals()
 
 
 def test_an_old_version_is_gone_without_a_collector() -> None:
@@ -476,15 +457,15 @@ CONSTANTS = (
     LEAVE_FLOOR,
     module.DEAD_PRIOR,
     NEXT_PROBABILITY_MIN,
-    module.RATE_MIN,
-    STAY_SECONDS_MIN,
+    RATE_MIN,
+    DWELL_SECONDS_MIN,
     SLOWNESS_MAX,
 )
 SMALL = LagBins(-20.0, 60.0)
 
 
 def any_pace(rng: np.random.Generator, names: list[str]) -> Pace | None:
-    """How slow somebody is persists, as far as ways through a view are known."""
+    """Draw a speed model: persistence, and usual dwell times of some zones."""
     ways = [
         Way(a, b, float(rng.uniform(1, 30)))
         for a in names
@@ -495,7 +476,7 @@ def any_pace(rng: np.random.Generator, names: list[str]) -> Pace | None:
 
 
 def any_topology(rng: np.random.Generator) -> Topology:
-    """Four zones that lead anywhere, with entry kernels, stays and contexts."""
+    """Draw four zones with any links, entry kernels, dwell times and contexts."""
 
     def histogram(low: int, high: int, mass: float) -> Histogram:
         first = int(rng.integers(low, high - 3))
@@ -590,7 +571,7 @@ def test_odds_equal_their_slow_twin(seed: int) -> None:
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 10**6))
 def test_odds_asked_for_later_equal_their_slow_twin(seed: int) -> None:
-    """Whether the exit has been observed or not, and whatever has been since."""
+    """Whether the exit has been observed or not, and for any later events."""
     rng = np.random.default_rng(seed)
     topology = any_topology(rng)
     exit_ = Event(
@@ -632,9 +613,7 @@ def test_odds_asked_for_later_equal_their_slow_twin(seed: int) -> None:
 
 
 def a_made_up_network() -> tuple[list[Event], Truth, int, Learner]:
-    """Events, truth, the number of the events that are learned from, and who has learned from them
-    in one fit.
-    """
+    """Return events, truth, the number of events learned, and the learner after one fit."""
     events, truth = simulate(SimSettings(cameras=6, hours=1.2, seed=2))
     cut = 3 * len(events) // 4
     learner = Learner(Settings(version_seconds=1e6))
@@ -645,9 +624,7 @@ def a_made_up_network() -> tuple[list[Event], Truth, int, Learner]:
 
 
 def test_predictions_on_a_made_up_network() -> None:
-    """Learned from the first three quarters, asked about the rest; chance would be right for one
-    camera in six.
-    """
+    """Learned from the first three quarters; a random guess is right for one camera in six."""
     events, truth, cut, learner = a_made_up_network()
     predictor, predictions = learner.predictor(), []
     for k, event in enumerate(events):

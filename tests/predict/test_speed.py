@@ -1,4 +1,4 @@
-"""Time windows for objects of known and unknown pace."""
+"""Time windows for objects of known and unknown speed."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic.speed import usual_stays
 from camtopod.predict.predictor import Predictor
-from camtopod.predict.speed import Paces
+from camtopod.predict.speed import Paces, windows_at_pace
 from camtopod.records import Camera, Model, Pace, Topology, Way, Zone
-from camtopod.sim.score import next_entries
+from camtopod.sim.scoring import next_entries
 from camtopod.sim.simulation import SimSettings, simulate
 
 ZONES = [Zone("a/1", "a", 9, 9), Zone("a/2", "a", 9, 9)]
@@ -30,17 +30,29 @@ def paces(pace: Pace | None) -> Paces:
     )
 
 
+def window(
+    site: Paces,
+    entry: int | None,
+    exit_: int,
+    dwell: float | None,
+    transitions: float,
+    *lags: float,
+) -> list[float]:
+    """The window after one passage."""
+    pace = site.of_passage(entry, exit_, dwell)
+    return windows_at_pace(pace, np.array([lags]), np.array([transitions]))[0].tolist()
+
+
 def test_without_a_pace_windows_stay() -> None:
-    assert paces(None).window(0, 1, 5.0, 100.0, 8.0, 10.0, 12.0) == (8.0, 10.0, 12.0)
+    assert window(paces(None), 0, 1, 5.0, 100.0, 8.0, 10.0, 12.0) == [8.0, 10.0, 12.0]
 
 
 def test_who_took_twice_as_long_is_expected_later() -> None:
     site = paces(Pace(1.0, 0.6, 0.3, [Way("a/1", "a/2", 5.0)]))
-    usual, slow = (site.window(0, 1, stay, 100.0, 8.0, 10.0, 12.0) for stay in (5.0, 10.0))
+    usual, slow = (window(site, 0, 1, stay, 100.0, 8.0, 10.0, 12.0) for stay in (5.0, 10.0))
     assert usual[1] == pytest.approx(10.0)
-    assert slow[1] == pytest.approx(
-        10.0 * 2**0.8
-    )  # the next view's slowness is expected to be 0.6 of this one's
+    # The next view's slowness is expected to be 0.6 of this one's.
+    assert slow[1] == pytest.approx(10.0 * 2**0.8)
     assert [late / early for late, early in zip(slow, usual, strict=True)] == pytest.approx(
         [2**0.8] * 3
     )
@@ -48,22 +60,22 @@ def test_who_took_twice_as_long_is_expected_later() -> None:
 
 def test_an_unknown_pace_widens_the_window() -> None:
     site = paces(Pace(1.0, 0.6, 0.3, [Way("a/1", "a/2", 5.0)]))
-    known = site.window(0, 1, 5.0, 100.0, 8.0, 10.0, 12.0)
+    known = window(site, 0, 1, 5.0, 100.0, 8.0, 10.0, 12.0)
     for entry, stay in ((None, None), (1, 5.0), (0, None)):
-        unknown = site.window(entry, 1, stay, 100.0, 8.0, 10.0, 12.0)
+        unknown = window(site, entry, 1, stay, 100.0, 8.0, 10.0, 12.0)
         assert unknown[0] < known[0] < unknown[1] < known[2] < unknown[2]
 
 
 def test_short_and_negative_lags_do_not_scale() -> None:
     site = paces(Pace(1.0, 0.6, 0.3, [Way("a/1", "a/2", 5.0)]))
-    assert site.window(0, 1, 10.0, 100.0, -3.0, -2.0, -1.0) == (-3.0, -2.0, -1.0)
-    low, middle, high = site.window(0, 1, 5.0, 100.0, -1.0, 3.0, 4.0)
+    assert window(site, 0, 1, 10.0, 100.0, -3.0, -2.0, -1.0) == [-3.0, -2.0, -1.0]
+    low, middle, high = window(site, 0, 1, 5.0, 100.0, -1.0, 3.0, 4.0)
     assert low == -1.0 < middle < high
 
 
 def test_few_transitions_were_smoothed_more() -> None:
     site = paces(Pace(1.0, 0.9, 0.01, [Way("a/1", "a/2", 5.0)]))
-    few, many = (site.window(0, 1, 5.0, n, 5.0, 10.0, 20.0) for n in (5.0, 100.0))
+    few, many = (window(site, 0, 1, 5.0, n, 5.0, 10.0, 20.0) for n in (5.0, 100.0))
     assert many[0] < few[0] < few[2] < many[2]
 
 
@@ -78,7 +90,7 @@ def test_usual_stays_are_medians_of_ways_often_taken() -> None:
 
 
 def test_windows_hold_what_they_say() -> None:
-    """Of the true next entries in view of the named zone, 80 % should come between q10 and q90."""
+    """Of the true next entries in view of the named zone, 80 % should lie between q10 and q90."""
     events, truth = simulate(SimSettings(cameras=6, hours=1.5, seed=3, missed=0.05, clutter=0.05))
     cut, following = int(0.7 * len(events)), next_entries(events, truth)
     learner = Learner(Settings(refit_share=1e9, refit_hours=1e9))

@@ -1,0 +1,238 @@
+"""Odds of where and when the object of an exit appears, by what has been seen when this is asked.
+
+Odds are masses over targets and lag bins, relative to the probability of not being seen again. Each
+is the sum of two parts:
+
+* arrivals that would not be known yet: their hazards, in lag bins that are still to come;
+* arrivals that are known: for each, the hazard of the object over the rate of all other causes.
+
+A target's odds are reduced if its camera may have stopped reporting.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from camtopod.arrays import Bools, Floats, Ints, Rows
+from camtopod.predict.hazards import Hazards, Outcomes
+from camtopod.predict.open_passages import Passage
+from camtopod.predict.time_windows import scale_lags, unknown_share
+from camtopod.records import Topology, Zone
+
+RATE_MIN = 1e-6
+"""Least rate (1/s) of other causes of an arrival."""
+
+
+class Query(NamedTuple):
+    """An exit, and the moment at which its object's next appearance is asked for."""
+
+    zone: int
+    """Zone of the exit."""
+    t: float
+    """Corrected time of the exit, seconds."""
+    passage: Passage | None
+    """The passage that ended; None if it is not known."""
+    is_observed: bool
+    """True if the exit has been observed, so that it is among the causes of arrivals."""
+    elapsed: float = 0.0
+    """Seconds from the exit to the moment of the question; 0 means just before the exit."""
+    slowness: float = 1.0
+    """Expected transit times of the object over the usual ones; counts only after the exit."""
+
+    @property
+    def began(self) -> float:
+        """Corrected time at which the passage began, seconds; minus infinity if unknown."""
+        return -math.inf if self.passage is None else self.passage.t
+
+    @property
+    def dwell(self) -> float | None:
+        """Duration of the passage, seconds; None if unknown."""
+        return None if self.passage is None else self.t - self.passage.t
+
+
+class SeenArrivals(NamedTuple):
+    """Observed arrivals that may be of the object of a query."""
+
+    zone: Ints
+    """(n,) zone."""
+    t: Floats
+    """(n,) corrected time, seconds."""
+    rate: Floats
+    """(n,) rate (1/s) of all their causes."""
+    before: Bools
+    """(n,) True if before the exit."""
+    remembered: float = -math.inf
+    """Seconds after the exit from which on all arrivals are remembered."""
+
+    def take(self, rows: Rows) -> SeenArrivals:
+        """Return some of the arrivals."""
+        columns = (column[rows] for column in (self.zone, self.t, self.rate, self.before))
+        return SeenArrivals(*columns, self.remembered)
+
+
+class Odds(NamedTuple):
+    """Odds of the targets of one zone."""
+
+    mass: Floats
+    """(targets, bins) relative to the probability of not being seen again."""
+    edges: Floats
+    """(bins + 1,) edges of the lag bins in seconds, for an object of this pace."""
+
+    def by_target(self) -> Floats:
+        """Return the odds (targets,) of each target."""
+        total: Floats = self.mass.sum(axis=1)
+        return total
+
+
+class ExitTable:
+    """What a topology version knows of the objects that leave at one zone."""
+
+    def __init__(self, site: Site, zone: int) -> None:
+        outcomes = site.hazards.outcomes[zone]
+        self.outcomes: Outcomes = outcomes
+        self.camera = site.zones[zone].camera
+        self.targets = [site.zones[target] for target in outcomes.targets]
+        self.target_cameras = site.camera_of[outcomes.targets]
+        """(targets,) number of each target's camera."""
+        self.transitions = outcomes.share * site.hazards.departures[zone]
+        """(targets,) transitions that the hazards were learned from."""
+        self.row_of = np.full(len(site.zones), -1, np.int32)
+        """(zones,) each zone's row among the targets; -1 if it is none."""
+        self.row_of[outcomes.targets] = np.arange(len(outcomes.targets))
+
+        # Clocks of the targets relative to that of this camera.
+        offsets = site.offset_of[outcomes.targets] - site.offset_of[zone]
+        self.report_shift = offsets + outcomes.delay
+        """(targets, seconds) added to the lags of the bins to get when an arrival is reported."""
+        self.window_shift = np.where(site.is_corrected, 0.0, offsets) + outcomes.delay
+        """(targets, seconds) added to the lags of the bins to get the lags that are published."""
+
+
+class Site:
+    """The zones of a topology version, with their cameras, clocks and hazards.
+
+    The table of a zone is made at its first exit. It does not refer to the site: without reference
+    cycles the memory of a version is free as soon as it is no longer used.
+    """
+
+    def __init__(self, topology: Topology, hazards: Hazards) -> None:
+        model = topology.model
+        self.zones: list[Zone] = topology.zones
+        self.hazards = hazards
+        self._tables: dict[int, ExitTable] = {}
+
+        # Clocks.
+        self.is_corrected = model is not None and model.clocks_corrected
+        """True if published lags are between corrected times."""
+        self.clock_offset = {camera.id: camera.clock_offset for camera in topology.cameras}
+        """Clock offset of each camera, seconds."""
+        offsets = self.clock_offset.values()
+        self.offset_range = max(offsets, default=0.0) - min(offsets, default=0.0)
+        """Largest difference between two clocks, seconds."""
+        self.offset_of = np.array([self.clock_offset.get(zone.camera, 0.0) for zone in self.zones])
+        """(zones, seconds) clock offset of each zone's camera."""
+
+        # Cameras that have zones.
+        self.cameras = list(dict.fromkeys(zone.camera for zone in self.zones))
+        number = {camera: k for k, camera in enumerate(self.cameras)}
+        self.camera_of = np.array([number[zone.camera] for zone in self.zones], np.intp)
+        """(zones,) number of each zone's camera."""
+        share = {row.camera: row.share for row in (model.cameras if model else [])}
+        self.event_share = np.array([share.get(camera, 0.0) for camera in self.cameras])
+        """(cameras,) share of all events that come from each camera."""
+
+    def table(self, zone: int) -> ExitTable | None:
+        """Return the table of a zone; None if no object is known to go anywhere from there."""
+        if zone not in self._tables and zone in self.hazards.outcomes:
+            self._tables[zone] = ExitTable(self, zone)
+        return self._tables.get(zone)
+
+
+def find_odds(
+    query: Query, site: Site, table: ExitTable, is_alive: Floats, seen: SeenArrivals
+) -> Odds:
+    """Return the odds of where and when the object of a query appears next.
+
+    is_alive (targets,): probability that each target's camera still reports.
+    seen: observed arrivals that may be of the object.
+    """
+    hazards, outcomes = site.hazards, table.outcomes
+
+    # Exposure, and the lag bins of an object of this pace.
+    exposure = outcomes.exposure if query.dwell is None else hazards.exposed(query.dwell)
+    exposure = outcomes.exposed(exposure)
+    edges = scale_lags(hazards.bins.edges, query.slowness)
+
+    # Mass of arrivals that would not be known yet.
+    mass = prior_mass(query, hazards, table, exposure, edges, seen.remembered)
+    mass *= is_alive[:, None]
+
+    # Known arrivals at targets, at lags that have a bin.
+    row = table.row_of[seen.zone]
+    lag = seen.t - query.t - np.where(row >= 0, outcomes.delay[row], 0.0)
+    at = hazards.bins.index(scale_lags(lag, 1.0 / query.slowness))
+    fits = np.flatnonzero((row >= 0) & (at >= 0))
+    if not len(fits):
+        return Odds(mass, edges)
+    seen, row, at = seen.take(fits), row[fits], at[fits]
+
+    # Each has the object's hazard over the rate of all other causes.
+    hazard = outcomes.hazard[row, at] * exposure[row, at]
+    hazard *= hazards.bins.widths[at] / (edges[at + 1] - edges[at])
+    entered = rate_entered(query, hazards, seen)
+    others = seen.rate - own_rate(query, site, seen, entered)
+    np.add.at(mass, (row, at), (hazard + entered * seen.before) / np.maximum(others, RATE_MIN))
+    return Odds(mass, edges)
+
+
+def prior_mass(
+    query: Query,
+    hazards: Hazards,
+    table: ExitTable,
+    exposure: Floats,
+    edges: Floats,
+    remembered: float,
+) -> Floats:
+    """Return the mass (targets, bins) of arrivals that would not be known yet.
+
+    exposure (targets, bins): share of departures exposed to each lag.
+    edges (bins + 1, seconds): edges of the lag bins at the object's pace.
+    remembered: see `SeenArrivals`.
+    """
+    mass: Floats = table.outcomes.hazard * hazards.bins.widths * exposure
+    if query.elapsed:
+        return mass * unknown_share(edges, query.elapsed, remembered, table.report_shift)
+    # At the exit, bins count whole if any arrival in them would be reported later.
+    return np.where(edges[1:] > -table.report_shift[:, None], mass, 0.0)
+
+
+def rate_entered(query: Query, hazards: Hazards, seen: SeenArrivals) -> Floats:
+    """Return the rates (n,) in 1/s of arrivals that follow from the object's zone of entry."""
+    if query.passage is None:
+        return np.zeros(len(seen.t))
+    return hazards.rates_entered(query.passage.entry, seen.zone, seen.t - query.passage.t)
+
+
+def own_rate(query: Query, site: Site, seen: SeenArrivals, entered: Floats) -> Floats:
+    """Return the object's own part (n,) of the rates of arrivals, in 1/s.
+
+    While a passage is open, arrivals count it as a cause by its zone of entry and as an object in
+    view. When its exit is observed, the hazard of the exit takes the place of the latter.
+
+    entered (n, 1/s): see `rate_entered`.
+    """
+    own = np.zeros(len(seen.t))
+    camera = site.zones[query.zone].camera
+    if query.is_observed:
+        own += site.hazards.rates_from(query.zone, seen.zone, seen.t - query.t)
+    if query.passage is not None:
+        if query.is_observed:
+            own += entered * seen.before
+        else:
+            # The passage is still open, also for arrivals after the exit, but in other views only.
+            in_other_views = site.camera_of[seen.zone] != site.camera_of[query.zone]
+            own += (entered + site.hazards.rates_before_exit(camera, seen.zone)) * in_other_views
+    return own
