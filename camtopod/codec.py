@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
-import types
-import typing
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
 import msgspec
@@ -30,15 +28,11 @@ its clock may be slow.
 """
 TRACK_CHARACTERS_MAX = 128
 """Longest track, in characters or digits."""
-PART_BYTES = 1 << 16
-"""Largest part that `read_in_parts` decodes at once, in bytes; it takes less than a millisecond."""
 _JSON_STARTS = b"{ \t\r\n"
 """First bytes of an event in JSON; a MessagePack map begins above 0x7f."""
 
 _json_event = msgspec.json.Decoder(Event)
 _pack_event = msgspec.msgpack.Decoder(Event)
-_raw_list = msgspec.msgpack.Decoder(list[msgspec.Raw])
-_raw_map = msgspec.msgpack.Decoder(dict[str, msgspec.Raw])
 _to_json = msgspec.json.Encoder()
 _to_pack = msgspec.msgpack.Encoder()
 _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
@@ -214,67 +208,6 @@ def _zones_of(model: Model) -> Iterator[tuple[str, str]]:
     for k, way in enumerate(model.pace.ways if model.pace is not None else []):
         yield f"model.pace.ways[{k}].entry", way.entry
         yield f"model.pace.ways[{k}].exit", way.exit
-
-
-def _no_pause() -> None:
-    """Do not pause."""
-
-
-def read_in_parts(
-    kind: Any,
-    raw: bytes | msgspec.Raw,
-    pause: Callable[[], None] = _no_pause,
-    left_out: Collection[str] = (),
-) -> Any:
-    """Return a ``kind`` from MessagePack, decoded in parts so that other threads can run in
-    between.
-
-    pause: called before each part.
-    left_out: list fields that are not read, and come out empty, if the struct is larger than
-        `PART_BYTES`.
-    """
-    pause()
-    if len(raw) <= PART_BYTES:
-        return _decode(msgspec.msgpack.Decoder(kind), raw)
-
-    # Of an optional type, the bytes are of the other alternative: None is never this large.
-    if isinstance(kind, types.UnionType):
-        large = [one for one in typing.get_args(kind) if one is not types.NoneType]
-        kind = large[0] if len(large) == 1 else kind
-
-    # A list: decode each item by itself.
-    if typing.get_origin(kind) is list:
-        (item,) = typing.get_args(kind)
-        decoder, items = msgspec.msgpack.Decoder(item), []
-        for part in _decode(_raw_list, raw):
-            pause()
-            items.append(
-                _decode(decoder, part)
-                if len(part) <= PART_BYTES
-                else read_in_parts(item, part, pause)
-            )
-        return items
-
-    # A struct: decode each field by itself.
-    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        parts = _decode(_raw_map, raw)
-        fields = msgspec.structs.fields(kind)
-        if missing := [
-            field.encode_name
-            for field in fields
-            if field.required and field.encode_name not in parts
-        ]:
-            raise Rejected("bad-value", f"{kind.__name__} without {missing[0]}")
-        known = [
-            field for field in fields if field.encode_name in parts and field.name not in left_out
-        ]
-        empty: dict[str, Any] = {name: [] for name in left_out}
-        read = {
-            field.name: read_in_parts(field.type, parts[field.encode_name], pause)
-            for field in known
-        }
-        return kind(**read, **empty)
-    return _decode(msgspec.msgpack.Decoder(kind), raw)
 
 
 def to_json(noun: Event | Topology | Delta | Prediction | Any) -> bytes:

@@ -1,5 +1,6 @@
-"""Predictions as objects leave, before their events are stored: no fit and no disk holds them
-up.
+"""Predict where objects appear next, as they leave and before their events are stored.
+
+Neither a fit nor a slow disk delays a prediction.
 """
 
 from __future__ import annotations
@@ -14,12 +15,15 @@ from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.ingest import Received
 from camtopod.serve.runtime import everything
-from camtopod.serve.storage import for_prediction
 
 
 class Live:
-    """Show it events in the order they are stored. Asked from any thread. ``owns``: the cameras
-    whose exits it is for this daemon to answer.
+    """Publishes a prediction for each exit, and answers queries for predictions (any thread).
+
+    Events have to be passed in the order in which they are stored.
+
+    publish: called with each prediction.
+    owns: returns True for the cameras whose exits this daemon predicts.
     """
 
     def __init__(
@@ -34,60 +38,63 @@ class Live:
         self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
 
     def see(self, batch: Sequence[Received], seconds_max: float) -> None:
-        """Events about to be stored. Those for which there is no time any more are skipped, exits
-        counted.
+        """Predict the exits of a batch that is about to be stored, and observe its events.
+
+        After ``seconds_max`` the rest of the batch is skipped, and its exits are counted.
         """
         if self._predictor is None:
             return
-        until, events = (
-            time.monotonic() + seconds_max,
-            [one.event for one in batch if one.event is not None],
-        )
+        until = time.monotonic() + seconds_max
+        events = [one.event for one in batch if one.event is not None]
         for number, event in enumerate(events):
             if time.monotonic() >= until:
-                skipped = [
-                    late
-                    for late in events[number:]
-                    if late.kind == "exit" and self._owns(late.camera)
-                ]
-                self.counts["predictions_skipped"] += len(skipped)
+                self.counts["predictions_skipped"] += sum(
+                    late.kind == "exit" and self._owns(late.camera) for late in events[number:]
+                )
                 return
             self._step(event)
 
     def remember(self, events: Sequence[Event]) -> None:
-        """Events of before the start, so that the first predictions know what was going on."""
+        """Observe events from before the start, so that the first predictions consider them."""
         if self._predictor is not None:
             for event in events:
                 self._predictor.observe(event)
 
     def forget(self) -> None:
-        """Event time has gone back, and what was observed with it."""
+        """Forget all observed events, as event time has been set back."""
         with self._mutex:
             if self._predictor is not None:
                 self._predictor.forget()
 
     def prepare(self, version: Topology | bytes) -> None:
-        """Build the predictor of a version, given as such or as MessagePack, that will be used.
+        """Build the predictor of a version that will be used next; only one thread may call this.
 
-        Predictions by the version before go on meanwhile. To be called from one thread.
+        Other threads predict with the version in use meanwhile. For 100 cameras with 1,600 links
+        it takes 0.15 to 0.3 s of processor time.
+
+        version: a `Topology`, or one as MessagePack.
         """
-        topology = for_prediction(version) if isinstance(version, bytes) else version
-        self._prepared = version, Predictor(topology)
+        self._prepared = version, _predictor_of(version)
 
     def use(self, version: Topology | bytes) -> None:
-        """Predict with a version from now on; what was observed is kept."""
-        if self._prepared is None or self._prepared[0] is not version:
-            self.prepare(version)
-        assert self._prepared is not None
-        (_, newer), self._prepared = self._prepared, None
+        """Predict with a version from now on; the observed events are kept."""
+        # Another thread may prepare the version after this one at any moment.
+        prepared, newer = self._prepared or (None, None)
+        if newer is None or prepared is not version:
+            newer = _predictor_of(version)
+        else:
+            self._prepared = None
+
         with self._mutex:
             if self._predictor is not None:
                 newer.take_over(self._predictor)
             self._predictor = newer
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction | None:
-        """To ``predict/{camera}``: for an exit at x, y at t, or from a zone, by what is known then
-        or at ``now``; None is no answer, as it is for another to give. Raises `QueryError`.
+        """Answer a query on ``predict/{camera}``: for an exit at x, y at t, or from a zone.
+
+        It uses what was observed up to that time, or up to ``now`` if given. Returns None if
+        another daemon has to answer; raises `QueryError`.
         """
         if not self._owns(key.removeprefix("predict/")):
             return None
@@ -116,7 +123,7 @@ class Live:
                 raise QueryError(str(error)) from None
 
     def _step(self, event: Event) -> None:
-        """The prediction leaves before its exit is taken note of."""
+        """Publish the prediction of an exit, then observe the event."""
         if event.kind == "exit" and self._owns(event.camera):
             with self._mutex:
                 prediction = None if self._predictor is None else self._predictor.predict(event)
@@ -128,9 +135,16 @@ class Live:
                 self._predictor.observe(event)
 
 
+def _predictor_of(version: Topology | bytes) -> Predictor:
+    return Predictor(
+        codec.read(Topology, version, pack=True) if isinstance(version, bytes) else version
+    )
+
+
 def asked_exit(camera: str, parameters: dict[str, str], as_of: float) -> tuple[Event, float | None]:
-    """The exit a question is about, at ``as_of`` if it does not say when, and the time it is asked
-    for, None for that of the exit. Raises `QueryError`.
+    """Return the exit that a query is about, and its ``now``; raise `QueryError`.
+
+    as_of: time of the exit if the query does not give one.
     """
     asked: dict[str, object] = {"camera": camera, "kind": "exit", "t": as_of}
     try:

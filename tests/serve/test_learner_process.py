@@ -25,7 +25,7 @@ from camtopod import codec
 from camtopod.codec import to_pack
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
-from camtopod.serve.learner_process import feeder, messages, recovery, start
+from camtopod.serve.learner_process import feeder, messages, recovery
 from camtopod.serve.learner_process.messages import (
     Answer,
     Begin,
@@ -139,7 +139,10 @@ def test_what_a_snapshot_took_is_given_back(monkeypatch: pytest.MonkeyPatch) -> 
     asked: queue.SimpleQueue[Question] = queue.SimpleQueue()
     for question in (Begin(SETTINGS, "s", "E", {}, False), Save(), NewEpoch("F")):
         asked.put(question)
-    with contextlib.closing(Board()) as board, pytest.raises(ValueError, match="without a version mismatch"):
+    with (
+        contextlib.closing(Board()) as board,
+        pytest.raises(ValueError, match="without a version mismatch"),
+    ):
         Pupil(asked, -1, board, Learner).work()
     assert done == ["Taught", "Saved", "given back"]
 
@@ -192,25 +195,6 @@ def test_of_what_was_stored_before_a_shard_tells_the_newest_alone() -> None:
     told, newest = (codec.read(Told, packed, pack=True) for packed in (again[0].told, shown.told))
     assert told.parts == newest.parts
     assert len(told.parts) == 2
-
-
-@pytest.mark.parametrize("spared", [True, False], ids=["spared", "the canary"])
-def test_what_nobody_asks_for_is_not_loaded(spared: bool) -> None:
-    program = f"""
-import sys
-from camtopod.serve import learner_start
-{"learner_start.spare()" if spared else ""}
-import camtopod.serve.learner_process.worker
-print(*(part for part in learner_start.SPARED if "numpy." + part in sys.modules))
-import numpy.f2py, numpy.testing
-numpy.testing.assert_array_equal(numpy.zeros(2), [0.0, 0.0])
-numpy.f2py.get_include()
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.split() == ([] if spared else ["testing", "f2py"])
-    assert start.__name__ == PROGRAM
 
 
 def test_it_gives_way(process: LearnerProcess) -> None:

@@ -497,12 +497,11 @@ def test_shards_of_one_site_are_no_rivals() -> None:
     Rivals(bus, "A", (0, 2)).refuse(0.0, threading.Event())  # type: ignore[arg-type]  # its own trace
 
 
-def test_what_is_told_travels(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_told_travels() -> None:
     one = course(2).after[len(EVENTS)][0]
     assert one.parts
     assert msgspec.msgpack.decode(codec.to_pack(one), type=Told) == one
-    monkeypatch.setattr(codec, "PART_BYTES", 10)
-    assert codec.read_in_parts(Told, codec.to_pack(one)) == one
+    assert codec.read(Told, codec.to_pack(one), pack=True) == one
     assert isinstance(EVENTS[0], Event)
 
 

@@ -21,7 +21,6 @@ from camtopod.codec import (
     event_from_json,
     event_from_pack,
     read,
-    read_in_parts,
     read_topology,
     to_json,
     to_pack,
@@ -293,15 +292,13 @@ def test_every_zone_that_prediction_looks_up_is_there() -> None:
         assert caught.value.reason == "unknown-name"
 
 
-@pytest.mark.parametrize("part_bytes", [1, 50, 1000, 10**9])
-def test_in_parts_a_topology_is_the_same(part_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_topology_in_messagepack_is_the_same_and_a_damaged_one_is_rejected() -> None:
     learner = Learner()
     for event in [*walkers(40), closing_event()]:
         learner.receive(event)
     packed = to_pack(learner.topology)
-    monkeypatch.setattr("camtopod.codec.PART_BYTES", part_bytes)
-    assert to_pack(read_in_parts(Topology, packed)) == packed
-    assert read_in_parts(Topology, packed) == learner.topology
+    assert to_pack(read(Topology, packed, pack=True)) == packed
+    assert read(Topology, packed, pack=True) == learner.topology
     for spoiled in (packed[:-1], packed[: len(packed) // 2], packed.replace(b"zones", b"zonen")):
         with pytest.raises(Rejected):
-            read_in_parts(Topology, spoiled)
+            read(Topology, spoiled, pack=True)

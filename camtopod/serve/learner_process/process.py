@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from camtopod.serve.learner_process import messages
 from camtopod.serve.learner_process.messages import Answer, Board, Question
 
-PROGRAM = "camtopod.serve.learner_process.start"
+PROGRAM = "camtopod.serve.learner_process.worker"
 """The module that the process runs."""
 END_SECONDS = 5.0
 """Time that the system may take to end a process that was killed."""

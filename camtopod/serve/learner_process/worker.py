@@ -1,7 +1,7 @@
 """The learner's process: it answers the daemon's questions, so that refits do not hold its GIL.
 
-`camtopod.serve.learner_process.process` starts it (by `start`), asks on its standard input and
-reads its standard output. It neither stores nor publishes anything. It ends at once when the daemon
+`camtopod.serve.learner_process.process` starts it, asks on its standard input and reads its
+standard output. It neither stores nor publishes anything. It ends at once when the daemon
 ends. An exception ends it too: the traceback goes to standard error, and the daemon reads on the
 board at which entry of the journal it was.
 """
@@ -330,3 +330,7 @@ def main(learner: type[Learner] = Learner) -> None:
         traceback.print_exc()
         sys.stderr.flush()
         os._exit(messages.OUT_OF_MEMORY)
+
+
+if __name__ == "__main__":
+    main()

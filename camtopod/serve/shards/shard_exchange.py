@@ -96,7 +96,7 @@ class Sharing:
     def publish(self, version: Version) -> None:
         """Publish a version of this shard's districts that is stored."""
         assert version.told is not None
-        told = codec.read_in_parts(Told, version.told)
+        told = codec.read(Told, version.told, pack=True)
         with self._mutex:
             self._parts |= {part.district: part for part in told.parts}
             self._reached = told.reached

@@ -99,7 +99,7 @@ class Merger:
         Invalid ones are logged and ignored.
         """
         try:
-            told = codec.read_in_parts(Told, payload)
+            told = codec.read(Told, payload, pack=True)
         except codec.Rejected as error:
             log.error("an update on %s is invalid and is ignored: %s", key, error)
             return

@@ -21,7 +21,7 @@ from camtopod.serve.storage.corrections import (
 )
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.journal_writer import Storing
-from camtopod.serve.storage.packed_version import Newest, Version, for_prediction, head_of
+from camtopod.serve.storage.packed_version import Newest, Version, head_of
 from camtopod.serve.storage.sqlite_file import StateError, held_by
 
 __all__ = [
@@ -35,7 +35,6 @@ __all__ = [
     "Storing",
     "Version",
     "corrections",
-    "for_prediction",
     "head_of",
     "held_by",
     "inspect_state",

@@ -12,9 +12,6 @@ from msgspec import Raw, Struct
 from camtopod import codec
 from camtopod.records import Alarm, SelfScore, Topology
 
-_NOT_FOR_PREDICTION = ("links", "weak_links", "pairs", "chain", "alarms")
-"""Fields that predictions do not need if the version has a posterior; otherwise they need links."""
-
 
 class Head(Struct, frozen=True):
     """The fields of a version that the daemon's status shows, and the lengths of its lists."""
@@ -105,11 +102,3 @@ def head_of(topology: Topology | bytes) -> Head:
         one.alarms or [],
         one.score,
     )
-
-
-def for_prediction(packed: bytes) -> Topology:
-    """Return a version with the fields that predictions need."""
-    topology: Topology = codec.read_in_parts(Topology, packed, left_out=_NOT_FOR_PREDICTION)
-    if topology.model is None or topology.model.onward is None:
-        topology = codec.read_in_parts(Topology, packed)
-    return topology
