@@ -1,6 +1,4 @@
-"""Clocks that are wrong, floods, and too many cameras: who is believed, who waits, who is
-refused.
-"""
+"""Wrong clocks, floods and too many cameras: which are trusted, delayed, refused."""
 
 from __future__ import annotations
 
@@ -210,7 +208,7 @@ def test_a_clock_that_was_wrong_and_is_set_back_to_the_right_time_is_believed() 
 def test_cameras_that_share_a_clock_which_jumps_forward_do_not_take_event_time_along(
     names: str,
 ) -> None:
-    """Event time only rises: everything after it would be late, for as long as the jump was."""
+    """Event time only rises: later events would be late for as long as the jump was."""
     cameras = admitted(*names)
     assert not any(cameras.is_future(at(name, T0), T0, 0.0, True) for name in names)
     for now in (1.0, 3.0, 120.0):
@@ -267,7 +265,7 @@ def test_each_jump_forward_has_to_last_by_itself() -> None:
 
 
 def test_a_jump_forward_to_where_the_cameras_are_is_believed_at_once() -> None:
-    """The clock was behind, and is right now."""
+    """The clock was behind and is now right."""
     for names in ("a", "ab", "abcd"):
         cameras = admitted(*names)
         for name in names:
@@ -325,7 +323,9 @@ def test_who_is_heard_through_its_spool_keeps_its_place() -> None:
 
 
 def test_the_status_says_how_far_ahead_a_camera_is() -> None:
-    """One that is behind is stored and not learned: somebody has to see it."""
+    """Events of a camera that is behind are stored but not learned, which somebody
+    has to notice.
+    """
     cameras = admitted("a", "b")
     cameras.is_future(at("a", T0 - 20), T0, 0.0, True)
     cameras.is_future(at("b", T0 - 3600), T0, 0.0, False)
@@ -354,14 +354,14 @@ def test_whoever_makes_up_the_time_makes_it_up_for_all() -> None:
 
 
 class Nowhere:
-    """A bus nobody is on."""
+    """A bus without clients."""
 
     def put(self, key: str, noun: Any, schema: str) -> None:
-        """Nobody hears it."""
+        """Discard the message."""
 
 
 def test_setting_the_clock_forward_does_not_move_event_time(tmp_path: Path) -> None:
-    """Or every event after it would be late, for as long as the step was."""
+    """Otherwise later events would be late for as long as the step was."""
     steady, step = 0.0, 0.0
     journal = Journal(tmp_path)
     receiver = Receiver(
@@ -379,7 +379,7 @@ def test_setting_the_clock_forward_does_not_move_event_time(tmp_path: Path) -> N
     def advances() -> list[float]:
         receiver._round([])
         return [
-            one.advance for one in receiver._ready.take(10, 0.0, 0.0) if one.advance is not None
+            one.advance for one in receiver._queue.take(10, 0.0, 0.0) if one.advance is not None
         ]
 
     receiver._round([Message("a", to_pack(at("a", T0)))])
@@ -394,7 +394,7 @@ def test_setting_the_clock_forward_does_not_move_event_time(tmp_path: Path) -> N
 
 
 def test_learning_goes_on_after_a_jump_forward_and_a_replay_learns_the_same(tmp_path: Path) -> None:
-    """Which events were set aside is in the journal: no clock is asked again."""
+    """Events that were set aside are marked in the journal; no clock is consulted again."""
     steady, step, live = 0.0, 0.0, Learner(Settings(), "site", "epoch")
     journal = Journal(tmp_path)
 
@@ -419,7 +419,7 @@ def test_learning_goes_on_after_a_jump_forward_and_a_replay_learns_the_same(tmp_
         camera = "abc"[second % 3]
         event = Event(camera, "entry", T0 + steady + step, 0.5, 0.5, boot="boot", seq=second // 3)
         receiver._round([Message(camera, to_pack(event))])
-        assert receiver._store(receiver._ready.take(1000, 0.0, 0.0), threading.Event())
+        assert receiver._store(receiver._queue.take(1000, 0.0, 0.0), threading.Event())
     assert (receiver.counts["stored"], receiver.counts["future"]) == (780, 120)
     statistics = live.statistics()
     assert (statistics["accepted"], statistics["late"]) == (780, 0)
@@ -459,8 +459,8 @@ def test_too_many_cameras_are_refused_until_one_has_been_silent_for_long() -> No
 
 
 def test_a_camera_whose_grabber_was_seen_takes_the_place_of_a_name_that_merely_sends() -> None:
-    """That of the one with the fewest events; it never loses its own to such a one before all of
-    these.
+    """It takes the place of the one with the fewest events, and never loses its own
+    to such a name.
     """
     cameras, grabbers = (
         admitted("good", "busy", "one", "two", cameras_max=4),
@@ -510,8 +510,8 @@ def test_who_takes_the_places_is_said_as_long_as_a_camera_is_refused() -> None:
 
 
 def test_a_refusal_is_quick_however_many_cameras_there_are() -> None:
-    """A refused name may send thousands of events: it is not looked each time which camera has been
-    silent for long.
+    """A refused name may send thousands of events; silent cameras are not searched
+    for each time.
     """
     cameras = admitted(*(f"name{k}" for k in range(3)), cameras_max=3)
     assert not cameras.admit("other", 10.0)
@@ -565,7 +565,7 @@ def meeting_point(tmp_path: Path) -> Iterator[buses.Bus]:
 
 
 def test_more_cameras_than_the_learner_takes_are_said(tmp_path: Path) -> None:
-    """They are stored and acknowledged, so that nothing else tells that they are not learned."""
+    """Their events are stored and acknowledged, so nothing else shows that they are not learned."""
     config = small_config(tmp_path)
     config = msgspec.structs.replace(
         config, learn=msgspec.structs.replace(config.learn, cameras_max=2)
@@ -614,7 +614,7 @@ def test_two_that_find_each_other_later_both_say_so(
 
 
 class Watched:
-    """A bus on which somebody makes up daemons."""
+    """A bus on which the test makes daemons appear."""
 
     site = "site"
 
@@ -625,7 +625,7 @@ class Watched:
         self.on_change = on_change
 
     def appear(self, role: str, name: str) -> None:
-        """Nobody sees it."""
+        """Do nothing."""
 
 
 def test_made_up_daemons_fill_neither_memory_nor_log(caplog: pytest.LogCaptureFixture) -> None:

@@ -1,5 +1,6 @@
-"""The receiver without a bus: what is acknowledged is stored, whatever fails when; nothing waits
-without a limit.
+"""The receiver without a bus: acknowledged events are stored despite failures.
+
+All queues are bounded.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ from camtopod.codec import Rejected, to_pack
 from camtopod.config.settings import Limits
 from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event, Prediction
+from camtopod.serve.ingest.admission import SpoolAnswer
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.ingest.puller import read_batch
-from camtopod.serve.ingest.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Pulled, Receiver
+from camtopod.serve.ingest.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Receiver
 from camtopod.serve.live_predictions import Live
 from camtopod.serve.outbox.spool import SpoolBatch
 from camtopod.serve.runtime.ownership import everything
@@ -33,7 +35,7 @@ from camtopod.serve.storage.sqlite_file import Damaged
 
 
 class Acks:
-    """A bus that remembers what was acknowledged."""
+    """A bus that stores acknowledgements."""
 
     def __init__(self) -> None:
         self.seen: list[Ack] = []
@@ -76,7 +78,7 @@ class Bench:
         self.receiver._store_waiting(self.stopping)
 
     def work(self, beat: Beat = no_beat) -> None:
-        """Until it is told to stop; what is wrong with the journal is raised here."""
+        """Work until told to stop; errors of the journal are raised here."""
         ordering = threading.Thread(target=self.receiver.work, args=(self.stopping, beat))
         ordering.start()
         try:
@@ -98,7 +100,7 @@ def events(first: int, last: int, camera: str = "lobby", boot: str = "b") -> lis
 
 
 class Mouth:
-    """An ear that hears what a test says."""
+    """A subscription to which the test publishes."""
 
     def __init__(self, *said: list[Event]) -> None:
         self._said, self._over = queue.SimpleQueue[list[Event] | None](), False
@@ -128,7 +130,7 @@ class Mouth:
 
 
 def test_what_is_heard_is_put_in_order_by_the_thread_that_hears_it(bench: Bench) -> None:
-    """To be handed to another would take it longer than to be predicted for."""
+    """Handing events to another thread would take longer than a prediction."""
     mouth, seen_by = Mouth(events(2, 2), events(1, 1)), set()
     bench.receiver._see = lambda batch, _: (
         bench.seen.extend(batch),
@@ -165,13 +167,13 @@ def test_while_the_other_thread_puts_in_order_what_is_heard_waits_for_it(bench: 
 
 
 def test_what_there_is_no_room_for_is_heard_all_the_same(tmp_path: Path) -> None:
-    """Else everything else on the bus would have to wait, too."""
+    """Otherwise all other messages on the bus would wait, too."""
     bench = Bench(tmp_path, commit_events_max=100)
     mouth = Mouth(events(1, 500))
     bench.receiver.ear = mouth  # type: ignore[assignment]
     mouth.close()
     bench.receiver.listen()
-    assert (bench.receiver._ready.waiting, len(bench.receiver._inbox)) == (200, 300)
+    assert (bench.receiver._queue.waiting, len(bench.receiver._inbox)) == (200, 300)
     for _ in range(5):
         bench.round()
     assert [one.entry.seq for one in bench.learned] == [*range(1, 501)]
@@ -203,8 +205,8 @@ def test_predictions_end_when_so_much_comes_meanwhile_that_they_would_be_late(be
 def test_what_could_not_be_stored_at_the_end_is_not_acknowledged_with_what_could(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An ack says that everything up to its seq is stored; a disk may take the last event and not
-    those before.
+    """An acknowledgement covers all events up to its seq; a disk may take the last and not those
+    before.
     """
     commit, refused = bench.journal.commit, [False]
 
@@ -226,8 +228,8 @@ def test_what_could_not_be_stored_at_the_end_is_not_acknowledged_with_what_could
 
 
 class Disk:
-    """Some commits succeed; then they do, fail, or fail and are durable all the same; at the last
-    failure all stops.
+    """Some commits succeed; then they do, fail, or fail but are durable; the last
+    failure stops all.
     """
 
     def __init__(self, bench: Bench, chance: random.Random, failures: int) -> None:
@@ -269,7 +271,7 @@ def test_whatever_the_disk_does_until_the_end_what_is_acknowledged_is_there_once
     bench.hear(*coming)
     receiver = bench.receiver
     bench.work(
-        lambda: None if len(receiver._inbox) or receiver._ready.waiting else bench.stopping.set()
+        lambda: None if len(receiver._inbox) or receiver._queue.waiting else bench.stopping.set()
     )
     entries = [entry for _, entry in bench.journal.entries()]
     stored = [(entry.camera, entry.seq) for entry in entries if entry is not None]
@@ -402,12 +404,12 @@ def test_early_events_of_a_publisher_without_a_count_wait_within_the_limit(bench
 def test_an_answer_that_begins_beyond_all_measure_is_counted_as_far_as_counts_go(
     bench: Bench,
 ) -> None:
-    """A status that cannot be written would end the daemon."""
+    """A status that cannot be encoded would end the daemon."""
     for boot in "abc":
         bench.hear(*events(1, 1, boot=boot))
         bench.round()
         batch = SpoolBatch("lobby", boot, 2**63 - 1, 0, False, [])
-        assert bench.receiver.on_pulled(Pulled(batch, 2))
+        assert bench.receiver.on_pulled(SpoolAnswer(batch, 2))
         bench.round()
     assert bench.receiver.streams.lost > 2**62
     assert to_pack(bench.receiver.streams.lost)
@@ -418,7 +420,9 @@ def test_what_another_shards_camera_sent_unheard_is_not_lost(tmp_path: Path) -> 
     for camera in ("own", "guest"):
         bench.hear(*events(1, 1, camera))
         bench.round()
-        assert bench.receiver.on_pulled(Pulled(SpoolBatch(camera, "b", 800, 799, False, []), 2))
+        assert bench.receiver.on_pulled(
+            SpoolAnswer(SpoolBatch(camera, "b", 800, 799, False, []), 2)
+        )
         bench.round()
         assert bench.receiver.streams.lost == 798
     bench.journal.close()
@@ -427,7 +431,7 @@ def test_what_another_shards_camera_sent_unheard_is_not_lost(tmp_path: Path) -> 
 def test_a_camera_whose_place_was_given_away_may_still_have_something_under_way(
     tmp_path: Path,
 ) -> None:
-    """Held behind a gap for long, and then given up: it is stored."""
+    """An event held behind a gap for long is stored when the gap is given up."""
     bench = Bench(tmp_path, cameras_max=1, gap_seconds=0.001)
     bench.hear(*events(5, 6))
     bench.receiver._limits = Limits(gap_seconds=1e6)
@@ -502,7 +506,7 @@ def test_a_version_is_published_after_it_is_stored(bench: Bench) -> None:
 def test_a_journal_that_turns_out_to_be_damaged_ends_the_work_and_holds_up_no_end(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The next start sets it aside; trying again would not help."""
+    """The next start sets it aside; another attempt would not help."""
 
     def damaged(*_: Any) -> None:
         raise Damaged("the journal is damaged")
@@ -513,11 +517,13 @@ def test_a_journal_that_turns_out_to_be_damaged_ends_the_work_and_holds_up_no_en
         bench.work()
     assert bench.bus.seen == []
     bench.receiver.storing.last_words(Snapshot(0, "E", b"state"))
-    assert "the last versions and snapshot could not be stored: the journal is damaged" in caplog.text
+    assert (
+        "the last versions and snapshot could not be stored: the journal is damaged" in caplog.text
+    )
 
 
 def test_what_waits_is_no_larger_than_an_event_may_be(bench: Bench) -> None:
-    """Whoever is on the bus may publish a megabyte, under a name of any length."""
+    """A client may publish a megabyte, under a name of any length."""
     for name in ("lobby", "x" * 60_000):
         bench.receiver.on_event(f"event/{name}", b"\x00" * 1_000_000)
     waiting = bench.receiver._inbox.take(10)

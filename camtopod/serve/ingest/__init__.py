@@ -1,9 +1,11 @@
 """Events from the bus to the journal: received, ordered, stored once each, and acknowledged.
 
-Read `receiver` first. An event passes `inbox` (a fair queue), `camera_registry` (clocks, floods,
-limits), `sequencing` (order within a stream), `backlog` (order across cameras) and `store_queue`;
-then `acks` acknowledges it. `puller` asks spools for missing events, `duplicates` compares repeated
-ones, and `idle_time` advances event time when no events come.
+Read the head of `receiver` first: it describes the path of an event, and the threads. `stages` has
+the steps of the path. An event passes `inbox` (a fair queue, if it has to wait), `admission`
+(decoding; which events are accepted), `sequencing` (order within a stream), `camera_registry`
+(clocks, floods, number of cameras), `backlog` (order across cameras) and `store_queue`; then `acks`
+acknowledges it. `puller` asks spools for missing events, `duplicates` compares repeated ones, and
+`idle_time` advances event time when no events come.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from camtopod import codec
 from camtopod.config import Limits
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus, QueryError
-from camtopod.serve.ingest.receiver import Pulled
+from camtopod.serve.ingest.admission import SpoolAnswer
 from camtopod.serve.outbox import SpoolBatch
 from camtopod.serve.runtime import Mark, Rejects
 
@@ -48,7 +48,7 @@ class Puller:
         bus: Bus,
         limits: Limits,
         wanted: Callable[[str], tuple[str, int] | None],
-        deliver: Callable[[Pulled], bool],
+        deliver: Callable[[SpoolAnswer], bool],
         poke: threading.Event,
         rejects: Rejects,
         daemon: str = "",
@@ -136,7 +136,7 @@ class Puller:
             except codec.Rejected as error:
                 self._rejects.add(error.reason, f"spool/{camera}", str(error), payload)
                 continue
-            delivered = self._deliver(Pulled(batch, start if batch.boot == boot else -1))
+            delivered = self._deliver(SpoolAnswer(batch, start if batch.boot == boot else -1))
             if (
                 delivered
                 and batch.more
