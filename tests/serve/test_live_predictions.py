@@ -1,4 +1,4 @@
-"""Predictions go on while the predictor of a new version is built, and then follow that version."""
+"""Predictions continue while the predictor of a new version is built, and then use that version."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_predictions_go_on_while_the_next_predictor_is_built(
 
 
 def test_a_new_version_keeps_what_was_observed(learned: Topology) -> None:
-    """Predictions are those of a predictor that observed all events itself, but for the version."""
+    """Predictions equal those of a predictor of the new version that observed all events."""
     made: list[Prediction] = []
     live, alone = Live(made.append), Predictor(learned)
     live.use(learned)
