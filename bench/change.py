@@ -23,7 +23,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.learn.learner import Learner
-from camtopod.learn.self_score import Guess, Marks, Scorer, marks
+from camtopod.learn.self_score import ScoredPrediction, Scorer, Scores, marks
 from camtopod.records import Event, Topology
 from camtopod.sim.scoring import ZONE_TOLERANCE, match_zones, next_entries
 from camtopod.sim.settings import SimSettings
@@ -120,7 +120,7 @@ def summary(job: str, rows: Sequence[Found]) -> list[str]:
         needed = np.array([np.inf if np.isnan(row.needed) else row.needed for row in some])
         low, middle, high = np.quantile(needed, (0.25, 0.5, 0.75), method="higher")
         line = f"{job}, {len(some)} links of {least} passages or more since: "
-        line += f"{int(np.isfinite(needed).sum())}  found, "
+        line += f"{int(np.isfinite(needed).sum())} found, "
         line += f"after a median of {middle:.0f} passages "
         line += f"(quartiles {low:.0f} to {high:.0f})"
         if least:
@@ -244,7 +244,7 @@ class _Told(Scorer):
 
     def __init__(self, events: Sequence[Event], truth: Truth) -> None:
         super().__init__()
-        self.pairs: list[tuple[Marks, Marks]] = []
+        self.pairs: list[tuple[Scores, Scores]] = []
         self._exits_at = {
             (round(e.t, 6), e.camera): k for k, e in enumerate(events) if e.kind == "exit"
         }
@@ -252,7 +252,7 @@ class _Told(Scorer):
             None if entry < 0 else events[entry].camera for entry in next_entries(events, truth)
         ]
 
-    def note(self, guess: Guess, happened: dict[str, float]) -> None:
+    def note(self, guess: ScoredPrediction, happened: dict[str, float]) -> None:
         super().note(guess, happened)
         camera = self._next[self._exits_at[round(guess.t, 6), guess.camera]]
         self.pairs.append((marks(guess, happened), marks(guess, {camera: 1.0} if camera else {})))
@@ -287,9 +287,9 @@ def _score(job: str, base: SimSettings, seeds: range, doors: int) -> None:
         )
 
 
-def _figures(given: list[Marks]) -> list[float]:
+def _figures(given: list[Scores]) -> list[float]:
     """Return the means of the scores, in the order of the table."""
-    m = {name: sum(getattr(mark, name) for mark in given) for name in Marks._fields}
+    m = {name: sum(getattr(mark, name) for mark in given) for name in Scores._fields}
     followed = max(m["followed"], 1e-9)
     return [
         m["loss"] / len(given),

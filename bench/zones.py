@@ -70,7 +70,7 @@ KINDS = (
     Kind("open borders, thick", 6.0, border=True, shape="box", strip=(0.07, 0.14)),
     Kind("heavy tails (t, 3)", 7.0, aspect=3.0, shape="tails"),
     Kind("clutter in blobs", 6.0, clutter="blobs"),
-    Kind("clutter along ways", 6.0, clutter="ways"),
+    Kind("clutter along paths", 6.0, clutter="ways"),
     Kind("one narrow zone of 1 %", 6.0, rare=0.01, least=12),
 )
 """The kinds of cameras."""

@@ -87,7 +87,7 @@ def anonymous(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
     transit = (groups[1:] + groups[:-1])[rate.argmax(axis=0)] / 2
     return {
         "probability": Findings(share, transit),
-        "against chance": Findings(share / noise, transit),
+        "over noise": Findings(share / noise, transit),
         "highest rate": Findings(
             (rate * np.sqrt(np.diff(edges))[:, None, None]).max(axis=0) / noise, transit
         ),

@@ -29,7 +29,7 @@ def closest(seen: Crossings) -> dict[str, Findings]:
     closest arrival before or after, and with the first arrival after.
     """
     zones = len(seen.zones)
-    names = (LITERAL, "closest, against chance", "first after, against chance")
+    names = (LITERAL, "closest, null model", "first after, null model")
     result = {
         name: Findings(np.full((zones, zones), -np.inf), np.full((zones, zones), np.nan))
         for name in names

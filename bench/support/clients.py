@@ -26,7 +26,7 @@ from bench.support.site import Status
 from camtopod.codec import to_pack
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Ack, Event, Prediction
-from camtopod.serve.bus.session import Bus, dial, meet
+from camtopod.serve.bus.session import Bus, dial, open_daemon_session
 
 PREFIX = "camtopo/site"
 """Key prefix of a site on the bus."""
@@ -128,7 +128,7 @@ def put_flood(endpoint: str, events: str, window: int = WINDOW_EVENTS) -> dict[s
 
 def sink(endpoint: str, ready: str, dials: bool = False) -> dict[str, Any]:
     """Receive and decode every event with bare zenoh and msgspec; publish the count regularly."""
-    bus = _dialled(endpoint) if dials else meet(_config(listen=endpoint))
+    bus = _dialled(endpoint) if dials else open_daemon_session(_config(listen=endpoint))
     decoder, count, done = msgspec.msgpack.Decoder(Event), [0], threading.Event()
 
     def on_event(sample: zenoh.Sample) -> None:
@@ -147,7 +147,7 @@ def sink(endpoint: str, ready: str, dials: bool = False) -> dict[str, Any]:
 
 def router(endpoint: str, ready: str) -> dict[str, Any]:
     """Run a router without anything else; return its processor time."""
-    bus, done = meet(_config(listen=endpoint)), threading.Event()
+    bus, done = open_daemon_session(_config(listen=endpoint)), threading.Event()
     _end_with_input(done)
     _say_ready(bus, ready)
     began = time.process_time()
@@ -159,7 +159,7 @@ def router(endpoint: str, ready: str) -> dict[str, Any]:
 
 def echo(endpoint: str, ready: str, size: int) -> dict[str, Any]:
     """Answer every exit with ``size`` bytes, by bare zenoh."""
-    bus = meet(_config(listen=endpoint))
+    bus = open_daemon_session(_config(listen=endpoint))
     session, done, filling = bus._session, threading.Event(), bytes(size - 8)
 
     def on_event(sample: zenoh.Sample) -> None:

@@ -297,7 +297,7 @@ def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> 
     cameras = [event.camera for event in events]
     chains: dict[str, Sequence[Hashable]] = {"most frequent next camera": cameras}
     if truth.zones:
-        chains["told chain, true zones"] = truth.zone
+        chains["Markov chain, true zones"] = truth.zone
     records = []
     for name, states in chains.items():
         started = time.process_time()

@@ -80,7 +80,7 @@ class PredictionFigures(Struct):
     coverage: float
     """Share of the lags of objects seen again within q10 to q90; nan if there is none."""
     saved: dict[float, float]
-    """By recall, all camera-seconds over those searched; empty if there is nobody to find."""
+    """By recall, all camera-seconds over those searched; empty without objects to find."""
 
     @property
     def calibration_error(self) -> float:

@@ -32,21 +32,21 @@ ROWS = {
     "pair_f1": "pairs of cameras, F1",
     "relation_right": "relation of camera pairs right",
     "top1": "next camera, top-1",
-    "told_top1": "  told chain, same zones",
-    "top1_ratio": "  ours / told",
+    "told_top1": "  oracle, same zones",
+    "top1_ratio": "  ours / oracle",
     "top3": "next camera, top-3",
-    "told_top3": "  told chain, same zones",
-    "top3_ratio": "  ours / told",
+    "told_top3": "  oracle, same zones",
+    "top3_ratio": "  ours / oracle",
     "log_loss": "log loss, nats",
-    "told_log_loss": "  told chain, same zones",
-    "log_loss_above": "  ours - told",
+    "told_log_loss": "  oracle, same zones",
+    "log_loss_above": "  ours - oracle",
     "calibration_error": "calibration error, all outcomes",
-    "told_calibration_error": "  told chain, same zones",
+    "told_calibration_error": "  oracle, same zones",
     "first_calibration_error": "calibration error, first guess",
-    "first_calibration_floor": "  of that by chance, were all right",
-    "told_first_calibration_error": "  told chain, same zones",
-    "first_calibration_error_all": "  ours, all exits, clutter's included",
-    "window_coverage": "came within q10..q90 (0.8 is right)",
+    "first_calibration_floor": "  expected if all are calibrated",
+    "told_first_calibration_error": "  oracle, same zones",
+    "first_calibration_error_all": "  ours, all exits, with clutter",
+    "window_coverage": "arrivals within q10..q90 (0.8 is right)",
     "clock_error": "clock offsets, largest error, s",
     "clock_error_mean": "  mean error, s",
     "clocks_right": f"  within {CLOCK_SECONDS_MAX:g} s, share of cameras",
@@ -59,9 +59,9 @@ ROWS = {
 """Titles of camtopod's figures, in order."""
 TARGET_TITLES = {
     "silent": "runs without a false link",
-    "top1_ratio": "top-1, share of the told chain's",
-    "top3_ratio": "top-3, share of the told chain's",
-    "log_loss_above": "log loss above the told chain's",
+    "top1_ratio": "top-1, share of the oracle's",
+    "top3_ratio": "top-3, share of the oracle's",
+    "log_loss_above": "log loss above the oracle's",
 }
 """Titles of targets, where they differ from those of the figures."""
 
@@ -158,7 +158,7 @@ def _links(records: Sequence[Record], common: dict[str, _Choice]) -> list[str]:
     if not ranked:
         return []
     heads = ("F1", "precision", "recall", "transit error", "F1, one for all", "runs without")
-    lines = [_row("links of others, threshold chosen on the truth", heads)]
+    lines = [_row("links of baselines, threshold chosen on the truth", heads)]
     for method, variants in ranked.items():
         variant, tuned = _best(variants)
         networks = variants[variant]
@@ -185,13 +185,13 @@ def _links(records: Sequence[Record], common: dict[str, _Choice]) -> list[str]:
             ]
             lines.append(_row("  the same as printed, Var(d) <= 1", cells))
     told = mean_and_error(_values(records, "transit: told identities", "median_error"))
-    return [*lines, _row("  told identities, median of the recorded times", ["", "", "", told])]
+    return [*lines, _row("  oracle, median of the recorded times", ["", "", "", told])]
 
 
 def _zones(records: Sequence[Record]) -> list[str]:
     """Return the lines of the baselines for zones."""
     methods = sorted({record.method for record in records if record.method.startswith("zones: ")})
-    lines = ["zones of others, best variant on the truth"] if methods else []
+    lines = ["zones of baselines, best variant on the truth"] if methods else []
     for method in methods:
         names = [name for record in records if record.method == method for name in record.figures]
         values = {name: _values(records, method, name) for name in dict.fromkeys(names)}
@@ -205,7 +205,7 @@ def _next(records: Sequence[Record]) -> list[str]:
     """Return the lines of the oracles for the next camera."""
     methods = sorted({record.method for record in records if record.method.startswith("next: ")})
     lines = (
-        [f"{'next camera, told identities':58}{'top-1':>16}{'top-3':>16}{'log loss':>16}"]
+        [f"{'next camera, oracles':58}{'top-1':>16}{'top-3':>16}{'log loss':>16}"]
         if methods
         else []
     )

@@ -1,4 +1,4 @@
-"""The baselines of `bench` on tiny cases whose answer is known."""
+"""The baselines of `bench` on small cases with known answers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bench.baselines.transfer import by_delay, transfer
 from bench.baselines.zoning import methods
 from bench.support.measure import by_range
 from camtopod.records import Event, Pair, Transit
-from camtopod.sim.score import score_predictions
+from camtopod.sim.scoring import score_predictions
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth
 
 SECONDS = 20_000.0
@@ -29,8 +29,11 @@ FIRST, SECOND = 12.0, 30.0
 
 
 def chain(share: float = 0.8) -> Crossings:
-    """Objects leave a, of which a share comes to b and leaves there at once, and all of those come
-    to c; at d others come and go. Zones a, b, c, d are of four cameras."""
+    """Simulate transitions a -> b -> c beside independent traffic at d.
+
+    A share of the objects that leave a comes to b, leaves there at once and comes to c. Zones a, b,
+    c, d are of four cameras.
+    """
     rng = np.random.default_rng(5)
     a = np.sort(rng.uniform(0, SECONDS, 400))
     b = a[rng.random(400) < share] + FIRST
@@ -54,7 +57,7 @@ FOUND = candidates(CHAIN)
 
 
 def two_zones(left: list[float], left_zone: list[int], came: list[float]) -> Crossings:
-    """Two zones of two cameras; all arrivals are at the second."""
+    """Return two zones of two cameras with all arrivals at the second."""
     zones = np.ones(len(came), np.int64)
     return Crossings(
         ["a", "b"], np.array([0, 1]), np.array(left), np.array(left_zone), np.array(came), zones
@@ -88,7 +91,7 @@ def test_lag_counts_by_hand() -> None:
 
 
 def best(findings: dict[str, Findings], variant: str) -> list[tuple[int, int]]:
-    """The two pairs of zones with the highest score."""
+    """Return the two pairs of zones with the highest score."""
     score = np.where(CHAIN.between, findings[variant].score, -np.inf)
     return sorted(divmod(int(k), 4) for k in np.argsort(-score, axis=None)[:2])
 
@@ -97,7 +100,7 @@ def best(findings: dict[str, Findings], variant: str) -> list[tuple[int, int]]:
     ("findings", "variant"),
     [
         (anonymous(CHAIN), "probability"),
-        (anonymous(CHAIN), "against chance"),
+        (anonymous(CHAIN), "over noise"),
         (hawkes(CHAIN, FOUND), "per departure"),
         (hawkes(CHAIN, FOUND), "likelihood"),
     ],
@@ -134,7 +137,7 @@ def test_pairwise_methods_find_the_links_and_their_times(
 
 
 def test_a_long_way_is_found_in_the_wide_range_only() -> None:
-    """Two minutes and a half from a to b, or b's view is entered a minute before a's is left."""
+    """The transit time is 150 s, or -60 s: b's view is entered a minute before a's is left."""
     for seconds in (150.0, -60.0):
         rng = np.random.default_rng(7)
         left = np.sort(rng.uniform(0, SECONDS, 300))
@@ -162,7 +165,7 @@ def test_the_thesis_test_as_printed_accepts_everything() -> None:
     possible = np.isfinite(findings[LITERAL].score)
     assert possible.sum() == 7  # nobody leaves c, nobody comes to a
     assert (findings[LITERAL].score[possible] >= -1).all()
-    fair = findings["closest, against chance"]
+    fair = findings["closest, null model"]
     assert fair.score[0, 1] > fair.score[3, 1]
     assert fair.transit[0, 1] == pytest.approx(FIRST, abs=3)
 
@@ -312,7 +315,7 @@ def test_clusterings_find_three_doors(method: str) -> None:
 
 
 def told_case() -> tuple[list[Event], Truth]:
-    """Three people go from a to b, one leaves at a; then one more exit at each camera."""
+    """Return three people that go from a to b, one that leaves at a, and later exits to predict."""
     events, who, number = [], [], []
     for person, goes in enumerate((True, True, True, False)):
         t = 100.0 * person
@@ -336,8 +339,10 @@ def test_the_told_chain_counts_with_a_part_of_a_count_for_everything() -> None:
 
 
 def test_the_told_chain_is_smoothed_as_suits_it_best() -> None:
-    """Of 20 known states with one exit each the next exit does the same: the less is added, the
-    better. Where the next exits do anything but the same, much is better."""
+    """Among 20 states with one exit each, the next exits repeat or contradict the known ones.
+
+    The smallest pseudo-count is best in the first case, the largest in the second.
+    """
     for same, best in ((True, 0.02), (False, 0.5)):
         events, who, number = [], [], []
         for person in range(40):

@@ -46,7 +46,7 @@ def test_a_network_is_measured_with_and_without(
     a_recording(tmp_path / "walks")
     arguments = ["--data", str(tmp_path), "--regimes", "", "--sampling-seeds", "1", "--jobs", "1"]
     assert ablation.main([*arguments, "--mechanisms", "sparse prior,contexts: all"]) == 2
-    assert "there is no contexts: all" in capsys.readouterr().err
+    assert "no mechanism contexts: all" in capsys.readouterr().err
     assert ablation.main([*arguments, "--mechanisms", "sparse prior"]) == 0
     shown = capsys.readouterr().out
     assert "real, 1 networks" in shown

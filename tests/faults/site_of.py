@@ -191,8 +191,9 @@ class Site:
                 return found
             time.sleep(0.05)
         raise AssertionError(
-            f"the daemon does not answer; {'it runs' if self.running('daemon') else 'it has ended'}, the asker is "
-            f"{'' if self._bus.connected else 'not '}connected; it said last: {b''.join(self._said['daemon']).decode()}"
+            f"the daemon does not answer; it {'runs' if self.running('daemon') else 'has ended'}, "
+            f"the client is {'' if self._bus.connected else 'not '}connected; "
+            f"last output: {b''.join(self._said['daemon']).decode()}"
         )
 
     def journal(self) -> list[Event]:
@@ -328,7 +329,7 @@ def _key(event: Event) -> tuple[str, float, str, str]:
 
 
 MakeSite = Callable[..., Site]
-"""The fixture ``make_site``; takes the arguments of `Site` after the directory."""
+"""The fixture ``make_site``; takes the arguments of `HomeAssistantState` after the directory."""
 
 
 def check(site: Site) -> None:

@@ -1,4 +1,4 @@
-"""`bench quality`: what it measures, that it goes on where it was left, and what it prints."""
+"""`bench quality`: its figures, its continuation of earlier runs, and its output."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from bench.support.table import mean_and_error, tables
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
-from camtopod.sim.score import next_entries
+from camtopod.sim.scoring import next_entries
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import CLUTTER, Truth
 
 
 class Small(msgspec.Struct):
-    """A regime of a few cameras; counts how often it is made."""
+    """A regime of a few cameras; counts how often it is simulated."""
 
     made: list[int] = msgspec.field(default_factory=list)
 
@@ -79,7 +79,7 @@ def test_everything_is_in_the_table(small: Small, capsys: pytest.CaptureFixture[
         "live",
         "zones right",
         "links, F1",
-        "told chain",
+        "oracle",
         "log loss",
         "clock offsets",
         "calibration error, first guess",

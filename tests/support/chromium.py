@@ -88,7 +88,10 @@ class Browser:
 
     def text(self, selector: str) -> str:
         """Return the text of the first element that matches; "" if it is missing or hidden."""
-        script = "const one = document.querySelector(arguments[0]); if (!one?.checkVisibility()) return '';"
+        script = (
+            "const one = document.querySelector(arguments[0]);"
+            " if (!one?.checkVisibility()) return '';"
+        )
         return str(self.run(f"{script} return one.innerText ?? one.textContent", selector))
 
     def count(self, selector: str) -> int:
@@ -132,7 +135,8 @@ class Browser:
         """Delay every fetch of pages opened in the block; their WebSocket is not delayed."""
         fetch = (
             "const quick = window.fetch.bind(window); window.fetch = async (...asked) => "
-            f"{{ await new Promise((done) => setTimeout(done, {milliseconds})); return quick(...asked); }};"
+            f"{{ await new Promise((done) => setTimeout(done, {milliseconds})); "
+            "return quick(...asked); };"
         )
         script = self._driver.execute_cdp_cmd(
             "Page.addScriptToEvaluateOnNewDocument", {"source": fetch}
