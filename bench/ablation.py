@@ -205,7 +205,6 @@ def main(argv: Sequence[str]) -> int:
     known = [one.name for one in (SCALED if arguments.constants else MECHANISMS)]
     names = ["", *(arguments.mechanisms.split(",") if arguments.mechanisms else known)]
     if unknown := [name for name in names[1:] if name not in known]:
-        # Report.
         print(
             f"bench ablation: no mechanism {', '.join(unknown)}; choose from {', '.join(known)}",
             file=sys.stderr,
@@ -239,6 +238,8 @@ def main(argv: Sequence[str]) -> int:
     for task, row in figures.items():
         averaged[task.mechanism, task.kind, task.network].append(row)
     means = {key: np.array(rows).mean(axis=0) for key, rows in averaged.items()}
+
+    # Report.
     print(
         "\n".join(
             table(

@@ -154,7 +154,7 @@ def network_figures(topology: Topology, truth: Truth, events: Sequence[Event]) -
         figures["clock_error_mean"] = float(np.mean(errors))
         figures["clocks_right"] = float(np.mean([error <= CLOCK_SECONDS_MAX for error in errors]))
 
-    # Zones, and links by mistake.
+    # Zones and false links.
     if truth.zones:
         figures |= {"zones_true": result.zones_true, "zones_learned": result.zones_learned}
         figures |= {"links_true": result.links_true, "false_links": result.links_false}
