@@ -1,6 +1,4 @@
-"""The learner's process: it learns what the plain learner does, and lives and ends with the
-daemon.
-"""
+"""The learner's process: it equals the plain learner, and lives and ends with the daemon."""
 
 from __future__ import annotations
 
@@ -67,7 +65,7 @@ def event(track: str) -> bytes:
 
 
 def alive(pid: int) -> bool:
-    """Whether there is such a process that has not ended."""
+    """Return True if there is such a process that has not ended."""
     with contextlib.suppress(OSError):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     return False
@@ -90,7 +88,7 @@ def test_how_much_is_taught_at_a_time_changes_nothing(
 def test_what_is_more_than_is_kept_in_memory_is_learned_from_the_journal(
     queued: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It comes while the learner is at it, now from the queue and now from the journal."""
+    """Events arrive while the learner works, and are read from the queue or from the journal."""
     monkeypatch.setattr(feeder, "QUEUED_EVENTS_MAX", queued)
     monkeypatch.setattr(feeder, "LESSONS_MAX", 8)
     monkeypatch.setattr(feeder, "GATHER_SECONDS", 0.0)
@@ -131,7 +129,7 @@ def test_the_signals_of_whoever_starts_it_stay_as_they_were(process: LearnerProc
 
 
 def test_what_a_snapshot_took_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As much as everything learned; at most once in a version."""
+    """It takes as much memory as all that is learned; it is made at most once in a version."""
     done: list[str] = []
     monkeypatch.setattr(memory, "give_back", lambda: done.append("given back"))
     monkeypatch.setattr(messages, "send", lambda _, answer: done.append(type(answer).__name__))
@@ -174,7 +172,7 @@ def all_said(process: LearnerProcess, question: Question) -> list[Answer]:
 
 
 def test_of_what_was_stored_before_a_shard_tells_the_newest_alone() -> None:
-    """A long journal that is learned again has thousands of versions, and each has its parts."""
+    """Relearning a long journal makes thousands of versions, each with its parts."""
     portion, lessons = (
         Portion(Sharding(districts=2), (0, 1)),
         Teach(0, [to_pack(one) for one in EVENTS]),
@@ -289,7 +287,7 @@ print(daemon.topology.version, daemon._process.pid)
 
 
 def test_a_daemon_of_a_script_from_standard_input_without_a_main_guard(tmp_path: Path) -> None:
-    """Nothing of the script runs a second time."""
+    """No part of the script runs twice."""
     script = EMBEDDED.format(tests=str(SUPPORT), state=str(tmp_path / "state"))
     ended = subprocess.run(
         [sys.executable, "-"],

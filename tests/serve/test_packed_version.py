@@ -1,4 +1,4 @@
-"""What the daemon keeps of a version is a part of it, and says and predicts the same."""
+"""The packed version that the daemon keeps is smaller, but predicts and publishes the same."""
 
 from __future__ import annotations
 

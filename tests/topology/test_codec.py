@@ -1,4 +1,4 @@
-"""Bytes to nouns: whatever comes, a noun or `Rejected` with a reason."""
+"""Decoding: any bytes give a record, or `Rejected` with a reason."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ EVENTS = st.builds(
 
 
 def reason(**change: object) -> str:
-    """Why the good event with these changes is refused, in both encodings."""
+    """Return why the valid event with these changes is refused, in both encodings."""
     fields = {name: value for name, value in (GOOD | change).items() if value is not ...}
     with pytest.raises(Rejected) as caught:
         event_from_json(msgspec.json.encode(fields))
@@ -135,7 +135,7 @@ def test_what_does_not_fit_has_a_reason(change: dict[str, object], expected: str
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("name", ["t", "x", "y", "clock_sd"])
 def test_numbers_are_finite(name: str, value: float) -> None:
-    """MessagePack can say nan; bounds let nan through."""
+    """MessagePack can encode nan, and bounds let nan through."""
     with pytest.raises(Rejected) as caught:
         event_from_pack(msgspec.msgpack.encode(GOOD | {name: value}))
     assert caught.value.reason == "bad-value"
@@ -178,7 +178,7 @@ def test_what_is_nested_without_end_is_too_deep(pack: bool, start: bytes, openin
 
 @pytest.mark.parametrize("decode", [event_from_json, event_from_pack])
 def test_how_deep_an_event_may_be_nested_is_up_to_python(decode: Callable[[bytes], Event]) -> None:
-    """1,000 levels in 3.11, and in 3.13 more than the longest event has room for."""
+    """It is 1,000 levels in 3.11, and in 3.13 more than the longest event has room for."""
     levels = 2000
     nested = (
         b"[" * levels + b"]" * levels if decode is event_from_json else b"\x91" * levels + b"\xc0"
