@@ -43,7 +43,7 @@ RETRY_SECONDS_MAX = 60
 
 The wait doubles with each attempt.
 """
-LEAVE_SECONDS = 2.0
+DISCONNECT_SECONDS = 2.0
 """Longest wait for the last message to be sent, in seconds."""
 ONLINE, OFFLINE = "online", "offline"
 """Payloads of an availability topic."""
@@ -52,7 +52,7 @@ UNSUPPORTED = "Unsupported protocol version"
 CLOSED = "the connection was closed"
 """Reason used here if the broker closes the connection without an answer."""
 _TICK_SECONDS = 0.2
-"""Longest time in which `Messages.read` notices that it has to stop, in seconds."""
+"""Longest time in which `MessageSubscription.read` notices that it has to stop, in seconds."""
 
 
 class MqttError(Exception):
@@ -235,7 +235,7 @@ class _Connection:
             log.warning("lost %s:%d (%s); trying again", self._at.host, self._at.port, code)
 
 
-class Messages(_Connection):
+class MessageSubscription(_Connection):
     """The messages of one topic below the broker's prefix, oldest first.
 
     Messages that are published while there is no connection are missing. Raises `MqttError`.
@@ -301,7 +301,7 @@ class Messages(_Connection):
             )
 
 
-class Board(_Connection):
+class RetainedMessages(_Connection):
     """Retained messages, one for each topic.
 
     availability: a topic that is ``online`` while this program runs and the broker reaches it, and
@@ -333,7 +333,7 @@ class Board(_Connection):
         """Publish ``offline`` and disconnect."""
         if self._client.is_connected():
             told = self._client.publish(self._availability, OFFLINE, qos=1, retain=True)
-            told.wait_for_publish(LEAVE_SECONDS)
+            told.wait_for_publish(DISCONNECT_SECONDS)
         super().close()
 
     def _prepare(self, client: Client) -> None:

@@ -384,7 +384,7 @@ def pooled(counts, camera, exposure, came, steps):
         counts: (u, v) -> (bins,).
         came: arrivals by zone, at least 1.
 
-    See `Expected.of`.
+    See `PriorTransitions.of`.
     """
     size, zones, result = exposure.shape[1], range(len(camera)), {}
     for u, v in counts:
@@ -403,7 +403,7 @@ def pooled(counts, camera, exposure, came, steps):
 def returning(rates):
     """Return what each pair of zones would have if it equalled the opposite direction.
 
-    ``rates``: (u, v) -> (bins,) transitions per exposed departure. See `Expected.of`.
+    ``rates``: (u, v) -> (bins,) transitions per exposed departure. See `PriorTransitions.of`.
     """
     return {(u, v): rates.get((v, u), 0.0 * row) for (u, v), row in rates.items()}
 

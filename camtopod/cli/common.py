@@ -29,10 +29,10 @@ from camtopod.visible import visible, visible_lines
 log = logging.getLogger(__name__)
 
 _PARENT_LOOK_SECONDS = 0.5
-"""Interval at which `leaving` checks that its parent process still exists."""
+"""Interval at which `ends_within` checks that its parent process still exists."""
 
 
-def accepted(args: argparse.Namespace) -> tuple[settings.Config, bytes]:
+def configuration_and_text(args: argparse.Namespace) -> tuple[settings.Config, bytes]:
     """Return the configuration and the content of its file. Raises `CommandError`."""
     try:
         raw = b"" if args.config is None else args.config.read_bytes()
@@ -141,7 +141,7 @@ def start_logging(args: argparse.Namespace) -> None:
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
 
 
-class Told(NamedTuple):
+class SignalRequests(NamedTuple):
     """Requests that have arrived as signals."""
 
     stop: threading.Event
@@ -151,14 +151,14 @@ class Told(NamedTuple):
 
 
 @contextlib.contextmanager
-def signals(reloads: bool = True) -> Iterator[Told]:
+def signals(reloads: bool = True) -> Iterator[SignalRequests]:
     """Return the requests of SIGTERM, SIGINT and, with ``reloads``, SIGHUP while the block runs.
 
     A thread sets the events; the C level of the interpreter wakes it through a pipe. Setting an
     event in a Python handler could deadlock with the wait it interrupts, and no handler runs while
     the main thread is inside a library.
     """
-    told = Told(threading.Event(), threading.Event())
+    told = SignalRequests(threading.Event(), threading.Event())
     numbers = [signal.SIGTERM, signal.SIGINT] + ([signal.SIGHUP] if reloads else [])
     at_a_terminal = os.isatty(0)
     heard, written = os.pipe()
@@ -193,21 +193,23 @@ def until_signal() -> Iterator[threading.Event]:
         yield told.stop
 
 
-class Leaving:
-    """Exit status of a process that `leaving` ends because its block did not end in time."""
+class ForcedExit:
+    """Exit status of a process that `ends_within` ends because its block did not end in time."""
 
     def __init__(self) -> None:
         self.status = exits.DONE
 
 
 @contextlib.contextmanager
-def leaving(stop: threading.Event, seconds: float, parent: int | None = None) -> Iterator[Leaving]:
+def ends_within(
+    stop: threading.Event, seconds: float, parent: int | None = None
+) -> Iterator[ForcedExit]:
     """Give the block ``seconds`` to end once ``stop`` is set; then end the process.
 
     Data that must not be lost is on disk by then. ``stop`` is also set when the process ``parent``
     is no longer this one's parent.
     """
-    done, given = threading.Event(), Leaving()
+    done, given = threading.Event(), ForcedExit()
 
     def watch() -> None:
         while not stop.wait(_PARENT_LOOK_SECONDS):
@@ -230,9 +232,9 @@ def leaving(stop: threading.Event, seconds: float, parent: int | None = None) ->
 
 
 @contextlib.contextmanager
-def watched(progress: Progress, status: str) -> Iterator[None]:
+def reporting_to_systemd(progress: Progress, status: str) -> Iterator[None]:
     """Report ``status`` to systemd, and feed its watchdog while the block makes progress."""
-    with systemd.watchdog(progress.stuck, lambda: False):
+    with systemd.watchdog(progress.stalled, lambda: False):
         systemd.notify("READY=1", systemd.status(status))
         try:
             yield

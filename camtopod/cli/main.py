@@ -152,7 +152,7 @@ def console() -> NoReturn:
     """
     standard_streams.open_missing()
     if _command_in(sys.argv[1:]) in _UNTIL_TOLD:
-        sys.stderr = cast(TextIO, standard_streams.Unwaited(2))
+        sys.stderr = cast(TextIO, standard_streams.NonBlockingStream(2))
     sys.excepthook = _crash
     threading.excepthook = _crash_of_a_thread
     try:

@@ -1,6 +1,6 @@
 """The newest version of a site's topology and the queries it answers without waiting.
 
-A thread keeps the version up to date: `camtopod.serve.bus.topology_subscriber.TopologyView` applies
+A thread keeps the version up to date: `camtopod.serve.bus.topology_subscriber.TopologySubscriber` applies
 each delta to the version before it, verifies the digest, and fetches the whole topology if a
 version is missing or the daemon has started a new epoch.
 """
@@ -30,7 +30,7 @@ from camtopod.config import settings as configs
 from camtopod.predict import Predictor
 from camtopod.records import CAMERA_PATTERN, Event, Prediction
 from camtopod.records import Topology as Version
-from camtopod.serve.bus import Bus, BusError, TopologyView, dial
+from camtopod.serve.bus import Bus, BusError, TopologySubscriber, dial
 from camtopod.serve.runtime import clock
 
 log = logging.getLogger(__name__)
@@ -75,7 +75,7 @@ class View:
         # Close the session on failure: a program with an open session does not terminate.
         with contextlib.ExitStack() as undo:
             undo.callback(self._bus.close)
-            self._view = TopologyView(self._bus)
+            self._view = TopologySubscriber(self._bus)
             self._bus.subscribe("topology/delta", lambda key, payload: self._wake.set())
             self._bus.watch_alive("daemon", self._on_daemon)
             self._wake.wait(settings.bus.query_seconds)  # a running daemon is announced at once

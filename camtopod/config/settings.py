@@ -265,7 +265,7 @@ class Config(Struct, frozen=True):
     @property
     def dials(self) -> tuple[Endpoint, ...]:
         """Endpoints to which all programs but the daemon connect."""
-        return self.bus.connect or tuple(_from_here(endpoint) for endpoint in self.listens)
+        return self.bus.connect or tuple(_local_address(endpoint) for endpoint in self.listens)
 
     def secrets(self, path: Path) -> list[Path]:
         """Return the files that hold secrets, if this configuration was read from ``path``."""
@@ -457,6 +457,6 @@ def _with_paths(tls: TlsSettings, change: Callable[[str], str]) -> TlsSettings:
     )
 
 
-def _from_here(endpoint: Endpoint) -> Endpoint:
+def _local_address(endpoint: Endpoint) -> Endpoint:
     """Return the address at which this machine reaches an endpoint on all interfaces."""
     return endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")

@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING
 from camtopod.lazy import names_from
 
 if TYPE_CHECKING:
-    from camtopod.learn.assemble import by_clocks
+    from camtopod.learn.assemble import with_clock_offsets
     from camtopod.learn.learner import STEPS, Learner
     from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX
-    from camtopod.learn.rewinding import rewound
+    from camtopod.learn.rewinding import rewind
     from camtopod.learn.settings import Settings
     from camtopod.learn.snapshot import (
         BYTES_MAX,
@@ -50,10 +50,10 @@ __all__ = [
     "NewerSnapshot",
     "Settings",
     "SnapshotError",
-    "by_clocks",
     "pack",
-    "rewound",
+    "rewind",
     "unpack",
+    "with_clock_offsets",
 ]
 
 __getattr__ = names_from(
@@ -67,9 +67,9 @@ __getattr__ = names_from(
         "STEPS": "learner",
         "Settings": "settings",
         "SnapshotError": "snapshot",
-        "by_clocks": "assemble",
+        "with_clock_offsets": "assemble",
         "pack": "snapshot",
-        "rewound": "rewinding",
+        "rewind": "rewinding",
         "unpack": "snapshot",
     },
 )

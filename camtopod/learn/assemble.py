@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.learn.clocks import Clocks
-from camtopod.learn.links import Lacking, LinkTable
+from camtopod.learn.links import LinkShortfall, LinkTable
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic import Scene, ZoneRef
 from camtopod.learn.window import Window
@@ -27,12 +27,12 @@ from camtopod.records import (
 from camtopod.topology import (
     DIGITS,
     LagBins,
-    camera_pairs,
-    counted,
+    counts_histogram,
+    estimate_markov_chain,
+    find_camera_pairs,
     link_key,
-    markov_chain,
     relation_of,
-    short,
+    round_significant,
 )
 
 STAY_DECILES = np.linspace(0.0, 1.0, 11)
@@ -53,10 +53,16 @@ def zone_records(cameras: list[str], scene: Scene) -> list[Zone]:
         if shape is None:
             records.append(Zone(name, cameras[zone.camera], entries, exits))
         else:
-            cov = [[short(float(value)) for value in row] for row in shape.cov]
+            cov = [[round_significant(float(value)) for value in row] for row in shape.cov]
             records.append(
                 Zone(
-                    name, cameras[zone.camera], entries, exits, short(shape.x), short(shape.y), cov
+                    name,
+                    cameras[zone.camera],
+                    entries,
+                    exits,
+                    round_significant(shape.x),
+                    round_significant(shape.y),
+                    cov,
                 )
             )
     return sorted(records, key=lambda record: record.id)
@@ -69,7 +75,7 @@ def link_records(
     bins: LagBins,
     relation: Relation | None = None,
     histograms: bool = True,
-    lacks: Lacking | None = None,
+    lacks: LinkShortfall | None = None,
 ) -> list[Link]:
     """Return the rows of a link table as links, sorted by key.
 
@@ -84,15 +90,18 @@ def link_records(
             ids[table.source[k]],
             ids[table.target[k]],
             relation or relation_of(float(t.ahead[k])),
-            short(table.probability[k]),
-            short(t.total[k]),
+            round_significant(table.probability[k]),
+            round_significant(t.total[k]),
             Transit(
-                *(short(value) for value in (t.mode[k], t.mean[k], t.sd[k], *t.quantiles[k])),
-                *(short(value) for value in (t.mean_error[k], t.median_error[k])),
+                *(
+                    round_significant(value)
+                    for value in (t.mode[k], t.mean[k], t.sd[k], *t.quantiles[k])
+                ),
+                *(round_significant(value) for value in (t.mean_error[k], t.median_error[k])),
             ),
-            short(table.q[k]),
-            short(table.variance[k]),
-            counted(table.counts[k], bins, float(table.delay[k])) if histograms else None,
+            round_significant(table.q[k]),
+            round_significant(table.variance[k]),
+            counts_histogram(table.counts[k], bins, float(table.delay[k])) if histograms else None,
             lacks and _lacks(float(lacks.passages[k]), float(lacks.seconds[k])),
         )
         for k in range(len(table.source))
@@ -101,10 +110,14 @@ def link_records(
 
 
 def _lacks(passages: float, seconds: float) -> Lacks | None:
-    return None if np.isnan(passages) else Lacks(short(passages), short(seconds))
+    return (
+        None
+        if np.isnan(passages)
+        else Lacks(round_significant(passages), round_significant(seconds))
+    )
 
 
-def by_clocks(links: list[Link], zones: list[Zone], ahead: dict[str, float]) -> list[Link]:
+def with_clock_offsets(links: list[Link], zones: list[Zone], ahead: dict[str, float]) -> list[Link]:
     """Return the links with transit times as shown by clocks with the offsets ``ahead``.
 
     ahead (by camera, seconds): clock offsets, positive for a clock that is ahead.
@@ -117,7 +130,8 @@ def by_clocks(links: list[Link], zones: list[Zone], ahead: dict[str, float]) -> 
         later, t = of_zone[link.to] - of_zone[link.from_], link.transit
         if later:
             mode, mean, q10, q50, q90 = (
-                short(figure + later) for figure in (t.mode, t.mean, t.q10, t.q50, t.q90)
+                round_significant(figure + later)
+                for figure in (t.mode, t.mean, t.q10, t.q50, t.q90)
             )
             link = replace(
                 link, transit=replace(t, mode=mode, mean=mean, q10=q10, q50=q50, q90=q90)
@@ -147,9 +161,11 @@ def assemble(
 
     # Clock offsets, and the offsets that transit times are shown with.
     links = sorted(links, key=link_key)
-    ahead = {name: short(float(clocks.offset[k])) for k, name in enumerate(window.cameras)}
+    ahead = {
+        name: round_significant(float(clocks.offset[k])) for k, name in enumerate(window.cameras)
+    }
     sd = {
-        name: short(float(clocks.sd[k]))
+        name: round_significant(float(clocks.sd[k]))
         for k, name in enumerate(window.cameras)
         if np.isfinite(clocks.sd[k])
     }
@@ -165,9 +181,9 @@ def assemble(
         digest="",
         cameras=[Camera(name, ids, ahead[name], sd.get(name)) for name, ids in of_camera.items()],
         zones=zones,
-        links=by_clocks(links, zones, shift),
-        pairs=camera_pairs(zones, links, settings.overlap_tolerance_seconds),
-        weak_links=by_clocks(weak_links, zones, shift),
-        chain=markov_chain(zones, [*links, *weak_links], DIGITS),
+        links=with_clock_offsets(links, zones, shift),
+        pairs=find_camera_pairs(zones, links, settings.overlap_tolerance_seconds),
+        weak_links=with_clock_offsets(weak_links, zones, shift),
+        chain=estimate_markov_chain(zones, [*links, *weak_links], DIGITS),
         model=model,
     )

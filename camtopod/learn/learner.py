@@ -25,22 +25,27 @@ from msgspec.structs import replace
 from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
 from camtopod.learn import refit as refits
 from camtopod.learn.assemble import assemble, link_records, zone_id
-from camtopod.learn.association import Followed
+from camtopod.learn.association import FollowedSources
 from camtopod.learn.changes import AlarmLog, Move, find_move
 from camtopod.learn.clocks import ClockKeeper
-from camtopod.learn.links import joined_by
+from camtopod.learn.links import zone_pairs_of
 from camtopod.learn.refit import Known, Refit, dwell_bins, lag_bins, refit
-from camtopod.learn.retired_cameras import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
+from camtopod.learn.retired_cameras import (
+    LEFT_CAMERAS_MAX,
+    camera_to_replace,
+    cameras_to_retire,
+    renumber_followed,
+)
 from camtopod.learn.self_score import Scorer
 from camtopod.learn.settings import Settings
-from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera
+from camtopod.learn.snapshot import CameraState, LearnerState, RetiredCamera
 from camtopod.learn.traffic import Scene, see
 from camtopod.learn.window import GONE, Intake, Window, cells_of
 from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
 from camtopod.predict import Predictor
 from camtopod.publishers import RETURNS_MIN, Publisher
 from camtopod.records import Event, Topology
-from camtopod.topology import stamp
+from camtopod.topology import with_digest
 
 REFIT_EVENTS_MIN = 10
 """No new version for fewer new events, unless they have waited ``refit_hours``."""
@@ -86,7 +91,9 @@ class Learner:
             self.settings.window_events,
             self.settings.window_camera_events,
         )
-        self._followed: dict[int, Followed] = {}  # zones screened in as sources of each, by `place`
+        self._followed: dict[
+            int, FollowedSources
+        ] = {}  # zones screened in as sources of each, by `place`
         self._keeper = ClockKeeper()
         self._alarms = AlarmLog()
         self._scorer = Scorer()
@@ -98,7 +105,7 @@ class Learner:
         self._looked: list[
             int
         ] = []  # events of the camera when it was last asked whether it has been turned
-        self._left: dict[str, LeftCamera] = {}  # the one that left last comes last
+        self._left: dict[str, RetiredCamera] = {}  # the one that left last comes last
         self._moved: list[
             tuple[int, float, Move]
         ] = []  # cameras turned since the last version, and since when
@@ -115,7 +122,7 @@ class Learner:
         """Take one event: ``accepted``, ``duplicate``, ``late`` or ``refused``."""
         if (
             not self._intake.has_place(event.camera)
-            and (other := gives_way(self._intake, self._window)) is not None
+            and (other := camera_to_replace(self._intake, self._window)) is not None
         ):
             self._leave({other})
         verdict = self._intake.receive(event)
@@ -275,7 +282,7 @@ class Learner:
         self._window.append(batch)
         window_us = microseconds(self.settings.window_hours * 3600.0)
         self._window.forget(until_us - window_us)
-        if left := left_by(self._intake, self._window, until_us, window_us):
+        if left := cameras_to_retire(self._intake, self._window, until_us, window_us):
             self._leave(left)
         self._look_for_moves()
         self._look_for_doubles(batch)
@@ -292,7 +299,7 @@ class Learner:
         """
         for name, zones, gone in zip(self._window.cameras, self._maps, self._gone, strict=False):
             if name in names:
-                self._left[name] = LeftCamera(
+                self._left[name] = RetiredCamera(
                     (zones.zones + gone)[:GONE_ZONES_MAX], zones.next_number
                 )
         self._forget(names)
@@ -319,7 +326,7 @@ class Learner:
             name: one for name, one in self._publishers.items() if name not in names
         }
         self._doubled = [name for name in self._doubled if name not in names]
-        self._followed = renumbered(self._followed, number)
+        self._followed = renumber_followed(self._followed, number)
 
     def _due(self, tick_us: int) -> bool:
         """Whether enough has changed for a new version."""
@@ -372,7 +379,7 @@ class Learner:
         version = 1 if self.topology is None else self.topology.version + 1
         now = tick_us / MICROSECONDS
         self._report(found, topology, version, now)
-        return stamp(
+        return with_digest(
             replace(
                 topology,
                 site=self.site,
@@ -390,7 +397,7 @@ class Learner:
         cameras, scene = self._window.cameras, found.scene
         ids = [zone_id(cameras, zone) for zone in scene.zones]
         if self.only_last:  # no earlier version has published the links that have closed
-            self._alarms.join(ids, joined_by(found.found))
+            self._alarms.join(ids, zone_pairs_of(found.found))
         self._alarms.report(
             version,
             now,
@@ -399,7 +406,7 @@ class Learner:
             cameras,
             found.silences,
             found.changes,
-            joined_by(found.published),
+            zone_pairs_of(found.published),
             self.settings.publish_probability_min,
         )
         self._alarms.clocks(version, now, topology.cameras)
@@ -457,7 +464,7 @@ class Learner:
         for camera in range(len(self._window.cameras)):
             seen = self._window.seen[camera]
             if camera == len(self._maps):
-                left = self._left.pop(self._window.cameras[camera], LeftCamera())
+                left = self._left.pop(self._window.cameras[camera], RetiredCamera())
                 self._maps.append(
                     find_zones(self._window.cell_sums(camera), left.zones, left.next_number)
                 )

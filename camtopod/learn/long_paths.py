@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from camtopod.arrays import Bools, Floats, Ints, rows_of
-from camtopod.learn.association import Candidates, Screen
+from camtopod.learn.association import Candidates, CandidateScreen
 from camtopod.learn.changes import Change
 from camtopod.learn.clocks import LAGS, ROWS_AT_ONCE, Counts, chance, correlograms, side_by_side
 from camtopod.learn.links import LinkTable
@@ -318,13 +318,15 @@ def with_long_paths(
     the candidates would have to be screened (`screening`). ``camera`` (zones,): as of `delayed`.
     """
     without = delayed(departures, camera, cameras, [])
-    if Screen.is_needed(departures, arrivals, bins, len(camera), candidates_max):
+    if CandidateScreen.is_needed(departures, arrivals, bins, len(camera), candidates_max):
         return without
     late = delayed(
         departures, camera, cameras, find_long_paths(departures, arrivals, cameras, bins.lag_max)
     )
     return (
         without
-        if Screen.is_needed(late.departures, arrivals, bins, len(late.zone), candidates_max)
+        if CandidateScreen.is_needed(
+            late.departures, arrivals, bins, len(late.zone), candidates_max
+        )
         else late
     )

@@ -11,7 +11,7 @@ from camtopod.arrays import Floats, rows_of
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.assemble import STAY_DECILES, zone_id
 from camtopod.learn.changes import Change
-from camtopod.learn.next_camera import LEVELS, Overlapping, Posterior
+from camtopod.learn.next_camera import LEVELS, OverlappingViews, Posterior
 from camtopod.learn.traffic import Persistence, Scene, usual_stays
 from camtopod.learn.window import Window
 from camtopod.records import (
@@ -26,7 +26,7 @@ from camtopod.records import (
     Way,
     ZoneModel,
 )
-from camtopod.topology import LagBins, in_steps, offset_bins, short
+from camtopod.topology import LagBins, offset_bins, round_significant, step_histogram
 
 OUTCOMES_PER_ZONE_MAX = 24
 """Zones listed as the next appearance of objects leaving one zone, the likeliest first."""
@@ -42,7 +42,7 @@ SHARE_FLOOR = 1e-3
 """Lower bound on a share in the window when a changed share is divided by it."""
 
 
-def model_of(
+def build_model(
     cameras: list[str],
     scene: Scene,
     posterior: Posterior | None,
@@ -50,7 +50,7 @@ def model_of(
     window: Window,
     changes: list[Change],
     clocks_corrected: bool,
-    overlapping: Sequence[Overlapping] = (),
+    overlapping: Sequence[OverlappingViews] = (),
 ) -> Model:
     """Return the part of the topology, beside the links, that prediction reads.
 
@@ -89,8 +89,10 @@ def _pace(ids: list[str], scene: Scene, persistence: Persistence) -> Pace | None
         return None
     p = scene.passages
     stays = usual_stays(p.source, p.target, p.left - p.entered)
-    ways = [Way(ids[entry], ids[left], short(stay)) for (entry, left), stay in stays.items()]
-    scaling, correlation, sd = (short(value) for value in persistence)
+    ways = [
+        Way(ids[entry], ids[left], round_significant(stay)) for (entry, left), stay in stays.items()
+    ]
+    scaling, correlation, sd = (round_significant(value) for value in persistence)
     return Pace(scaling, correlation, sd, sorted(ways, key=lambda way: (way.entry, way.exit)))
 
 
@@ -104,11 +106,13 @@ def _zone_models(ids: list[str], scene: Scene, posterior: Posterior | None) -> l
     for index, (name, mine) in enumerate(zip(ids, rows_of(d.zone[known], len(ids)), strict=True)):
         stay = stays[mine]
         deciles = (
-            [short(float(value)) for value in np.quantile(stay, STAY_DECILES)] if len(stay) else []
+            [round_significant(float(value)) for value in np.quantile(stay, STAY_DECILES)]
+            if len(stay)
+            else []
         )
         outside = 1.0 if posterior is None else float(posterior.fit.outside[index])
         rate = outside * float(scene.entries[index]) / span
-        zones.append(ZoneModel(name, int(scene.exits[index]), short(rate), deciles))
+        zones.append(ZoneModel(name, int(scene.exits[index]), round_significant(rate), deciles))
     return zones
 
 
@@ -119,7 +123,7 @@ def _camera_models(cameras: list[str], window: Window) -> list[CameraModel]:
     last = np.zeros(len(cameras))
     np.maximum.at(last, camera, window.column("t") / MICROSECONDS)
     models = [
-        CameraModel(name, short(share[k]), float(last[k]))
+        CameraModel(name, round_significant(share[k]), float(last[k]))
         for k, name in enumerate(cameras)
         if share[k] > 0
     ]
@@ -149,13 +153,13 @@ def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) ->
         outcomes = [
             Outcome(
                 ids[c.target[k]],
-                short(float(share[k])),
-                in_steps(lags, bins, float(posterior.delay[k])),
-                short(float(posterior.doubt[k])),
+                round_significant(float(share[k])),
+                step_histogram(lags, bins, float(posterior.delay[k])),
+                round_significant(float(posterior.doubt[k])),
             )
             for k, lags in zip(pairs.tolist(), mass, strict=True)
         ]
-        rows.append(Onward(ids[zone], short(float(posterior.leave[zone])), outcomes))
+        rows.append(Onward(ids[zone], round_significant(float(posterior.leave[zone])), outcomes))
     return sorted(rows, key=lambda row: row.zone)
 
 
@@ -169,22 +173,22 @@ def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryK
         pairs = likely[mine]
         pairs = pairs[np.argsort(-total[pairs], kind="stable")][:ENTRY_KERNELS_PER_ZONE_MAX]
         rows += [
-            EntryKernel(ids[zone], ids[p.entry_target[k]], in_steps(mass[k], bins))
+            EntryKernel(ids[zone], ids[p.entry_target[k]], step_histogram(mass[k], bins))
             for k in pairs.tolist()
         ]
     return sorted(rows, key=lambda row: (row.zone, row.to))
 
 
 def _overlaps(
-    cameras: list[str], overlapping: Sequence[Overlapping], bins: LagBins
+    cameras: list[str], overlapping: Sequence[OverlappingViews], bins: LagBins
 ) -> list[Overlap]:
     rows = [
         Overlap(
             cameras[one.source],
             cameras[one.target],
-            short(min(float(one.same.sum()), 1.0)),
-            in_steps(one.same, bins),
-            in_steps(one.others, bins),
+            round_significant(min(float(one.same.sum()), 1.0)),
+            step_histogram(one.same, bins),
+            step_histogram(one.others, bins),
         )
         for one in overlapping
     ]
@@ -217,12 +221,12 @@ def _contexts(
                 moved = mass * changed.get((zone, v), 1.0)
                 departures += moved - mass
                 if moved > CONTEXT_TRANSITIONS_MIN:
-                    to[ids[v]] = short(moved)
+                    to[ids[v]] = round_significant(moved)
             counted[zone, first, block] = original, departures, to
         result += [
             Context(
                 ids[zone],
-                short(max(departures, 0.0)),
+                round_significant(max(departures, 0.0)),
                 dict(sorted(to.items())),
                 ids[first] if "entry" in name else None,
                 block if "block" in name else None,

@@ -25,45 +25,45 @@ from camtopod.arrays import Floats
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.association import (
     Candidates,
+    CandidateScreen,
     Fit,
-    Followed,
-    Screen,
+    FollowedSources,
+    candidates_of_pairs,
     fit_jointly,
     place,
-    whole,
 )
-from camtopod.learn.changes import Change, Silences, find_changes, find_silences, present
+from camtopod.learn.changes import CameraSilences, Change, find_changes, find_silences, present
 from camtopod.learn.clocks import Clocks
 from camtopod.learn.links import (
     TRANSITIONS_MIN,
     WEAK_TRANSITIONS_MIN,
-    Lacking,
+    LinkShortfall,
     LinkTable,
-    beside,
+    concatenate_transitions,
     cross_evidence,
-    join,
-    lacking,
-    leaving,
-    pace_of,
-    refresh_monte_carlo,
+    exposed_departures,
+    select_weak_links,
+    shortfall_of,
     significant,
     tabulate,
+    transition_slowness,
     transitions_of,
     visible_transitions,
-    with_usual_stays,
-    without_missed,
+    with_monte_carlo_variance,
+    with_usual_dwell_times,
+    without_missed_detections,
 )
 from camtopod.learn.long_paths import Delayed, with_long_paths
 from camtopod.learn.next_camera import (
-    Overlapping,
+    OverlappingViews,
     find_overlapping,
     fit_followed,
     followed_of,
-    table_of,
+    overlap_table,
     views_of,
 )
 from camtopod.learn.outcomes import Exit, Happened, outcomes_of
-from camtopod.learn.prediction_model import model_of
+from camtopod.learn.prediction_model import build_model
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic import Arrivals, Departures, Scene
 from camtopod.learn.window import Window
@@ -83,7 +83,7 @@ class Known(NamedTuple):
     exits: earlier exits whose outcome is asked, oldest first.
     """
 
-    followed: Mapping[int, Followed]
+    followed: Mapping[int, FollowedSources]
     learned: int
     everywhere: bool
     exits: Sequence[Exit]
@@ -99,20 +99,20 @@ class Refit(NamedTuple):
     found: significant links between views, whether or not they are open at present.
     changes, silences: links that opened or closed, and gaps in each camera's events.
     model: what prediction needs beside the links.
-    followed: as `Known.followed`, for the next refit.
-    happened: outcomes of the first of `Known.exits`; None for an exit that is not in the window.
+    followed: as `JournalExtent.followed`, for the next refit.
+    happened: outcomes of the first of `JournalExtent.exits`; None for an exit that is not in the window.
     """
 
     scene: Scene
     published: LinkTable
     visible: LinkTable
     weak: LinkTable
-    lacks: Lacking
+    lacks: LinkShortfall
     found: LinkTable
     changes: list[Change]
-    silences: list[Silences]
+    silences: list[CameraSilences]
     model: Model
-    followed: dict[int, Followed]
+    followed: dict[int, FollowedSources]
     happened: list[Happened | None]
 
 
@@ -124,7 +124,7 @@ class Associated(NamedTuple):
     late: the departures with the delayed copies of long paths.
     likely: the candidates that are worth following for prediction.
     evidence (pairs,): evidence of the candidates' pairs of zones, nats.
-    followed: as `Known.followed`.
+    followed: as `JournalExtent.followed`.
     """
 
     between: LinkTable
@@ -132,7 +132,7 @@ class Associated(NamedTuple):
     late: Delayed
     likely: Candidates
     evidence: Floats
-    followed: dict[int, Followed]
+    followed: dict[int, FollowedSources]
 
 
 class Predicted(NamedTuple):
@@ -160,7 +160,7 @@ def dwell_bins(settings: Settings) -> LagBins:
 
 def nothing(settings: Settings, zones: int) -> LinkTable:
     """Return a table of no links."""
-    return tabulate(join([]), np.zeros((zones, 1)), lag_bins(settings), zones)
+    return tabulate(concatenate_transitions([]), np.zeros((zones, 1)), lag_bins(settings), zones)
 
 
 def refit(
@@ -183,7 +183,7 @@ def refit(
     transitions = visible_transitions(scene, dwell_bins(settings), settings.candidates_max)
     entries = scene.entries.astype(float)[:, None]
     through = tabulate(transitions, entries, dwell_bins(settings), zones)
-    scene = scene._replace(departures=with_usual_stays(scene.departures, through))
+    scene = scene._replace(departures=with_usual_dwell_times(scene.departures, through))
 
     # 2. Silent cameras, and views that overlap.
     seconds = window.column("t") / MICROSECONDS
@@ -199,7 +199,7 @@ def refit(
         every, changes, followed = found.between, found.changes, found.followed
     else:
         every, changes, followed = nothing(settings, zones), list[Change](), dict(known.followed)
-        model = model_of(
+        model = build_model(
             window.cameras, scene, None, bins, window, [], settings.correct_clocks, overlapping
         )
         predicted = Predicted(nothing(settings, zones), model, [])
@@ -210,17 +210,19 @@ def refit(
     between = present(every, changes, zones, share_min)
     likely = present(predicted.likely, changes, zones, share_min)
     camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
-    certain = without_missed(between, through, significant(between, settings), camera_of, settings)
-    published = refresh_monte_carlo(between.rows(np.flatnonzero(certain)), bins)
+    certain = without_missed_detections(
+        between, through, significant(between, settings), camera_of, settings
+    )
+    published = with_monte_carlo_variance(between.rows(np.flatnonzero(certain)), bins)
     visible = through.rows(np.flatnonzero(significant(through, settings)))
-    weak = beside(likely, published, zones)
+    weak = select_weak_links(likely, published, zones)
     observed = scene.last - seconds[0]
     return Refit(
         scene=scene,
         published=published,
-        visible=refresh_monte_carlo(visible, dwell_bins(settings)),
+        visible=with_monte_carlo_variance(visible, dwell_bins(settings)),
         weak=weak,
-        lacks=lacking(weak, between, len(published.source), zones, observed, settings),
+        lacks=shortfall_of(weak, between, len(published.source), zones, observed, settings),
         found=every.rows(np.flatnonzero(significant(every, settings))),
         changes=changes,
         silences=silences,
@@ -232,8 +234,8 @@ def refit(
 
 def associate(
     scene: Scene,
-    silences: list[Silences],
-    overlapping: list[Overlapping],
+    silences: list[CameraSilences],
+    overlapping: list[OverlappingViews],
     window: Window,
     known: Known,
     settings: Settings,
@@ -251,7 +253,7 @@ def associate(
     view = np.array([zone.camera for zone in scene.zones], np.int32)
     late = with_long_paths(scene.departures, arrivals, view, cameras, bins, settings.candidates_max)
     places = [place(camera, scene.zones[zone].number) for camera, zone in late.places()]
-    screen = Screen()
+    screen = CandidateScreen()
     screen.followed = dict(known.followed)
     candidates = screen.find(
         late.departures,
@@ -270,7 +272,7 @@ def associate(
         scene, late, candidates, bool(screen.followed), silences, settings, on_step
     )
 
-    overlap = late.overlapping(table_of(overlapping, cameras))
+    overlap = late.overlapping(overlap_table(overlapping, cameras))
     zones = len(late.zone)
     likely = followed_of(late.departures, arrivals, candidates, bins, zones, scene.last, overlap)
     return Associated(between, changes, late, likely, evidence, screen.followed)
@@ -281,7 +283,7 @@ def judge(
     late: Delayed,
     candidates: Candidates,
     screened: bool,
-    silences: list[Silences],
+    silences: list[CameraSilences],
     settings: Settings,
     on_step: Callable[[str], None],
 ) -> tuple[LinkTable, list[Change], Floats]:
@@ -307,10 +309,10 @@ def judge(
     evidence = cross_evidence(departures, arrivals, every, bins, zones, first, scene.last)
     between = tabulate(
         transitions_of(fit),
-        leaving(departures, bins, zones, scene.last),
+        exposed_departures(departures, bins, zones, scene.last),
         bins,
         zones,
-        pace_of(fit, departures, arrivals, zones),
+        transition_slowness(fit, departures, arrivals, zones),
         late.seconds,
     )
     between = late.links_back(between.with_evidence(evidence, len(scene.zones) ** 2))
@@ -328,7 +330,9 @@ def with_unlikely(
 ) -> Fit:
     """Return the fit with all candidates of the pairs that may be links, unlikely ones included."""
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
-    return fit._replace(candidates=whole(fit.candidates, pairs, departures, arrivals, bins, zones))
+    return fit._replace(
+        candidates=candidates_of_pairs(fit.candidates, pairs, departures, arrivals, bins, zones)
+    )
 
 
 def predict_next(
@@ -336,7 +340,7 @@ def predict_next(
     window: Window,
     clocks: Clocks,
     found: Associated,
-    overlapping: list[Overlapping],
+    overlapping: list[OverlappingViews],
     known: Known,
     settings: Settings,
 ) -> Predicted:
@@ -355,7 +359,7 @@ def predict_next(
     )
 
     some = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
-    left = leaving(late.departures, bins, zones, scene.last)
+    left = exposed_departures(late.departures, bins, zones, scene.last)
     likely = tabulate(some, left, bins, zones, delay=late.seconds).without_counts()
     likely = late.links_back(likely.with_evidence(likely.ratio, len(posterior.share)))
     posterior = late.posterior_back(posterior, len(scene.zones))
@@ -370,7 +374,7 @@ def predict_next(
         clocks.offset,
         certain_until,
     )
-    model = model_of(
+    model = build_model(
         cameras,
         scene,
         posterior,

@@ -16,26 +16,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.event_time import MICROSECONDS
-from camtopod.learn.association import Followed, place
+from camtopod.learn.association import FollowedSources, place
 from camtopod.learn.window import GONE, Intake, Window
 
-STAYS_SECONDS = 7 * 86_400.0
+RETIRED_AFTER_SECONDS = 7 * 86_400.0
 """Seconds of event time that a camera without events stays listed, at least."""
 LEFT_CAMERAS_MAX = 10_000
 """Retired cameras whose zones are remembered. Beyond that, the one retired first is forgotten."""
-GIVES_WAY_SECONDS = 3600.0
+REPLACEABLE_AFTER_SECONDS = 3600.0
 """Seconds of event time after which a silent camera may be replaced by a new one."""
 _CAMERA_SHIFT = 32
 """Bits below the camera's index in a zone's key, see `place`."""
 
 
-def left_by(intake: Intake, window: Window, now_us: int, window_us: int) -> set[str]:
+def cameras_to_retire(intake: Intake, window: Window, now_us: int, window_us: int) -> set[str]:
     """Return the cameras to retire.
 
     now_us (microseconds): event time.
     window_us (microseconds): length of the window.
     """
-    newest, t_us = intake.newest_of, now_us - max(window_us, round(STAYS_SECONDS * MICROSECONDS))
+    newest, t_us = (
+        intake.newest_of,
+        now_us - max(window_us, round(RETIRED_AFTER_SECONDS * MICROSECONDS)),
+    )
     silent = {
         name for name in (*intake.cameras, *window.cameras) if newest.get(name, t_us - 1) < t_us
     }
@@ -47,10 +50,10 @@ def left_by(intake: Intake, window: Window, now_us: int, window_us: int) -> set[
     return silent - window.cameras_present() - intake.held_of()
 
 
-def gives_way(intake: Intake, window: Window) -> str | None:
+def camera_to_replace(intake: Intake, window: Window) -> str | None:
     """Return the camera that a new one replaces; None if none has been silent for long."""
     newest, watermark_us = intake.newest_of, intake.watermark_us
-    silent_us = (watermark_us or 0) - round(GIVES_WAY_SECONDS * MICROSECONDS)
+    silent_us = (watermark_us or 0) - round(REPLACEABLE_AFTER_SECONDS * MICROSECONDS)
 
     # The usual case: `newest_of` begins with the camera that was heard longest ago.
     if not newest or newest[next(iter(newest))] >= silent_us:
@@ -67,10 +70,12 @@ def gives_way(intake: Intake, window: Window) -> str | None:
     return min(silent)[-1] if silent else None
 
 
-def renumbered(followed: dict[int, Followed], number: NDArray[np.int64]) -> dict[int, Followed]:
+def renumber_followed(
+    followed: dict[int, FollowedSources], number: NDArray[np.int64]
+) -> dict[int, FollowedSources]:
     """Return the followed sources of each zone after the cameras were renumbered.
 
-    followed (by `place`): sources that `Screen` follows.
+    followed (by `place`): sources that `CandidateScreen` follows.
     number (cameras,): new index of each camera, `GONE` for retired ones.
     """
     result = {}
@@ -78,7 +83,7 @@ def renumbered(followed: dict[int, Followed], number: NDArray[np.int64]) -> dict
         if number[target >> _CAMERA_SHIFT] != GONE:
             sources = known.sources[number[known.sources >> _CAMERA_SHIFT] != GONE]
             moved = np.array([_moved(source, number) for source in sources.tolist()], np.int64)
-            result[_moved(target, number)] = Followed(moved, known.looked)
+            result[_moved(target, number)] = FollowedSources(moved, known.looked)
     return result
 
 

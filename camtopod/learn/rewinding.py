@@ -16,7 +16,7 @@ from camtopod.learn.snapshot import LearnerState
 from camtopod.learn.window import IntakeState, WindowState
 
 
-def rewound(state: LearnerState, to: float) -> LearnerState:
+def rewind(state: LearnerState, to: float) -> LearnerState:
     """Return the state with event time at ``to`` (seconds) and without later events."""
     to_us, tick_us = microseconds(to), microseconds(state.settings.version_seconds)
     reached = to_us // tick_us * tick_us

@@ -33,7 +33,7 @@ PROBABILITY_FLOOR = 1e-4
 """Lower bound on a predicted probability in the log loss."""
 
 
-class Guess(NamedTuple):
+class ScoredPrediction(NamedTuple):
     """One prediction, with probabilities by camera and under "" for leaving the site."""
 
     t: float
@@ -48,7 +48,7 @@ class Guess(NamedTuple):
     """Probabilities by the Markov chain over cameras."""
 
 
-class Marks(NamedTuple):
+class Scores(NamedTuple):
     """Scores of one prediction."""
 
     version: int
@@ -73,8 +73,8 @@ class ScorerState(Struct):
     baseline: dict[str, dict[str, float]]
     stride: int
     exits: int
-    guesses: list[Guess]
-    marks: list[Marks]
+    guesses: list[ScoredPrediction]
+    marks: list[Scores]
 
 
 class Scorer:
@@ -85,8 +85,8 @@ class Scorer:
         self._baseline: dict[str, dict[str, float]] = {}
         self._stride = 1
         self._exits = 0
-        self._guesses: deque[Guess] = deque(maxlen=PENDING_MAX)
-        self._marks: deque[Marks] = deque(maxlen=SCORED_MAX)
+        self._guesses: deque[ScoredPrediction] = deque(maxlen=PENDING_MAX)
+        self._marks: deque[Scores] = deque(maxlen=SCORED_MAX)
 
     def save(self) -> ScorerState:
         """Return the state that `load` needs to continue, apart from the topology."""
@@ -134,7 +134,7 @@ class Scorer:
                     baseline = self._baseline.get(event.camera, {"": 1.0})
                     version = predictor.version
                     self._guesses.append(
-                        Guess(t_us / MICROSECONDS, event.camera, version, said, baseline)
+                        ScoredPrediction(t_us / MICROSECONDS, event.camera, version, said, baseline)
                     )
             predictor.observe(event)
 
@@ -154,7 +154,7 @@ class Scorer:
             shares[""] = max(1.0 - sum(shares.values()), 0.0)
 
     @property
-    def waiting(self) -> list[Guess]:
+    def waiting(self) -> list[ScoredPrediction]:
         """Predictions whose outcome is not known yet, oldest first."""
         return list(self._guesses)
 
@@ -168,7 +168,7 @@ class Scorer:
             if outcome is not None:
                 self.note(guess, outcome)
 
-    def note(self, guess: Guess, happened: dict[str, float]) -> None:
+    def note(self, guess: ScoredPrediction, happened: dict[str, float]) -> None:
         """Score one prediction.
 
         happened (by camera): probability that the object appeared there next.
@@ -179,7 +179,7 @@ class Scorer:
         """Return the current score; None before any exit has been scored."""
         if not self._marks:
             return None
-        m = Marks(*(np.array(column) for column in zip(*self._marks, strict=True)))  # type: ignore[arg-type]
+        m = Scores(*(np.array(column) for column in zip(*self._marks, strict=True)))  # type: ignore[arg-type]
         followed = max(float(np.sum(m.followed)), 1e-9)
         return SelfScore(
             exits=len(self._marks),
@@ -200,7 +200,7 @@ def _by_camera(prediction: Prediction) -> dict[str, float]:
     return said
 
 
-def marks(guess: Guess, happened: dict[str, float]) -> Marks:
+def marks(guess: ScoredPrediction, happened: dict[str, float]) -> Scores:
     """Return the scores of a prediction.
 
     happened (by camera): probability that the object appeared there next.
@@ -208,7 +208,7 @@ def marks(guess: Guess, happened: dict[str, float]) -> Marks:
     followed = sum(happened.values())
     outcomes = {**happened, "": max(1.0 - followed, 0.0)}
     ranked, usual = (_ranked(shares) for shares in (guess.said, guess.baseline))
-    return Marks(
+    return Scores(
         guess.version,
         followed,
         sum(happened.get(camera, 0.0) for camera in ranked[:1]),

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from camtopod.learn.association import Followed
+from camtopod.learn.association import FollowedSources
 from camtopod.learn.changes import AlarmState, Move
 from camtopod.learn.clocks import ClockState
 from camtopod.learn.self_score import ScorerState
@@ -54,7 +54,7 @@ class CameraState(Struct):
     """Positioned events of the camera when it was last tested for a move."""
 
 
-class LeftCamera(Struct):
+class RetiredCamera(Struct):
     """State kept of a camera that was retired: its zones, and the next free zone number."""
 
     zones: tuple[ZoneShape, ...] = ()
@@ -79,10 +79,10 @@ class LearnerState(Struct):
     fitted_us: int | None
     learned: int
     since_fit: int
-    followed: dict[int, Followed] = {}
+    followed: dict[int, FollowedSources] = {}
     publishers: dict[str, Publisher] = {}
     doubled: list[str] = []
-    left: dict[str, LeftCamera] = {}
+    left: dict[str, RetiredCamera] = {}
 
 
 class _Snapshot(Struct):

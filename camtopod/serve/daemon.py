@@ -36,15 +36,15 @@ from camtopod.event_time import EventTime, microseconds
 from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve.bus import (
-    HANGS_SECONDS,
     JSON,
+    SLOW_PUBLICATION_SECONDS,
     Bus,
+    OtherDaemons,
     QueryError,
-    Rivals,
     SelfCheck,
-    boxes,
+    certificate_by_camera,
     dial,
-    meet,
+    open_daemon_session,
 )
 from camtopod.serve.ingest import Puller, Receiver
 from camtopod.serve.learner_process import (
@@ -57,7 +57,7 @@ from camtopod.serve.learner_process import (
     told_by,
 )
 from camtopod.serve.live_predictions import Live
-from camtopod.serve.runtime import Mark, Progress, changes
+from camtopod.serve.runtime import Heartbeat, Progress, changed_settings
 from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.shards import Share, Whole
 from camtopod.serve.storage import Journal, Newest, StateError, Version, head_of
@@ -90,7 +90,7 @@ class Daemon:
         clock: clocks.Clock = clocks.wall,
         shard: tuple[int, int] | None = None,
     ) -> None:
-        self._config, self._clock, self._steady = config, clock, clocks.steady_beside(clock)
+        self._config, self._clock, self._steady = config, clock, clocks.steady_clock_for(clock)
         self._share = Whole() if shard is None else Share(config.shards, shard)
         self._sharing: Sharing | None = None
         self._given_bus = bus
@@ -151,7 +151,7 @@ class Daemon:
                 self._process = process = LearnerProcess()
                 if self._bus is None:
                     self._bus = (
-                        meet(config, isinstance(share, Share)) if share.first else dial(config)
+                        open_daemon_session(config, isinstance(share, Share)) if share.first else dial(config)
                     )
                 name = config.site.name
                 recovered = recover(
@@ -166,7 +166,7 @@ class Daemon:
                 if cancelled.is_set():
                     return False
                 self._build(self._bus, recovered, process, directory)
-                self._rivals = Rivals(self._bus, self._name(), share.shard)
+                self._rivals = OtherDaemons(self._bus, self._name(), share.shard)
                 self._rivals.refuse(config.bus.connect_seconds, cancelled)
                 self._serve(self._bus)
             except sqlite3.Error as error:
@@ -235,7 +235,7 @@ class Daemon:
             self._process.kill()
         if "store" not in running:
             if self.started and "learn" not in running:
-                self._receiver.storing.last_words(
+                self._receiver.storing.store_remaining(
                     None if self._failed.is_set() else self._learning.snapshot()
                 )
             self._journal.close()
@@ -247,10 +247,10 @@ class Daemon:
     def failing(self) -> list[str]:
         """Return the reasons for a restart; empty if all loops make progress."""
         reasons = ["a part of the daemon has failed"] if self._failed.is_set() else []
-        seconds, key = (0.0, "") if self._bus is None else self._bus.hanging
+        seconds, key = (0.0, "") if self._bus is None else self._bus.slowest_publication
         if seconds > self._config.health.stall_seconds:
             reasons.append(f"publishing on {key} has taken {seconds:.0f} s and does not end")
-        return reasons + self.progress.stuck()
+        return reasons + self.progress.stalled()
 
     def unready(self) -> list[str]:
         """Return the reasons not to rely on the daemon now, which a restart may not remove.
@@ -272,7 +272,7 @@ class Daemon:
 
     def reconfigure(self, config: Config) -> list[str]:
         """Apply settings that can change at run time; return the names of those that cannot."""
-        limits, waiting = changes(self._config, config)
+        limits, waiting = changed_settings(self._config, config)
         self._config = msgspec.structs.replace(self._config, limits=limits)
         stall = self._config.health.stall_seconds
         self.progress.allow("pull", limits.pull_seconds + stall)
@@ -326,8 +326,8 @@ class Daemon:
     def _reason(self) -> str:
         """Why events are not stored, or not learned, at the moment; "" if they are."""
         receiver, watermark = self._receiver, self._learning.statistics["watermark"]
-        seconds, key = self._bus.hanging if self._bus is not None else (0.0, "")
-        hanging = f"publishing on {key} takes {seconds:.0f} s" if seconds > HANGS_SECONDS else ""
+        seconds, key = self._bus.slowest_publication if self._bus is not None else (0.0, "")
+        hanging = f"publishing on {key} takes {seconds:.0f} s" if seconds > SLOW_PUBLICATION_SECONDS else ""
         reason = (
             receiver.storing.reason
             or ("" if self._sharing is None else self._sharing.reason)
@@ -405,7 +405,7 @@ class Daemon:
             owns=share.owns,
             daemon=self._name(),
             learned_time=learned_time,
-            boxes=boxes(self._config),
+            boxes=certificate_by_camera(self._config),
             corrected=self._correct,
         )
         storing = self._receiver.storing
@@ -535,8 +535,8 @@ class Daemon:
         self._live.use(version.packed)
         self.newest, said = version.newest, version.head
         if version.delta is not None:
-            self.bus.put_raw("topology/delta", version.delta, "topology-delta")
-        self.bus.put_raw("topology", version.packed, "topology")
+            self.bus.publish_raw("topology/delta", version.delta, "topology-delta")
+        self.bus.publish_raw("topology", version.packed, "topology")
 
         # Log the new alarms and the version.
         for alarm in said.alarms:
@@ -553,13 +553,13 @@ class Daemon:
     def _publish_prediction(self, prediction: Prediction) -> None:
         self.bus.put(f"prediction/{prediction.camera}", prediction, "prediction")
 
-    def _tell_status(self, mark: Mark) -> None:
+    def _tell_status(self, mark: Heartbeat) -> None:
         """Publish the status at intervals until the daemon stops."""
         while not self._stopping.wait(self._config.limits.status_seconds):
             self.bus.put(self._share.status_key, self.status(), "status")
             mark.beat()
 
-    def _run(self, name: str, work: Callable[[Mark], None], seconds_max: float) -> None:
+    def _run(self, name: str, work: Callable[[Heartbeat], None], seconds_max: float) -> None:
         """Run a loop in a thread; it has to beat at least every ``seconds_max``."""
         mark = self.progress.watch(name, seconds_max)
 

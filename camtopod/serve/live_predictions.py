@@ -14,7 +14,7 @@ from camtopod.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.ingest import Received
-from camtopod.serve.runtime import everything
+from camtopod.serve.runtime import owns_every_camera
 
 
 class Live:
@@ -29,7 +29,7 @@ class Live:
     def __init__(
         self,
         publish: Callable[[Prediction], None],
-        owns: Callable[[str], bool] = everything,
+        owns: Callable[[str], bool] = owns_every_camera,
     ) -> None:
         self._publish, self._owns = publish, owns
         self._mutex = threading.Lock()

@@ -19,22 +19,22 @@ from typing import TYPE_CHECKING
 from camtopod.lazy import names_from
 
 if TYPE_CHECKING:
-    from camtopod.sharding.assignment import Dealing, Sharding, districts_of
-    from camtopod.sharding.parts import Part, is_dealt
+    from camtopod.sharding.assignment import Assignment, Sharding, districts_of
+    from camtopod.sharding.parts import Part, is_assigned
     from camtopod.sharding.shard_learner import ShardLearner, ShardState, pack_shard, unpack_shard
-    from camtopod.sharding.version_line import Line, LineState, age_of
+    from camtopod.sharding.version_line import VersionLine, VersionLineState, age_of
 
 __all__ = [
-    "Dealing",
-    "Line",
-    "LineState",
+    "Assignment",
     "Part",
     "ShardLearner",
     "ShardState",
     "Sharding",
+    "VersionLine",
+    "VersionLineState",
     "age_of",
     "districts_of",
-    "is_dealt",
+    "is_assigned",
     "pack_shard",
     "unpack_shard",
 ]
@@ -42,16 +42,16 @@ __all__ = [
 __getattr__ = names_from(
     __name__,
     {
-        "Dealing": "assignment",
-        "Line": "version_line",
-        "LineState": "version_line",
+        "Assignment": "assignment",
+        "VersionLine": "version_line",
+        "VersionLineState": "version_line",
         "Part": "parts",
         "ShardLearner": "shard_learner",
         "ShardState": "shard_learner",
         "Sharding": "assignment",
         "age_of": "version_line",
         "districts_of": "assignment",
-        "is_dealt": "parts",
+        "is_assigned": "parts",
         "pack_shard": "shard_learner",
         "unpack_shard": "shard_learner",
     },

@@ -48,7 +48,7 @@ class Sharding(Struct, frozen=True, forbid_unknown_fields=True):
     """Length of a turn in hours of event time: enough for dozens of objects on a path."""
 
 
-class Dealing:
+class Assignment:
     """The assignment of cameras to districts, and of guests to turns."""
 
     def __init__(self, sharding: Sharding) -> None:
@@ -61,7 +61,7 @@ class Dealing:
         """Return the district that the camera is assigned to."""
         return self._district(camera)
 
-    def guest(self, camera: str, turn: int) -> bool:
+    def is_guest(self, camera: str, turn: int) -> bool:
         """Return True if the camera is a guest of all districts in the turn."""
         return turn % self.sharding.guest_turns == self._turn(camera)
 

@@ -26,7 +26,7 @@ from camtopod.event_time import MICROSECONDS, microseconds
 from camtopod.learn import Learner, LearnerState, Settings
 from camtopod.learn.traffic import Scene
 from camtopod.records import Event, Topology
-from camtopod.sharding.assignment import Dealing
+from camtopod.sharding.assignment import Assignment
 from camtopod.sharding.neighbour_scan import find_nearby, with_cameras
 from camtopod.sharding.parts import Part, part_of
 
@@ -50,7 +50,7 @@ MET_MAX = 10_000
 """Foreign cameras that are remembered; the one met first is forgotten, and new when met again."""
 
 
-class Newcomer(Struct):
+class NewCamera(Struct):
     """A new camera: new up to the turn one turn length after its first event, or longer."""
 
     since_us: int
@@ -61,7 +61,7 @@ class Newcomer(Struct):
     """Additional turns for which it stays new."""
 
 
-class Hearing(Struct):
+class Membership(Struct):
     """State of a `District` apart from its learner's."""
 
     turn: int | None = None
@@ -72,7 +72,7 @@ class Hearing(Struct):
     """Events of own cameras that were learned from."""
     owner: bool = False
     """Whether an own camera has been received. Until then no part is to be expected."""
-    met: dict[str, Newcomer] = {}
+    met: dict[str, NewCamera] = {}
     """Cameras that have been received, in the order in which they were met."""
 
 
@@ -80,21 +80,21 @@ class DistrictState(Struct):
     """Complete state of a `District`."""
 
     learner: LearnerState
-    hearing: Hearing
+    hearing: Membership
 
 
 class District(Learner):
     """A `Learner` of the events that concern one district; makes a `Part` with each version."""
 
     def __init__(
-        self, settings: Settings, site: str, epoch: str, dealing: Dealing, number: int
+        self, settings: Settings, site: str, epoch: str, dealing: Assignment, number: int
     ) -> None:
         super().__init__(settings, site, epoch)
         self.number = number
-        self.hearing = Hearing()
+        self.hearing = Membership()
         self._dealing = dealing
         self._parts: list[Part] = []
-        self._new: dict[str, Newcomer] = {}  # those of `Hearing.met` that may be new
+        self._new: dict[str, NewCamera] = {}  # those of `Membership.met` that may be new
 
     def owns(self, camera: str) -> bool:
         """Return True if the camera is assigned to this district."""
@@ -110,9 +110,9 @@ class District(Learner):
         searching = any(
             self._is_new(one, turn) for name, one in self._new.items() if self.owns(name)
         )
-        if self._hears(camera, turn, searching):
+        if self._uses(camera, turn, searching):
             return True
-        return decided is not None and turn > decided and self._hears(camera, decided, searching)
+        return decided is not None and turn > decided and self._uses(camera, decided, searching)
 
     def receive(self, event: Event) -> str:
         """Take one event, as `Learner.receive`; ``unheard`` if it is of no use."""
@@ -226,7 +226,7 @@ class District(Learner):
         self.hearing.learned += sum(self.owns(event.camera) for _, event in heard)
         return heard if self.hearing.learned else []
 
-    def _hears(self, camera: str, turn: int, searching: bool) -> bool:
+    def _uses(self, camera: str, turn: int, searching: bool) -> bool:
         """Return True if events of the camera are of use in a turn.
 
         They are if it is an own camera, a neighbour, a guest or new; all are when ``searching``.
@@ -235,13 +235,13 @@ class District(Learner):
             searching
             or self.owns(camera)
             or camera in self.hearing.neighbours
-            or self._dealing.guest(camera, turn)
+            or self._dealing.is_guest(camera, turn)
         ):
             return True
         met = self.hearing.met.get(camera)
         return met is None or self._is_new(met, turn)
 
-    def _is_new(self, camera: Newcomer, turn: int) -> bool:
+    def _is_new(self, camera: NewCamera, turn: int) -> bool:
         return turn <= self._turn_of(camera.since_us + self._dealing.turn_us) + camera.longer
 
     def _searches(self, tick_us: int, turn: int) -> bool:
@@ -259,11 +259,11 @@ class District(Learner):
 
     def _admit(self, camera: str, t_us: int, turn: int, searching: bool) -> bool:
         """Return True if an event is to be learned from, and count it for its camera."""
-        if not self._hears(camera, turn, searching):
+        if not self._uses(camera, turn, searching):
             return False
         met = self.hearing.met
         if camera not in met and not (
-            searching or self.owns(camera) or self._dealing.guest(camera, turn)
+            searching or self.owns(camera) or self._dealing.is_guest(camera, turn)
         ):
             # Too many new foreign cameras at a time.
             begun = next(iter(met.values())).since_us if met else t_us
@@ -276,7 +276,7 @@ class District(Learner):
         self._meet(camera, t_us).events += 1
         return True
 
-    def _meet(self, camera: str, t_us: int) -> Newcomer:
+    def _meet(self, camera: str, t_us: int) -> NewCamera:
         """Remember a camera that has an event at ``t_us`` and return its record."""
         met = self.hearing.met.get(camera)
         if met is None:
@@ -285,7 +285,7 @@ class District(Learner):
                 if first is not None:
                     del self.hearing.met[first]
                     self._new.pop(first, None)
-            met = self.hearing.met[camera] = self._new[camera] = Newcomer(t_us)
+            met = self.hearing.met[camera] = self._new[camera] = NewCamera(t_us)
         return met
 
     def _end_turn(self, ended: int, following: int, tick_us: int) -> None:
@@ -306,14 +306,14 @@ class District(Learner):
         self._new = {name: one for name, one in self._new.items() if self._is_new(one, following)}
 
         searching = self._searches(tick_us, following)
-        gone = {camera for camera in foreign if not self._hears(camera, following, searching)}
+        gone = {camera for camera in foreign if not self._uses(camera, following, searching)}
         if gone:
             super().forget(gone)
 
     def _find_neighbours(self, topology: Topology) -> list[str]:
         """Return the foreign cameras with transitions to own ones, those with the most first."""
         # Transitions, arrivals and departures by camera.
-        sent = sent_to(topology)
+        sent = transitions_between(topology)
         came, left = Counter[str](), Counter[str]()
         for zone in topology.zones:
             came[zone.camera] += zone.entries
@@ -388,7 +388,7 @@ def linked_cameras(topology: Topology) -> set[tuple[str, str]]:
     return {(camera_of[link.from_], camera_of[link.to]) for link in topology.links}
 
 
-def sent_to(topology: Topology) -> dict[tuple[str, str], float]:
+def transitions_between(topology: Topology) -> dict[tuple[str, str], float]:
     """Return the expected transitions between each pair of cameras, spurious ones left out."""
     camera_of = {zone.id: zone.camera for zone in topology.zones}
     model = topology.model

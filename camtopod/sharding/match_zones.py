@@ -14,7 +14,7 @@ from camtopod.learn.zones import MATCH_DISTANCE, PLACE_SD_MIN
 from camtopod.records import Zone
 
 
-class Places:
+class OwnedZones:
     """Zones of a site under the ids that their owners gave them."""
 
     def __init__(self, zones: Iterable[Zone]) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 from msgspec.structs import replace
 
-from camtopod.learn import OUTCOMES_PER_ZONE_MAX, Settings, by_clocks
+from camtopod.learn import OUTCOMES_PER_ZONE_MAX, Settings, with_clock_offsets
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     CameraModel,
@@ -29,18 +29,18 @@ from camtopod.records import (
     Topology,
     Zone,
 )
-from camtopod.sharding.match_zones import Places
+from camtopod.sharding.match_zones import OwnedZones
 from camtopod.sharding.parts import Part
-from camtopod.sharding.rename_zones import Names, renamed
+from camtopod.sharding.rename_zones import Names, with_owners_ids
 from camtopod.topology import (
     ALARMS_KEPT_MAX,
     DIGITS,
     LEAVE_FLOOR,
-    camera_pairs,
+    estimate_markov_chain,
+    find_camera_pairs,
     link_key,
-    markov_chain,
-    scaled,
-    short,
+    round_significant,
+    scale_histogram,
 )
 
 ContextKey = tuple[str, str | None, int | None, str | None]
@@ -60,8 +60,8 @@ def merge(parts: Iterable[Part], settings: Settings) -> Topology:
         (zone for part in ordered for zone in part.topology.zones if zone.camera in part.rates),
         key=lambda z: z.id,
     )
-    places = Places(zones)
-    known = [renamed(part.topology, _names(part, places)) for part in ordered]
+    places = OwnedZones(zones)
+    known = [with_owners_ids(part.topology, _names(part, places)) for part in ordered]
 
     cameras = sorted(
         (camera for one in known for camera in one.cameras), key=lambda camera: camera.id
@@ -71,7 +71,9 @@ def merge(parts: Iterable[Part], settings: Settings) -> Topology:
     # Links in corrected time, for the relations of camera pairs.
     right = links
     if not settings.correct_clocks:
-        right = by_clocks(links, zones, {camera.id: -camera.clock_offset for camera in cameras})
+        right = with_clock_offsets(
+            links, zones, {camera.id: -camera.clock_offset for camera in cameras}
+        )
 
     alarms = sorted(
         (alarm for one in known for alarm in one.alarms or []), key=lambda alarm: alarm.t
@@ -88,16 +90,16 @@ def merge(parts: Iterable[Part], settings: Settings) -> Topology:
         cameras=cameras,
         zones=zones,
         links=links,
-        pairs=camera_pairs(zones, right, settings.overlap_tolerance_seconds),
+        pairs=find_camera_pairs(zones, right, settings.overlap_tolerance_seconds),
         weak_links=weak,
-        chain=markov_chain(zones, [*links, *weak], DIGITS),
+        chain=estimate_markov_chain(zones, [*links, *weak], DIGITS),
         model=_model(ordered, known, zones),
         alarms=[replace(alarm, version=0) for alarm in alarms[-ALARMS_KEPT_MAX:]] or None,
         score=_score(known),
     )
 
 
-def _names(part: Part, places: Places) -> Names:
+def _names(part: Part, places: OwnedZones) -> Names:
     """Return the owners' ids of all zones that the part names."""
     own: Names = {zone.id: [zone.id] for zone in part.topology.zones if zone.camera in part.rates}
     return own | places.names(zone for zone in part.topology.zones if zone.camera not in part.rates)
@@ -139,7 +141,10 @@ def _within(links: Iterable[Link], room: dict[str, float]) -> list[Link]:
     links = list(links)
     taken = _leaving(links)
     return [
-        replace(link, probability=short(link.probability * room[link.from_] / taken[link.from_]))
+        replace(
+            link,
+            probability=round_significant(link.probability * room[link.from_] / taken[link.from_]),
+        )
         if link.relation != "visible" and taken[link.from_] > room.get(link.from_, math.inf)
         else link
         for link in links
@@ -164,7 +169,7 @@ def _model(parts: Sequence[Part], known: Sequence[Topology], zones: Sequence[Zon
     total = max(sum(rate for part in parts for rate in part.rates.values()), 1e-300)
     rates = {camera: rate / total for part in parts for camera, rate in part.rates.items()}
     cameras = [
-        CameraModel(row.camera, short(rates[row.camera]), row.last_event)
+        CameraModel(row.camera, round_significant(rates[row.camera]), row.last_event)
         for model in models
         for row in model.cameras
     ]
@@ -213,12 +218,14 @@ def _outcomes(zone: str, rows: Sequence[Onward]) -> Onward:
     most = 1.0 - LEAVE_FLOOR
     if appear > most + 1e-9:
         outcomes, appear = [_scaled(outcome, most / appear) for outcome in outcomes], most
-    return Onward(zone, short(1.0 - appear), outcomes)
+    return Onward(zone, round_significant(1.0 - appear), outcomes)
 
 
 def _scaled(outcome: Outcome, factor: float) -> Outcome:
     return replace(
-        outcome, share=short(outcome.share * factor), hazard=scaled(outcome.hazard, factor)
+        outcome,
+        share=round_significant(outcome.share * factor),
+        hazard=scale_histogram(outcome.hazard, factor),
     )
 
 
@@ -289,7 +296,8 @@ def _with(row: Context, others: Iterable[dict[str, float]]) -> Context:
         return row
     factor = min(1.0, row.departures / max(sum(to.values()), 1e-300))
     return replace(
-        row, to={target: short(number * factor) for target, number in sorted(to.items())}
+        row,
+        to={target: round_significant(number * factor) for target, number in sorted(to.items())},
     )
 
 
@@ -303,7 +311,7 @@ def _pace(models: Sequence[Model]) -> Pace | None:
     if not some or told < PACE_SHARE_MIN * sum(weight for _, weight in weighed):
         return None
     scaling, correlation, sd = (
-        short(sum(getattr(pace, name) * weight for pace, weight in some) / told)
+        round_significant(sum(getattr(pace, name) * weight for pace, weight in some) / told)
         for name in ("scaling", "correlation", "sd")
     )
     ways = sorted(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Bools
-from camtopod.learn.association import ends_of, followed_above_chance
+from camtopod.learn.association import excess_by_source, screen_input
 from camtopod.learn.traffic import Scene
 from camtopod.topology import LagBins
 
@@ -24,14 +24,12 @@ def find_nearby(scene: Scene, own: Bools, bins: LagBins) -> Bools:
     own (C,): whether a camera belongs to this district.
     """
     camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
-    ends = ends_of(scene.departures, scene.arrivals, bins, len(camera_of), scene.last)
+    ends = screen_input(scene.departures, scene.arrivals, bins, len(camera_of), scene.last)
 
     # Largest excess from each camera to each own camera.
     clearest = np.full((len(own), len(own)), -np.inf)
     for zone in np.flatnonzero(own[camera_of]):
-        np.maximum.at(
-            clearest[:, camera_of[zone]], camera_of, followed_above_chance(ends, int(zone))
-        )
+        np.maximum.at(clearest[:, camera_of[zone]], camera_of, excess_by_source(ends, int(zone)))
 
     # The cameras with the largest excess at each own camera.
     nearby = np.zeros(len(own), np.bool_)

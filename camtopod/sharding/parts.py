@@ -8,8 +8,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from camtopod.records import Alarm, Model, Onward, Topology
-from camtopod.sharding.assignment import Dealing
-from camtopod.topology import short, stamp
+from camtopod.sharding.assignment import Assignment
+from camtopod.topology import round_significant, with_digest
 
 
 class Part(Struct, frozen=True):
@@ -57,10 +57,10 @@ def part_of(topology: Topology, district: int, rates: dict[str, float], events: 
         alarms=[alarm for alarm in topology.alarms or [] if _is_of(alarm, rates.keys())] or None,
         events=events,
     )
-    return Part(district, stamp(own), rates)
+    return Part(district, with_digest(own), rates)
 
 
-def is_dealt(part: Part, dealing: Dealing) -> bool:
+def is_assigned(part: Part, dealing: Assignment) -> bool:
     """Return True if all cameras of the part are assigned to its district."""
     here = range(dealing.sharding.districts)
     return part.district in here and all(
@@ -103,7 +103,7 @@ def _own_outcomes(row: Onward, zones: Set[str]) -> Onward:
         return row
     return Onward(
         row.zone,
-        short(min(row.leave + elsewhere, 1.0)),
+        round_significant(min(row.leave + elsewhere, 1.0)),
         [outcome for outcome in row.next_ if outcome.to in zones],
     )
 

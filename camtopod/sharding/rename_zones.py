@@ -23,13 +23,13 @@ from camtopod.records import (
     Outcome,
     Topology,
 )
-from camtopod.topology import LinkKey, counts_added, link_key, short, steps_added
+from camtopod.topology import LinkKey, link_key, round_significant, sum_as_counts, sum_as_steps
 
 Names = dict[str, list[str]]
 """Owners' ids of each zone, the one at its position first; others are unknown to their owner."""
 
 
-def renamed(part: Topology, names: Names) -> Topology:
+def with_owners_ids(part: Topology, names: Names) -> Topology:
     """Return the topology of a part with the owners' ids.
 
     Links, next appearances and contexts that begin at zones unknown to their owner are left out.
@@ -77,11 +77,11 @@ def _one_link(source: str, links: list[Link], exits: dict[str, float], leaving: 
     return replace(
         strongest,
         from_=source,
-        probability=short(
+        probability=round_significant(
             sum(exits[link.from_] * link.probability for link in links) / max(leaving, 1.0)
         ),
-        transitions=short(sum(link.transitions for link in links)),
-        histogram=counts_added(shapes) if shapes else None,
+        transitions=round_significant(sum(link.transitions for link in links)),
+        histogram=sum_as_counts(shapes) if shapes else None,
     )
 
 
@@ -120,7 +120,9 @@ def _one_row(owner: str, rows: list[tuple[float, Onward]], leaving: float) -> On
             to[outcome.to].append((number / leaving, outcome))
     appear = sum(number * (1.0 - row.leave) for number, row in rows) / leaving
     return Onward(
-        owner, short(1.0 - appear), [_one_outcome(target, same) for target, same in to.items()]
+        owner,
+        round_significant(1.0 - appear),
+        [_one_outcome(target, same) for target, same in to.items()],
     )
 
 
@@ -129,8 +131,8 @@ def _one_outcome(target: str, outcomes: list[tuple[float, Outcome]]) -> Outcome:
     doubt = sum(weight * outcome.share * outcome.doubt for weight, outcome in outcomes) / max(
         share, 1e-300
     )
-    hazard = steps_added([(weight, outcome.hazard) for weight, outcome in outcomes])
-    return Outcome(target, short(share), hazard, short(doubt))
+    hazard = sum_as_steps([(weight, outcome.hazard) for weight, outcome in outcomes])
+    return Outcome(target, round_significant(share), hazard, round_significant(doubt))
 
 
 def _entered(
@@ -147,7 +149,7 @@ def _entered(
                 (zone, of_zone[zone][target]) for zone in zones if target in of_zone.get(zone, {})
             ]
             alone = known[0][1] if len(zones) == 1 else None
-            hazard = alone or steps_added(
+            hazard = alone or sum_as_steps(
                 [(entries[zone] / total, hazard) for zone, hazard in known]
             )
             result.append(EntryKernel(owner, target, hazard))
@@ -169,9 +171,9 @@ def _contexts(rows: Iterable[Context], names: Names) -> list[Context]:
                 continue
             to = dict(before.to)
             for target, number in row.to.items():
-                to[target] = short(to.get(target, 0.0) + number)
+                to[target] = round_significant(to.get(target, 0.0) + number)
             result[key] = replace(
-                before, departures=short(before.departures + row.departures), to=to
+                before, departures=round_significant(before.departures + row.departures), to=to
             )
     return list(result.values())
 

@@ -23,10 +23,10 @@ from camtopod.learn import (
     unpack,
 )
 from camtopod.records import Event, Topology
-from camtopod.sharding.assignment import Dealing, Sharding, districts_of
-from camtopod.sharding.district_learner import District, DistrictState, Hearing
+from camtopod.sharding.assignment import Assignment, Sharding, districts_of
+from camtopod.sharding.district_learner import District, DistrictState, Membership
 from camtopod.sharding.parts import Part
-from camtopod.sharding.version_line import Line, LineState
+from camtopod.sharding.version_line import VersionLine, VersionLineState
 
 FORMAT = 1
 """Format of a shard's snapshot; a higher number is refused."""
@@ -41,14 +41,14 @@ class ShardState(Struct):
     shard: tuple[int, int]
     """Number of the shard, from 0, and number of shards."""
     districts: list[DistrictState]
-    line: LineState
+    line: VersionLineState
     counts: dict[str, int]
 
 
 class ShardLearner:
     """Learner of shard ``shard`` = (i, n) of a site, i from 0 to n - 1.
 
-    Its versions are those of its own districts alone. The versions of the site are made by a `Line`
+    Its versions are those of its own districts alone. The versions of the site are made by a `VersionLine`
     from the parts of all shards.
     """
 
@@ -65,13 +65,13 @@ class ShardLearner:
             sharding or Sharding(),
             shard,
         )
-        dealing = Dealing(self.sharding)
+        dealing = Assignment(self.sharding)
         self.districts = [
             District(self.settings, site, epoch, dealing, number)
             for number in districts_of(*shard, self.sharding.districts)
         ]
         self.counts = dict.fromkeys(VERDICTS, 0)
-        self._line = Line(self.settings, site, epoch)
+        self._line = VersionLine(self.settings, site, epoch)
         self._parts: list[Part] = []
         # States of the districts for which `_strangers` was determined.
         self._phases: list[tuple[int | None, int, bool]] = []
@@ -128,7 +128,7 @@ class ShardLearner:
         return self._line.updates()
 
     def parts(self) -> list[Part]:
-        """Return the parts made since the last call, for the site's `Line`.
+        """Return the parts made since the last call, for the site's `VersionLine`.
 
         Call it before `reached`.
         """
@@ -251,8 +251,8 @@ class _Snapshot(Struct):
     format: int
     sharding: Sharding
     shard: tuple[int, int]
-    districts: list[tuple[bytes, Hearing]]
-    line: LineState
+    districts: list[tuple[bytes, Membership]]
+    line: VersionLineState
     counts: dict[str, int]
 
 

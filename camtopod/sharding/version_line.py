@@ -17,14 +17,14 @@ from camtopod.learn import Settings
 from camtopod.records import Alarm, Topology
 from camtopod.sharding.merge import merge
 from camtopod.sharding.parts import Part
-from camtopod.topology import stamp
+from camtopod.topology import with_digest
 
 AlarmKey = tuple[float, str, str, str]
 """Time, kind, subject and detail of an alarm."""
 
 
-class LineState(Struct):
-    """State of a `Line`."""
+class VersionLineState(Struct):
+    """State of a `VersionLine`."""
 
     epoch: str
     topology: Topology | None
@@ -36,7 +36,7 @@ class LineState(Struct):
     """Alarms of earlier epochs."""
 
 
-class Line:
+class VersionLine:
     """The version line: merges the newest part of every district."""
 
     def __init__(self, settings: Settings, site: str, epoch: str) -> None:
@@ -99,12 +99,14 @@ class Line:
         if self.topology is None and self._parts:
             self._make()
 
-    def save(self) -> LineState:
+    def save(self) -> VersionLineState:
         """Return the state that `load` needs to continue, without updates not yet fetched."""
         parts = [self._parts[district] for district in sorted(self._parts)]
-        return LineState(self.epoch, self.topology, parts, list(self._waiting), sorted(self._past))
+        return VersionLineState(
+            self.epoch, self.topology, parts, list(self._waiting), sorted(self._past)
+        )
 
-    def load(self, state: LineState) -> None:
+    def load(self, state: VersionLineState) -> None:
         """Continue from a saved state; this line must be new."""
         self.epoch, self.topology, self._waiting = state.epoch, state.topology, list(state.waiting)
         self._parts = {part.district: part for part in state.parts}
@@ -124,7 +126,7 @@ class Line:
             if key_of(alarm) not in self._past
         ]
 
-        self.topology = stamp(
+        self.topology = with_digest(
             replace(
                 merged, site=self.site, epoch=self.epoch, version=version, alarms=alarms or None
             )

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 from camtopod.lazy import names_from
 
 if TYPE_CHECKING:
-    from camtopod.sim.floor import Plan, Walk, passages, site, stroll, truth_of
+    from camtopod.sim.floor import Plan, Walk, demo_plan, passages, simulate_walks, truth_of
     from camtopod.sim.picture import Times, camera_times, write_map
-    from camtopod.sim.render import SUFFIX, render
-    from camtopod.sim.score import score
+    from camtopod.sim.rendering import SUFFIX, render
+    from camtopod.sim.scoring import score
     from camtopod.sim.simulation import SimSettings, simulate
     from camtopod.sim.truth import Truth
 
@@ -29,12 +29,12 @@ __all__ = [
     "Truth",
     "Walk",
     "camera_times",
+    "demo_plan",
     "passages",
     "render",
     "score",
     "simulate",
-    "site",
-    "stroll",
+    "simulate_walks",
     "truth_of",
     "write_map",
 ]
@@ -43,18 +43,18 @@ __getattr__ = names_from(
     __name__,
     {
         "Plan": "floor",
-        "SUFFIX": "render",
+        "SUFFIX": "rendering",
         "SimSettings": "simulation",
         "Times": "picture",
         "Truth": "truth",
         "Walk": "floor",
         "camera_times": "picture",
         "passages": "floor",
-        "render": "render",
-        "score": "score",
+        "render": "rendering",
+        "score": "scoring",
         "simulate": "simulation",
-        "site": "floor",
-        "stroll": "floor",
+        "demo_plan": "floor",
+        "simulate_walks": "floor",
         "truth_of": "floor",
         "write_map": "picture",
     },

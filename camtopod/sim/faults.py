@@ -13,8 +13,8 @@ from camtopod.sim.layout import (
     make_layout,
     with_fire_doors,
     with_one_way,
-    with_uneven_ways,
-    without_ways,
+    with_uneven_paths,
+    without_paths,
 )
 from camtopod.sim.settings import SimSettings
 
@@ -23,7 +23,7 @@ TURNED_RADIANS = (0.7, 2.4)
 TURNED_SCALE = 0.8
 """Factor on the distance of a turned camera's zones from the image's centre."""
 
-Ways = set[tuple[int, int]]
+DirectedPaths = set[tuple[int, int]]
 """Set of directed paths (from zone, to zone)."""
 
 
@@ -37,8 +37,8 @@ class Setup:
     """
 
     layout: Layout
-    closing: Ways
-    opening: Ways
+    closing: DirectedPaths
+    opening: DirectedPaths
     offsets: Floats
     turned: dict[int, tuple[float, Floats]]
 
@@ -69,13 +69,15 @@ def make_setup(settings: SimSettings, rng: np.random.Generator) -> Setup:
     if s.fire_doors:
         layout = with_fire_doors(layout, s.fire_doors, later)
     if s.uneven:
-        layout = with_uneven_ways(layout, s.uneven, np.random.default_rng((s.seed, 6)))
+        layout = with_uneven_paths(layout, s.uneven, np.random.default_rng((s.seed, 6)))
     if s.one_way:
         layout = with_one_way(layout, s.one_way, np.random.default_rng((s.seed, 7)))
-    return Setup(layout if s.linked else without_ways(layout), closing, opening, offsets, turned)
+    return Setup(layout if s.linked else without_paths(layout), closing, opening, offsets, turned)
 
 
-def _doors(layout: Layout, settings: SimSettings, rng: np.random.Generator) -> tuple[Ways, Ways]:
+def _doors(
+    layout: Layout, settings: SimSettings, rng: np.random.Generator
+) -> tuple[DirectedPaths, DirectedPaths]:
     """Return the directed paths that close and those that open: both directions of some unseen
     paths.
     """
@@ -91,7 +93,7 @@ def _doors(layout: Layout, settings: SimSettings, rng: np.random.Generator) -> t
     return _both(paths, closing.tolist()), _both(paths, opening.tolist())
 
 
-def _both(paths: list[tuple[int, int]], chosen: list[int]) -> Ways:
+def _both(paths: list[tuple[int, int]], chosen: list[int]) -> DirectedPaths:
     """Return the chosen paths in both directions."""
     return {way for k in chosen for way in (paths[k], paths[k][::-1])}
 

@@ -179,7 +179,7 @@ class Passage:
     way_out: int
 
 
-def site() -> Plan:
+def demo_plan() -> Plan:
     """Return the plan of five cameras around a building: two pairs overlap, four have unseen
     paths.
     """
@@ -224,7 +224,7 @@ def site() -> Plan:
     )
 
 
-def stroll(plan: Plan, seconds: float, rate: float, rng: np.random.Generator) -> list[Walk]:
+def simulate_walks(plan: Plan, seconds: float, rate: float, rng: np.random.Generator) -> list[Walk]:
     """Simulate people who come from the streets, ``rate`` per second, from `WARM_UP_SECONDS` before
     0.
     """

@@ -133,7 +133,7 @@ def make_layout(
     )
 
 
-def without_ways(layout: Layout) -> Layout:
+def without_paths(layout: Layout) -> Layout:
     """Return the layout without paths between views: whoever leaves one has left the site."""
     onward = replace(layout.onward, probability=np.zeros_like(layout.onward.probability))
     return replace(
@@ -165,7 +165,7 @@ def with_fire_doors(layout: Layout, count: int, rng: np.random.Generator) -> Lay
     )
 
 
-def with_uneven_ways(layout: Layout, spread: float, rng: np.random.Generator) -> Layout:
+def with_uneven_paths(layout: Layout, spread: float, rng: np.random.Generator) -> Layout:
     """Return the layout with the length of each directed path multiplied by a random factor."""
     metres = layout.onward.metres * np.exp(spread * rng.standard_normal(layout.onward.metres.shape))
     return replace(layout, onward=replace(layout.onward, metres=metres))

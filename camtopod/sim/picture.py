@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats
 from camtopod.records import Link, Topology
 from camtopod.sim.floor import HEIGHT, WIDTH, Plan, Walk
-from camtopod.sim.render import (
+from camtopod.sim.rendering import (
     PIXELS_PER_METRE,
     Colour,
     Picture,
@@ -23,7 +23,7 @@ from camtopod.sim.render import (
     floor_picture,
     plan_corner,
 )
-from camtopod.sim.score import ZONE_TOLERANCE, match_zones
+from camtopod.sim.scoring import ZONE_TOLERANCE, match_zones
 from camtopod.sim.truth import TrueLink, Truth
 
 MAP_WIDTH, MAP_HEIGHT = 776, 560

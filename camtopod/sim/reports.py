@@ -19,7 +19,7 @@ from camtopod.sim.truth import (
     pairs_of,
     transit_of,
 )
-from camtopod.sim.walkers import Passages, jitter, paces
+from camtopod.sim.walkers import Passages, jitter, seconds_per_metre
 
 TRANSIT_DRAWS = 20_000
 """Random walkers from which the true transit times are computed."""
@@ -137,7 +137,7 @@ def _links(
     """Return every path as a link: probability, transit times, and recorded transitions."""
     layout = setup.layout
     rng = np.random.default_rng((settings.seed, 3))
-    forward = paces(settings, rng, TRANSIT_DRAWS) * jitter(settings, rng, TRANSIT_DRAWS)
+    forward = seconds_per_metre(settings, rng, TRANSIT_DRAWS) * jitter(settings, rng, TRANSIT_DRAWS)
     metre = {True: transit_of(forward), False: transit_of(-forward)}
     walked = _walked(recorded)
     links = []

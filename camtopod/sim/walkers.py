@@ -53,7 +53,7 @@ def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passa
     walker = np.arange(len(t))
     zone = rng.choice(len(layout.camera), len(t), p=layout.arrivals)
     t, zone = _in_platoons(t, zone, settings)
-    pace = paces(settings, rng, len(t))
+    pace = seconds_per_metre(settings, rng, len(t))
     linger = rng.uniform(*LINGER_FACTOR, len(t))
     linger = np.where(rng.random(len(t)) < settings.loiterers, linger, 1.0)
 
@@ -79,7 +79,7 @@ def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passa
     return _join(parts)
 
 
-def paces(settings: SimSettings, rng: np.random.Generator, n: int) -> Floats:
+def seconds_per_metre(settings: SimSettings, rng: np.random.Generator, n: int) -> Floats:
     """Return the pace of ``n`` walkers, seconds per metre."""
     pace = 1 / (WALKING_SPEED * np.exp(settings.speed_sd * rng.standard_normal(n)))
     return np.where(rng.random(n) < settings.slow_share, pace / SLOW_FACTOR, pace)

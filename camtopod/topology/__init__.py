@@ -2,43 +2,43 @@
 
 Reading order: `lag_bins` (the time scale of transit times), `histograms` (transit-time histograms
 as a version stores them), `grid` (image positions as integers), `shared_constants`, then what is
-derived from links: `camera_pairs` (overlapped views or unseen paths) and `markov_chain` (the chain
+derived from links: `find_camera_pairs` (overlapped views or unseen paths) and `estimate_markov_chain` (the chain
 over cameras). `versions` compares versions: keys, digests and deltas.
 """
 
 from __future__ import annotations
 
-from camtopod.topology.camera_pairs import camera_pairs, relation_of
+from camtopod.topology.camera_pairs import find_camera_pairs, relation_of
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE, block_of, blocks_of
 from camtopod.topology.histograms import (
     DIGITS,
     STEPS,
-    counted,
-    counts_added,
-    in_steps,
-    on_bins,
-    scaled,
-    short,
-    steps_added,
+    counts_histogram,
+    masses_on_bins,
+    round_significant,
+    scale_histogram,
+    step_histogram,
+    sum_as_counts,
+    sum_as_steps,
 )
 from camtopod.topology.lag_bins import (
     LAG_SCALE_SECONDS,
     LAG_STEP,
     SMOOTHING_SD_BINS,
     LagBins,
+    lag_smoothing_matrix,
     offset_bins,
     smooth,
-    smoother,
 )
-from camtopod.topology.markov_chain import markov_chain
+from camtopod.topology.markov_chain import estimate_markov_chain
 from camtopod.topology.shared_constants import (
     BACK_OFF_DEPARTURES,
+    DWELL_SECONDS_MIN,
     LAG_SECONDS_MIN,
     LEAVE_FLOOR,
     MULTIPLIER_MAX,
     SLOWNESS_MAX,
-    STAY_SECONDS_MIN,
-    UNKNOWN_STAY_SECONDS,
+    UNKNOWN_DWELL_SECONDS,
 )
 from camtopod.topology.versions import (
     ALARMS_KEPT_MAX,
@@ -46,13 +46,14 @@ from camtopod.topology.versions import (
     apply_delta,
     link_key,
     make_delta,
-    stamp,
+    with_digest,
 )
 
 __all__ = [
     "ALARMS_KEPT_MAX",
     "BACK_OFF_DEPARTURES",
     "DIGITS",
+    "DWELL_SECONDS_MIN",
     "GRID_COLUMNS",
     "GRID_ROWS",
     "LAG_SCALE_SECONDS",
@@ -63,28 +64,27 @@ __all__ = [
     "POSITION_ONE",
     "SLOWNESS_MAX",
     "SMOOTHING_SD_BINS",
-    "STAY_SECONDS_MIN",
     "STEPS",
-    "UNKNOWN_STAY_SECONDS",
+    "UNKNOWN_DWELL_SECONDS",
     "LagBins",
     "LinkKey",
     "apply_delta",
     "block_of",
     "blocks_of",
-    "camera_pairs",
-    "counted",
-    "counts_added",
-    "in_steps",
+    "counts_histogram",
+    "estimate_markov_chain",
+    "find_camera_pairs",
+    "lag_smoothing_matrix",
     "link_key",
     "make_delta",
-    "markov_chain",
+    "masses_on_bins",
     "offset_bins",
-    "on_bins",
     "relation_of",
-    "scaled",
-    "short",
+    "round_significant",
+    "scale_histogram",
     "smooth",
-    "smoother",
-    "stamp",
-    "steps_added",
+    "step_histogram",
+    "sum_as_counts",
+    "sum_as_steps",
+    "with_digest",
 ]

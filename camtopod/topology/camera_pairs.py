@@ -18,7 +18,7 @@ from collections.abc import Iterable
 
 from camtopod.records import Link, Pair, PairRelation, Relation, Zone
 
-AHEAD_SHARE = 0.5
+NEGATIVE_LAG_SHARE_MIN = 0.5
 """A link is overlapped if more than this share of its transitions have a negative lag."""
 
 
@@ -27,10 +27,10 @@ def relation_of(ahead: float) -> Relation:
 
     ahead: share of the link's transitions with a negative lag.
     """
-    return "overlapped" if ahead > AHEAD_SHARE else "unseen"
+    return "overlapped" if ahead > NEGATIVE_LAG_SHARE_MIN else "unseen"
 
 
-def camera_pairs(zones: Iterable[Zone], links: Iterable[Link], tolerance: float) -> list[Pair]:
+def find_camera_pairs(zones: Iterable[Zone], links: Iterable[Link], tolerance: float) -> list[Pair]:
     """Return each related pair of cameras once, ids sorted, with both test results.
 
     Where the tests differ, the pair carries the reason. Entries and exits take the place of the

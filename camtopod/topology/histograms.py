@@ -28,7 +28,7 @@ this small take one or two bytes in a message and no memory of their own in Pyth
 """
 
 
-def counted(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
+def counts_histogram(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
     """Return a histogram of counts, trimmed to the bins that matter.
 
     counts (bins,): expected transitions.
@@ -40,7 +40,7 @@ def counted(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
     return _late(Histogram(bins.first + first, _three_digits(counts[first:last])), delay)
 
 
-def in_steps(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
+def step_histogram(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
     """Return a histogram in whole steps, trimmed to the bins that matter.
 
     mass (bins,): masses in any unit.
@@ -50,24 +50,24 @@ def in_steps(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
     return _late(_stepped(bins.first + first, mass[first:last]), delay)
 
 
-def scaled(histogram: Histogram, factor: float) -> Histogram:
+def scale_histogram(histogram: Histogram, factor: float) -> Histogram:
     """Return the histogram times a factor."""
-    return replace(histogram, unit=short(histogram.unit * factor))
+    return replace(histogram, unit=round_significant(histogram.unit * factor))
 
 
-def counts_added(histograms: Iterable[Weighed]) -> Histogram:
+def sum_as_counts(histograms: Iterable[Weighed]) -> Histogram:
     """Return the weighted sum of histograms as counts."""
     first, counts, delay = _sum(histograms)
     return _late(Histogram(first, _three_digits(counts)), delay)
 
 
-def steps_added(histograms: Iterable[Weighed]) -> Histogram:
+def sum_as_steps(histograms: Iterable[Weighed]) -> Histogram:
     """Return the weighted sum of histograms in whole steps."""
     first, mass, delay = _sum(histograms)
     return _late(_stepped(first, mass), delay)
 
 
-def on_bins(histogram: Histogram, bins: LagBins) -> Floats:
+def masses_on_bins(histogram: Histogram, bins: LagBins) -> Floats:
     """Return the masses (bins,) of a histogram on the given bins; mass outside them is dropped.
 
     The histogram's delay is not applied.
@@ -112,7 +112,7 @@ def _ends(mass: Floats) -> tuple[int, int]:
 
 def _stepped(first: int, mass: Floats) -> Histogram:
     """Return masses as a histogram in whole steps, empty if all are zero."""
-    unit = short(float(mass.max(initial=0.0)) / STEPS)
+    unit = round_significant(float(mass.max(initial=0.0)) / STEPS)
     if unit == 0.0:
         return Histogram(0, [])
     return Histogram(first, np.rint(mass / unit).astype(np.int64).tolist(), unit)
@@ -131,6 +131,6 @@ DIGITS = 6
 """Significant digits of figures in a version, and decimals of its chain."""
 
 
-def short(value: float) -> float:
+def round_significant(value: float) -> float:
     """Return a value rounded to `DIGITS` significant digits; -0.0 and nan become 0.0."""
     return float(f"{value:.{DIGITS}g}") + 0.0 if value == value else 0.0

@@ -91,7 +91,7 @@ def offset_bins(scale: float, step: float) -> LagBins:
 
 
 @lru_cache(maxsize=64)
-def smoother(size: int, sd_bins: float) -> NDArray[np.float64]:
+def lag_smoothing_matrix(size: int, sd_bins: float) -> NDArray[np.float64]:
     """Return a Gaussian kernel (size, size) that spreads the mass of each bin over its neighbours.
 
     Columns sum to 1, so mass is kept.
@@ -126,7 +126,7 @@ def smooth(counts: Floats, total: Floats | None = None) -> tuple[Floats, Floats]
     for least, sd_bins in SMOOTHING_SD_BINS:
         few = np.flatnonzero((total >= least) & ~above)
         above[few] = True
-        spread = smoother(size, sd_bins)
+        spread = lag_smoothing_matrix(size, sd_bins)
         for part in rows_together(len(few)):
             rows = few[part]
             result[rows] = counts[rows] @ spread.T

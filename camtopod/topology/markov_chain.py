@@ -8,7 +8,9 @@ from collections.abc import Iterable
 from camtopod.records import ChainEdge, Link, Zone
 
 
-def markov_chain(zones: Iterable[Zone], links: Iterable[Link], digits: int) -> list[ChainEdge]:
+def estimate_markov_chain(
+    zones: Iterable[Zone], links: Iterable[Link], digits: int
+) -> list[ChainEdge]:
     """Return the transition probabilities between cameras, sorted by camera.
 
     The remainder to 1 is the probability that an object leaves the site or is not seen again. A

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 LEAVE_FLOOR = 0.02
 """Smallest probability that an object which leaves a view is not seen again."""
-UNKNOWN_STAY_SECONDS = 10.0
+UNKNOWN_DWELL_SECONDS = 10.0
 """Dwell time assumed for a view where none has been observed, seconds."""
-STAY_SECONDS_MIN = 0.2
+DWELL_SECONDS_MIN = 0.2
 """Smallest dwell time, seconds; shorter ones count as this."""
 SLOWNESS_MAX = 1.5
 """Largest absolute slowness (natural log); beyond are loiterers and fragments of tracks."""

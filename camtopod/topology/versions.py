@@ -66,7 +66,7 @@ def digest_of(topology: Topology) -> str:
     return "sha256:" + hashlib.sha256(msgspec.json.encode(content, order="sorted")).hexdigest()
 
 
-def stamp(topology: Topology) -> Topology:
+def with_digest(topology: Topology) -> Topology:
     """Return the topology with its digest and schema set."""
     return msgspec.structs.replace(topology, schema=TOPOLOGY_SCHEMA, digest=digest_of(topology))
 

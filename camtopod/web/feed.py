@@ -21,7 +21,7 @@ import msgspec
 from camtopod import codec
 from camtopod.predict import seen_now
 from camtopod.records import CAMERA_PATTERN, Event, Look, NextCamera, Prediction, Topology
-from camtopod.serve.bus import Bus, TopologyView
+from camtopod.serve.bus import Bus, TopologySubscriber
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.web.explanations import Stories
 from camtopod.web.map_data import Map, change, draw
@@ -99,7 +99,7 @@ class Feed:
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
         self._second, self._this_second = 0, 0
         self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
-        self._view = TopologyView(bus)
+        self._view = TopologySubscriber(bus)
         self.stories: Stories | None = None
         """Details of the newest version."""
         self.map: Map | None = None

@@ -1,4 +1,4 @@
-"""Made-up twins of real networks: what is written down as true is what the people in them do."""
+"""Simulated scenes: their ground truth is what the people in them do."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bench.scenes.road import GREEN_SHARE, RoadSettings, _green, simulate_road
 from bench.scenes.walkway import WalkwaySettings, simulate_walkway
 from camtopod.codec import event_from_json, to_json
 from camtopod.records import Event
-from camtopod.sim.score import next_entries
+from camtopod.sim.scoring import next_entries
 from camtopod.sim.truth import CLUTTER, Truth
 
 Recording = tuple[list[Event], Truth]
@@ -55,7 +55,7 @@ class Stay:
 
 
 def stays(events: list[Event], truth: Truth) -> dict[int, list[Stay]]:
-    """Recorded passages by person, in order of their number."""
+    """Return recorded passages by person, in order of their number."""
     halves: dict[tuple[int, int], dict[str, Event]] = {}
     for event, who, number in zip(events, truth.identity, truth.passage, strict=True):
         if who != CLUTTER:
@@ -97,9 +97,7 @@ def test_same_seed_same_recording_and_another_another(scene: str) -> None:
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_pairs_are_what_people_do(scene: str) -> None:
-    """Who is in two views at once makes an overlap, counted naively from a recording without
-    faults.
-    """
+    """Overlaps equal a naive count of people in two views at once, without recording faults."""
     simulate, chosen = SIMULATE[scene]
     changes = {"faults": NO_FAULTS} | ({"gaps": False} if scene == "walkway" else {})
     events, truth = simulate(msgspec.structs.replace(chosen, **changes))

@@ -1,4 +1,4 @@
-"""`grab` of one camera, with a grabber that says what the test wants."""
+"""`camtopod grab` of one camera, with a fake grabber."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 import serving
 from serving import T0, small_config, wait_for
 
-from camtopod.cli.cameras.heartbeat import Ear, Said
+from camtopod.cli.cameras.heartbeat import Heartbeat, HeartbeatReceiver
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json
 from camtopod.records import Event
@@ -60,7 +60,7 @@ class FakeGrabber:
 
 @pytest.fixture(autouse=True)
 def _root_logger() -> Iterator[None]:
-    """Commands set up logging for their process; here the process goes on."""
+    """Restore the log, which commands set up for their process."""
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     yield
@@ -191,8 +191,8 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> 
 def test_it_tells_the_one_above_that_it_gets_on(
     overdue: float, states: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Unless a call of OpenCV does not come back, though the loop goes on."""
-    ear = Ear()
+    """Progress is reported unless a call of OpenCV does not return, even if the loop goes on."""
+    ear = HeartbeatReceiver()
     heard: list[str] = []
     monkeypatch.setattr(FakeGrabber, "overdue_seconds", overdue)
 
@@ -236,7 +236,7 @@ def test_without_a_daemon_events_wait_in_the_spool(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", 0.1)
-    meeting = buses.meet(small_config(tmp_path))
+    meeting = buses.open_daemon_session(small_config(tmp_path))
     arguments = [
         "--connect",
         meeting.endpoint,
@@ -263,9 +263,9 @@ def test_without_a_daemon_events_wait_in_the_spool(
 def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
     above: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ended as failed it would be started again, and all events be there twice."""
+    """If it ended as failed, it would be started again, and all events would be duplicated."""
     monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", 0.05)
-    ear, said, looks = Ear(), [], 0
+    ear, said, looks = HeartbeatReceiver(), [], 0
     really_drained = Publisher.drained
 
     def drained(publisher: Publisher, seconds: float, most: int = 0) -> bool:
@@ -278,7 +278,7 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
 
     monkeypatch.setattr(Publisher, "drained", drained)
     with contextlib.ExitStack() as stack:
-        meeting = stack.enter_context(buses.meet(small_config(tmp_path)))
+        meeting = stack.enter_context(buses.open_daemon_session(small_config(tmp_path)))
         daemon = Daemon(small_config(tmp_path / "daemon"), meeting)
         stack.callback(daemon.stop)
         arguments = [
@@ -297,7 +297,7 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
             monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
         assert main(arguments) == 0
         assert daemon.status()["events"]["stored"] == len(EVENTS)
-    assert (Said("ended", "waiting for the daemon to acknowledge 20 events") in said) == (
+    assert (Heartbeat("ended", "waiting for the daemon to acknowledge 20 events") in said) == (
         above == "supervisor"
     )
     os.close(ear.child_fd)
@@ -307,9 +307,9 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
 def test_a_live_source_goes_on_while_the_bus_is_away(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The daemon comes only after the first events; a stream does not wait for it."""
+    """The daemon starts after the first events; a stream does not wait for it."""
     config = small_config(tmp_path / "daemon")
-    bus = buses.meet(config)
+    bus = buses.open_daemon_session(config)
     endpoint = bus.endpoint
     bus.close()
     config = msgspec.structs.replace(

@@ -1,6 +1,4 @@
-"""A grabber says once that the daemon has gone and once that it is back; a second one on the same
-box ends.
-"""
+"""A grabber reports once that the daemon is gone and once that it is back; a second one ends."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ import msgspec
 import pytest
 from serving import WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
 
-from camtopod.cli.cameras.daemon_reach import PARTIAL_SECONDS, SETTLE_SECONDS, Reach
+from camtopod.cli.cameras.daemon_reach import PARTIAL_SECONDS, SETTLE_SECONDS, DaemonReachLog
 from camtopod.config.settings import BusSettings, Config
 from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
@@ -22,7 +20,7 @@ GONE, BACK = "events are kept in the spool", "connected to the daemon again"
 
 
 class Grabber:
-    """`camtopod grab` with cameras that do not exist; ``log``: what it says."""
+    """`camtopod grab` with cameras that do not exist; ``log`` is its output."""
 
     def __init__(self, folder: Path, endpoint: str, *arguments: str, log: str = "log") -> None:
         config = folder / "box.toml"
@@ -48,7 +46,7 @@ class Grabber:
 
 @pytest.fixture
 def started() -> Iterator[list[Grabber]]:
-    """Those that are put here have ended in the end."""
+    """End all processes that were started."""
     grabbers: list[Grabber] = []
     yield grabbers
     for grabber in grabbers:
@@ -105,7 +103,7 @@ def test_a_daemon_that_is_not_there_yet_is_one_sentence(
 
 
 def test_a_bus_without_a_daemon_is_said(tmp_path: Path, started: list[Grabber]) -> None:
-    with buses.meet(small_config(tmp_path)) as bus:
+    with buses.open_daemon_session(small_config(tmp_path)) as bus:
         started.append(grabber := Grabber(tmp_path, bus.endpoint))
         wait_for(
             lambda: len(grabber.said("no daemon of site site is there")) == 1,
@@ -121,7 +119,7 @@ def test_a_bus_without_a_daemon_is_said(tmp_path: Path, started: list[Grabber]) 
 def test_connections_that_go_and_come_at_different_moments(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    reach, now = Reach(), 100.0
+    reach, now = DaemonReachLog(), 100.0
 
     def hold(seconds: float, **known: str) -> list[str]:
         nonlocal now

@@ -1,6 +1,4 @@
-"""`camtopod demo` whole: processes, videos, bus, daemon, learner, picture; a short recording, a
-rough map.
-"""
+"""`camtopod demo` as a whole, with a short recording and few checks of the map."""
 
 from __future__ import annotations
 
@@ -22,7 +20,7 @@ from camtopod.cli.commands import demo
 from camtopod.cli.main import main
 from camtopod.records import Topology
 from camtopod.serve.bus import session as buses
-from camtopod.sim.score import score
+from camtopod.sim.scoring import score
 from camtopod.sim.truth import TRUTH_SCHEMA, Truth
 
 UNEVEN = """
@@ -73,7 +71,7 @@ def test_the_demo_ends_when_all_is_learned_and_published_however_long_that_takes
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Slow:
-        """A daemon on a slow machine: each of its states lasts for five looks."""
+        """A daemon on a slow machine: each of its states lasts for five polls."""
 
         steps = ({"waiting": 1}, {"held": 9}, {"learner": 2}, {"stored": 10}, {"stored": 10})
         looks = 0
@@ -101,7 +99,7 @@ def test_those_that_are_ahead_wait_for_the_last(tmp_path: Path) -> None:
     def state(camera: str) -> str:
         return Path(f"/proc/{grabbers[camera].pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
 
-    bus = buses.meet(small_config(tmp_path))
+    bus = buses.open_daemon_session(small_config(tmp_path))
     grabbers = {camera: subprocess.Popen(["sleep", "60"]) for camera in "abc"}
     together = demo._Together(bus, grabbers, 1000.0)
 

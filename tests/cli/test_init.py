@@ -26,7 +26,7 @@ from bench.support.rtsp_streams import (
 )
 from camtopod import redact
 from camtopod.cli.cameras import probe as probes
-from camtopod.cli.commands.init import named
+from camtopod.cli.commands.init import with_names
 from camtopod.cli.main import main
 from camtopod.config import settings
 from camtopod.config.settings import VisionSettings
@@ -161,7 +161,7 @@ def test_a_process_that_hangs_or_crashes_is_given_up(
     ],
 )
 def test_a_camera_is_called_after_its_host_or_path(source: str, name: str) -> None:
-    assert named([("", source)]) == {name: source}
+    assert with_names([("", source)]) == {name: source}
     settings.parse(f'[cameras.{name}]\nsource = "0"')
 
 
@@ -174,7 +174,7 @@ def test_names_are_different_and_one_s_own_stay() -> None:
         ("", "rtsp://hall/"),
         ("hall", "rtsp://x/y"),
     ]
-    assert list(named(given)) == [
+    assert list(with_names(given)) == [
         "192-0-2-9-ch1",
         "192-0-2-9-ch2",
         "192-0-2-9-ch2-2",
@@ -182,7 +182,7 @@ def test_names_are_different_and_one_s_own_stay() -> None:
         "hall",
     ]
     secret = "rtsp://192.0.2.9/user=admin_password=hunter2_channel="
-    assert list(named([("", f"{secret}1"), ("", f"{secret}2")])) == ["192-0-2-9", "192-0-2-9-2"]
+    assert list(with_names([("", f"{secret}1"), ("", f"{secret}2")])) == ["192-0-2-9", "192-0-2-9-2"]
 
 
 # --- the command ---------------------------------------------------------------------------------
@@ -242,7 +242,7 @@ def test_passwords_go_into_files_of_their_own(
 def test_services_are_handed_every_source(
     film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As the unit's LoadCredential= says it: a service whose file is not there does not start."""
+    """LoadCredential= of the unit names each file; a service with a missing file does not start."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "yard.mp4").write_bytes(film.read_bytes())
     (tmp_path / "site").mkdir()

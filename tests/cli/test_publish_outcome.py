@@ -127,7 +127,7 @@ def test_a_daemon_that_does_not_count_is_believed_to_have_stored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     events = lines(tmp_path / "walks.jsonl", walkers(3))
-    bus = buses.meet(small_config(tmp_path))
+    bus = buses.open_daemon_session(small_config(tmp_path))
 
     def acknowledge(key: str, raw: bytes) -> None:
         event = codec.event_from_bytes(raw)
@@ -163,7 +163,7 @@ def test_two_events_under_one_number_are_never_silently_one(
         )
         for event in (first, second, first, second):
             publisher.put("event/lobby", event, "event")
-        publisher.put_raw("event/lobby", codec.to_json(first), "event")
+        publisher.publish_raw("event/lobby", codec.to_json(first), "event")
         wait_for(lambda: daemon.status()["events"]["duplicate"] == 3, "the duplicates")
         assert (daemon.status()["events"]["contradicted"], daemon.status()["reason"]) == (0, "")
         publisher.put("event/lobby", other, "event")

@@ -1,4 +1,4 @@
-"""Programs whose standard error is not read, or closed; and closed standard input and output."""
+"""Programs whose standard error is closed or not read, and closed standard input and output."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import serving
 from paths import ROOT
 from serving import free_endpoint, small_config, wait_for
 
-from camtopod.cli.terminal.standard_streams import Unwaited
+from camtopod.cli.terminal.standard_streams import NonBlockingStream
 from camtopod.config.settings import BusSettings
 from camtopod.serve.bus import session as buses
 
@@ -29,7 +29,7 @@ END_SECONDS = 5.0
 
 @pytest.fixture
 def full() -> Iterator[tuple[int, int]]:
-    """Both ends of a pipe that is full, to read from and to write to."""
+    """Return both ends of a full pipe, for reading and writing."""
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     with contextlib.suppress(BlockingIOError):
@@ -54,7 +54,7 @@ def answers(address: str) -> bool:
 
 
 def configured(folder: Path, **cameras: str) -> tuple[list[str], str, str]:
-    """Options of a configuration, the bus's endpoint and where the daemon tells of its health."""
+    """Return the options of a configuration, the bus's endpoint and the health endpoint."""
     endpoint, health = free_endpoint(), f"127.0.0.1:{port_of(free_endpoint())}"
     path = folder / "c.toml"
     tables = "".join(f'[cameras.{name}]\nsource = "{source}"\n' for name, source in cameras.items())
@@ -68,7 +68,7 @@ def configured(folder: Path, **cameras: str) -> tuple[list[str], str, str]:
 
 @contextlib.contextmanager
 def running(process: subprocess.Popen[bytes]) -> Iterator[subprocess.Popen[bytes]]:
-    """It has ended when the block ends."""
+    """Run a program that has ended by the end of the block."""
     try:
         yield process
     finally:
@@ -77,7 +77,7 @@ def running(process: subprocess.Popen[bytes]) -> Iterator[subprocess.Popen[bytes
 
 
 def ended(process: subprocess.Popen[bytes]) -> int:
-    """Its status, after SIGTERM, which it obeys in time."""
+    """End a program with SIGTERM and return its status."""
     process.terminate()
     return process.wait(END_SECONDS)
 
@@ -94,7 +94,7 @@ def test_the_daemon_runs_and_ends_though_its_log_is_not_read(
         with contextlib.closing(buses.dial(small_config(tmp_path, endpoint))) as bus:
             wait_for(lambda: bool(bus.ask("status/daemon", one=True)), "an answer")
             for number in range(3):  # each is said in the log
-                bus.put_raw(f"event/cam{number}", b"\xc1" * (number + 1), "event")
+                bus.publish_raw(f"event/cam{number}", b"\xc1" * (number + 1), "event")
             wait_for(lambda: bool(bus.ask("status/daemon", one=True)), "an answer")
         assert answers(health), "it has lost nothing but lines of its log"
         assert ended(process) == 0
@@ -110,7 +110,7 @@ def test_so_do_a_grabber_and_the_page(how: str, full: tuple[int, int], tmp_path:
     }
     config = msgspec.structs.replace(small_config(tmp_path), bus=BusSettings(listen=(endpoint,)))
     with (
-        contextlib.closing(buses.meet(config)) as bus,
+        contextlib.closing(buses.open_daemon_session(config)) as bus,
         running(serving.camtopod(*commands[how], stderr=full[1])) as process,
     ):
         if how == "web":
@@ -121,7 +121,7 @@ def test_so_do_a_grabber_and_the_page(how: str, full: tuple[int, int], tmp_path:
 
 
 def test_what_is_missing_is_said_when_somebody_reads_again(full: tuple[int, int]) -> None:
-    stream = Unwaited(full[1], characters_max=100)
+    stream = NonBlockingStream(full[1], characters_max=100)
     for number in range(100):
         print(f"message {number}", file=stream)
     assert not stream.settle(0.05)
@@ -156,7 +156,7 @@ def test_what_was_said_is_written_before_the_end(tmp_path: Path) -> None:
 
 
 def with_closed(closed: str, *arguments: str, **popen: Any) -> subprocess.Popen[bytes]:
-    """The program, started by a shell with ``closed``, for example ``2>&-``."""
+    """Start the program by a shell with ``closed``, for example ``2>&-``."""
     line = ["sh", "-c", f'exec "$0" -m camtopod "$@" {closed}', sys.executable, *arguments]
     return subprocess.Popen(line, env={**os.environ, "PYTHONPATH": str(ROOT)}, **popen)
 

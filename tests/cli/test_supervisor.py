@@ -1,6 +1,4 @@
-"""Many cameras, a process each: who dies, hangs, or will not end, and what another configuration
-does.
-"""
+"""The supervisor of many cameras, a process each: deaths, hangs, shutdown, new configurations."""
 
 from __future__ import annotations
 
@@ -25,9 +23,14 @@ from paths import ROOT
 from serving import WAIT_SECONDS, small_config, wait_for
 
 from camtopod.cli.cameras import supervisor
-from camtopod.cli.cameras.camera_process import Child, backoff_after, in_words, restarted
-from camtopod.cli.cameras.heartbeat import Ear, Heart, Said
-from camtopod.cli.common import Told, leaving, signals
+from camtopod.cli.cameras.camera_process import (
+    CameraProcess,
+    backoff_after,
+    exit_reason,
+    with_restarts,
+)
+from camtopod.cli.cameras.heartbeat import Heartbeat, HeartbeatReceiver, HeartbeatSender
+from camtopod.cli.common import SignalRequests, ends_within, signals
 from camtopod.config import settings as configs
 from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.serve.bus import session as buses
@@ -58,11 +61,11 @@ QUICK = "[health]\nhung_seconds = 0.6\nstart_seconds = 1.2\nrestart_seconds_min 
 
 
 class Box:
-    """A supervisor in a thread, over processes that do what their camera's name says."""
+    """A supervisor in a thread; its processes behave as their camera's name says."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.folder, self.file = folder, folder / "c.toml"
-        self.told = Told(threading.Event(), threading.Event())
+        self.told = SignalRequests(threading.Event(), threading.Event())
         self.args = argparse.Namespace(
             config=self.file,
             site=None,
@@ -180,7 +183,7 @@ def test_one_that_dies_hangs_or_blocks_is_started_again_and_delays_nobody(
 
 
 def test_without_the_watch_a_hanging_one_would_stay(box: Box) -> None:
-    """The canary: the same camera under a limit that never comes."""
+    """Check of the harness: the same camera under a limit that is never reached."""
     box.head = box.head.replace("hung_seconds = 0.6", "hung_seconds = 1000")
     box.configure("hangs", "crashes")
     box.start()
@@ -204,7 +207,7 @@ def test_the_worst_status_when_all_have_ended(box: Box) -> None:
 def test_a_file_that_was_begun_is_not_begun_again(
     box: Box, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Its events would be there twice, each time with numbers of their own."""
+    """Its events would be duplicated, with new numbers."""
     files = ("recovers", "hangs", "crashes")
     box.configure(*files, "hangs-live", **dict.fromkeys(files, "film.mp4"))
     with caplog.at_level(logging.INFO):
@@ -305,8 +308,8 @@ def test_a_setting_of_all_starts_all_anew(box: Box) -> None:
 
 
 def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:
-    """On the bus, for a camera whose own process cannot say it."""
-    meeting = buses.meet(small_config(tmp_path))
+    """The status is published for a camera whose own process cannot do so."""
+    meeting = buses.open_daemon_session(small_config(tmp_path))
     said: list[dict[str, Any]] = []
     meeting.subscribe("status/*", lambda key, raw: said.append(msgspec.msgpack.decode(raw)))
     box.head = box.head.replace("tcp/127.0.0.1:1", meeting.endpoint).replace("max = 0.4", "max = 4")
@@ -368,18 +371,18 @@ def test_backoff_grows_has_jitter_and_starts_anew_after_a_steady_run() -> None:
 
 
 def test_words() -> None:
-    assert in_words(74) == "cannot write its state directory (status 74)"
-    assert (in_words(-9), in_words(-100)) == ("killed by SIGKILL", "killed by signal 100")
-    assert restarted(0, "", "stalled") == "stalled"
-    assert restarted(1, "failed", "") == "restarted once, last: failed"
+    assert exit_reason(74) == "cannot write its state directory (status 74)"
+    assert (exit_reason(-9), exit_reason(-100)) == ("killed by SIGKILL", "killed by signal 100")
+    assert with_restarts(0, "", "stalled") == "stalled"
+    assert with_restarts(1, "failed", "") == "restarted once, last: failed"
     assert (
-        restarted(3, "hung for 30 s", "no frame")
+        with_restarts(3, "hung for 30 s", "no frame")
         == "no frame; restarted 3 times, last: hung for 30 s"
     )
 
 
 def test_a_process_that_cannot_be_started_is_tried_again(caplog: pytest.LogCaptureFixture) -> None:
-    child = Child("lobby", CameraSettings("rtsp://h/x"), HealthSettings())
+    child = CameraProcess("lobby", CameraSettings("rtsp://h/x"), HealthSettings())
     fd = os.open(os.devnull, os.O_RDONLY)
     child.look_after(100.0, lambda *_: ["/nowhere/at/all"], fd)
     os.close(fd)
@@ -390,9 +393,9 @@ def test_a_process_that_cannot_be_started_is_tried_again(caplog: pytest.LogCaptu
 
 
 def test_a_start_that_takes_too_long_gets_more_time_the_next_time() -> None:
-    """Else a box too small for its cameras would kill them for ever while they load."""
+    """Otherwise a box too small for its cameras would kill them for ever while they load."""
     health = HealthSettings(start_seconds=10.0, hung_seconds=5.0, restart_seconds_min=1.0)
-    child = Child("lobby", CameraSettings("rtsp://h/x"), health)
+    child = CameraProcess("lobby", CameraSettings("rtsp://h/x"), health)
     fd, now, allowed = os.open(os.devnull, os.O_RDONLY), 100.0, []
     sleeping = [sys.executable, "-c", "import time; time.sleep(1000)"]
     for _ in range(3):
@@ -412,8 +415,8 @@ def test_a_start_that_takes_too_long_gets_more_time_the_next_time() -> None:
 
 
 def test_silence_counts_only_while_somebody_listens() -> None:
-    """After a pause of the whole machine not every camera is killed."""
-    child = Child("lobby", CameraSettings("rtsp://h/x"), HealthSettings(start_seconds=10.0))
+    """A pause of the whole machine does not kill every camera."""
+    child = CameraProcess("lobby", CameraSettings("rtsp://h/x"), HealthSettings(start_seconds=10.0))
     fd = os.open(os.devnull, os.O_RDONLY)
     sleeping = [sys.executable, "-c", "import time; time.sleep(1000)"]
     hung = []
@@ -431,11 +434,11 @@ def test_silence_counts_only_while_somebody_listens() -> None:
 
 
 def test_heartbeats() -> None:
-    ear = Ear()
-    heart = Heart(ear.child_fd)
+    ear = HeartbeatReceiver()
+    heart = HeartbeatSender(ear.child_fd)
     assert ear.listen() is None
     heart.beat("running", "")
-    assert ear.listen() == Said("running", "")
+    assert ear.listen() == Heartbeat("running", "")
     heart.beat("running", "")
     assert ear.listen() is None, "not at every turn"
     heart.beat("stalled", "rtsp://admin:p@ss@h/x is slow " + "x" * 1000)
@@ -460,9 +463,7 @@ def test_heartbeats() -> None:
 
 
 def test_signals_are_heard_even_if_the_main_thread_is_inside_a_library() -> None:
-    """No handler of Python runs while a mutex of C is waited for; the events are set all the
-    same.
-    """
+    """No Python handler runs while a C mutex is waited for; the events are set nevertheless."""
     before = signal.getsignal(signal.SIGHUP)
     library = ctypes.CDLL(None)
     mutex = ctypes.create_string_buffer(128)
@@ -516,7 +517,7 @@ def test_what_blocks_cannot_hold_up_the_end() -> None:
 
 
 def test_without_that_it_would() -> None:
-    """The canary."""
+    """Check of the harness."""
     process = subprocess.Popen(
         [sys.executable, "-c", LEAVES, "1000"], stdout=subprocess.PIPE, env=with_path()
     )
@@ -532,10 +533,10 @@ def test_without_that_it_would() -> None:
 
 def test_whoever_has_lost_its_parent_is_told_to_stop() -> None:
     stop = threading.Event()
-    with leaving(stop, 10.0, parent=os.getppid() + 1):  # ours is another
+    with ends_within(stop, 10.0, parent=os.getppid() + 1):  # ours is another
         assert stop.wait(WAIT_SECONDS)
     other = threading.Event()
-    with leaving(other, 10.0, parent=os.getppid()):
+    with ends_within(other, 10.0, parent=os.getppid()):
         assert not other.wait(0.7)
 
 

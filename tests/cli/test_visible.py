@@ -1,4 +1,4 @@
-"""Nothing that others say acts on a terminal or begins a line of the log."""
+"""Texts of others do not act on a terminal, and cannot start a line of the log."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from camtopod.cli.common import _Formatter
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.main import main
 from camtopod.cli.terminal.screen import drawn
-from camtopod.cli.terminal.site_state import Board
+from camtopod.cli.terminal.site_state import SiteState
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
@@ -85,9 +85,9 @@ def test_a_traceback_is_indented(form: str) -> None:
     assert ACTING.search("".join([first, *others])) is None
 
 
-def full_of_it() -> tuple[Board, Topology]:
-    """What a board has heard, and a topology, with `HOSTILE` in every text."""
-    board = Board()
+def full_of_it() -> tuple[SiteState, Topology]:
+    """Return a board's data and a topology with `HOSTILE` in every text."""
+    board = SiteState()
     said = HOSTILE.replace("\ud800", "")  # MessagePack has no half characters
     status = {"state": said, "reason": said}
     board.on_status("status/cam1", msgspec.msgpack.encode(status))
@@ -133,7 +133,7 @@ def test_watch_shows_it_and_does_not_obey_it() -> None:
 
 @contextlib.contextmanager
 def hostile_site(folder: Path) -> Iterator[tuple[Bus, Daemon]]:
-    """A daemon, and somebody on its open bus who says `HOSTILE` in every place."""
+    """Run a daemon, and a client on its open bus that publishes `HOSTILE` in every place."""
     said = HOSTILE.replace("\ud800", "")
     with (
         Daemon(small_config(folder / "state")) as daemon,
@@ -203,10 +203,10 @@ def test_no_name_on_the_bus_makes_a_line_of_the_log(form: str, tmp_path: Path) -
         wait_for(lambda: "ready at" in log.read_text("utf-8"), "the daemon")
         with contextlib.closing(buses.dial(small_config(tmp_path, endpoint))) as bus:
             bus.appear("daemon", "x\nFORGED\x1b[2J")
-            bus.put_raw(
+            bus.publish_raw(
                 "event/x\n2026-01-01T00:00:00Z error: FORGED\x1b[2J\u202e", b"\xc1", "event"
             )
-            bus.put_raw("event/y", b'{"camera":"y\\nFORGED","kind":"\\u001b[2J\\n"}', "event")
+            bus.publish_raw("event/y", b'{"camera":"y\\nFORGED","kind":"\\u001b[2J\\n"}', "event")
             wait_for(lambda: log.read_text("utf-8").count("rejected") >= 2, "what is rejected")
             (status,) = [msgspec.msgpack.decode(raw) for _, raw in bus.ask("status/daemon")]
     finally:

@@ -1,6 +1,4 @@
-"""What `camtopod watch` shows: as lines, on a screen of any size, in a real terminal, through a
-daemon's restart.
-"""
+"""`camtopod watch`: as lines, on screens of any size, in a real terminal, over daemon restarts."""
 
 from __future__ import annotations
 
@@ -32,8 +30,8 @@ from camtopod.cli.terminal.screen import REASON_ROWS_MAX, drawn
 from camtopod.cli.terminal.site_state import (
     ALARMS_SHOWN,
     SILENT_SECONDS,
-    Board,
-    View,
+    SiteState,
+    SiteView,
     prediction_line,
 )
 from camtopod.config.settings import BusSettings
@@ -58,7 +56,7 @@ REASON = "the source cannot be opened: [red]nothing listens at this address and 
 
 
 class Steady:
-    """A clock to turn by hand."""
+    """A clock that is set by hand."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -68,11 +66,11 @@ class Steady:
 
 
 def shown(topology: Topology | None) -> str:
-    return "\n".join(lines(Board().view(topology, "hq", NOW)))
+    return "\n".join(lines(SiteState().view(topology, "hq", NOW)))
 
 
 def topology(alarms: int = 0, score: SelfScore | None = None, links: int = 0) -> Topology:
-    """A version with so many alarms, an hour old each, and links, the last one the busiest."""
+    """Return a version with alarms, an hour old each, and links, the last one the busiest."""
     listed = [
         Alarm(
             k,
@@ -91,13 +89,13 @@ def topology(alarms: int = 0, score: SelfScore | None = None, links: int = 0) ->
     return msgspec.structs.replace(NOTHING, alarms=listed or None, score=score, links=found)
 
 
-def told(board: Board, name: str, **status: object) -> None:
+def told(board: SiteState, name: str, **status: object) -> None:
     board.on_status(f"status/{name}", msgspec.msgpack.encode(status))
 
 
-def full(cameras: int, steady: Steady | None = None) -> Board:
-    """A site with cameras, one in ten of which is not well, a daemon, and predictions."""
-    board = Board(steady or Steady())
+def full(cameras: int, steady: Steady | None = None) -> SiteState:
+    """Return a site with cameras, one in ten of them with a problem, a daemon, and predictions."""
+    board = SiteState(steady or Steady())
     counts = {f"cam{k:04}": {"events": k, "newest": NOW - k, "alive": True} for k in range(cameras)}
     told(
         board,
@@ -126,8 +124,8 @@ def full(cameras: int, steady: Steady | None = None) -> Board:
     return board
 
 
-def on_screen(view: View, width: int, height: int, words: str = "") -> list[str]:
-    """What somebody would read."""
+def on_screen(view: SiteView, width: int, height: int, words: str = "") -> list[str]:
+    """Return the text on the screen."""
     console = Console(
         file=io.StringIO(), width=width, height=height, color_system=None, legacy_windows=False
     )
@@ -149,9 +147,7 @@ def test_the_newest_alarms_are_shown_newest_first() -> None:
 
 
 def test_who_sees_somebody_now_is_said_first() -> None:
-    """If it is likely; of several passages in one view it counts that one of them is the
-    object's.
-    """
+    """Views that see the object now come first, if likely; passages of one view are added up."""
     in_view = [
         InView("hall", "1", NOW, 0.5),
         InView("stairs", "2", NOW, 0.1),
@@ -228,7 +224,7 @@ def test_it_fits_any_terminal(size: tuple[int, int], cameras: int) -> None:
     text = on_screen(full(cameras).view(topology(9, SCORE, 300), "hq", NOW), *size, "warning: x")
     assert len(text) <= size[1]
     assert max(map(len, text), default=0) <= size[0]
-    text = on_screen(Board().view(None, "hq", NOW), *size)
+    text = on_screen(SiteState().view(None, "hq", NOW), *size)
     assert len(text) <= size[1]
 
 
@@ -286,7 +282,7 @@ def _usual_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Terminal:
-    """A terminal with a program in it; ``text`` is all that the program has written."""
+    """A terminal with a program in it; ``text`` is all its output."""
 
     def __init__(self, *command: str, columns: int = 100, rows: int = 30) -> None:
         self._fd, inner = pty.openpty()
@@ -309,7 +305,7 @@ class Terminal:
         fcntl.ioctl(self._fd, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
 
     def close(self) -> int:
-        """Interrupt it; returns its status."""
+        """Interrupt the program and return its status."""
         self.process.send_signal(signal.SIGINT)
         status = self.process.wait(30)
         self._reader.join(5)
@@ -327,7 +323,7 @@ def test_in_a_terminal_through_a_restart(tmp_path: Path) -> None:
         wait_for(lambda: "daemon running" in terminal.text, "the first screen")
     with Daemon(config) as daemon:
         assert daemon._bus is not None
-        daemon._bus.put_raw("event/yard", b"\xc1", "event")
+        daemon._bus.publish_raw("event/yard", b"\xc1", "event")
         wait_for(lambda: "1 rejected" in terminal.text, "word of the daemon that came back")
         terminal.resize(40, 10)
         wait_for(lambda: "0 events sto…" in terminal.text, "a narrow screen")
@@ -348,13 +344,13 @@ def test_plain_lines_where_it_is_not_installed_or_not_wanted(
     assert "site site: daemon running, 0 e\r\n" in terminal.text, "cut at the width"
     assert "\x1b[?1049h" not in terminal.text
     stop = threading.Event()
-    assert not watch._on_screen(lambda: Board().view(None, "hq", NOW), stop), (
+    assert not watch._on_screen(lambda: SiteState().view(None, "hq", NOW), stop), (
         "standard output is no terminal"
     )
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "dumb")
     monkeypatch.setattr(screen, "Console", lambda: Console(force_terminal=True, file=io.StringIO()))
-    assert not watch._on_screen(lambda: Board().view(None, "hq", NOW), stop)
+    assert not watch._on_screen(lambda: SiteState().view(None, "hq", NOW), stop)
     for name in [
         name
         for name in sys.modules
@@ -362,4 +358,4 @@ def test_plain_lines_where_it_is_not_installed_or_not_wanted(
     ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rich", None)
-    assert not watch._on_screen(lambda: Board().view(None, "hq", NOW), stop)
+    assert not watch._on_screen(lambda: SiteState().view(None, "hq", NOW), stop)

@@ -269,7 +269,7 @@ def test_each_exit_is_heard_of(hub: Hub, site: Topology) -> None:
             "ends when none comes for 0.5 s"
         )
         assert (everywhere.dropped, everywhere.unreadable) == (0, 0)
-        hub.bus.put_raw("prediction/b", b"\xc1", "prediction")
+        hub.bus.publish_raw("prediction/b", b"\xc1", "prediction")
         wait_for(lambda: everywhere.unreadable == of_b.unreadable == 1, "what is no prediction")
 
 

@@ -1,6 +1,4 @@
-"""The log-priors for a tracker's association: what they sum to, and how right the association is
-that they make.
-"""
+"""The log priors for a tracker's association: their sums, and the accuracy of the association."""
 
 from __future__ import annotations
 
@@ -33,7 +31,7 @@ from camtopod.records import (
     ZoneModel,
 )
 from camtopod.sim.calibration import calibration_error
-from camtopod.sim.score import next_entries
+from camtopod.sim.scoring import next_entries
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.topology.grid import block_of
 from camtopod.topology.lag_bins import LagBins
@@ -50,8 +48,9 @@ def link(from_: str, to: str, probability: float, median: float) -> Link:
 
 
 def a_topology(*links: Link, ahead: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Topology:
-    """Cameras a (two zones), b and c (one each), with clocks so many seconds ahead; from outside
-    somebody comes to each zone every 1,000 s.
+    """Return cameras a (two zones), b and c (one each), with these clock offsets.
+
+    From outside an object comes to each zone every 1,000 s.
     """
     zones = [
         Zone("a/1", "a", 100, 100, 0.1, 0.5, COV),
@@ -88,7 +87,7 @@ def came(camera: str, t: float, x: float | None = 0.5) -> Event:
 
 
 def integral(gate: Gate, from_zone: str, to_camera: str, to_zone: str | None = None) -> float:
-    """Of the density over all times."""
+    """Integrate the density over all times."""
     times = np.arange(-20.0, 190.0, STEP) + STEP / 2
     return (
         sum(math.exp(gate.gate(from_zone, 0.0, to_camera, float(t), to_zone)) for t in times) * STEP
@@ -131,9 +130,7 @@ def test_clocks_that_are_ahead_are_taken_into_account() -> None:
 
 
 def test_views_that_overlap_are_seen_before_the_exit() -> None:
-    """With passages of 0 to 10 s: that only half of them had begun 5 s before the exit takes
-    nothing off the sum.
-    """
+    """Of passages of 0 to 10 s only half had begun 5 s before the exit; the sum stays the same."""
     assert THREE.model is not None
     stays = [ZoneModel(zone.id, 100, 0.001, [float(k) for k in range(11)]) for zone in THREE.zones]
     gate = Gate(
@@ -176,7 +173,7 @@ def test_odds_are_those_of_one_object_against_two() -> None:
 
 
 def overlapping() -> Topology:
-    """Who comes in at a/2 appears at b/1 four seconds later, whenever they leave at a/1."""
+    """Objects that enter at a/2 appear at b/1 four seconds later, whenever they leave at a/1."""
     bins = LagBins(-20.0, 120.0)
     four = Histogram(bins.bin_of(4.0) + bins.first, [1.0])
     onward = [
@@ -187,9 +184,7 @@ def overlapping() -> Topology:
 
 
 def test_an_open_track_that_came_when_those_from_there_do_is_the_same_object() -> None:
-    """The passage lasted ten seconds, so the entry that was six before the exit goes with it, and
-    no other.
-    """
+    """The passage lasts ten seconds, so only the entry six seconds before the exit matches."""
     exits = [LEFT]
     own = Event("a", "entry", 990.0, 0.9, 0.5, "17")
     others = [came("b", 994.0), came("b", 998.0)]
@@ -214,9 +209,7 @@ def test_of_several_entries_of_a_track_the_newest_before_the_exit_began_the_pass
 
 
 def test_as_many_come_from_outside_as_no_exit_accounts_for() -> None:
-    """100 at each zone in 100,000 s, of which all that another zone does not lead to come from
-    outside.
-    """
+    """Of 100 at each zone in 100,000 s, those without a link to the zone come from outside."""
     assert THREE.model is not None
     unexplained = zip(THREE.zones, (1.0, 0.9, 0.5, 0.7), strict=True)
     zones = [ZoneModel(zone.id, 100, share / 1000.0, []) for zone, share in unexplained]
@@ -264,9 +257,7 @@ def test_of_an_unknown_camera_nothing_is_said() -> None:
 
 
 class Site:
-    """A made-up site of 12 cameras, learned from the first 70 % of 48 minutes; the rest is to be
-    associated.
-    """
+    """A simulated site of 12 cameras, learned from 70 % of 48 minutes; the rest is associated."""
 
     def __init__(self, seed: int) -> None:
         events, truth = simulate(
@@ -289,9 +280,7 @@ class Site:
         self.lag = np.array([[came.t - left.t for came in self.entries] for left in self.exits])
 
     def right(self, value: np.ndarray) -> float:
-        """Share of the exits for which the matching with the largest sum of values above 0 says
-        what is true.
-        """
+        """Return the share of exits for which the best matching of values above 0 is correct."""
         rows, columns = linear_sum_assignment(np.maximum(value, 0.0), maximize=True)
         said = np.full(len(self.truth), -1)
         some = value[rows, columns] > 0
@@ -306,9 +295,10 @@ def sites() -> list[Site]:
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_association_beats_the_nearest_in_time(sites: list[Site], which: int) -> None:
-    """By a quarter of the exits, even if that is told which cameras are linked and the best cutoff;
-    and it beats the nearest to the learned median of the two zones' link, with the best cutoff,
-    too.
+    """It beats two simple methods, each with its best cutoff.
+
+    It is right for at least a quarter of the exits more than the nearest in time at a linked
+    camera, and better than the nearest to the learned median of the link.
     """
     site = sites[which]
     found = site.right(Gate(site.topology).affinity(site.exits, site.entries))
@@ -338,9 +328,7 @@ def test_association_beats_the_nearest_in_time(sites: list[Site], which: int) ->
 
 
 def test_what_it_holds_for_likely_is_as_often_true(sites: list[Site]) -> None:
-    """Of each entry's possible pasts, outside among them, the posterior probabilities beside what
-    is true.
-    """
+    """Posterior probabilities of each entry's origins, outside included, are calibrated."""
     posteriors, truths = zip(*map(posterior_and_truth, sites), strict=True)
     posterior, true = np.concatenate(posteriors), np.concatenate(truths)
     looked_at = posterior > 0.02
@@ -351,7 +339,7 @@ def test_what_it_holds_for_likely_is_as_often_true(sites: list[Site]) -> None:
 
 
 def posterior_and_truth(site: Site) -> tuple[np.ndarray, np.ndarray]:
-    """(exits * entries,) how likely each entry was the object of each exit, and whether it was."""
+    """Return (exits * entries,) the probability that each pair is of one object, and the truth."""
     ratio = np.exp(
         Gate(site.topology).affinity(site.exits, site.entries, now=-math.inf)
     )  # nobody is gone by then
@@ -363,7 +351,7 @@ def posterior_and_truth(site: Site) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_it_is_what_the_predictor_says_before_anything_has_been_seen() -> None:
-    """Zone by zone, of a site without overlapping views."""
+    """It holds zone by zone, on a site without overlapping views."""
     events, _ = simulate(SimSettings(cameras=6, hours=1.0, seed=4, overlap_share=0.0))
     learner = Learner(Settings(refit_share=1e9, refit_hours=1e9))
     for event in events:

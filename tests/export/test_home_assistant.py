@@ -224,7 +224,7 @@ def test_a_site_in_home_assistant(broker: Broker, bridged: tuple[Daemon, Bridge]
     )
     daemon.bus.put("status/c", {"state": "stalled", "reason": "no frame"}, "status")
     for key in ("status/a", "prediction/a", "status/daemon"):
-        daemon.bus.put_raw(key, b"\xc1", "status")  # nonsense changes nothing
+        daemon.bus.publish_raw(key, b"\xc1", "status")  # nonsense changes nothing
     wild = msgspec.structs.replace(to_hall(1.0), camera="b", t=float("inf"))
     daemon.bus.put("prediction/b", wild, "prediction")
     daemon.bus.put("prediction/a", wild, "prediction")
@@ -287,7 +287,7 @@ def test_what_cannot_be_reached_and_what_is_missing(
     assert main(["bridge", "mqtt://u:hunter2-long@h/x"]) == exits.USAGE
     assert main(["bridge", "http://h"]) == exits.USAGE
     assert "write it like mqtt://HOST:1883/PREFIX" in capsys.readouterr().err
-    meeting = buses.meet(small_config(tmp_path))
+    meeting = buses.open_daemon_session(small_config(tmp_path))
     try:
         connect = ["--connect", meeting.endpoint]
         assert main([*connect, "bridge", "mqtt://127.0.0.1:1"]) == exits.FAILED

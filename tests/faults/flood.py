@@ -24,7 +24,7 @@ def flood(endpoint: str, camera: str, per_second: int, seconds: float) -> int:
         while (elapsed := time.monotonic() - began) < seconds:
             for count in range(count + 1, int(elapsed * per_second) + 1):  # noqa: B020
                 event = Event(camera, "entry", time.time(), 0.5, 0.5, str(count), "wild", count)
-                bus.put_raw(f"event/{camera}", to_pack(event), "event")
+                bus.publish_raw(f"event/{camera}", to_pack(event), "event")
             time.sleep(_STEP_SECONDS)
     return count
 

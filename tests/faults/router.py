@@ -6,9 +6,9 @@ import signal
 import sys
 
 from camtopod.config.settings import BusSettings, Config
-from camtopod.serve.bus.session import meet
+from camtopod.serve.bus.session import open_daemon_session
 
 if __name__ == "__main__":
-    with meet(Config(bus=BusSettings(listen=(sys.argv[1],)))):
+    with open_daemon_session(Config(bus=BusSettings(listen=(sys.argv[1],)))):
         print("ready", flush=True)
         signal.pause()

@@ -1,6 +1,4 @@
-"""Every way a camera fails, at once, under the real `camtopod grab`; the one that works must not
-notice.
-"""
+"""Every kind of camera failure at once, under the real `camtopod grab`; one good camera goes on."""
 
 from __future__ import annotations
 
@@ -31,7 +29,7 @@ from bench.support.rtsp_streams import (
     silent,
     transcode,
 )
-from camtopod.cli.cameras.heartbeat import Ear
+from camtopod.cli.cameras.heartbeat import HeartbeatReceiver
 from camtopod.codec import event_from_json
 from camtopod.serve.daemon import Daemon
 from camtopod.vision.grabber import Grabber
@@ -54,7 +52,7 @@ SETTINGS = VisionSettings(
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Somebody walks through every three seconds."""
+    """Write a film in which a person walks through every three seconds."""
     people = [
         Person(line(3.5 + 3.0 * n, (-0.05, 0.7), (1.05, 0.65), 4.0), seed=n)
         for n in range(round(FILM_SECONDS / 3) - 2)
@@ -76,7 +74,7 @@ def hosts() -> Iterator[dict[str, Host]]:
 
 
 def children_of(pid: int) -> dict[str, int]:
-    """The camera and the process of each child of a supervisor."""
+    """Return camera and process id of each child of a supervisor."""
     found = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
@@ -213,15 +211,15 @@ sys.exit(main(sys.argv[1:]))
 
 @pytest.mark.campaign
 def test_no_beat_while_opencv_does_not_come_back(tmp_path: Path) -> None:
-    """The loop goes on, its capture does not: only ending the process helps, so it must not look
-    alive.
+    """The loop goes on, its capture does not: only ending the process helps, so it
+    must look dead.
     """
     config = tmp_path / "c.toml"
     config.write_text(
         f'[bus]\nconnect = ["tcp/127.0.0.1:1"]\n[state]\ndirectory = "{tmp_path}"\n'
         f'{QUICK}[cameras.lobby]\nsource = "rtsp://127.0.0.1:1/x"\n'
     )
-    ear = Ear()
+    ear = HeartbeatReceiver()
     line = ["--config", str(config), "grab", "--camera", "lobby", "--beat-fd", str(ear.child_fd)]
     root = str(Path(__file__).parent.parent.parent)
     process = subprocess.Popen(
@@ -345,9 +343,7 @@ def test_lines_to_standard_output_say_what_is_wrong_with_the_camera(
         lines = [line.partition("; trying")[0] for line in log.read_text().splitlines()]
         spoken[out[0]] = [line for line in lines if line.startswith("camera lobby is ")]
         assert process.returncode == (66 if out[0] == "--out" else 0)
-        assert ("error: camera lobby gave no picture" in log.read_text()) == (
-            out[0] == "--out"
-        )
+        assert ("error: camera lobby gave no picture" in log.read_text()) == (out[0] == "--out")
         assert "p@ssw0rd" not in log.read_text()
     assert spoken["--out"] == spoken["--connect"]
 

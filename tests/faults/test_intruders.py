@@ -28,8 +28,8 @@ from camtopod.cli.main import main
 from camtopod.config.settings import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority
-from camtopod.serve.bus.session import BusError, dial, meet
-from camtopod.serve.bus.topology_subscriber import TopologyView
+from camtopod.serve.bus.session import BusError, dial, open_daemon_session
+from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
@@ -381,7 +381,7 @@ def test_a_stolen_box_that_poses_as_a_router_gains_and_breaks_nothing(
 def test_the_file_for_a_router_of_its_own_enforces_the_same(
     keys: Keys, cleanup: contextlib.ExitStack
 ) -> None:
-    with meet(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)))) as bus:
+    with open_daemon_session(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)))) as bus:
         endpoint = bus.endpoint.replace("tcp/", "tls/")  # free again in a moment
     folder = keys.folder / "daemon"
     access = rules.read_access((folder / "access.json").read_bytes())
@@ -547,7 +547,7 @@ def test_a_stolen_box_cannot_pass_for_the_daemon(keys: Keys, cleanup: contextlib
         listening = msgspec.structs.replace(
             listening, site=msgspec.structs.replace(listening.site, name="hq")
         )
-        with meet(listening) as false_daemon:
+        with open_daemon_session(listening) as false_daemon:
             config = msgspec.structs.replace(
                 listening, bus=keys.bus("camera/cam1", false_daemon.endpoint, patience=0.5)
             )
@@ -663,7 +663,7 @@ def test_no_message_of_any_kind_may_be_that_large(
 
 
 def test_without_limits_the_same_arrives(cleanup: contextlib.ExitStack) -> None:
-    with meet(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)))) as bus:
+    with open_daemon_session(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)))) as bus:
         endpoint = bus.endpoint  # free again in a moment
     unlimited, flooder = puppet(cleanup), puppet(cleanup)
     assert unlimited.open(
@@ -711,7 +711,7 @@ def test_what_listens_beyond_loopback_is_seen_and_said_loudly(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     before = listening(os.getpid())
-    with meet(Config(bus=BusSettings(listen=("tcp/0.0.0.0:0",)))):
+    with open_daemon_session(Config(bus=BusSettings(listen=("tcp/0.0.0.0:0",)))):
         assert listening(os.getpid()) - before == {"tcp 00000000"}
     assert "ANYBODY ON THE NETWORK" in caplog.text
 
@@ -757,7 +757,7 @@ def test_an_authenticated_site_works_as_one_without(
         assert publisher.drained(WAIT_SECONDS), f"{camera} is not acknowledged"
     publishers["late"].publish(closing_event())  # not before: who comes behind it is late
     assert publishers["late"].drained(WAIT_SECONDS)
-    view = TopologyView(reader)
+    view = TopologySubscriber(reader)
     assert view.wait_for(1, WAIT_SECONDS) is not None
     assert daemon.status()["events"]["stored"] == len(events) + 1
     exit_at = {"x": 0.9, "y": 0.5}

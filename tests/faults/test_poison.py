@@ -150,7 +150,7 @@ class Poisoner:
                     continue
             except Rejected:
                 pass
-            self.bus.put_raw(f"event/{camera}", raw, "event")
+            self.bus.publish_raw(f"event/{camera}", raw, "event")
             sent += 1
         return sent
 
@@ -166,7 +166,7 @@ class Poisoner:
                     continue
             except Rejected:
                 pass
-            self.elsewhere.put_raw("ack/lobby", raw, "ack")
+            self.elsewhere.publish_raw("ack/lobby", raw, "ack")
             sent += 1
         return sent
 

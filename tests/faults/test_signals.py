@@ -1,7 +1,7 @@
-"""SIGTERM and SIGHUP at any moment of the real programs: they end in time, lose nothing, and no
-SIGHUP ends them.
+"""SIGTERM and SIGHUP to the real programs at any moment.
 
-The quick form takes a few moments; the campaign (CAMTOPOD_FAULTS_SIGNALS, 100) many.
+They end in time, lose nothing, and no SIGHUP ends them. The quick form takes a few moments; the
+campaign (CAMTOPOD_FAULTS_SIGNALS, 100) many.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import pytest
 from serving import T0, WAIT_SECONDS, free_endpoint, numbered, small_config, wait_for, walkers
 from sizes import size
 
-from camtopod.cli.cameras.camera_process import Child
+from camtopod.cli.cameras.camera_process import CameraProcess
 from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.records import Event
 from camtopod.serve.bus.session import BusError, dial
@@ -37,7 +37,7 @@ START_SECONDS = 2.0
 
 
 class Under:
-    """Runs a program again and again, and sends it signals."""
+    """Runs a program repeatedly and sends it signals."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -69,8 +69,8 @@ class Under:
         return process
 
     def listens(self, process: subprocess.Popen[bytes]) -> bool:
-        """Whether it has got as far as to catch or ignore SIGHUP; the interpreter's start is not
-        ours.
+        """Return True if the program catches or ignores SIGHUP; the interpreter's start does not
+        count.
         """
         with contextlib.suppress(OSError):
             for line in Path(f"/proc/{process.pid}/status").read_text().splitlines():
@@ -96,7 +96,7 @@ def under(tmp_path: Path) -> Iterator[Under]:
 
 
 def moments(under: Under, command: str, count: int, chance: random.Random) -> None:
-    """Start the program ``count`` times; some SIGHUPs, and SIGTERM, at random moments of each."""
+    """Start the program ``count`` times; send SIGHUPs and a SIGTERM at random moments."""
     for number in range(count):
         process = under.start(command)
         began = time.monotonic()
@@ -125,7 +125,7 @@ def moments(under: Under, command: str, count: int, chance: random.Random) -> No
 
 
 def daemon_at_many_moments(under: Under, count: int, seed: int) -> None:
-    """While a publisher goes on all the time; in the end everything is in the journal, once."""
+    """Signal a daemon while a publisher runs; in the end each event is in the journal once."""
     state = under.directory / "state"
     before = numbered(walkers(150))
     journal_config = small_config(state)
@@ -191,8 +191,8 @@ def test_grabbers_at_a_few_moments(under: Under) -> None:
 
 
 def test_a_hangup_in_the_first_moment_of_a_camera_s_process(under: Under) -> None:
-    """Before the interpreter has begun: it is blocked until the program can take it."""
-    child = Child("lobby", CameraSettings("rtsp://127.0.0.1:1/x"), HealthSettings())
+    """Before the interpreter starts the signal is blocked until the program can handle it."""
+    child = CameraProcess("lobby", CameraSettings("rtsp://127.0.0.1:1/x"), HealthSettings())
     fd = os.open(os.devnull, os.O_RDONLY)
     line = [
         sys.executable,
@@ -220,7 +220,7 @@ def test_a_hangup_in_the_first_moment_of_a_camera_s_process(under: Under) -> Non
         time.sleep(0.001)
     wait_for(lambda: look() is None and not child.silent, "it to be there")
     assert (child.restarts, process.poll()) == (0, None)
-    child.tell_to_end(time.monotonic())
+    child.request_end(time.monotonic())
     wait_for(lambda: look() is None and child.over, "its end")
     os.close(fd)
 
@@ -247,7 +247,7 @@ def test_grabbers_at_many_moments(under: Under) -> None:
 
 
 def test_a_program_that_does_not_listen_is_ended_by_a_hangup(under: Under) -> None:
-    """The canary: `watch` has no use for SIGHUP, and the loop above would notice."""
+    """Check of the harness: `watch` does not handle SIGHUP, and the loop above notices."""
     process = under.start("watch")
     time.sleep(0.3)
     process.send_signal(signal.SIGHUP)
@@ -255,7 +255,7 @@ def test_a_program_that_does_not_listen_is_ended_by_a_hangup(under: Under) -> No
 
 
 def left_behind(under: Under) -> list[int]:
-    """Processes of this configuration that are still there."""
+    """Return the processes of this configuration that still run."""
     found = []
     for entry in Path("/proc").iterdir():
         with contextlib.suppress(OSError):

@@ -25,8 +25,8 @@ from camtopod import codec
 from camtopod.config.settings import BusSettings, Config, SiteSettings
 from camtopod.records import Ack, Event, Prediction
 from camtopod.serve.bus import sockets
-from camtopod.serve.bus.session import Bus, dial, meet
-from camtopod.serve.bus.topology_subscriber import TopologyView
+from camtopod.serve.bus.session import Bus, dial, open_daemon_session
+from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.serve.storage.journal import Journal, StoredVersion
 
 SITE_CAMERAS = 150
@@ -261,7 +261,7 @@ def test_readers_that_stop_and_come_back_hold_up_nobody(scene: Scene, secured: b
         scene, secured, readers=4, questions=QUESTIONS, per_second=5, turns=2, seconds=4
     )
     assert not walks.late()
-    assert TopologyView(reader).wait_for(1, 10.0) is not None
+    assert TopologySubscriber(reader).wait_for(1, 10.0) is not None
 
 
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "tls"])
@@ -281,7 +281,7 @@ def test_closing_the_connections_of_those_who_stopped_takes_no_time(
     """
     monkeypatch.setattr(sockets, "STALLED_SECONDS_MAX", 60.0)
     site = SiteSettings("hq")
-    with meet(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)), site=site)) as hub:
+    with open_daemon_session(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)), site=site)) as hub:
         gone, heard, came = set[str](), threading.Event(), [0.0]
         hub.watch_alive("reader", lambda name, alive: None if alive else gone.add(name))
         puppets = [Puppet() for _ in range(4)]
@@ -298,12 +298,12 @@ def test_closing_the_connections_of_those_who_stopped_takes_no_time(
                 for puppet in puppets:
                     os.kill(puppet.pid, signal.SIGSTOP)
                 for _ in range(40):
-                    hub.put_raw("topology/x", bytes(500_000), "topology")
+                    hub.publish_raw("topology/x", bytes(500_000), "topology")
                 longest, began = 0.0, time.monotonic()
                 while len(gone) < len(puppets):
                     heard.clear()
                     put = time.monotonic()
-                    hub.put_raw("ack/a", b"x", "ack")
+                    hub.publish_raw("ack/a", b"x", "ack")
                     assert heard.wait(30.0)
                     longest = max(longest, came[-1] - put)
                     assert put - began < 30.0, f"only {gone} were given up"

@@ -92,7 +92,7 @@ def publish(
         if publisher is not None:
             publisher.publish(*due)
         for seq, event in enumerate(due if publisher is None else (), start=done + 1):
-            bus.put_raw(
+            bus.publish_raw(
                 f"event/{camera}",
                 to_pack(msgspec.structs.replace(event, boot="none", seq=seq)),
                 "event",

@@ -1,4 +1,4 @@
-"""The files of deploy/ fit each other, the program, and systemd where it is there to ask."""
+"""The files of deploy/ agree with each other, with the program, and with systemd if available."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from paths import DEPLOY
 
 from camtopod.cli.cameras.status_reporter import CLOSE_SECONDS
 from camtopod.cli.commands.grab import LEAVE_SECONDS as GRAB_LEAVE_SECONDS
-from camtopod.cli.commands.init import SECRETS, written
+from camtopod.cli.commands.init import SECRETS, configuration_text
 from camtopod.cli.commands.run import LEAVE_SECONDS as RUN_LEAVE_SECONDS
 from camtopod.cli.main import COMMANDS, parser_of
 from camtopod.config.settings import Config, HealthSettings, parse
@@ -62,20 +62,20 @@ def test_what_the_configuration_names_is_handed_to_the_service() -> None:
 
 
 def test_a_camera_s_file_is_called_as_the_service_is_handed_it() -> None:
-    """So that one folder stands for all services' credentials where `check --probe` runs outside of
-    them.
+    """One folder can stand for all services' credentials when `check --probe` runs
+    outside of them.
     """
     [handed] = directives(DEPLOY / "camtopod-grab@.service.d" / "source.conf")["LoadCredential"]
     name, _, path = handed.partition(":")
     assert (name, Path(path).name) == ("%i", "%i")
     assert f"export CREDENTIALS_DIRECTORY={Path(path).parent}\n" in OPERATIONS
-    text = written(Config(), {"lobby": "0"}, {"lobby": []}, ["lobby"], handed=True)
+    text = configuration_text(Config(), {"lobby": "0"}, {"lobby": []}, ["lobby"], handed=True)
     assert 'source_file = "$CREDENTIALS_DIRECTORY/lobby"' in text
     assert Path(path).parent == Path("/etc/camtopod") / SECRETS
 
 
 def test_a_shard_is_the_daemon_but_for_its_name() -> None:
-    """What is mended in one unit is mended in the other."""
+    """Fixes of one unit must reach the other."""
     daemon, shard = (
         (DEPLOY / name).read_text().splitlines()
         for name in ("camtopod.service", "camtopod-shard@.service")
@@ -110,9 +110,7 @@ def test_kubernetes_starts_as_many_shards_as_it_says() -> None:
 
 
 def test_the_page_begins_with_what_services_can_read() -> None:
-    """Their users own nothing in /etc and are in no group of it: `init --credentials` writes no
-    password there.
-    """
+    """Services' users own nothing in /etc; `init --credentials` writes no password there."""
     first, then = blocks(OPERATIONS, "sh")[:2]
     assert first.endswith(" -\n"), "what is pasted behind it would be read as cameras"
     parser, _ = parser_of(COMMANDS)
@@ -132,7 +130,7 @@ def test_the_page_begins_with_what_services_can_read() -> None:
 
 
 def test_the_page_s_service_is_shown_the_pictures_that_init_keeps() -> None:
-    """Its folder is made if there is none, and handed to its user."""
+    """The folder is made if missing and given to its user."""
     unit = directives(DEPLOY / "camtopod-web.service")
     [folder], [command] = unit["StateDirectory"], unit["ExecStart"]
     parser, _ = parser_of(COMMANDS)
@@ -169,7 +167,7 @@ def test_systemd_starts_again_what_hangs(file: str) -> None:
 
 
 def assert_confined_as_the_daemon_is(file: str) -> None:
-    """Save for what the daemon's learner needs."""
+    """Check the confinement, except for what the daemon's learner needs."""
     daemon, its = directives(DEPLOY / "camtopod.service"), directives(DEPLOY / file)
     names = list(daemon)[list(daemon).index("NoNewPrivileges") :]
     assert {name: its[name] for name in names if name != "SystemCallFilter"} == {

@@ -113,7 +113,7 @@ def test_its_grabbers_talk_to_this_daemon(tmp_path: Path) -> None:
         )
         bus.appear("grabber", "a")
         for event in (events[0], events[1], events[4]):  # two are lost on the way
-            bus.put_raw("event/a", spool[event.seq or 0], "event")
+            bus.publish_raw("event/a", spool[event.seq or 0], "event")
         wait_for(lambda: bool(acks) and acks[-1].seq == 5, "all to be stored")
         assert daemon.status()["events"]["stored"] == 5
 

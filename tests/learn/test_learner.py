@@ -1,6 +1,4 @@
-"""The whole learner: what comes out depends on the events alone, whatever they are like and however
-they come.
-"""
+"""The whole learner: its output depends on the events alone, not on their order of arrival."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ from camtopod.codec import read, to_json
 from camtopod.learn.learner import GONE_ZONES_MAX, REFIT_EVENTS_MIN, STEPS, Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Link, Topology
-from camtopod.sim.score import score
+from camtopod.sim.scoring import score
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.topology.versions import apply_delta, digest_of, make_delta
 
@@ -43,8 +41,9 @@ def topology_of(events: Iterable[Event], settings: Settings = AT_THE_END) -> Top
 
 
 def walk(n: int, seed: int = 0, start: float = 1_700_000_000.0) -> list[Event]:
-    """n objects through cameras a and b, 8 s apart; some are only seen in one. One comes every 20 s
-    on average.
+    """Return n objects through cameras a and b, 8 s apart, one every 20 s on average.
+
+    Some are seen in one camera only.
     """
     rng = np.random.default_rng(seed)
     events = []
@@ -65,7 +64,7 @@ def walk(n: int, seed: int = 0, start: float = 1_700_000_000.0) -> list[Event]:
 
 
 def elsewhere(events: list[Event]) -> list[Event]:
-    """The same with rows and columns changed over: other zones."""
+    """Return the same with x and y swapped: other zones."""
     return [msgspec.structs.replace(event, x=event.y, y=event.x) for event in events]
 
 
@@ -74,7 +73,7 @@ def elsewhere(events: list[Event]) -> list[Event]:
 
 @st.composite
 def recordings(draw: st.DrawFn) -> list[Event]:
-    """A minute or two of events at whole seconds, many at once and at the ticks."""
+    """Draw a minute or two of events at whole seconds, many at once and at the ticks."""
     seconds = draw(st.lists(st.integers(0, 90), min_size=1, max_size=60))
     chance = draw(st.randoms(use_true_random=False))
     return [
@@ -98,7 +97,7 @@ def recordings(draw: st.DrawFn) -> list[Event]:
 def test_any_order_within_the_lateness(
     events: list[Event], chance: random.Random, lateness: int, told: bool
 ) -> None:
-    """Also with every event twice and time told in between, to the digest of every version."""
+    """Also with duplicates and ticks in between, to the digest of every version."""
     rules = msgspec.structs.replace(QUICK, lateness_seconds=float(lateness))
     plain, mixed = Learner(rules), Learner(rules)
     for event in events:
@@ -121,7 +120,7 @@ def test_any_order_within_the_lateness(
 
 
 def test_an_event_at_the_watermark_on_a_tick() -> None:
-    """It is not late, so the version of the tick has to wait for it."""
+    """It is not late, so the version of the tick waits for it."""
     events = [Event("a", "entry", float(t)) for t in (1, 2, 3, 10, 15, 40)]
     versions = []
     for order in (events, [*events[:3], events[4], events[3], events[5]]):
@@ -133,7 +132,7 @@ def test_an_event_at_the_watermark_on_a_tick() -> None:
 
 
 def test_versions_of_a_recording() -> None:
-    """They count up by one, each digest recomputes, and every delta leads from one to the next."""
+    """Numbers count up by one, digests recompute, and every delta leads to the next version."""
     learner = learn(walk(150), QUICK)
     versions = learner.updates()
     assert learner.updates() == []
@@ -187,7 +186,7 @@ def test_how_time_is_told_changes_nothing() -> None:
 
 
 def test_the_moment_of_the_recording_does_not_matter() -> None:
-    """A recording from zero gives the same links as the same one today, or before 1970."""
+    """A recording from zero gives the same links as one of today, or from before 1970."""
     found = []
     for start in (1_700_000_000.0, 0.0, -1_700_000_000.0):
         learner = learn(walk(100, start=start), QUICK)
@@ -283,7 +282,7 @@ def places(topology: Topology) -> list[tuple[Any, ...]]:
 
 
 def test_what_is_too_old_is_forgotten() -> None:
-    """The zones are those of a learner that never saw it, apart from their numbers."""
+    """Zones equal those of a learner that never had the old events, apart from their numbers."""
     old = elsewhere(walk(100, start=0.0))
     new = walk(100, seed=1, start=100_000.0)
     rules = Settings(version_seconds=10.0, window_hours=2.0)
@@ -413,7 +412,7 @@ def test_odd_recordings(name: str) -> None:
 
 
 def check(topology: Topology) -> None:
-    """What holds of every topology."""
+    """Check the invariants of every topology."""
     assert digest_of(topology) == topology.digest
     assert read(Topology, to_json(topology)) == topology  # in particular, no number is nan
     zones = {zone.id: zone for zone in topology.zones}
@@ -474,7 +473,9 @@ def test_passages_through_a_view_with_and_without_tracks(track: str | None) -> N
 
 
 def test_without_tracks_nobody_is_there_before_coming() -> None:
-    """Whoever leaves b came through a some 17 s before; that is no overlapped link from b to a."""
+    """Objects that leave b came through a about 17 s before; that is no overlapped
+    link from b to a.
+    """
     topology = topology_of([msgspec.structs.replace(e, track=None) for e in walk(300)])
     assert [(link.from_[0], link.to[0]) for link in between(topology)] == [("a", "b")]
 
@@ -486,8 +487,9 @@ def test_without_tracks_nobody_is_there_before_coming() -> None:
     ("seed", "hours", "recall"), [(1, 1.0, 0.9), (5, 0.7, 0.9), (2, 1.5, 0.95)]
 )
 def test_finds_a_made_up_network(seed: int, hours: float, recall: float) -> None:
-    """Six cameras, 4,000 to 9,000 events; on some other seeds recall is 0.86, as rare ways are
-    walked a few times only."""
+    """Six cameras, 4,000 to 9,000 events; on some other seeds recall is 0.86, as rare paths are
+    walked a few times only.
+    """
     events, truth = simulate(SimSettings(cameras=6, hours=hours, seed=seed))
     topology = topology_of(events)
     check(topology)
@@ -501,7 +503,7 @@ def test_finds_a_made_up_network(seed: int, hours: float, recall: float) -> None
 
 
 def unrelated(seed: int, rhythm: float) -> list[Event]:
-    """Six cameras, each from a network of its own; they share at most a rhythm."""
+    """Return six cameras, each from a network of its own; they share at most a rhythm."""
     events = []
     for k in range(6):
         own, _ = simulate(
@@ -513,9 +515,7 @@ def unrelated(seed: int, rhythm: float) -> list[Event]:
 
 @pytest.mark.parametrize(("seed", "rhythm"), [(0, 0.0), (0, 0.9), (100, 0.0), (100, 0.9)])
 def test_no_links_where_there_are_none(seed: int, rhythm: float) -> None:
-    """Who comes back to the same camera has a link to it; between the cameras there is nothing to
-    find.
-    """
+    """Returning to the same camera is a link; between the cameras there is none."""
     topology = topology_of(unrelated(seed, rhythm))
     assert topology.pairs == []
     assert len(topology.cameras) == 6

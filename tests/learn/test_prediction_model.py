@@ -9,7 +9,7 @@ from synthetic_events import LINKED, Views, fit_posterior
 from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.changes.change_points import Change
 from camtopod.learn.next_camera.fit import Posterior
-from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX, model_of
+from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX, build_model
 from camtopod.learn.traffic.labelled_events import Passages, Scene, ZoneRef
 from camtopod.learn.window.sliding_window import Window
 from camtopod.predict.hazards import Hazards
@@ -54,7 +54,7 @@ def learned() -> tuple[Scene, Posterior]:
 def made(learned: tuple[Scene, Posterior | None], changes: list[Change] | None = None) -> Model:
     window = Window(10)
     window.append([(k, Event(name, "entry", float(k))) for k, name in enumerate(NAMES)])
-    return model_of(NAMES, learned[0], learned[1], BINS, window, changes or [], False)
+    return build_model(NAMES, learned[0], learned[1], BINS, window, changes or [], False)
 
 
 def topology_of(model: Model) -> Topology:

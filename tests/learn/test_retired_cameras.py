@@ -14,7 +14,7 @@ import pytest
 
 from camtopod.learn import learner as module
 from camtopod.learn.learner import Learner
-from camtopod.learn.retired_cameras import GIVES_WAY_SECONDS
+from camtopod.learn.retired_cameras import REPLACEABLE_AFTER_SECONDS
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import pack, unpack
 from camtopod.records import Event, Topology
@@ -130,7 +130,7 @@ def test_at_the_limit_the_camera_with_the_fewest_events_gives_its_place() -> Non
     for k, name in enumerate(("door", "invented")):
         learner.receive(entry(name, T0 + 4000 + k))
     learner.receive(entry("door", T0 + 4002))
-    start = T0 + 4002 + GIVES_WAY_SECONDS
+    start = T0 + 4002 + REPLACEABLE_AFTER_SECONDS
     assert learner.receive(entry("late", start - 60)) == "refused", "none has been silent for long"
     told(learner, [entry("hall", start + 120), entry("hall", start + 240)])
     assert learner.receive(entry("new", start + 250)) == "accepted"

@@ -1,6 +1,4 @@
-"""The learner's marks for its own predictions: right where who is who is plain, near the truth
-where it is not.
-"""
+"""The learner's scores of its own predictions, compared with scores by the ground truth."""
 
 from __future__ import annotations
 
@@ -14,17 +12,17 @@ from camtopod.learn.self_score import (
     EXITS_PER_VERSION,
     PROBABILITY_FLOOR,
     SCORED_MAX,
-    Guess,
+    ScoredPrediction,
     Scorer,
     marks,
 )
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, SelfScore
-from camtopod.sim.score import next_entries
+from camtopod.sim.scoring import next_entries
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 
-GUESS = Guess(0.0, "a", 3, {"": 0.2, "b": 0.5, "c": 0.2, "d": 0.06, "e": 0.04}, {"": 0.3, "c": 0.7})
+GUESS = ScoredPrediction(0.0, "a", 3, {"": 0.2, "b": 0.5, "c": 0.2, "d": 0.06, "e": 0.04}, {"": 0.3, "c": 0.7})
 
 
 def test_a_plain_outcome_is_marked_as_it_is() -> None:
@@ -66,7 +64,7 @@ def test_the_score_is_over_the_newest() -> None:
 
 
 class Told(Scorer):
-    """Also marks by what truly happened."""
+    """A scorer that also scores by the ground truth."""
 
     def __init__(self, events: list[Event], truth: dict[tuple[float, str], str | None]) -> None:
         super().__init__()
@@ -74,7 +72,7 @@ class Told(Scorer):
         self.made = 0
         self.told = Scorer()
 
-    def note(self, guess: Guess, happened: dict[str, float]) -> None:
+    def note(self, guess: ScoredPrediction, happened: dict[str, float]) -> None:
         super().note(guess, happened)
         camera = self.truth[round(guess.t, 6), guess.camera]
         self.told.note(guess, {camera: 1.0} if camera else {})

@@ -19,7 +19,7 @@ from camtopod.learn.snapshot import pack
 from camtopod.records import Event
 from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import BusError
-from camtopod.serve.bus.single_daemon import NAMED_MAX, Rivals
+from camtopod.serve.bus.single_daemon import NAMED_MAX, OtherDaemons
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest.camera_registry import (
     BELIEVED_SECONDS,
@@ -35,7 +35,7 @@ from camtopod.serve.ingest.camera_registry import (
 )
 from camtopod.serve.ingest.inbox import Inbox, Message
 from camtopod.serve.ingest.receiver import Receiver
-from camtopod.serve.runtime.clock import steady_beside, wall
+from camtopod.serve.runtime.clock import steady_clock_for, wall
 from camtopod.serve.runtime.rejects import SAMPLES_MAX, Rejects
 from camtopod.serve.storage.journal import Entry, Journal
 
@@ -348,9 +348,9 @@ def test_whoever_makes_up_the_time_makes_it_up_for_all() -> None:
     def made_up() -> float:
         return 5.0
 
-    assert steady_beside(made_up) is made_up
-    before = steady_beside(wall)()
-    assert before <= steady_beside(wall)()
+    assert steady_clock_for(made_up) is made_up
+    before = steady_clock_for(wall)()
+    assert before <= steady_clock_for(wall)()
 
 
 class Nowhere:
@@ -560,7 +560,7 @@ def test_a_few_of_each_reason_are_kept() -> None:
 
 @pytest.fixture
 def meeting_point(tmp_path: Path) -> Iterator[buses.Bus]:
-    with buses.meet(small_config(tmp_path)) as bus:
+    with buses.open_daemon_session(small_config(tmp_path)) as bus:
         yield bus
 
 
@@ -604,7 +604,7 @@ def test_two_that_find_each_other_later_both_say_so(
     meeting_point: buses.Bus, tmp_path: Path
 ) -> None:
     with Daemon(small_config(tmp_path / "one", meeting_point.endpoint)) as daemon:
-        other = Rivals(meeting_point, "other")
+        other = OtherDaemons(meeting_point, "other")
         other.appear()
         wait_for(
             lambda: "another daemon (other)" in daemon.status()["reason"], "the first to see it"
@@ -630,7 +630,7 @@ class Watched:
 
 def test_made_up_daemons_fill_neither_memory_nor_log(caplog: pytest.LogCaptureFixture) -> None:
     bus = Watched()
-    rivals = Rivals(bus, "mine")  # type: ignore[arg-type]
+    rivals = OtherDaemons(bus, "mine")  # type: ignore[arg-type]
     rivals.appear()
     for number in range(1000):
         bus.on_change(f"other{number}", True)

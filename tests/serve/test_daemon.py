@@ -1,4 +1,4 @@
-"""The daemon on a real bus in this process: what comes in, what goes out, what is asked of it."""
+"""The daemon on a real bus in the test's process: input, output, queries."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event, Prediction, Topology
 from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import Bus, BusError, QueryError
-from camtopod.serve.bus.topology_subscriber import TopologyView
+from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.outbox.publisher import Publisher
@@ -87,7 +87,7 @@ def stored(daemon: Daemon, count: int) -> None:
 
 
 def learned(events: list[Event]) -> Topology:
-    """The newest version of the plain learner over the same events."""
+    """Return the newest version of the plain learner over the same events."""
     learner = Learner(small_config(Path()).learn, site="site", epoch="any")
     for event in sorted(events, key=lambda event: event.t):
         learner.receive(event)
@@ -109,7 +109,7 @@ def test_events_are_stored_once_and_learned_as_the_plain_learner_does(site: Site
     daemon = site.daemon()
     bus = site.client(daemon)
     events = [*numbered(walkers(40)), closing_event()]
-    view = TopologyView(bus)
+    view = TopologySubscriber(bus)
     expected = learned(events)
     put(bus, *events, *events[:50])
     assert view.wait_for(expected.version, 20) is not None
@@ -118,7 +118,7 @@ def test_events_are_stored_once_and_learned_as_the_plain_learner_does(site: Site
     assert view.topology.epoch == daemon.epoch
     wait_for(lambda: daemon.status()["events"]["duplicate"] == 50, "duplicates")
     stored(daemon, len(events))
-    late = TopologyView(site.client(daemon))
+    late = TopologySubscriber(site.client(daemon))
     assert late.wait_for(1, 10) == view.topology, "a late joiner gets the whole"
     status = daemon.status()
     assert (status["alarms"], status["score"]) == ([], expected.score)
@@ -279,7 +279,7 @@ def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:
 
 
 def asked_again(bus: Bus, daemon: Daemon, t: float) -> None:
-    """Who left the view of a at ``t`` appears at b or c 9 s later, or not at all."""
+    """Predict again for an object that left a at ``t``, and usually appears at b or c 9 s later."""
 
     def said(**parameters: object) -> Prediction:
         return codec.read(Prediction, bus.ask("predict/a", {"t": t, **parameters})[0][1], pack=True)
@@ -331,7 +331,7 @@ def test_status_is_published(site: Site) -> None:
 
 
 def test_time_goes_on_without_events(site: Site) -> None:
-    """When the events of a live site stop coming, what is held back is learned all the same."""
+    """When the events of a live site stop, the events held back are learned all the same."""
     daemon = site.daemon(settle_seconds=1.0)
     events = numbered(walkers(10))
     shift = NOW - 5.0 - events[-1].t
@@ -362,9 +362,9 @@ def test_garbage_is_counted_quoted_once_and_survived(
     chance = random.Random(7)
     with caplog.at_level(logging.WARNING):
         for _ in range(300):
-            bus.put_raw("event/lobby", chance.randbytes(chance.randrange(0, 80)), "event")
-        bus.put_raw("event/lobby", b"\xff" * 5000, "event")
-        bus.put_raw(
+            bus.publish_raw("event/lobby", chance.randbytes(chance.randrange(0, 80)), "event")
+        bus.publish_raw("event/lobby", b"\xff" * 5000, "event")
+        bus.publish_raw(
             "event/lobby",
             b'{"camera":"lobby","kind":"entry","t":1,"track":"rtsp://u:p@ss@h"',
             "event",
@@ -372,7 +372,7 @@ def test_garbage_is_counted_quoted_once_and_survived(
         put(bus, Event("hall", "entry", T0))
         bus.put("event/lobby", Event("hall", "entry", T0), "event")
         good = Event("lobby", "entry", T0)
-        bus.put_raw("event/lobby", codec.to_json(good), "event")
+        bus.publish_raw("event/lobby", codec.to_json(good), "event")
         stored(daemon, 2)
     counts = daemon.status()["rejects"]
     assert sum(counts.values()) == 303
@@ -410,8 +410,8 @@ def test_an_event_from_the_future_is_set_aside(site: Site) -> None:
 
 
 def test_an_event_time_that_is_ahead_of_the_clock_is_said_with_what_to_do(site: Site) -> None:
-    """This clock is before what was stored last: as long as no camera says which is wrong, nothing
-    is dropped.
+    """The clock is before the last stored event; nothing is dropped until a camera shows which is
+    wrong.
     """
     first = site.daemon()
     put(site.client(first), *(Event(camera, "entry", NOW) for camera in "ab"))
@@ -437,8 +437,8 @@ def test_an_event_time_that_is_ahead_of_the_clock_is_said_with_what_to_do(site: 
 def test_event_time_that_a_wrong_clock_took_along_comes_back(
     site: Site, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """As three cameras of one box, a day ahead, did to an older program: all other events were late
-    from then on.
+    """As with an older program: three cameras of one box were a day ahead, so all
+    others were late.
     """
     good = [*numbered(walkers(120)), *numbered(walkers(40, seed=2), "b2")]
     ahead = [
@@ -462,7 +462,7 @@ def test_event_time_that_a_wrong_clock_took_along_comes_back(
     site.now += 11.0
     wait_for(lambda: daemon.epoch != before, "event time to be taken back")
     wait_for(lambda: daemon.status()["learner"]["watermark"] == site.now, "that to be learned")
-    assert "is dropped, and event time goes on from that clock" in caplog.text
+    assert "are dropped, and event time continues from that clock" in caplog.text
     assert daemon.status()["learner"]["window"] == len(good), "everything else is kept"
     wait_for(
         lambda: daemon.topology is not None and daemon.topology.epoch == daemon.epoch,
@@ -510,9 +510,9 @@ def test_what_the_network_lost_is_pulled_from_the_spool(
     daemon = site.daemon()
     bus = site.client(daemon)
     publisher, spool = site.publisher(bus)
-    deliver, chance = bus.put_raw, random.Random(3)
+    deliver, chance = bus.publish_raw, random.Random(3)
     monkeypatch.setattr(
-        bus, "put_raw", lambda *given: deliver(*given) if chance.random() < 0.5 else None
+        bus, "publish_raw", lambda *given: deliver(*given) if chance.random() < 0.5 else None
     )
     events = walkers(50)
     for event in events:
@@ -670,10 +670,10 @@ def test_what_nobody_takes_for_its_size_is_said_once(
     config = msgspec.structs.replace(
         config, bus=msgspec.structs.replace(config.bus, message_bytes_max=1000)
     )
-    with buses.meet(config) as bus:
+    with buses.open_daemon_session(config) as bus:
         bus.answer("topology", lambda key, parameters: "y" * 2000, "topology")
         for size in (990, 1500, 1600):
-            bus.put_raw("part/1", b"x" * size, "part")
+            bus.publish_raw("part/1", b"x" * size, "part")
         bus.ask("topology")
     said = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
     assert [line.partition(",")[0] for line in said] == [
@@ -683,14 +683,14 @@ def test_what_nobody_takes_for_its_size_is_said_once(
 
 
 def test_a_daemon_on_a_given_bus_leaves_it_open(site: Site) -> None:
-    bus = buses.meet(small_config(site.directory))
+    bus = buses.open_daemon_session(small_config(site.directory))
     daemon = site.daemon(bus)
     put(site.client(daemon), Event("lobby", "entry", T0))
     stored(daemon, 1)
     daemon.stop()
     got: list[bytes] = []
     bus.subscribe("x", lambda key, raw: got.append(raw))
-    bus.put_raw("x", b"1", "x")
+    bus.publish_raw("x", b"1", "x")
     wait_for(lambda: bool(got), "a message over the bus that stayed open")
     bus.close()
 
@@ -702,14 +702,14 @@ def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> 
         learner.receive(event)
         versions += learner.updates()
     assert len(versions) >= 4
-    bus = buses.meet(small_config(site.directory))
+    bus = buses.open_daemon_session(small_config(site.directory))
     whole = versions[0]
     bus.answer("topology", lambda key, parameters: whole, "topology")
     bus.appear("daemon", "site")
     client = buses.dial(small_config(site.directory, bus.endpoint))
     told: list[str] = []
 
-    class View(TopologyView):
+    class View(TopologySubscriber):
         def _on_daemon(self, name: str, alive: bool) -> None:
             super()._on_daemon(name, alive)
             told.append(name)
@@ -742,14 +742,14 @@ def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> 
 
 
 class Answering:
-    """A bus on which a daemon starts anew while it is asked for the topology."""
+    """A bus on which a daemon restarts while it is queried for the topology."""
 
     def __init__(self, versions: list[Topology]) -> None:
         self._versions = versions
         self.on_daemon: Any = None
 
     def subscribe(self, key: str, on_message: Any) -> None:
-        """No deltas come."""
+        """Deliver no deltas."""
 
     def watch_alive(self, role: str, on_change: Any) -> None:
         self.on_daemon = on_change
@@ -765,7 +765,7 @@ class Answering:
 def test_a_daemon_that_comes_back_while_a_view_asks_is_asked_again(epoch: str) -> None:
     old = learned([*walkers(20), closing_event()])
     new = msgspec.structs.replace(old, epoch=epoch, version=1)
-    view = TopologyView(Answering([old, new]))  # type: ignore[arg-type]
+    view = TopologySubscriber(Answering([old, new]))  # type: ignore[arg-type]
     assert view.update() == old
     wait_for(lambda: view.update() == new, "the whole to be fetched again", 5.0)
 
@@ -780,7 +780,7 @@ def test_a_view_whose_delta_was_lost_fetches_the_whole_when_the_status_names_a_n
         versions += learner.updates()
     bus = OneBus()
     bus.kept[1] = versions[0]
-    view = TopologyView(bus)  # type: ignore[arg-type]
+    view = TopologySubscriber(bus)  # type: ignore[arg-type]
     assert view.update() == versions[0]
     bus.kept[2] = versions[1]
 

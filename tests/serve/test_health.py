@@ -33,7 +33,7 @@ from camtopod.serve.live_predictions import Live
 from camtopod.serve.monitoring import health
 from camtopod.serve.runtime import systemd
 from camtopod.serve.runtime.progress import Progress
-from camtopod.serve.runtime.reload import changes
+from camtopod.serve.runtime.reload import changed_settings
 
 # --- marks ----------------------------------------------------------------------------------------
 
@@ -42,24 +42,24 @@ def test_a_loop_that_does_not_get_on_is_named_and_one_that_does_is_not() -> None
     now = 100.0
     progress = Progress(lambda: now)
     receive, learn = progress.watch("receive", 30.0), progress.watch("learn", 900.0)
-    assert progress.stuck() == []
+    assert progress.stalled() == []
     now += 31.0
     learn.beat()
-    assert progress.stuck() == ["receive has made no progress for 31 s (limit: 30 s)"]
+    assert progress.stalled() == ["receive has made no progress for 31 s (limit: 30 s)"]
     receive.beat()
     now += 29.0
-    assert progress.stuck() == []
+    assert progress.stalled() == []
     now += 1000.0
-    assert [reason.split()[0] for reason in progress.stuck()] == ["learn", "receive"]
+    assert [reason.split()[0] for reason in progress.stalled()] == ["learn", "receive"]
     learn.beat_as_of(now - 10.0)
     receive.beat_as_of(now - 31.0)
-    assert [reason.split()[0] for reason in progress.stuck()] == ["receive"]
+    assert [reason.split()[0] for reason in progress.stalled()] == ["receive"]
     progress.allow("receive", 60.0)
-    assert progress.stuck() == []
+    assert progress.stalled() == []
     now += 1e6
     progress.forget("receive")
     progress.forget("receive")
-    assert [reason.split()[0] for reason in progress.stuck()] == ["learn"]
+    assert [reason.split()[0] for reason in progress.stalled()] == ["learn"]
 
 
 # --- the daemon's loops ---------------------------------------------------------------------------
@@ -266,7 +266,7 @@ def test_not_ready_before_the_start_and_after_the_stop(tmp_path: Path) -> None:
 
 
 def test_a_daemon_that_dials_is_ready_while_it_reaches_the_bus(tmp_path: Path) -> None:
-    meeting = buses.meet(small_config(tmp_path))
+    meeting = buses.open_daemon_session(small_config(tmp_path))
     with Daemon(small_config(tmp_path / "state", meeting.endpoint)) as daemon:
         assert daemon.unready() == []
         meeting.close()
@@ -578,10 +578,10 @@ def test_what_changes_while_it_runs_and_what_needs_a_restart(tmp_path: Path) -> 
     new = msgspec.structs.replace(
         config, limits=limits, health=HealthSettings(listen="127.0.0.1:1")
     )
-    obeyed, waiting = changes(config, new)
+    obeyed, waiting = changed_settings(config, new)
     assert waiting == ["limits.learn_events_max", "health.listen"]
     assert (obeyed.ack_seconds, obeyed.learn_events_max) == (0.9, config.limits.learn_events_max)
-    assert changes(config, config) == (config.limits, [])
+    assert changed_settings(config, config) == (config.limits, [])
     with Daemon(config) as daemon:
         assert daemon.reconfigure(new) == waiting
         assert daemon.reconfigure(new) == waiting, "they still wait"

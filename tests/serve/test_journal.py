@@ -23,7 +23,7 @@ from camtopod.serve.storage.journal import (
     Snapshot,
     StoredVersion,
 )
-from camtopod.serve.storage.journal_writer import Storing
+from camtopod.serve.storage.journal_writer import JournalWriter
 from camtopod.serve.storage.sqlite_file import Damaged, StateError
 
 OLD = """
@@ -327,7 +327,7 @@ def test_the_file_stays_within_its_size(tmp_path: Path, monkeypatch: pytest.Monk
 def versions_left(journal: Journal, clocks: list[tuple[float, float]]) -> list[int]:
     """Return the number of versions after each pruning at such times (wall clock, steady clock)."""
     told, left = [clocks[0]], []
-    storing = Storing(journal, lambda: told[-1][0], lambda: told[-1][1], lambda _: None)
+    storing = JournalWriter(journal, lambda: told[-1][0], lambda: told[-1][1], lambda _: None)
     for wall_and_steady in clocks:
         told.append(wall_and_steady)
         storing.on_snapshot(Snapshot(0, "E", b"state"))

@@ -78,7 +78,7 @@ def test_the_figures_are_those_of_the_status(daemon: Daemon, tmp_path: Path) -> 
     with buses.dial(small_config(tmp_path, daemon.endpoint)) as bus:
         for event in [*events, *events[:10]]:
             bus.put(f"event/{event.camera}", event, "event")
-        bus.put_raw("event/a", b"\xc1", "event")
+        bus.publish_raw("event/a", b"\xc1", "event")
         bus.put("event/b", Event("a", "entry", 1.0), "event")
     wait_for(lambda: daemon.status()["events"]["received"] == len(events) + 12, "all that was sent")
     wait_for(lambda: all_out(daemon, len(events)), "all to be learned")

@@ -1,6 +1,4 @@
-"""The page's server and the bridge under systemd: one that hangs no longer feeds the watchdog, and
-is started again.
-"""
+"""Web server and bridge under systemd: one that hangs no longer feeds the watchdog."""
 
 from __future__ import annotations
 
@@ -19,9 +17,9 @@ from serving import WAIT_SECONDS, free_endpoint, small_config, wait_for
 from camtopod.cli.commands import bridge, web
 from camtopod.cli.main import main
 from camtopod.config.settings import BusSettings
-from camtopod.mqtt import Board
+from camtopod.mqtt import RetainedMessages
 from camtopod.serve.bus import session as buses
-from camtopod.serve.bus.topology_subscriber import TopologyView
+from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.web.feed import Feed
 
 STALL_SECONDS = 1.0
@@ -40,9 +38,7 @@ def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Systemd]:
 def started(
     module: Any, arguments: list[str], folder: Path, told: Systemd, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[str]:
-    """The command in a thread, until the end of the block; yields what it says of itself when it is
-    ready.
-    """
+    """Run the command in a thread while the block runs; yield its status when it is ready."""
     stop, status, endpoint = threading.Event(), [-1], free_endpoint()
     monkeypatch.setattr(module, "until_signal", lambda: contextlib.nullcontext(stop))
     settings = folder / "c.toml"
@@ -53,7 +49,7 @@ def started(
     thread = threading.Thread(
         target=lambda: status.insert(0, main(["--config", str(settings), *arguments]))
     )
-    with contextlib.closing(buses.meet(config)):
+    with contextlib.closing(buses.open_daemon_session(config)):
         thread.start()
         try:
             told.wait_for("READY=1")
@@ -67,7 +63,7 @@ def started(
 
 
 def stuck_in(owner: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    """From now on calls of ``owner.name`` do not return; gives what lets them go."""
+    """Make calls of ``owner.name`` block; return a function that releases them."""
     go, real = threading.Event(), getattr(owner, name)
 
     def blocking(*given: Any, **named: Any) -> Any:
@@ -79,7 +75,9 @@ def stuck_in(owner: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> Callable
 
 
 def hangs_and_gets_on(told: Systemd, part: str, let_go: Callable[[], None]) -> None:
-    """That systemd hears of ``part``, and is not fed until it is let go."""
+    """Check that systemd is told of ``part``, and that the watchdog is not fed until
+    it is released.
+    """
     reason = f"STATUS={part} has made no progress for "
     wait_for(lambda: any(line.startswith(reason) for line in [*told.hear(), *told.told]), reason)
     told.hear(0.2)
@@ -91,7 +89,7 @@ def hangs_and_gets_on(told: Systemd, part: str, let_go: Callable[[], None]) -> N
 
 @pytest.mark.parametrize(
     ("part", "owner", "name"),
-    [("versions", TopologyView, "update"), ("messages", Feed, "_look"), ("page", Feed, "hello")],
+    [("versions", TopologySubscriber, "update"), ("messages", Feed, "_look"), ("page", Feed, "hello")],
 )
 def test_a_page_that_hangs_does_not_feed_the_watchdog(
     part: str,
@@ -117,11 +115,11 @@ def test_a_bridge_that_hangs_does_not_feed_the_watchdog(
     told: Systemd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bridge, "LOOK_SECONDS", 0.05)
-    monkeypatch.setattr(Board, "__init__", lambda *_: None)
+    monkeypatch.setattr(RetainedMessages, "__init__", lambda *_: None)
     for name in ("show", "close"):
-        monkeypatch.setattr(Board, name, lambda *_: None)
+        monkeypatch.setattr(RetainedMessages, name, lambda *_: None)
     with started(bridge, ["bridge", "mqtt://127.0.0.1"], tmp_path, told, monkeypatch):
-        let_go = stuck_in(bridge.Site, "messages", monkeypatch)
+        let_go = stuck_in(bridge.HomeAssistantState, "messages", monkeypatch)
         try:
             hangs_and_gets_on(told, "bridge", let_go)
         finally:

@@ -1,4 +1,4 @@
-"""A daemon's learner after a start: it goes on from a snapshot, whatever happened before."""
+"""A daemon's learner after a start: it continues from a snapshot, whatever happened before."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from camtopod.serve.learner_process.feeder import Learning
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import recover
 from camtopod.serve.runtime.progress import no_beat
-from camtopod.serve.storage import corrections, wal_check
+from camtopod.serve.storage import read_corrections, wal_check
 from camtopod.serve.storage.corrections import rewind
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.packed_version import Version
@@ -37,9 +37,7 @@ EVENTS = [*sorted(numbered(walkers(60)), key=lambda event: event.t), closing_eve
 
 
 class Installation:
-    """A journal and the learning of a daemon on it, without the bus: stored, learned, stopped,
-    started again.
-    """
+    """A journal and a daemon's learning on it, without the bus."""
 
     def __init__(
         self,
@@ -81,7 +79,7 @@ class Installation:
         return epoch
 
     def store(self, events: list[Event]) -> list[Received]:
-        """As the receiver does: first into the journal."""
+        """Store events in the journal, as the receiver does."""
         received = [
             Received(Entry("event", e.camera, e.boot, e.seq, to_pack(e)), e) for e in events
         ]
@@ -89,12 +87,12 @@ class Installation:
         return received
 
     def learn(self, events: list[Event]) -> None:
-        """Store and learn, and store what comes of it."""
+        """Store and learn events, and store the versions."""
         self.learning.feed(self.store(events))
         self.run()
 
     def run(self) -> None:
-        """Until there is nothing left to learn."""
+        """Work until everything is learned."""
         stop = threading.Event()
 
         def beat() -> None:
@@ -122,9 +120,7 @@ Start = Callable[..., Installation]
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
-    """Start an installation on the same directory again, as after a kill: what was not stored is
-    gone.
-    """
+    """Start on the same directory again, as after a kill: unstored data is lost."""
     running: list[Installation] = []
 
     def again(**given: Any) -> Installation:
@@ -239,8 +235,8 @@ def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
     capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Where it is of no use to leave out more."""
-    monkeypatch.setattr(corrections, "LEAVE_OUTS_MAX", 0)
+    """When leaving out more events does not help."""
+    monkeypatch.setattr(read_corrections, "LEAVE_OUTS_MAX", 0)
     one = start()
     one.learn(EVENTS[:120])
     one.store(
@@ -268,8 +264,8 @@ def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
 def test_of_a_learner_that_fails_again_and_again_the_events_of_one_camera_are_left_out(
     what: str, times: int, start: Start, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Of the entry's camera; where memory may have run out, first of the one with the most
-    events.
+    """They are those of the entry's camera; after a memory error, of the one with the
+    most events.
     """
     one = start()
     one.learn(EVENTS[:120])
@@ -358,7 +354,7 @@ def test_a_rewind_is_replayed_like_an_event(start: Start, tmp_path: Path) -> Non
 def test_a_disk_that_fails_is_no_failure_of_the_learner(
     start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Or what was learned would be thrown away for it."""
+    """Otherwise the learned state would be discarded."""
     one = start(snapshot_events=50)
     one.learn(EVENTS[:120])
     one.store(EVENTS[120:])
@@ -394,8 +390,9 @@ def test_a_version_that_is_not_kept_any_more_does_not_come_after_newer_ones(star
 
 
 def test_of_an_epoch_that_has_ended_no_version_comes(start: Start) -> None:
-    """Several versions made in one step, the first of them another than was published: so are those
-    after it.
+    """Of several versions made in one step the first differs from the published one.
+
+    Then none of them is published.
     """
     one = start()
     one.learn(EVENTS)
@@ -412,7 +409,7 @@ def test_of_an_epoch_that_has_ended_no_version_comes(start: Start) -> None:
 
 
 def test_what_a_damaged_log_has_lost_may_have_been_published(tmp_path: Path) -> None:
-    """So an epoch begins, once: the same versions made anew may be others."""
+    """So a new epoch begins, once: the same versions made again may differ."""
     state = tmp_path / "state"
     with closing(Installation(state)) as one:
         for first in range(0, 150, 30):
@@ -444,7 +441,7 @@ def test_a_journal_without_entries_and_snapshots_but_with_versions_begins_an_epo
 
 
 def test_an_event_that_cannot_be_read_any_more_holds_no_start_up(start: Start) -> None:
-    """As an older program may have accepted it."""
+    """An older program may have accepted it."""
     one = start()
     one.learn(EVENTS[:50])
     one.journal.commit([Entry("event", "a", None, None, b"{}")])

@@ -8,7 +8,7 @@ import os
 import pytest
 
 from camtopod.serve.bus import refusals as module
-from camtopod.serve.bus.refusals import LINE_BYTES_MAX, Refusals, standard_output_heard
+from camtopod.serve.bus.refusals import LINE_BYTES_MAX, Refusals, capture_standard_output
 
 STAMP = (
     "\x1b[2m2026-11-21T19:07:34.914831Z\x1b[0m \x1b[35mTRACE\x1b[0m rx-1 ThreadId({}) "
@@ -174,7 +174,7 @@ def test_of_what_is_received_only_what_is_too_large_is_heard(
     monkeypatch.setattr(module, "refusals", refusals)
     receiver = "\x1b[35mTRACE\x1b[0m rx-0 \x1b[2mzenoh_transport::unicast::universal::rx\x1b[0m"
     long = "120, " * LINE_BYTES_MAX
-    with caplog.at_level(logging.INFO), standard_output_heard():
+    with caplog.at_level(logging.INFO), capture_standard_output():
         os.write(
             1,
             f"{receiver}: Received: Frame {{ payload: [{long}] }}\nWARN something else\n".encode(),

@@ -1,6 +1,4 @@
-"""Several daemons share a site: who hears whom, and their parts become one topology with one
-version line.
-"""
+"""Several daemons share a site: subscriptions, and the merged topology with one version line."""
 
 from __future__ import annotations
 
@@ -26,8 +24,8 @@ from camtopod.config.settings import Config, KeepSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
 from camtopod.serve.bus.session import Bus, BusError, QueryError, dial
-from camtopod.serve.bus.single_daemon import Rivals
-from camtopod.serve.bus.topology_subscriber import TopologyView
+from camtopod.serve.bus.single_daemon import OtherDaemons
+from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.learner_process.messages import Told
 from camtopod.serve.outbox.publisher import Publisher
@@ -50,7 +48,7 @@ NOON = 1_700_000_000.0
 
 
 class FakeBus:
-    """Remembers what is subscribed to."""
+    """Stores subscriptions."""
 
     site = "hq"
 
@@ -78,12 +76,12 @@ def shards_of(count: int) -> list[ShardLearner]:
 
 
 def told(learner: ShardLearner) -> Told:
-    """As a daemon says it that has just started."""
+    """Return a part as a newly started daemon publishes it."""
     return Told(*learner.shard, learner.reached(), learner.newest_parts())
 
 
 class Course(NamedTuple):
-    """What so many shards make of the events. Learned once: the same events give the same."""
+    """What ``count`` shards make of the events; learned once and reused."""
 
     versions: list[Topology]
     """Of the first of them; if it is alone, the site's."""
@@ -102,7 +100,7 @@ THIRD, HALF = len(EVENTS) // 3, len(EVENTS) // 2
 
 @lru_cache
 def course(count: int, districts: int = SHARDING.districts) -> Course:
-    """Of shards of a site that is dealt out into so many districts."""
+    """Return the course of the shards of a site with so many districts."""
     sharding = msgspec.structs.replace(SHARDING, districts=districts)
     learners = [
         ShardLearner(SETTINGS, sharding, (number, count), "hq", "e") for number in range(count)
@@ -132,12 +130,12 @@ def course(count: int, districts: int = SHARDING.districts) -> Course:
 
 @pytest.fixture
 def alone() -> list[Topology]:
-    """The versions of one learner with all districts."""
+    """Return the versions of one learner with all districts."""
     return course(1).versions
 
 
 class Site:
-    """A merger at work in a folder."""
+    """A running merger in a folder."""
 
     def __init__(self, folder: Path, shards: int, sharding: Sharding = SHARDING) -> None:
         self.versions: list[Version] = []
@@ -212,7 +210,7 @@ def test_a_merger_that_starts_again_goes_on_with_the_line(tmp_path: Path) -> Non
 
 
 def test_no_version_has_two_contents_if_the_newest_snapshot_is_damaged(tmp_path: Path) -> None:
-    """It would be made again from an older one, of other parts."""
+    """Otherwise it would be made again from an older one, of other parts."""
     published: list[Topology] = []
     for events in (THIRD, 2 * THIRD, len(EVENTS)):
         with Site(tmp_path, 1) as site:
@@ -253,7 +251,7 @@ def test_a_new_epoch_begins_with_what_is_known_though_nobody_says_anything(tmp_p
 def test_no_version_has_two_contents_if_the_journal_comes_back_older(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Its versions would be made again, of other parts."""
+    """Otherwise its versions would be made again, of other parts."""
     published: list[Topology] = []
     for events in (THIRD, 2 * THIRD, len(EVENTS)):
         with Site(tmp_path, 1) as site:
@@ -301,7 +299,7 @@ def test_a_shard_that_is_away_is_not_waited_for(
 def test_who_gets_on_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: list[Topology]
 ) -> None:
-    """Though something always waits: one shard says everything a while after the other."""
+    """One shard publishes everything some time after the other, so something always waits."""
     now, said, made = [0.0], course(2).steps, list[Version]()
     monkeypatch.setattr(mergers, "time", SimpleNamespace(monotonic=lambda: now[0]))
     late = [pair[1] for pair in said]
@@ -342,7 +340,7 @@ def test_a_journal_that_cannot_be_read_is_closed_again(
 def test_a_site_that_is_dealt_out_anew_has_every_camera_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Also while some shards have not heard of it."""
+    """Also while some shards do not know the new settings."""
     [before], [after] = course(1).after[2 * THIRD], course(1, districts=2).after[len(EVENTS)]
     with Site(tmp_path, 1) as site:
         site.say(before)
@@ -366,7 +364,7 @@ def test_a_site_that_is_dealt_out_anew_has_every_camera_once(
 def test_of_what_waits_too_long_the_newest_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Though the answer to a question may be older than what was said meanwhile."""
+    """Though the answer to a query may be older than the messages in between."""
     monkeypatch.setattr(mergers, "INBOX_MAX", 1)
     [newest], made = course(1).after[len(EVENTS)], list[Version]()
     with contextlib.closing(
@@ -487,14 +485,14 @@ def test_subscriptions_follow_turns_and_neighbours() -> None:
 
 def test_shards_of_one_site_are_no_rivals() -> None:
     bus = FakeBus()
-    first = Rivals(bus, "A", (0, 2))  # type: ignore[arg-type]
+    first = OtherDaemons(bus, "A", (0, 2))  # type: ignore[arg-type]
     first.appear()
-    Rivals(bus, "B", (1, 2)).refuse(0.0, threading.Event())  # type: ignore[arg-type]
+    OtherDaemons(bus, "B", (1, 2)).refuse(0.0, threading.Event())  # type: ignore[arg-type]
     assert first.reason == ""
     for name, shard in (("B", (0, 2)), ("B", (1, 3)), ("B", None)):
         with pytest.raises(OSError, match="another daemon"):
-            Rivals(bus, name, shard).refuse(0.0, threading.Event())  # type: ignore[arg-type]
-    Rivals(bus, "A", (0, 2)).refuse(0.0, threading.Event())  # type: ignore[arg-type]  # its own trace
+            OtherDaemons(bus, name, shard).refuse(0.0, threading.Event())  # type: ignore[arg-type]
+    OtherDaemons(bus, "A", (0, 2)).refuse(0.0, threading.Event())  # type: ignore[arg-type]  # its own trace
 
 
 def test_what_is_told_travels() -> None:
@@ -510,7 +508,7 @@ def shared_config(state: Path, connect: str | None = None) -> Config:
 
 
 def a_day() -> list[Event]:
-    """Some walkers, and at the end of each camera something that lets time go on."""
+    """Return some walkers, and a last event of each camera that advances event time."""
     events = walkers(150)
     return numbered(
         [*events, *(Event(camera, "entry", T0 + 20 * 1200.0, 0.5, 0.5) for camera in "abc")]
@@ -519,7 +517,7 @@ def a_day() -> list[Event]:
 
 @contextlib.contextmanager
 def site_of(folder: Path, count: int) -> Iterator[list[Daemon]]:
-    """All shards of a site; the first is the meeting point."""
+    """Run all shards of a site; the first is the meeting point."""
     with contextlib.ExitStack() as stack:
         daemons = [stack.enter_context(Daemon(shared_config(folder), shard=(0, count)))]
         daemons += [
@@ -533,7 +531,7 @@ def site_of(folder: Path, count: int) -> Iterator[list[Daemon]]:
 
 @contextlib.contextmanager
 def published(folder: Path, endpoint: str, events: list[Event]) -> Iterator[tuple[Bus, Publisher]]:
-    """Events in their cameras' spool and on the bus, until they are acknowledged."""
+    """Publish events through their cameras' spools until they are acknowledged."""
     with dial(small_config(folder, endpoint)) as bus:
         spool = Spool(folder / "spool.db", "b1", 100_000)
         publisher = Publisher(spool, 100)
@@ -547,7 +545,9 @@ def published(folder: Path, endpoint: str, events: list[Event]) -> Iterator[tupl
 def test_daemons_that_share_a_site_have_one_topology(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As one learner of all districts has it; predictions come once, from the camera's owner."""
+    """It equals that of one learner of all districts; predictions come once, from the
+    camera's owner.
+    """
     monkeypatch.setattr(mergers, "PATIENCE_SECONDS", WAIT_SECONDS)  # the machine may be busy
     events = a_day()
     alone = ShardLearner(shared_config(tmp_path).learn, Sharding(districts=4))
@@ -567,7 +567,7 @@ def test_daemons_that_share_a_site_have_one_topology(
                 "all events",
             )  # type: ignore[misc]
         publisher.publish(*events[-3:])
-        seen = TopologyView(bus)
+        seen = TopologySubscriber(bus)
         seen.wait_for(len(expected), WAIT_SECONDS)
         assert seen.topology is not None
         assert content(seen.topology) == content(expected[-1])
@@ -592,7 +592,7 @@ def test_daemons_that_share_a_site_have_one_topology(
         assert len(bus.ask("topology")) == 1
 
 
-def _cameras(seen: TopologyView) -> set[str]:
+def _cameras(seen: TopologySubscriber) -> set[str]:
     newest = seen.update() or seen.topology
     return set() if newest is None else {camera.id for camera in newest.cameras}
 
@@ -618,13 +618,13 @@ def test_a_shard_that_was_away_goes_on(tmp_path: Path) -> None:
             assert publisher.unacknowledged == left > 0
             with Daemon(at, shard=(1, 2)):
                 assert publisher.drained(WAIT_SECONDS)
-                seen = TopologyView(bus)
+                seen = TopologySubscriber(bus)
                 wait_for(lambda: len(_cameras(seen)) == 3, "all cameras")
             spool.close()
 
 
 def test_a_shard_does_not_start_beside_itself_or_alone(tmp_path: Path) -> None:
-    """All three try at once: each looks for a while whether the other goes."""
+    """All three start at once; each waits a while for the other to end."""
     with (
         Daemon(shared_config(tmp_path / "one"), shard=(0, 2)) as first,
         ThreadPoolExecutor() as at_once,
@@ -646,13 +646,13 @@ def test_a_shard_does_not_start_beside_itself_or_alone(tmp_path: Path) -> None:
 def test_what_a_shard_of_many_cameras_has_learned_is_not_too_large(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Each camera takes some 60 kB; that it came is seen here by that it makes no sense."""
+    """Each camera takes about 60 kB; the message is invalid, so its arrival shows as a refusal."""
     config = shared_config(tmp_path / "state")
     with (
         Daemon(config, shard=(0, 2)) as first,
         dial(shared_config(tmp_path, first.endpoint)) as bus,
     ):
-        bus.put_raw("part/1", b"x" * (config.bus.message_bytes_max // 2), "part")
+        bus.publish_raw("part/1", b"x" * (config.bus.message_bytes_max // 2), "part")
         wait_for(lambda: "an update on part/1 is invalid" in caplog.text, "the part")
 
 

@@ -119,12 +119,12 @@ def test_more_acknowledged_than_given_is_not_taken_and_another_boot_begins(
 def test_what_one_daemon_has_acknowledged_is_given_to_no_other(
     daemon: str, endpoint: str, kept: int, spool: Spool, tmp_path: Path
 ) -> None:
-    spool.asked_by("anna", "tcp/here")
+    spool.note_daemon("anna", "tcp/here")
     spool.append([event(n) for n in range(5)])
     spool.ack("lobby", "boot-1", 3)
     spool.close()
     again = Spool(tmp_path / "spool.db", "boot-2", events_max=1000)
-    again.asked_by(daemon, endpoint)
+    again.note_daemon(daemon, endpoint)
     given = again.batch("lobby", None, 0, 10).events
     assert [seq for seq, _ in given] == [*range(4 - kept, 4), 4, 5]
     assert again.statistics()["kept"] == kept

@@ -14,11 +14,11 @@ from camtopod.serve.bus import session as buses
 
 @pytest.fixture
 def bus(tmp_path: Path) -> Iterator[buses.Bus]:
-    with buses.meet(small_config(tmp_path)) as one:
+    with buses.open_daemon_session(small_config(tmp_path)) as one:
         yield one
 
 
-def taken(ear: buses.Ear) -> list[buses.Heard]:
+def taken(ear: buses.Subscription) -> list[buses.Heard]:
     """Read all messages until it is closed."""
     heard = []
     while (some := ear.take()) is not None:
@@ -30,8 +30,8 @@ def test_what_came_is_there_in_order_also_after_the_end(bus: buses.Bus) -> None:
     ear = bus.listen("event/*", 5_000)
     said = [(f"event/c{n % 7}", b"%d" % n) for n in range(3_000)]
     for key, payload in said:
-        bus.put_raw(key, payload, "event")
-    bus.put_raw("status/c1", b"", "status")
+        bus.publish_raw(key, payload, "event")
+    bus.publish_raw("status/c1", b"", "status")
     ear.close()
     assert taken(ear) == [(key, payload, b"") for key, payload in said]
     assert ear.take() is None

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camtopod.sharding import assignment as dealing_module
-from camtopod.sharding.assignment import Dealing, Sharding, districts_of
+from camtopod.sharding.assignment import Assignment, Sharding, districts_of
 
 CAMERAS = st.from_regex(r"[A-Za-z0-9_.-]{1,64}", fullmatch=True)
 
@@ -36,25 +36,25 @@ def test_there_is_no_such_shard(shard: int, shards: int) -> None:
 
 def test_a_camera_stays_in_its_district() -> None:
     """Other hashes would reassign every site, and each district would start from nothing."""
-    dealing = Dealing(Sharding(guest_turns=4))
+    dealing = Assignment(Sharding(guest_turns=4))
     assert [dealing.district(f"cam{k:02d}") for k in range(8)] == [14, 3, 14, 5, 6, 1, 13, 2]
-    turns = [[turn for turn in range(4) if dealing.guest(f"cam{k:02d}", turn)] for k in range(8)]
+    turns = [[turn for turn in range(4) if dealing.is_guest(f"cam{k:02d}", turn)] for k in range(8)]
     assert turns == [[1], [1], [0], [3], [3], [3], [2], [1]]
 
 
 def test_names_that_are_made_up_fill_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Any client may ask for a prediction of any camera."""
     monkeypatch.setattr(dealing_module, "REMEMBERED_MAX", 100)
-    dealing = Dealing(Sharding())
+    dealing = Assignment(Sharding())
     tracemalloc.start()
     try:
         for number in range(1_000):
             dealing.district(f"cam{number}")
-            dealing.guest(f"cam{number}", 1)
+            dealing.is_guest(f"cam{number}", 1)
         before, _ = tracemalloc.get_traced_memory()
         for number in range(20_000):
             dealing.district(f"made-up-{number}")
-            dealing.guest(f"made-up-{number}", 1)
+            dealing.is_guest(f"made-up-{number}", 1)
         after, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -62,7 +62,7 @@ def test_names_that_are_made_up_fill_no_memory(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_cameras_are_dealt_about_evenly() -> None:
-    dealing = Dealing(Sharding(districts=4))
+    dealing = Assignment(Sharding(districts=4))
     dealt = [dealing.district(f"hall-{number}.cam") for number in range(2000)]
     sizes = [dealt.count(district) for district in range(4)]
     assert sum(sizes) == 2000
@@ -70,17 +70,17 @@ def test_cameras_are_dealt_about_evenly() -> None:
 
 
 def test_what_fits_a_pattern_is_together() -> None:
-    dealing = Dealing(Sharding(districts=3, together=("floor1-*", "*-door", "yard", "floor2-*")))
+    dealing = Assignment(Sharding(districts=3, together=("floor1-*", "*-door", "yard", "floor2-*")))
     assert dealing.district("floor1-a") == dealing.district("floor1-door") == 0
     assert dealing.district("cellar-door") == 1
     assert dealing.district("yard") == 2
     assert dealing.district("floor2-x") == 0
-    assert dealing.district("elsewhere") == Dealing(Sharding(districts=3)).district("elsewhere")
+    assert dealing.district("elsewhere") == Assignment(Sharding(districts=3)).district("elsewhere")
 
 
 @given(CAMERAS, st.integers(1, 20), st.integers(0, 10**6))
 def test_everybody_is_a_guest_in_one_turn_of_each_round(
     camera: str, turns: int, first: int
 ) -> None:
-    dealing = Dealing(Sharding(guest_turns=turns))
-    assert sum(dealing.guest(camera, turn) for turn in range(first, first + turns)) == 1
+    dealing = Assignment(Sharding(guest_turns=turns))
+    assert sum(dealing.is_guest(camera, turn) for turn in range(first, first + turns)) == 1

@@ -1,6 +1,4 @@
-"""Parts merge into one topology: by owners' zones, whatever their order, and no more goes anywhere
-than leaves.
-"""
+"""Parts merge into one topology: zones of owners, any order of parts, sound probabilities."""
 
 from __future__ import annotations
 
@@ -29,10 +27,10 @@ from camtopod.records import (
     Zone,
     ZoneModel,
 )
-from camtopod.sharding.match_zones import Places
+from camtopod.sharding.match_zones import OwnedZones
 from camtopod.sharding.merge import merge
 from camtopod.sharding.parts import Part, part_of
-from camtopod.topology.versions import stamp
+from camtopod.topology.versions import with_digest
 
 SETTINGS = Settings()
 TRANSIT = Transit(5.0, 5.0, 1.0, 4.0, 5.0, 6.0)
@@ -77,7 +75,7 @@ def part(
     alarms: list[Alarm] | None = None,
     score: SelfScore | None = None,
 ) -> Part:
-    """What a district of the cameras ``own`` has learned."""
+    """Return what a district of the cameras ``own`` has learned."""
     cameras = sorted({one.camera for one in zones})
     model = Model(
         4.0,
@@ -107,11 +105,11 @@ def part(
         alarms=alarms,
         score=score,
     )
-    return part_of(stamp(topology), district, dict.fromkeys(own, 0.5), 200)
+    return part_of(with_digest(topology), district, dict.fromkeys(own, 0.5), 200)
 
 
 def two_parts() -> list[Part]:
-    """Camera b's district has camera a's zones the other way round."""
+    """Return two parts; camera b's district has camera a's zones in reverse order."""
     mine = part(
         0,
         {"a"},
@@ -165,7 +163,7 @@ def test_zones_have_their_owners_names() -> None:
 
 
 def test_the_order_of_the_parts_says_nothing() -> None:
-    """Though alarms of one moment, and cameras that are as likely, come from several."""
+    """Also if several have alarms of one moment, or equally likely cameras."""
     third, fourth = (
         part(
             number,
@@ -178,7 +176,7 @@ def test_the_order_of_the_parts_says_nothing() -> None:
         for number, name in ((2, "d"), (3, "c"))
     )
     digests = {
-        stamp(merge(order, SETTINGS)).digest
+        with_digest(merge(order, SETTINGS)).digest
         for order in permutations([*two_parts(), third, fourth])
     }
     assert len(digests) == 1
@@ -231,7 +229,7 @@ def test_one_zone_that_is_several_stands_for_each() -> None:
 
 
 def test_a_zone_without_positions_is_its_camera() -> None:
-    places = Places([zone("a/1", exits=5), zone("b/1", LEFT, 10), zone("b/2", RIGHT, 20)])
+    places = OwnedZones([zone("a/1", exits=5), zone("b/1", LEFT, 10), zone("b/2", RIGHT, 20)])
     assert places.names([zone("a/3"), zone("b/4")]) == {"a/3": ["a/1"], "b/4": ["b/2", "b/1"]}
     assert places.names([zone("b/5", (0.5, 0.9)), zone("c/1", LEFT)]) == {}
 

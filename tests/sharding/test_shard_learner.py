@@ -1,6 +1,4 @@
-"""Shards: the same topology however many there are; each hears little, finds what is new, and goes
-on where it was.
-"""
+"""Shards: any number gives the same topology; each receives little and finds new neighbours."""
 
 from __future__ import annotations
 
@@ -19,12 +17,12 @@ from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import NewerSnapshot, SnapshotError
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology
-from camtopod.sharding.assignment import Dealing, Sharding
+from camtopod.sharding.assignment import Assignment, Sharding
 from camtopod.sharding.district_learner import NEWCOMERS_MAX, District
 from camtopod.sharding.parts import Part
 from camtopod.sharding.shard_learner import ShardLearner, pack_shard, unpack_shard
-from camtopod.sharding.version_line import Line
-from camtopod.sim.score import score, score_predictions
+from camtopod.sharding.version_line import VersionLine
+from camtopod.sim.scoring import score, score_predictions
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth
 
@@ -41,7 +39,7 @@ def site() -> tuple[list[Event], Truth]:
 
 @lru_cache
 def shuffled(seed: int) -> list[Event]:
-    """The events out of order within the lateness."""
+    """Return the events out of order within the lateness."""
     chance = random.Random(seed)
     return sorted(site()[0], key=lambda event: event.t + chance.uniform(0.0, 4.5))
 
@@ -64,7 +62,7 @@ def one_shard() -> ShardLearner:
 
 @lru_cache
 def expected() -> tuple[list[Topology], dict[int, list[Part]]]:
-    """Versions of one shard, and the parts of each district."""
+    """Return the versions of one shard, and the parts of each district."""
     learner = one_shard()
     parts: dict[int, list[Part]] = {number: [] for number in NUMBERS}
     for part in learner.parts():
@@ -74,10 +72,13 @@ def expected() -> tuple[list[Topology], dict[int, list[Part]]]:
 
 @lru_cache
 def alone(number: int, seed: int) -> list[Part]:
-    """What a district makes by itself of events in another order; 0: in order, with the others."""
+    """Return what a district makes by itself of events in another order.
+
+    0: in order, with the others.
+    """
     if seed == 0:
         return expected()[1][number]
-    district = District(SETTINGS, "s", "e", Dealing(SHARDING), number)
+    district = District(SETTINGS, "s", "e", Assignment(SHARDING), number)
     for event in shuffled(seed):
         district.receive(event)
     district.flush()
@@ -101,7 +102,7 @@ def test_one_district_learns_as_a_learner_does() -> None:
 
 def test_the_same_topology_with_several_shards() -> None:
     shards = 2
-    line = Line(SETTINGS, "s", "e")
+    line = VersionLine(SETTINGS, "s", "e")
     learners = [
         ShardLearner(SETTINGS, SHARDING, (shard, shards), "s", "e") for shard in range(shards)
     ]
@@ -130,12 +131,10 @@ def test_the_same_topology_with_several_shards() -> None:
 def test_whoever_works_a_district_and_however_events_come(
     order: list[int], seeds: list[int], chance: random.Random
 ) -> None:
-    """Districts that were worked apart, from events in different orders, their parts told in any
-    order: the same.
-    """
+    """Separate districts, different orders of events and of parts: the result is the same."""
     told = [part for number in order for part in alone(number, seeds[number])]
     line, waiting = (
-        Line(SETTINGS, "s", "e"),
+        VersionLine(SETTINGS, "s", "e"),
         sorted(told, key=lambda part: (part.topology.as_of, chance.random())),
     )
     for part, following in pairwise(waiting):
@@ -149,7 +148,7 @@ def test_whoever_works_a_district_and_however_events_come(
 
 
 def test_links_are_told_by_those_who_own_their_end() -> None:
-    dealing, (_, parts) = Dealing(SHARDING), expected()
+    dealing, (_, parts) = Assignment(SHARDING), expected()
     foreign = 0
     for number, made in parts.items():
         for part in made:
@@ -185,7 +184,7 @@ def test_it_is_about_as_good_as_one_learner(sharding: Sharding, share: float) ->
 
 
 def top1(topology: Topology) -> float:
-    """Of those seen again, how many were where they were said to be, most of all."""
+    """Return the top-1 of the predictions for objects seen again."""
     events, truth = site()
     predictor, said = Predictor(topology), []
     for event in events:
@@ -199,7 +198,7 @@ def top1(topology: Topology) -> float:
 
 
 def test_a_snapshot_goes_on_as_if_nothing_had_been() -> None:
-    """Taken and read again at moments all over."""
+    """Taken and restored at random moments."""
     events, made = site()[0], expected()[0]
     learner, told = ShardLearner(SETTINGS, SHARDING, (0, 1), "s", "e"), []
     for number, event in enumerate(events):
@@ -237,7 +236,7 @@ def test_a_new_epoch_begins_with_what_is_known() -> None:
 
 
 def walked(minutes: float, gap: float, lag: float) -> list[Event]:
-    """People who pass camera a, then camera b; and others who pass camera c at the same rate."""
+    """Return people who pass camera a, then b, and others who pass c at the same rate."""
     chance, begin, seconds = np.random.default_rng(4), 3600e3, minutes * 60.0
     events = []
     for k, t in enumerate(begin + chance.uniform(0.0, seconds, int(seconds / gap))):
@@ -253,10 +252,10 @@ def walked(minutes: float, gap: float, lag: float) -> list[Event]:
 
 def test_a_guest_that_sends_people_becomes_a_neighbour() -> None:
     sharding = Sharding(districts=3, together=("b", "a", "c"), guest_turns=4, turn_hours=0.5)
-    dealing = Dealing(sharding)
+    dealing = Assignment(sharding)
     district = District(Settings(refit_share=0.5), "s", "e", dealing, 0)
-    (turn_of_a,) = (turn for turn in range(4) if dealing.guest("a", turn))
-    (turn_of_c,) = (turn for turn in range(4) if dealing.guest("c", turn))
+    (turn_of_a,) = (turn for turn in range(4) if dealing.is_guest("a", turn))
+    (turn_of_c,) = (turn for turn in range(4) if dealing.is_guest("c", turn))
     heard: dict[int, set[str]] = {}
     for event in walked(240.0, 20.0, 8.0):
         if district.receive(event) == "accepted":
@@ -277,14 +276,12 @@ def test_a_guest_that_sends_people_becomes_a_neighbour() -> None:
     assert not [link for link in before[0].topology.links if link.from_.startswith("a/")]
     (found,) = [link for link in before[-1].topology.links if link.from_.startswith("a/")]
     assert found.transit.q50 == pytest.approx(8.0, rel=0.1)
-    assert "c" not in district.save().window.cameras or dealing.guest("c", max(heard))
+    assert "c" not in district.save().window.cameras or dealing.is_guest("c", max(heard))
 
 
 def test_what_is_not_heard_changes_nothing() -> None:
-    """A district given all events learns what it learns when given those alone that it listens
-    to.
-    """
-    dealing = Dealing(Sharding(districts=4, guest_turns=4, turn_hours=0.02))
+    """A district given all events learns the same as with those that it listens to."""
+    dealing = Assignment(Sharding(districts=4, guest_turns=4, turn_hours=0.02))
     everything, some = (District(SETTINGS, "s", "e", dealing, 3) for _ in range(2))
     heard = unheard = 0
     for event in site()[0]:
@@ -305,12 +302,10 @@ def test_what_is_not_heard_changes_nothing() -> None:
 
 @pytest.mark.parametrize("own", [True, False])
 def test_a_camera_that_comes_later_is_found_as_soon(own: bool) -> None:
-    """Whether it is the own one or that from which people come, and whoever is a guest at the
-    time.
-    """
+    """Whether it is the own one or the neighbour, and whichever cameras are guests then."""
     late = "b" if own else "a"
     sharding = Sharding(districts=3, together=("b", "a", "c"), guest_turns=50, turn_hours=0.5)
-    district = District(Settings(refit_share=0.5), "s", "e", Dealing(sharding), 0)
+    district = District(Settings(refit_share=0.5), "s", "e", Assignment(sharding), 0)
     events = [*walked(300.0, 20.0, 8.0)]
     comes = events[0].t + 3 * 3600.0
     for event in events:
@@ -328,9 +323,9 @@ def test_a_camera_that_comes_later_is_found_as_soon(own: bool) -> None:
 
 
 def test_made_up_names_open_no_district() -> None:
-    """But for a few at a time; own cameras are learned as ever."""
+    """Except for a few at a time; own cameras are learned as before."""
     sharding = Sharding(districts=3, together=("b", "a", "c"), guest_turns=1000, turn_hours=0.1)
-    district = District(SETTINGS, "s", "e", Dealing(sharding), 0)
+    district = District(SETTINGS, "s", "e", Assignment(sharding), 0)
     events = walked(60.0, 20.0, 8.0)
     for number, event in enumerate(events):
         district.receive(event)
@@ -383,7 +378,7 @@ def test_forgotten_cameras_leave_nothing_behind() -> None:
 def mates(
     mate: np.ndarray[tuple[int], np.dtype[np.int64]], base: int
 ) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Numbers of rows as they are in the window; -1 for none."""
+    """Return the numbers of rows in the window; -1 for none."""
     return np.where(mate >= base, mate - base, -1)
 
 
@@ -393,7 +388,7 @@ def test_a_part_that_comes_late_counts_from_then_on() -> None:
         key=lambda part: part.topology.as_of,
     )
     late = parts[3]
-    line = Line(SETTINGS, "s", "e")
+    line = VersionLine(SETTINGS, "s", "e")
     line.take(parts[:3])
     line.reach(parts[-1].topology.as_of)
     line.updates()
@@ -407,7 +402,7 @@ def test_a_part_that_comes_late_counts_from_then_on() -> None:
 
 
 def test_a_district_without_cameras_holds_nobody_up() -> None:
-    """It hears guests, and may hear nothing more that would let its time go on."""
+    """It receives guests, and possibly nothing more that would advance its time."""
     recorded, truth = site()
     events = recorded[:300]
     late = events[-1].t + 36_000.0

@@ -1,4 +1,4 @@
-"""Scores of clocks, calibration, time windows and relations against values worked out by hand."""
+"""Scores of clocks, calibration, time windows and relations against values computed by hand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from synthetic_events import topology_of
 
 from camtopod.records import Event, NextCamera, Pair, Prediction
 from camtopod.sim.calibration import calibration_error, calibration_floor
-from camtopod.sim.score import clock_errors, score, score_predictions
+from camtopod.sim.scoring import clock_errors, score, score_predictions
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, Truth
 
@@ -53,8 +53,8 @@ def test_errors_of_medians_and_f1() -> None:
 
 
 def test_stated_uncertainty_covers_or_does_not() -> None:
-    """Of four links one is 3 s off, each with a stated error of 1 s; another states none. Means are
-    right.
+    """Of four links one is 3 s off with a stated error of 1 s; another states none.
+    Means are right.
     """
     links = [link for link in PERFECT.links if link.relation != "visible"][:5]
     stated = [
@@ -96,7 +96,7 @@ def test_false_links_count_within_a_camera_too() -> None:
 
 
 def two_passages() -> tuple[list[Event], Truth]:
-    """One person leaves a at 10 s and appears at b 5 s later, where nobody sees them again."""
+    """Return a person who leaves a at 10 s, appears at b 5 s later, and is not seen again."""
     events = [
         Event("a", "entry", 8.0),
         Event("a", "exit", 10.0),
@@ -135,8 +135,11 @@ def test_windows_are_those_of_the_zone_and_leaving_is_an_outcome() -> None:
 
 
 def test_the_calibration_of_the_first_guess_is_not_diluted_by_the_others() -> None:
-    """Both first guesses are stated at 0.6 and one comes: 0.1 off, as no mean over all outcomes
-    says. In the second the likeliest is to leave; the two zones of a camera count together."""
+    """Both first guesses have probability 0.6 and one comes true: the error is 0.1.
+
+    The mean over all outcomes would be smaller. In the second the first guess is leaving; the two
+    zones of a camera count together.
+    """
     events, truth = two_passages()
     b = [NextCamera("b", "b/1", 0.3, 1.0, 2.0, 3.0), NextCamera("b", "b/2", 0.3, 4.0, 5.0, 6.0)]
     others = [NextCamera(f"c{k}", f"c{k}/1", 0.01, 1.0, 2.0, 3.0) for k in range(5)]
@@ -156,8 +159,9 @@ def test_the_calibration_of_the_first_guess_is_not_diluted_by_the_others() -> No
 
 
 def test_exits_of_nobody_count_in_the_calibration_over_all_exits() -> None:
-    """A tenth of the exits belong to nobody, so 0.9 is right for who always comes; over their own
-    exits it is not.
+    """A tenth of the exits are clutter, so 0.9 is calibrated for an object that always comes.
+
+    Over the exits of objects alone it is not.
     """
     events, identity, passage = [], [], []
     for k in range(10):

@@ -1,4 +1,4 @@
-"""The demo's site: geometry, walks, pictures, and the truth read off them."""
+"""The demo's site: geometry, walks, pictures and ground truth."""
 
 from __future__ import annotations
 
@@ -11,13 +11,22 @@ import numpy as np
 import pytest
 from synthetic_events import topology_of
 
-from camtopod.sim.floor import FPS, HEIGHT, WIDTH, View, passages, site, stroll, truth_of
+from camtopod.sim.floor import (
+    FPS,
+    HEIGHT,
+    WIDTH,
+    View,
+    demo_plan,
+    passages,
+    simulate_walks,
+    truth_of,
+)
 from camtopod.sim.picture import write_map
-from camtopod.sim.render import SUFFIX, busy_scene, render, scene
-from camtopod.sim.score import score
+from camtopod.sim.rendering import SUFFIX, busy_scene, render, scene
+from camtopod.sim.scoring import score
 
-PLAN = site()
-WALKS = stroll(PLAN, 600.0, 0.1, np.random.default_rng(3))
+PLAN = demo_plan()
+WALKS = simulate_walks(PLAN, 600.0, 0.1, np.random.default_rng(3))
 SEEN = passages(PLAN, WALKS)
 TRUTH = truth_of(PLAN, SEEN)
 

@@ -1,4 +1,4 @@
-"""The made-up network keeps its promises."""
+"""The simulated network has the stated properties."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from camtopod.codec import event_from_json, to_json
 from camtopod.records import Event
 from camtopod.sim.faults import make_setup
 from camtopod.sim.layout import ZONE_SEPARATION, make_layout
-from camtopod.sim.score import next_entries
+from camtopod.sim.scoring import next_entries
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth, mode_of, transit_of
 
@@ -108,7 +108,7 @@ def test_default_recording_is_the_size_people_ask_for() -> None:
 
 
 def test_walks_have_the_truths_probabilities_and_times() -> None:
-    """What is written down as true is what the walkers do, counted naively from identities."""
+    """The ground truth equals a naive count from identities."""
     events, truth = simulate(SimSettings(hours=6, missed=0, clutter=0, seed=3))
     following = next_entries(events, truth)
     lags: dict[tuple[int, int], list[float]] = {}

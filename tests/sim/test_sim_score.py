@@ -1,4 +1,4 @@
-"""A topology made from the truth scores perfectly, a broken one worse, by as much as was broken."""
+"""A topology made from the ground truth scores perfectly, a damaged one accordingly worse."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from synthetic_events import topology_of
 
 from camtopod.records import Event, NextCamera, Prediction
-from camtopod.sim.score import match_zones, next_entries, score, score_predictions
+from camtopod.sim.scoring import match_zones, next_entries, score, score_predictions
 from camtopod.sim.simulation import SimSettings, simulate
 
 EVENTS, TRUTH = simulate(SimSettings(cameras=6, hours=0.5))
@@ -122,7 +122,7 @@ def test_nothing_learned_is_no_division_by_zero() -> None:
 
 
 def naive_next_entry(index: int) -> int:
-    """Slow twin: look through all events for the walker's later passages."""
+    """Search all events for the walker's later passages (slow version)."""
     who, number = TRUTH.identity[index], TRUTH.passage[index]
     if who < 0 or EVENTS[index].kind == "entry":
         return -1
@@ -141,7 +141,7 @@ def test_next_entries_equal_the_naive_search() -> None:
 
 
 def knowing(certain: float) -> list[Prediction]:
-    """Predictions that give ``certain`` to what happens and the rest elsewhere."""
+    """Return predictions that give ``certain`` to the true outcome and the rest elsewhere."""
     result = []
     for event, j in zip(EVENTS, next_entries(EVENTS, TRUTH), strict=True):
         if event.kind == "exit":

@@ -21,7 +21,7 @@ from camtopod.records import (
     ZoneModel,
 )
 from camtopod.topology.lag_bins import LagBins
-from camtopod.topology.versions import stamp
+from camtopod.topology.versions import with_digest
 
 AS_OF = 1_700_003_600.0
 BINS = LagBins(-120.0, 180.0)
@@ -67,7 +67,7 @@ def synthetic_topology(
             for other in sides[camera] - {one}:
                 ends = f"{names[camera]}/{one + 1}", f"{names[camera]}/{other + 1}"
                 links.append(made_link(*ends, 9.0, 80.0, False, visible=True))
-    return stamp(
+    return with_digest(
         Topology(
             TOPOLOGY_SCHEMA,
             "mall",

@@ -1,6 +1,4 @@
-"""Histograms as versions carry them: whole steps lose next to nothing, sums and multiples are those
-of the masses.
-"""
+"""Histograms of versions: rounding loses little, sums and multiples equal those of the masses."""
 
 from __future__ import annotations
 
@@ -13,12 +11,12 @@ from camtopod.records import Histogram
 from camtopod.topology.histograms import (
     MASS_MIN,
     STEPS,
-    counted,
-    counts_added,
-    in_steps,
-    on_bins,
-    scaled,
-    steps_added,
+    counts_histogram,
+    masses_on_bins,
+    scale_histogram,
+    step_histogram,
+    sum_as_counts,
+    sum_as_steps,
 )
 from camtopod.topology.lag_bins import LagBins
 
@@ -28,16 +26,16 @@ Masses = st.lists(st.floats(0.0, 1e6), min_size=BINS.size, max_size=BINS.size).m
 
 @given(Masses)
 def test_whole_steps_are_as_good_as_the_masses(mass: np.ndarray) -> None:
-    back = on_bins(in_steps(mass, BINS), BINS)
+    back = masses_on_bins(step_histogram(mass, BINS), BINS)
     cut = MASS_MIN * mass.sum()  # at the ends
     assert np.abs(back - mass).max() <= max(cut, 0.51 * mass.max() / STEPS)
 
 
 @given(Masses)
 def test_counts_are_told_to_three_digits(counts: np.ndarray) -> None:
-    told = counted(counts, BINS)
+    told = counts_histogram(counts, BINS)
     assert told.unit == 1.0
-    assert np.abs(on_bins(told, BINS) - counts).max() <= max(
+    assert np.abs(masses_on_bins(told, BINS) - counts).max() <= max(
         MASS_MIN * counts.sum(), 0.0051 * counts.max()
     )
 
@@ -46,26 +44,26 @@ def test_counts_are_told_to_three_digits(counts: np.ndarray) -> None:
 def test_sums_and_multiples_are_those_of_the_masses(
     a: np.ndarray, b: np.ndarray, p: float, q: float
 ) -> None:
-    one, other = in_steps(a, BINS), counted(b, BINS)
-    wanted = p * on_bins(one, BINS) + q * on_bins(other, BINS)
+    one, other = step_histogram(a, BINS), counts_histogram(b, BINS)
+    wanted = p * masses_on_bins(one, BINS) + q * masses_on_bins(other, BINS)
     both = [(p, one), (q, other)]
-    assert np.abs(on_bins(steps_added(both), BINS) - wanted).max() <= 0.51 * wanted.max() / STEPS
-    assert counts_added(both).unit == 1.0
-    assert np.allclose(on_bins(counts_added(both), BINS), wanted, rtol=0.0051)
-    assert np.allclose(on_bins(scaled(one, p), BINS), p * on_bins(one, BINS), rtol=1e-5)
+    assert np.abs(masses_on_bins(sum_as_steps(both), BINS) - wanted).max() <= 0.51 * wanted.max() / STEPS
+    assert sum_as_counts(both).unit == 1.0
+    assert np.allclose(masses_on_bins(sum_as_counts(both), BINS), wanted, rtol=0.0051)
+    assert np.allclose(masses_on_bins(scale_histogram(one, p), BINS), p * masses_on_bins(one, BINS), rtol=1e-5)
 
 
 @given(Masses)
 def test_a_histogram_added_to_nothing_is_itself(mass: np.ndarray) -> None:
-    one, counts = in_steps(mass, BINS), counted(mass, BINS)
-    assert steps_added([(1.0, one)]) == one
-    assert counts_added([(1.0, counts)]) == counts or not counts.mass
-    assert steps_added([]) == counts_added([]) == Histogram(0, [])
+    one, counts = step_histogram(mass, BINS), counts_histogram(mass, BINS)
+    assert sum_as_steps([(1.0, one)]) == one
+    assert sum_as_counts([(1.0, counts)]) == counts or not counts.mass
+    assert sum_as_steps([]) == sum_as_counts([]) == Histogram(0, [])
 
 
 @given(Masses)
 def test_it_goes_through_both_codes_as_it_is(mass: np.ndarray) -> None:
-    for told in (in_steps(mass, BINS), counted(mass, BINS)):
+    for told in (step_histogram(mass, BINS), counts_histogram(mass, BINS)):
         for code in (msgspec.json, msgspec.msgpack):
             assert repr(code.decode(code.encode(told), type=Histogram)) == repr(told)
 
@@ -73,13 +71,13 @@ def test_it_goes_through_both_codes_as_it_is(mass: np.ndarray) -> None:
 def test_one_that_an_older_program_wrote_is_read() -> None:
     old = Histogram(3, [0.5, 12.0])
     assert msgspec.json.decode(b'{"first":3,"mass":[0.5,12.0]}', type=Histogram) == old
-    assert on_bins(old, LagBins(0.0, 60.0))[3:5].tolist() == [0.5, 12.0]
+    assert masses_on_bins(old, LagBins(0.0, 60.0))[3:5].tolist() == [0.5, 12.0]
 
 
 def test_what_lies_beyond_the_bins_is_left_out() -> None:
     bins = LagBins(0.0, 60.0)
-    assert on_bins(Histogram(-2, [1.0, 2.0, 3.0]), bins)[:2].tolist() == [3.0, 0.0]
-    assert on_bins(Histogram(bins.first + bins.size - 1, [4.0, 5.0]), bins)[-1] == 4.0
+    assert masses_on_bins(Histogram(-2, [1.0, 2.0, 3.0]), bins)[:2].tolist() == [3.0, 0.0]
+    assert masses_on_bins(Histogram(bins.first + bins.size - 1, [4.0, 5.0]), bins)[-1] == 4.0
     assert (
-        on_bins(Histogram(500, [1.0]), bins).sum() == on_bins(Histogram(0, []), bins).sum() == 0.0
+        masses_on_bins(Histogram(500, [1.0]), bins).sum() == masses_on_bins(Histogram(0, []), bins).sum() == 0.0
     )

@@ -1,6 +1,4 @@
-"""Digests and deltas: two that learned the same agree, and a delta gives exactly the next
-version.
-"""
+"""Digests and deltas: equal topologies have equal digests; a delta gives the next version."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ from camtopod.records import (
     Zone,
     ZoneModel,
 )
-from camtopod.topology.versions import apply_delta, digest_of, make_delta, stamp
+from camtopod.topology.versions import apply_delta, digest_of, make_delta, with_digest
 
 NUMBERS = st.floats(-1e3, 1e3)
 SHARES = st.floats(0, 1)
@@ -70,7 +68,7 @@ def by_key(item: Camera | Zone | Link | Pair) -> object:
 
 
 def some(items: st.SearchStrategy[object]) -> st.SearchStrategy[list[object]]:
-    """What a topology holds: each key once, in order."""
+    """Draw the contents of a topology: each key once, in order."""
     return st.lists(items, max_size=5, unique_by=by_key).map(
         lambda found: sorted(found, key=by_key)
     )  # type: ignore[arg-type]
@@ -79,7 +77,7 @@ def some(items: st.SearchStrategy[object]) -> st.SearchStrategy[list[object]]:
 @st.composite
 def topologies(draw: st.DrawFn, version: int = 1) -> Topology:
     chain = st.lists(st.builds(ChainEdge, NAMES, NAMES, SHARES), max_size=2)
-    return stamp(
+    return with_digest(
         Topology(
             TOPOLOGY_SCHEMA,
             "hq",
@@ -111,7 +109,7 @@ def test_old_and_delta_are_new(old: Topology, new: Topology) -> None:
 
 @given(topologies(4), st.data())
 def test_a_delta_holds_what_differs_and_no_more(old: Topology, data: st.DataObject) -> None:
-    new = stamp(replace(old, version=5))
+    new = with_digest(replace(old, version=5))
     same = make_delta(old, new)
     names = ("cameras", "zones", "links", "weak_links", "pairs")
     assert not any(
@@ -126,7 +124,7 @@ def test_a_delta_holds_what_differs_and_no_more(old: Topology, data: st.DataObje
             continue
         gone = data.draw(st.sampled_from(items))
         left = [item for item in items if item is not gone]
-        delta = make_delta(old, stamp(replace(new, **{name: left})))
+        delta = make_delta(old, with_digest(replace(new, **{name: left})))
         assert getattr(delta, name) == []
         assert getattr(delta, f"gone_{name}") == [by_key(gone)]
         back = make_delta(replace(old, **{name: left}), new)
@@ -136,7 +134,7 @@ def test_a_delta_holds_what_differs_and_no_more(old: Topology, data: st.DataObje
 
 @given(topologies(4), topologies(5), topologies(4))
 def test_a_delta_fits_only_its_own_past(old: Topology, new: Topology, other: Topology) -> None:
-    """The wrong past is noticed: the result is the right one or nothing."""
+    """A wrong base is detected: the result is the right version or nothing."""
     delta = make_delta(old, new)
     try:
         assert apply_delta(other, delta) == new
@@ -156,13 +154,13 @@ def test_digest_is_of_the_content_alone(topology: Topology) -> None:
     assert digest_of(replace(topology, pairs=more)) != topology.digest
 
 
-EMPTY = stamp(Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 0, "", [], [], [], [], []))
+EMPTY = with_digest(Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 0, "", [], [], [], [], []))
 
 
 def test_a_zero_that_changes_its_sign_is_in_the_delta() -> None:
-    """The digest sees it, so without it a subscriber could not follow."""
-    old = stamp(replace(EMPTY, cameras=[Camera("a", [], 0.0)]))
-    new = stamp(replace(EMPTY, version=2, cameras=[Camera("a", [], -0.0)]))
+    """The digest depends on the sign, so a subscriber needs it."""
+    old = with_digest(replace(EMPTY, cameras=[Camera("a", [], 0.0)]))
+    new = with_digest(replace(EMPTY, version=2, cameras=[Camera("a", [], -0.0)]))
     assert old.digest != new.digest
     assert apply_delta(old, make_delta(old, new)) == new
 
@@ -171,13 +169,13 @@ def test_a_zero_that_changes_its_sign_is_in_the_delta() -> None:
 def test_only_the_next_version_follows(other: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="does not follow"):
         make_delta(EMPTY, replace(EMPTY, **other))
-    delta = replace(make_delta(EMPTY, stamp(replace(EMPTY, version=2))), **other)
+    delta = replace(make_delta(EMPTY, with_digest(replace(EMPTY, version=2))), **other)
     with pytest.raises(ValueError, match="does not follow"):
         apply_delta(EMPTY, delta)
 
 
 def test_damage_is_noticed() -> None:
-    delta = make_delta(EMPTY, stamp(replace(EMPTY, version=2, events=5)))
+    delta = make_delta(EMPTY, with_digest(replace(EMPTY, version=2, events=5)))
     assert delta.schema == DELTA_SCHEMA
     assert apply_delta(EMPTY, delta).events == 5
     with pytest.raises(ValueError, match="digest of version 2 differs after its delta"):
@@ -185,8 +183,8 @@ def test_damage_is_noticed() -> None:
 
 
 def test_a_topology_without_weak_links_has_a_delta_too() -> None:
-    old = stamp(replace(EMPTY, weak_links=None))
-    new = stamp(replace(old, version=2, events=7))
+    old = with_digest(replace(EMPTY, weak_links=None))
+    new = with_digest(replace(old, version=2, events=7))
     assert apply_delta(old, make_delta(old, new)).events == 7
 
 

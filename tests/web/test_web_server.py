@@ -363,7 +363,7 @@ def test_what_clients_do_wrong_is_said_once_a_minute(monkeypatch: pytest.MonkeyP
 def test_it_says_where_it_is_and_ends_when_told(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     config = msgspec.structs.replace(small_config(tmp_path), bus=BusSettings(listen=(endpoint,)))
-    with contextlib.closing(buses.meet(config)):
+    with contextlib.closing(buses.open_daemon_session(config)):
         process = serving.camtopod(
             "web",
             "--connect",

@@ -1,4 +1,4 @@
-"""The live page of a site with a thousand cameras: a real browser on a real daemon."""
+"""The live page of a site with a thousand cameras: a real browser and a real daemon."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.storage.journal import Journal, StoredVersion
 from camtopod.serve.storage.packed_version import Version
-from camtopod.topology.versions import make_delta, stamp
+from camtopod.topology.versions import make_delta, with_digest
 from camtopod.web import app
 
 CAMERAS = 1000
@@ -33,7 +33,7 @@ SHOWN_SECONDS = 15.0
 
 @pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[Daemon]:
-    """One that has published `SITE` before it was started again."""
+    """Run a daemon that had published `SITE` before it was restarted."""
     config = small_config(tmp_path)
     with contextlib.closing(Journal(config.state_directory)) as journal:
         stored = StoredVersion(SITE.epoch, SITE.version, SITE.digest, codec.to_json(SITE))
@@ -44,17 +44,17 @@ def daemon(tmp_path: Path) -> Iterator[Daemon]:
 
 
 def without_a_path() -> Topology:
-    """The next version: nobody takes `PATH` or its way back any more."""
+    """Return the next version, without the links of `PATH` in either direction."""
     ends = {PATH.from_, PATH.to}
     links = [link for link in SITE.links if {link.from_, link.to} != ends]
     pairs = [pair for pair in SITE.pairs if set(pair.cameras) != {FROM, TO}]
-    return stamp(
+    return with_digest(
         msgspec.structs.replace(SITE, version=2, as_of=AS_OF + 60, links=links, pairs=pairs)
     )
 
 
 def publish(daemon: Daemon, topology: Topology) -> None:
-    """As if its learner had made it: it is stored, then everybody is told what has changed."""
+    """Store a version and publish its delta, as if the learner had made it."""
     delta = codec.to_pack(make_delta(SITE, topology))
     daemon._on_version(Version.of(topology, delta))
 
@@ -102,7 +102,7 @@ def test_a_thousand_cameras_are_shown_live(
 
 
 def zone_of(zone: str) -> tuple[float, float]:
-    """The middle of a zone."""
+    """Return the middle of a zone."""
     found = next(one for one in SITE.zones if one.id == zone)
     assert found.x is not None
     assert found.y is not None

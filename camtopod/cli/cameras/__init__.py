@@ -13,26 +13,26 @@ from typing import TYPE_CHECKING
 from camtopod.lazy import names_from
 
 if TYPE_CHECKING:
-    from camtopod.cli.cameras.camera_process import restarted
-    from camtopod.cli.cameras.heartbeat import Heart
+    from camtopod.cli.cameras.camera_process import with_restarts
+    from camtopod.cli.cameras.heartbeat import HeartbeatSender
     from camtopod.cli.cameras.probe import check_site, probe_all
     from camtopod.cli.cameras.supervisor import supervise
 
 __all__ = [
-    "Heart",
+    "HeartbeatSender",
     "check_site",
     "probe_all",
-    "restarted",
     "supervise",
+    "with_restarts",
 ]
 
 __getattr__ = names_from(
     __name__,
     {
-        "Heart": "heartbeat",
+        "HeartbeatSender": "heartbeat",
         "check_site": "probe",
         "probe_all": "probe",
-        "restarted": "camera_process",
+        "with_restarts": "camera_process",
         "supervise": "supervisor",
     },
 )

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.cli.cameras.heartbeat import Ear
+from camtopod.cli.cameras.heartbeat import HeartbeatReceiver
 from camtopod.config import CameraSettings, HealthSettings
 from camtopod.serve.runtime import SOCKET_VARIABLE
 from camtopod.vision.source import kind_of
@@ -62,7 +62,7 @@ def backoff_after(
     return backoff * (0.5 + chance()), min(2 * backoff, health.restart_seconds_max)
 
 
-def in_words(status: int) -> str:
+def exit_reason(status: int) -> str:
     """Return why a process ended, from its exit status as `subprocess` gives it."""
     if status >= 0:
         return f"{_WORDS.get(status, 'failed')} (status {status})"
@@ -70,7 +70,7 @@ def in_words(status: int) -> str:
     return f"killed by {known.get(-status, f'signal {-status}')}"
 
 
-def restarted(times: int, why: str, reason: str = "") -> str:
+def with_restarts(times: int, why: str, reason: str = "") -> str:
     """Return ``reason`` followed by the number of restarts and the cause of the last one."""
     if not times:
         return reason
@@ -88,7 +88,7 @@ def _without_hangup() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-class Child:
+class CameraProcess:
     """Process of one camera, running or waiting to be started."""
 
     def __init__(self, camera: str, settings: CameraSettings, health: HealthSettings) -> None:
@@ -111,7 +111,7 @@ class Child:
         self._started = self._heard = self._looked = 0.0
         self._spoke = False
         self._slow_starts = 0
-        self._ear: Ear | None = None
+        self._ear: HeartbeatReceiver | None = None
         self._kill_at: float | None = None
         self._hung = ""
         self._told = False
@@ -158,7 +158,7 @@ class Child:
             self.process.send_signal(signal.SIGUSR1)
             self._kill_at = now + TRACE_SECONDS
 
-    def tell_to_end(self, now: float, then_at: float | None = None) -> None:
+    def request_end(self, now: float, then_at: float | None = None) -> None:
         """Ask the process to end, and start it again after ``then_at`` (None: not again)."""
         self.again_at = then_at
         if self.process is not None and not self._told:
@@ -173,11 +173,11 @@ class Child:
         self.settings, self._health = settings, health
         if restart:
             self._backoff = health.restart_seconds_min
-            self.tell_to_end(now, then_at=now)
+            self.request_end(now, then_at=now)
 
     def summary(self, now: float) -> dict[str, Any]:
         """Return the status for ``status/{camera}`` while no process publishes it."""
-        reason = restarted(self.restarts, self.last_end, self.reason)
+        reason = with_restarts(self.restarts, self.last_end, self.reason)
         if self.process is None and self.again_at is not None:
             reason = f"restarting in {max(0.0, self.again_at - now):.0f} s; {reason}"
         return {
@@ -197,7 +197,7 @@ class Child:
     def _start(self, now: float, command: Command, config_fd: int) -> None:
         """Start the process with a pipe for its heartbeats."""
         try:
-            self._ear = ear = Ear()
+            self._ear = ear = HeartbeatReceiver()
         except OSError as error:
             self._again(now, 0.0, f"cannot be started: {error.strerror}")
             return
@@ -240,10 +240,10 @@ class Child:
         elif status == exits.DONE and self.state == "ended":  # a file; a stream never ends
             log.info("camera %s has ended", self.camera)
         elif status in _HOPELESS:
-            self.state, self.reason = "failed", f"{in_words(status)}; it is not restarted"
+            self.state, self.reason = "failed", f"{exit_reason(status)}; it is not restarted"
             log.error("camera %s %s", self.camera, self.reason)
         else:
-            why = self._hung or ("ended by itself" if status == exits.DONE else in_words(status))
+            why = self._hung or ("ended by itself" if status == exits.DONE else exit_reason(status))
             if self.state in ("running", "ended") and kind_of(self.settings.source) == "file":
                 self.state, self.reason = (
                     "failed",

@@ -23,7 +23,7 @@ _ALL = frozenset({"*"})
 """Stands for all cameras."""
 
 
-class Reach:
+class DaemonReachLog:
     """Logs changes in whether the cameras reach the daemon; times are monotonic seconds."""
 
     def __init__(self) -> None:

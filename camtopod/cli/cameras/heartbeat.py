@@ -20,7 +20,7 @@ _READ_BYTES = 65536
 """Most bytes read at a time, and most of an unfinished line."""
 
 
-class Said(Struct, frozen=True):
+class Heartbeat(Struct, frozen=True):
     """Content of a heartbeat: the state of the camera's process."""
 
     state: str
@@ -29,13 +29,13 @@ class Said(Struct, frozen=True):
     """Reason why the daemon is not reached; "" if it is reached, None while that is not known."""
 
 
-class Heart:
+class HeartbeatSender:
     """Sender, in the camera's process: `beat` in every turn of the loop that reads frames."""
 
     def __init__(self, fd: int | None) -> None:
         """fd: write end of the supervisor's pipe; None if there is only systemd."""
         self._fd = fd
-        self._said = Said("", "")
+        self._said = Heartbeat("", "")
         self._next = 0.0
         if fd is not None:
             os.set_blocking(fd, False)
@@ -45,7 +45,7 @@ class Heart:
         """Send a heartbeat unless nothing changed and the last one is recent; never blocks."""
         now = time.monotonic()
         reached = None if daemon is None else redact(daemon)[:REASON_CHARACTERS_MAX]
-        said = Said(state, redact(reason)[:REASON_CHARACTERS_MAX], reached)
+        said = Heartbeat(state, redact(reason)[:REASON_CHARACTERS_MAX], reached)
         if now < self._next and said == self._said:
             return
         first, self._said, self._next = not self._said.state, said, now + systemd.feed_seconds()
@@ -61,7 +61,7 @@ class Heart:
             self._fd = None
 
 
-class Ear:
+class HeartbeatReceiver:
     """Receiver, in the supervisor: the other end of the pipe."""
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class Ear:
         os.set_blocking(self._fd, False)
         self._rest = b""
 
-    def listen(self) -> Said | None:
+    def listen(self) -> Heartbeat | None:
         """Return the newest heartbeat since the last call; None if there was none. Never blocks."""
         try:
             heard = os.read(self._fd, _READ_BYTES)
@@ -81,7 +81,7 @@ class Ear:
             self._rest = b""
         for line in reversed(lines):
             try:
-                return msgspec.json.decode(line, type=Said)
+                return msgspec.json.decode(line, type=Heartbeat)
             except (msgspec.MsgspecError, UnicodeDecodeError):
                 continue
         return None

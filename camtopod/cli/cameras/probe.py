@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 
 from camtopod.cli import exits
-from camtopod.cli.cameras.camera_process import in_words
+from camtopod.cli.cameras.camera_process import exit_reason
 from camtopod.cli.exits import CommandError
 from camtopod.config import Config, toml_lines
 from camtopod.redact import redact, remember
@@ -98,7 +98,7 @@ def _probe(source: str, settings: VisionSettings, picture: bool) -> Probe:
     except subprocess.TimeoutExpired:
         return Probe(f"no answer within {seconds:.0f} s")
     if done.returncode != 0:
-        return Probe(f"the process that probed it {in_words(done.returncode)}")
+        return Probe(f"the process that probed it {exit_reason(done.returncode)}")
     return msgspec.json.decode(done.stdout, type=Probe)
 
 

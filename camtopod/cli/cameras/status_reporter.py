@@ -17,7 +17,7 @@ CLOSE_SECONDS = 2.0
 """Time to wait for the thread at the end."""
 
 
-class Speaker:
+class StatusReporter:
     """Publishes statuses from a thread of its own, so that a blocked bus delays no camera.
 
     It connects only when there is a status to publish.

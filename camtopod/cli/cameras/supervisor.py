@@ -13,10 +13,10 @@ import time
 from collections.abc import Sequence
 
 from camtopod.cli import exits
-from camtopod.cli.cameras.camera_process import STOP_SECONDS, Child
-from camtopod.cli.cameras.daemon_reach import Reach
-from camtopod.cli.cameras.status_reporter import Speaker
-from camtopod.cli.common import Told, accepted
+from camtopod.cli.cameras.camera_process import STOP_SECONDS, CameraProcess
+from camtopod.cli.cameras.daemon_reach import DaemonReachLog
+from camtopod.cli.cameras.status_reporter import StatusReporter
+from camtopod.cli.common import SignalRequests, configuration_and_text
 from camtopod.cli.exits import CommandError
 from camtopod.cli.terminal import standard_streams
 from camtopod.config import CameraSettings, Config
@@ -32,7 +32,7 @@ _OF_ALL = ("site", "bus", "state", "vision", "limits")
 """Tables that every camera's process reads: a change restarts all cameras."""
 
 
-def supervise(args: argparse.Namespace, config: Config, text: bytes, told: Told) -> int:
+def supervise(args: argparse.Namespace, config: Config, text: bytes, told: SignalRequests) -> int:
     """Run `camtopod grab` for every camera until all have ended or a signal arrives.
 
     Returns the worst exit status. ``text`` is the content of the configuration; each process gets
@@ -63,11 +63,12 @@ class _Cameras:
         self._args, self._config = args, config
         self._config_fd = _in_memory(text)
         self._children = {
-            name: Child(name, _filled(config, name), config.health) for name in config.cameras
+            name: CameraProcess(name, _filled(config, name), config.health)
+            for name in config.cameras
         }
-        self._leaving: list[Child] = []
-        self._speaker = Speaker(config)
-        self._reach = Reach()
+        self._leaving: list[CameraProcess] = []
+        self._speaker = StatusReporter(config)
+        self._reach = DaemonReachLog()
         self._next_word = self._next_feeding = 0.0
         self._summary = ""
 
@@ -116,7 +117,7 @@ class _Cameras:
         Changed cameras restart, removed ones end, new ones start, and the others are not touched.
         """
         try:
-            config, text = accepted(self._args)
+            config, text = configuration_and_text(self._args)
         except CommandError as error:
             log.error("the old configuration stays in use: %s", " ".join(str(error).splitlines()))
             self._summary = ""
@@ -132,7 +133,7 @@ class _Cameras:
         # End the removed cameras.
         for name in [name for name in self._children if name not in config.cameras]:
             child = self._children.pop(name)
-            child.tell_to_end(now)
+            child.request_end(now)
             self._leaving.append(child)
 
         # Start new cameras, restart changed ones.
@@ -142,7 +143,7 @@ class _Cameras:
         for name in config.cameras:
             camera = _filled(config, name)
             known = self._children.get(name)
-            child = known or ending.pop(name, None) or Child(name, camera, config.health)
+            child = known or ending.pop(name, None) or CameraProcess(name, camera, config.health)
             changed = known is None or every or child.settings != camera
             if changed:
                 (started if known is None else anew).append(name)
@@ -153,7 +154,7 @@ class _Cameras:
         # Publish statuses on the new bus.
         if (old.site, old.bus) != (config.site, config.bus):
             self._speaker.close()
-            self._speaker = Speaker(config)
+            self._speaker = StatusReporter(config)
 
         # Log what happens.
         gone = [child.camera for child in self._leaving]
@@ -171,7 +172,7 @@ class _Cameras:
         systemd.notify("STOPPING=1")
         everyone = [*self._children.values(), *self._leaving]
         for child in everyone:
-            child.tell_to_end(time.monotonic())
+            child.request_end(time.monotonic())
         deadline = time.monotonic() + STOP_SECONDS + 1.0
         while not all(child.over for child in everyone) and time.monotonic() < deadline:
             for child in everyone:

@@ -11,12 +11,12 @@ from typing import Any
 
 from camtopod import codec, mqtt
 from camtopod.cli import descriptors, exits
-from camtopod.cli.common import configuration, start_logging, until_signal, watched
+from camtopod.cli.common import configuration, reporting_to_systemd, start_logging, until_signal
 from camtopod.cli.events import broker_options
 from camtopod.cli.exits import CommandError
 from camtopod.export import homeassistant
 from camtopod.records import CAMERA_PATTERN, Prediction
-from camtopod.serve.bus import Bus, BusError, QueryError, TopologyView, dial
+from camtopod.serve.bus import Bus, BusError, QueryError, TopologySubscriber, dial
 from camtopod.serve.runtime import Progress
 
 LOOK_SECONDS = 1.0
@@ -48,7 +48,7 @@ def add_parser(subparsers: Any) -> None:
     broker_options.add_options(parser)
 
 
-class Site:
+class HomeAssistantState:
     """Newest state of the site, filled by the bus's threads; at most ``cameras_max`` cameras."""
 
     def __init__(self, bus: Bus, topics: homeassistant.Topics, cameras_max: int) -> None:
@@ -60,7 +60,7 @@ class Site:
         self._predictions: dict[str, Prediction] = {}
         self._cameras: list[str] = []
         self._discovery = homeassistant.discovery(topics, [])
-        self._view = TopologyView(bus)
+        self._view = TopologySubscriber(bus)
         bus.watch_alive("daemon", self._on_daemon)
         bus.subscribe("status/*", self._on_status)
         bus.subscribe("prediction/*", self._on_prediction)
@@ -136,7 +136,7 @@ def run(args: argparse.Namespace) -> int:
     faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
     descriptors.raise_limit()
     config = configuration(args)
-    target = broker_options.named(args, args.url, homeassistant.PREFIX)
+    target = broker_options.broker_of(args, args.url, homeassistant.PREFIX)
     topics = homeassistant.Topics(config.site.name, target.prefix, args.discovery.strip("/"))
 
     # Connect to the bus and the broker, then publish changes.
@@ -145,12 +145,14 @@ def run(args: argparse.Namespace) -> int:
             bus = stack.enter_context(dial(config))
         except BusError as error:
             raise CommandError(str(error), exits.BUS) from None
-        site = Site(bus, topics, config.limits.cameras_max)
+        site = HomeAssistantState(bus, topics, config.limits.cameras_max)
         with broker_options.connecting(exits.FAILED):
-            board = stack.enter_context(contextlib.closing(mqtt.Board(target, topics.bridge)))
+            board = stack.enter_context(
+                contextlib.closing(mqtt.RetainedMessages(target, topics.bridge))
+            )
         progress = Progress()
         mark = progress.watch("bridge", config.health.stall_seconds)
-        stack.enter_context(watched(progress, f"publishing below {target.prefix}"))
+        stack.enter_context(reporting_to_systemd(progress, f"publishing below {target.prefix}"))
         while not stop.is_set():
             mark.beat()
             board.show(site.messages())

@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 
     # Warn of files and a bus that are open to others.
     warnings = secret_files.exposed(loaded.secrets(path))
-    warnings += [] if (open_to := access.openness(loaded)) is None else [open_to]
+    warnings += [] if (open_to := access.openness_warning(loaded)) is None else [open_to]
     for warning in warnings:
         print(f"{path}: warning: {warning}", file=sys.stderr)
     print(

@@ -46,11 +46,11 @@ from camtopod.sim import (
     Truth,
     Walk,
     camera_times,
+    demo_plan,
     passages,
     render,
     score,
-    site,
-    stroll,
+    simulate_walks,
     truth_of,
     write_map,
 )
@@ -200,8 +200,8 @@ def _work_directory(out: Path, keep: bool) -> Iterator[Path]:
 
 def _record(work: Path, seconds: float, seed: int) -> Recording:
     """Simulate the walks, and render the video of every camera on all cores."""
-    plan = site()
-    walks = stroll(plan, seconds, WALKERS_PER_SECOND, np.random.default_rng(seed))
+    plan = demo_plan()
+    walks = simulate_walks(plan, seconds, WALKERS_PER_SECOND, np.random.default_rng(seed))
     truth = truth_of(plan, passages(plan, walks))
     videos = {view.camera: work / f"{view.camera}{SUFFIX}" for view in plan.views}
 
@@ -274,7 +274,7 @@ def _openness_said(config: Config) -> Iterator[None]:
     """Say once that the bus has no certificates, instead of the daemon's longer warning, in the
     block.
     """
-    warning = access.openness(config)
+    warning = access.openness_warning(config)
     log = logging.getLogger(buses.__name__)
 
     def other(record: logging.LogRecord) -> bool:

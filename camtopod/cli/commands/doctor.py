@@ -152,7 +152,7 @@ def _configuration(config: Config, path: Path | None) -> Iterator[str]:
     for file in config.secrets(path or Path()):
         yield f"holds a secret: {file} ({_mode(file)})"
     yield from secret_files.exposed(config.secrets(path or Path()))
-    if (open_to := access.openness(config)) is not None:
+    if (open_to := access.openness_warning(config)) is not None:
         yield open_to
 
 

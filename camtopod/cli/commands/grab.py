@@ -21,13 +21,13 @@ import msgspec
 
 from camtopod import codec, redact
 from camtopod.cli import descriptors, exits
-from camtopod.cli.cameras import Heart, restarted
+from camtopod.cli.cameras import HeartbeatSender, with_restarts
 from camtopod.cli.common import (
-    Leaving,
-    Told,
-    accepted,
+    ForcedExit,
+    SignalRequests,
     configuration,
-    leaving,
+    configuration_and_text,
+    ends_within,
     signals,
     start_logging,
 )
@@ -120,13 +120,13 @@ def run(args: argparse.Namespace) -> int:
             return _all(args, told)
         # The supervisor sends SIGUSR1 before it kills a hung process, to log where it hangs.
         faulthandler.register(signal.SIGUSR1, file=2)
-        with leaving(told.stop, LEAVE_SECONDS, args.with_parent) as left:
+        with ends_within(told.stop, LEAVE_SECONDS, args.with_parent) as left:
             return _one(args, told, left)
 
 
-def _all(args: argparse.Namespace, told: Told) -> int:
+def _all(args: argparse.Namespace, told: SignalRequests) -> int:
     """Supervise one process for each camera of the configuration."""
-    config, text = accepted(args)
+    config, text = configuration_and_text(args)
     if args.source is not None or args.out is not None:
         raise CommandError("SOURCE and --out need a camera: add --camera ID", exits.USAGE)
     if not config.cameras:
@@ -145,19 +145,19 @@ def _refuse_a_second(config: Config, stop: threading.Event) -> None:
     Raises `CommandError` if one still does after `HANDOVER_SECONDS`.
     """
     from camtopod.serve.outbox import spool_path
-    from camtopod.serve.storage import held_by
+    from camtopod.serve.storage import lock_reason
 
     paths = {
         camera: spool_path(config.state_directory, config.site.name, camera)
         for camera in config.cameras
     }
     deadline = time.monotonic() + HANDOVER_SECONDS
-    while held := {camera: why for camera, path in paths.items() if (why := held_by(path))}:
+    while held := {camera: why for camera, path in paths.items() if (why := lock_reason(path))}:
         if time.monotonic() >= deadline or stop.wait(_HANDOVER_LOOK_SECONDS):
             raise CommandError(f"{', '.join(held)}: {next(iter(held.values()))}", exits.STATE)
 
 
-def _one(args: argparse.Namespace, told: Told, left: Leaving) -> int:
+def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> int:
     """Grab one camera, to the bus or to event lines."""
     config = configuration(args)
     settings = _camera(args, config)
@@ -169,7 +169,7 @@ def _one(args: argparse.Namespace, told: Told, left: Leaving) -> int:
         from camtopod.vision import Grabber
 
         # Open the camera.
-        heart = Heart(args.beat_fd)
+        heart = HeartbeatSender(args.beat_fd)
         heart.beat("connecting", "not opened yet")
         grabber = Grabber(
             args.camera,
@@ -228,7 +228,7 @@ def _file(path: str) -> BinaryIO:
         raise CommandError(f"cannot write {path}: {error.strerror}") from None
 
 
-def _to_lines(grabber: Grabber, out: BinaryIO, stop: threading.Event, left: Leaving) -> int:
+def _to_lines(grabber: Grabber, out: BinaryIO, stop: threading.Event, left: ForcedExit) -> int:
     """Write event lines, each flushed at once; return the exit status (66 if there was no
     picture).
     """
@@ -275,8 +275,8 @@ def _to_bus(
     args: argparse.Namespace,
     config: Config,
     settings: CameraSettings,
-    told: Told,
-    heart: Heart,
+    told: SignalRequests,
+    heart: HeartbeatSender,
 ) -> int:
     """Publish the camera's events, and wait for acknowledgements at the end of a file."""
     from camtopod.serve.bus import BusError, dial
@@ -320,8 +320,8 @@ def _publish_all(
     publisher: Publisher,
     connection: _Connection,
     config: Config,
-    told: Told,
-    heart: Heart,
+    told: SignalRequests,
+    heart: HeartbeatSender,
 ) -> None:
     """Publish events and statuses until the source ends or a signal arrives."""
     said, next_status = _Said(grabber), 0.0
@@ -357,8 +357,8 @@ def _drain(
     publisher: Publisher,
     connection: _Connection,
     args: argparse.Namespace,
-    told: Told,
-    heart: Heart,
+    told: SignalRequests,
+    heart: HeartbeatSender,
 ) -> None:
     """Wait at the end of a file until its events are acknowledged, for at most `DRAIN_SECONDS`.
 
@@ -466,7 +466,7 @@ class _Connection:
             "camera": self._grabber.camera,
             "state": self._grabber.state,
             "reason": redact.redact(
-                restarted(self._restarts, self._last_end, self._grabber.reason)
+                with_restarts(self._restarts, self._last_end, self._grabber.reason)
             ),
             "restarts": self._restarts,
             "last_end": self._last_end,

@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
     from camtopod.cli.cameras import probe_all
 
     settings = configuration(args)
-    cameras = named(_given(args.sources))
+    cameras = with_names(_given(args.sources))
     folder, handed = args.out.parent / SECRETS, args.credentials
     secrets = {
         name: folder / name
@@ -124,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
     words = {name: [visible(word) for word in probe.words] for name, probe in probes.items()}
 
     # Write the configuration and the secrets.
-    text = written(settings, cameras, words, secrets.keys(), handed)
+    text = configuration_text(settings, cameras, words, secrets.keys(), handed)
     try:
         _write(args.out, text, {path: _located(cameras[name]) for name, path in secrets.items()})
         if handed:
@@ -141,7 +141,7 @@ def run(args: argparse.Namespace) -> int:
     return exits.INPUT if any(probe.problem for probe in probes.values()) else exits.DONE
 
 
-def named(given: Sequence[tuple[str, str]]) -> dict[str, str]:
+def with_names(given: Sequence[tuple[str, str]]) -> dict[str, str]:
     """Return id -> source.
 
     A source without a name is named after its host or path, with a number where the name is taken.
@@ -166,7 +166,7 @@ def named(given: Sequence[tuple[str, str]]) -> dict[str, str]:
     return cameras
 
 
-def written(
+def configuration_text(
     settings: Config,
     cameras: Mapping[str, str],
     words: Mapping[str, Sequence[str]],

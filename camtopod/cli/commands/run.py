@@ -10,11 +10,11 @@ import sys
 from typing import Any
 
 from camtopod.cli import descriptors, exits
-from camtopod.cli.common import Told, configuration, leaving, signals, start_logging
+from camtopod.cli.common import SignalRequests, configuration, ends_within, signals, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.config import Config
 from camtopod.serve import Daemon
-from camtopod.serve.bus import BusError, refusals_heard
+from camtopod.serve.bus import BusError, counting_refusals
 from camtopod.serve.monitoring import health, metrics
 from camtopod.serve.runtime import memory, systemd
 from camtopod.serve.storage import StateError
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     descriptors.raise_limit()
 
     # Load the configuration, then run with health page and watchdog.
-    with signals() as told, leaving(told.stop, LEAVE_SECONDS):
+    with signals() as told, ends_within(told.stop, LEAVE_SECONDS):
         config = configuration(args)
         if args.shard and args.shard[1] > config.shards.districts:
             raise CommandError(
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         pages = {"/metrics": lambda: metrics.page(daemon, config.limits.cameras_max)}
         try:
             with (
-                refusals_heard(config),
+                counting_refusals(config),
                 health.serving(
                     config.health.listen, daemon.failing, daemon.unready, pages
                 ) as listening,
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     return exits.DONE
 
 
-def _run(daemon: Daemon, args: argparse.Namespace, config: Config, told: Told) -> None:
+def _run(daemon: Daemon, args: argparse.Namespace, config: Config, told: SignalRequests) -> None:
     """Start the daemon, then reload on SIGHUP until a signal ends it or a part of it fails."""
     if not daemon.start(told.stop):
         return

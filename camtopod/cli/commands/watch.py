@@ -15,8 +15,8 @@ from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.exits import CommandError
 from camtopod.cli.terminal import (
-    Board,
-    View,
+    SiteState,
+    SiteView,
     alarm_line,
     busiest_links,
     daemon_line,
@@ -25,7 +25,7 @@ from camtopod.cli.terminal import (
     topology_lines,
     transit,
 )
-from camtopod.serve.bus import BusError, TopologyView, dial
+from camtopod.serve.bus import BusError, TopologySubscriber, dial
 from camtopod.serve.runtime import clock
 from camtopod.visible import visible
 
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     """Draw until SIGTERM or SIGINT."""
     start_logging(args)
     config = configuration(args)
-    board = Board()
+    board = SiteState()
     try:
         bus = dial(config)
     except BusError as error:
@@ -73,11 +73,11 @@ def run(args: argparse.Namespace) -> int:
         # Subscribe first, then ask for the newest statuses.
         bus.subscribe("status/*", board.on_status)
         bus.subscribe("prediction/*", board.on_prediction)
-        topology = TopologyView(bus)
+        topology = TopologySubscriber(bus)
         for key, payload in bus.ask("status/*"):
             board.on_status(key, payload)
 
-        def look() -> View:
+        def look() -> SiteView:
             return board.view(topology.topology, config.site.name, clock.wall())
 
         if args.once:
@@ -92,7 +92,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _once(
-    board: Board, topology: TopologyView, look: Callable[[], View], stop: threading.Event
+    board: SiteState,
+    topology: TopologySubscriber,
+    look: Callable[[], SiteView],
+    stop: threading.Event,
 ) -> None:
     """Print the state once, as soon as a status has arrived."""
     until = time.monotonic() + ONCE_SECONDS
@@ -103,7 +106,7 @@ def _once(
 
 
 @contextlib.contextmanager
-def _following(topology: TopologyView, stop: threading.Event) -> Any:
+def _following(topology: TopologySubscriber, stop: threading.Event) -> Any:
     """Fetch new versions while the block runs, in a thread: an absent daemon takes time."""
 
     def follow() -> None:
@@ -120,7 +123,7 @@ def _following(topology: TopologyView, stop: threading.Event) -> Any:
         thread.join(REFRESH_SECONDS)
 
 
-def _on_screen(look: Callable[[], View], stop: threading.Event) -> bool:
+def _on_screen(look: Callable[[], SiteView], stop: threading.Event) -> bool:
     """Draw with rich until ``stop``; return False at once if rich or a terminal is missing."""
     if not sys.stdout.isatty():
         return False
@@ -133,7 +136,7 @@ def _on_screen(look: Callable[[], View], stop: threading.Event) -> bool:
     return show(look, stop)
 
 
-def _show(view: View) -> None:
+def _show(view: SiteView) -> None:
     """Print the plain view, over the last one if this is a terminal."""
     width, height = shutil.get_terminal_size()
     text = lines(view)
@@ -144,7 +147,7 @@ def _show(view: View) -> None:
     sys.stdout.flush()
 
 
-def lines(view: View) -> list[str]:
+def lines(view: SiteView) -> list[str]:
     """Return the whole view as lines; control sequences in others' texts are made visible."""
     text = [
         daemon_line(view),
@@ -161,7 +164,7 @@ def lines(view: View) -> list[str]:
     return [visible(line) for line in text]
 
 
-def _cameras(view: View) -> list[str]:
+def _cameras(view: SiteView) -> list[str]:
     """Return the table of cameras."""
     rows = [f"{'CAMERA':<20} {'STATE':<11} {'EVENTS':>8} {'LAST':>9}  REASON"]
     for camera in view.cameras:
@@ -172,7 +175,7 @@ def _cameras(view: View) -> list[str]:
     return rows
 
 
-def _links(view: View) -> list[str]:
+def _links(view: SiteView) -> list[str]:
     """Return the table of links."""
     rows = [f"{'FROM':<20} {'TO':<20} {'RELATION':<10} {'SHARE':>6} {'TRANSIT (q10 to q90)':>23}"]
     links = busiest_links(view.topology)
@@ -186,7 +189,7 @@ def _links(view: View) -> list[str]:
     return rows
 
 
-def _alarms(view: View) -> list[str]:
+def _alarms(view: SiteView) -> list[str]:
     """Return the newest alarms, with a heading."""
     alarms = newest_alarms(view.topology)
     return ["ALARMS", *(alarm_line(alarm, view.now) for alarm in alarms), ""] if alarms else []

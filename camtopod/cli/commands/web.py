@@ -15,7 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from camtopod.cli import descriptors, exits
-from camtopod.cli.common import configuration, leaving, start_logging, until_signal, watched
+from camtopod.cli.common import (
+    configuration,
+    ends_within,
+    reporting_to_systemd,
+    start_logging,
+    until_signal,
+)
 from camtopod.cli.exits import CommandError
 from camtopod.serve.bus import BusError, dial
 from camtopod.serve.runtime import Progress, clock
@@ -84,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
         log.warning("--pictures %s: %s; cameras are shown without pictures", args.pictures, why)
 
     # Listen, connect to the bus and serve.
-    with until_signal() as stop, leaving(stop, LEAVE_SECONDS), contextlib.ExitStack() as stack:
+    with until_signal() as stop, ends_within(stop, LEAVE_SECONDS), contextlib.ExitStack() as stack:
         listener = stack.enter_context(listening(host, port))
         try:
             bus = stack.enter_context(dial(config))
@@ -104,7 +110,9 @@ def run(args: argparse.Namespace) -> int:
                 config.health.stall_seconds,
             )
         )
-        stack.enter_context(watched(progress, f"the page is at http://{_shown(listener)}/"))
+        stack.enter_context(
+            reporting_to_systemd(progress, f"the page is at http://{_shown(listener)}/")
+        )
         log.info("the page is at http://%s/", _shown(listener))
         if not is_loopback(host):
             log.warning(

@@ -36,7 +36,7 @@ def add_options(group: Any) -> None:
     )
 
 
-def named(args: argparse.Namespace, url: str, prefix: str = "") -> mqtt.Broker:
+def broker_of(args: argparse.Namespace, url: str, prefix: str = "") -> mqtt.Broker:
     """Return the broker at ``url``; ``prefix`` is for a URL without one. Raises `CommandError`."""
     password = os.environ.get(PASSWORD_VARIABLE) or None
     if args.password_file is not None:

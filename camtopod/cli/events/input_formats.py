@@ -143,8 +143,8 @@ def _sizes(given: list[str]) -> dict[str, Size]:
     return sizes
 
 
-def _messages(args: argparse.Namespace, topic: str) -> mqtt.Messages:
+def _messages(args: argparse.Namespace, topic: str) -> mqtt.MessageSubscription:
     """Subscribe to ``topic`` at the broker."""
-    source = broker_options.named(args, args.file)
+    source = broker_options.broker_of(args, args.file)
     with broker_options.connecting(exits.INPUT):
-        return mqtt.Messages(source, topic)
+        return mqtt.MessageSubscription(source, topic)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from camtopod.cli.terminal.progress import Progress
     from camtopod.cli.terminal.screen import show
     from camtopod.cli.terminal.site_state import (
-        Board,
-        View,
+        SiteState,
+        SiteView,
         alarm_line,
         busiest_links,
         daemon_line,
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "Board",
     "Progress",
-    "View",
+    "SiteState",
+    "SiteView",
     "alarm_line",
     "busiest_links",
     "daemon_line",
@@ -44,9 +44,9 @@ __all__ = [
 __getattr__ = names_from(
     __name__,
     {
-        "Board": "site_state",
+        "SiteState": "site_state",
         "Progress": "progress",
-        "View": "site_state",
+        "SiteView": "site_state",
         "alarm_line": "site_state",
         "busiest_links": "site_state",
         "daemon_line": "site_state",

@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from camtopod.cli.terminal.site_state import (
-    View,
+    SiteView,
     alarm_line,
     busiest_links,
     daemon_line,
@@ -50,7 +50,7 @@ _WRONG = "bold yellow"
 _CORNER = "dim"
 
 
-class LastWords:
+class LastLogLine:
     """Stand-in for standard error while the screen is drawn; its last line is shown at the top."""
 
     def __init__(self) -> None:
@@ -65,7 +65,7 @@ class LastWords:
         """Do nothing: there is no buffer."""
 
 
-def show(look: Callable[[], View], stop: threading.Event) -> bool:
+def show(look: Callable[[], SiteView], stop: threading.Event) -> bool:
     """Draw the views that ``look`` returns, four times a second, until ``stop``.
 
     Returns False if the terminal cannot do it.
@@ -75,7 +75,7 @@ def show(look: Callable[[], View], stop: threading.Event) -> bool:
     console = Console()
     if console.is_dumb_terminal:
         return False
-    words = LastWords()
+    words = LastLogLine()
     streams = [
         handler
         for handler in logging.getLogger().handlers
@@ -93,7 +93,7 @@ def show(look: Callable[[], View], stop: threading.Event) -> bool:
     return True
 
 
-def drawn(view: View, width: int, height: int, words: str = "") -> RenderableType:
+def drawn(view: SiteView, width: int, height: int, words: str = "") -> RenderableType:
     """Return the screen for a terminal of ``width`` columns and ``height`` rows."""
     # Rows and columns that are available.
     head = _head(view, words)[: max(1, height // 3)]
@@ -142,7 +142,7 @@ def _stacked(rows: int, wanted: Sequence[int], parts: Sequence[Callable[[int], T
     return stack
 
 
-def _head(view: View, words: str) -> list[Text]:
+def _head(view: SiteView, words: str) -> list[Text]:
     """Return the lines at the top: daemon, topology, last log line, alarms."""
     lines = [_text(daemon_line(view), "bold" if view.state == "running" else _WRONG)]
     lines += [_text(words, _CORNER)] if words else []
@@ -177,7 +177,7 @@ def _table(*columns: str, flexible: str) -> Table:
     return table
 
 
-def _cameras(view: View, width: int, rows: int) -> Table:
+def _cameras(view: SiteView, width: int, rows: int) -> Table:
     """Return the table of cameras: those with problems first, then those with the newest events.
 
     The whole reason of a problem is shown if it fits.
@@ -219,7 +219,7 @@ def _cameras(view: View, width: int, rows: int) -> Table:
     return table
 
 
-def _links(view: View, width: int, rows: int) -> Table:
+def _links(view: SiteView, width: int, rows: int) -> Table:
     narrow = width < NARROW
     table = _table(
         *("FROM", "TO", *(() if narrow else ("RELATION",)), "SHARE", "TRANSIT (q10 to q90)"),
@@ -241,7 +241,7 @@ def _links(view: View, width: int, rows: int) -> Table:
     return table
 
 
-def _predictions(view: View, rows: int) -> Table:
+def _predictions(view: SiteView, rows: int) -> Table:
     table = _table("LEFT", "SEEN NEXT", flexible="SEEN NEXT")
     for prediction in view.predictions[: max(0, rows - 2)]:
         ago = max(0.0, view.now - prediction.t)

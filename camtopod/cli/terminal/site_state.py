@@ -75,7 +75,7 @@ class CameraLine(NamedTuple):
         return self.state not in _FINE
 
 
-class View(NamedTuple):
+class SiteView(NamedTuple):
     """State of the site at one moment.
 
     ``state`` and ``reason`` are the daemon's; ``now`` is in seconds since the epoch.
@@ -92,7 +92,7 @@ class View(NamedTuple):
     """Newest first."""
 
 
-class Board:
+class SiteState:
     """Collects statuses and predictions as they arrive; thread-safe.
 
     steady: monotonic clock in seconds, to notice senders that are silent.
@@ -138,7 +138,7 @@ class Board:
         with self._mutex:
             return self._daemon is None and not self._status
 
-    def view(self, topology: Topology | None, site: str, now: float) -> View:
+    def view(self, topology: Topology | None, site: str, now: float) -> SiteView:
         """Return the state at ``now`` (seconds since the epoch)."""
         with self._mutex:
             status, said, predictions = dict(self._status), self._daemon, list(self._predictions)
@@ -159,7 +159,7 @@ class Board:
             _camera(name, status.get(name), known.get(name, _Counted()), now, steady)
             for name in {*status, *known}
         ]
-        return View(
+        return SiteView(
             site, now, state, reason, _counts(daemon), sorted(cameras), topology, predictions[::-1]
         )
 
@@ -191,7 +191,7 @@ def _counts(daemon: _DaemonSaid) -> str:
     )
 
 
-def daemon_line(view: View) -> str:
+def daemon_line(view: SiteView) -> str:
     """Return one line with site, state and counters of the daemon."""
     if not view.state:
         return f"site {view.site}: no status of a daemon received yet"

@@ -1,7 +1,7 @@
 """Standard streams of a process, which may be closed or a full pipe that nobody reads.
 
 A long-running program must not wait for the reader of its log. Its standard error therefore becomes
-a bounded queue with a thread of its own, the only one that may block (`Unwaited`).
+a bounded queue with a thread of its own, the only one that may block (`NonBlockingStream`).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def open_missing() -> None:
     sys.stderr = sys.stderr or os.fdopen(2, "w", errors="backslashreplace", closefd=False)
 
 
-class Unwaited(io.TextIOBase):
+class NonBlockingStream(io.TextIOBase):
     """Text stream to the file descriptor ``fd`` whose `write` never blocks; thread-safe."""
 
     def __init__(self, fd: int, characters_max: int = WAITING_CHARACTERS_MAX) -> None:
@@ -101,7 +101,7 @@ class Unwaited(io.TextIOBase):
 
 def settle(seconds: float = LAST_WORDS_SECONDS) -> bool:
     """Wait until standard error has been written; return False if nothing reads it."""
-    return not isinstance(sys.stderr, Unwaited) or sys.stderr.settle(seconds)
+    return not isinstance(sys.stderr, NonBlockingStream) or sys.stderr.settle(seconds)
 
 
 def _write_all(fd: int, text: str) -> None:

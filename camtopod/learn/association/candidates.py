@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
 from camtopod.learn.traffic import Arrivals, Departures
-from camtopod.topology import LagBins, smoother
+from camtopod.topology import LagBins, lag_smoothing_matrix
 
 PAIR_TABLE_MAX = 20_000_000
 """Largest dense table over pairs of zones, entries; beyond, pairs are numbered by sorting."""
@@ -54,7 +54,7 @@ class Candidates(NamedTuple):
         )
 
 
-def newest(
+def newest_within_limit(
     departures: Departures, arrivals: Arrivals, bins: LagBins, candidates_max: int
 ) -> tuple[Departures, Arrivals]:
     """Return the newest departures and arrivals that make no more candidates than the limit.
@@ -65,7 +65,7 @@ def newest(
     candidates_max: limit of the candidates by range of lags alone.
     """
     # Count candidates back from the newest arrival.
-    low, high = in_reach(departures.t, arrivals.t, bins)
+    low, high = departures_in_reach(departures.t, arrivals.t, bins)
     kept = int(np.searchsorted(np.cumsum((high - low)[::-1]), candidates_max, side="right"))
     if kept == len(arrivals.t):
         return departures, arrivals
@@ -76,7 +76,7 @@ def newest(
     return departures.take(departures.t >= first, late), arrivals.take(late)
 
 
-def in_reach(
+def departures_in_reach(
     left: Floats, came: Floats, bins: LagBins
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the first departure within the lags of each arrival, and one past the last.
@@ -106,7 +106,7 @@ def possible(
     """
     # Find the departures in reach of each arrival.
     t, came = departures.t if among is None else departures.t[among], arrivals.t[mine]
-    low, high = in_reach(t, came, bins)
+    low, high = departures_in_reach(t, came, bins)
     reached = np.concatenate(([0], np.cumsum(high - low)))
 
     # Departure that ends the passage begun by each arrival; n if unknown. Delayed copies come after
@@ -147,7 +147,7 @@ def find_candidates(
     departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int
 ) -> Candidates:
     """Return all candidates."""
-    low, high = in_reach(departures.t, arrivals.t, bins)
+    low, high = departures_in_reach(departures.t, arrivals.t, bins)
     most = int((high - low).sum())
 
     # np.empty reserves address space only: pages that are never written cost no memory, and there
@@ -167,7 +167,7 @@ def find_candidates(
     return Candidates(departure, arrival, pair, lag, source, target)
 
 
-def together(arrival: Indices) -> list[slice]:
+def slices_by_arrival(arrival: Indices) -> list[slice]:
     """Return slices of the candidates, each with all candidates of its arrivals.
 
     A slice has about `CANDIDATES_AT_ONCE` candidates.
@@ -183,7 +183,7 @@ def together(arrival: Indices) -> list[slice]:
     return parts
 
 
-class Runs(NamedTuple):
+class ArrivalRuns(NamedTuple):
     """Runs of candidates that share an arrival, (m,) each."""
 
     arrival: Indices
@@ -194,13 +194,13 @@ class Runs(NamedTuple):
     """(m,) the number of candidates in each run."""
 
 
-def runs_of(arrival: Indices) -> Runs:
+def runs_of(arrival: Indices) -> ArrivalRuns:
     """Return the runs of candidates (n,) that share an arrival; ``arrival`` must be ascending."""
     first = np.flatnonzero(np.diff(arrival, prepend=-1))
-    return Runs(arrival[first], first, np.diff(first, append=len(arrival)))
+    return ArrivalRuns(arrival[first], first, np.diff(first, append=len(arrival)))
 
 
-def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floats:
+def excess_over_null(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floats:
     """Return how far lag histograms (P, bins) exceed the null model by more than noise, at least 0.
 
     Noise is ``noise_sd`` standard deviations of the smoothed null model. This is a
@@ -211,13 +211,13 @@ def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floa
     """
     result = np.zeros_like(seen)
     for sd_bins in EXCESS_SMOOTHING_SD_BINS:
-        spread = smoother(bins.size, sd_bins)
+        spread = lag_smoothing_matrix(bins.size, sd_bins)
         noise = np.sqrt(np.maximum(chance, 0.5) @ (spread**2).T)
         result = np.maximum(result, (seen - chance) @ spread.T - noise_sd * noise)
     return result
 
 
-def first_hazards(
+def initial_hazards(
     seen: Floats,
     rates: Floats,
     exposure: Floats,
@@ -239,7 +239,7 @@ def first_hazards(
     for rows in rows_together(len(seen)):
         exposed = exposure[source[rows]] * bins.widths
         chance = rates[rows, None] * exposed
-        above = np.maximum(excess(seen[rows], chance, bins, noise_sd), least * seen[rows])
+        above = np.maximum(excess_over_null(seen[rows], chance, bins, noise_sd), least * seen[rows])
         np.divide(above, np.maximum(exposed, bins.widths), out=seen[rows])
     return seen
 

@@ -15,7 +15,7 @@ is judged by the hazard that the others make (leave one out). The M step counts.
 causes an arrival), a prior, and what contexts say of single candidates and departures.
 
 There may be millions of candidates. Only one array of a kind is kept for all of them; intermediate
-results exist for some at a time (`together`).
+results exist for some at a time (`slices_by_arrival`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from camtopod.arrays import Bools, Floats, Indices, Longs, Singles, rows_together
-from camtopod.learn.association.candidates import Candidates, first_hazards, runs_of, together
+from camtopod.learn.association.candidates import (
+    Candidates,
+    initial_hazards,
+    runs_of,
+    slices_by_arrival,
+)
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.speed_adjustment import Adjusted, adjust
 from camtopod.learn.traffic import (
@@ -179,7 +184,7 @@ class Em:
         near = slice(None) if self.near is None else self.near
         null_model = Chance(left.t[near], left.zone[near], came.t, came.zone, self.zones)
         rates = null_model.of(c.source, c.target)
-        first = first_hazards(
+        first = initial_hazards(
             seen, rates, self.exposure, c.source, self.bins, noise_sd, START_FLOOR
         )
         return first.astype(np.float32)
@@ -322,7 +327,7 @@ class Em:
     def _follow(self, candidates: Candidates) -> None:
         """Use these candidates from here on, some at a time."""
         self.candidates = candidates
-        self.parts = together(candidates.arrival)
+        self.parts = slices_by_arrival(candidates.arrival)
         self._runs = [runs_of(candidates.arrival[part]) for part in self.parts]
 
     def _departure(self, part: slice) -> Indices:

@@ -28,9 +28,9 @@ from camtopod.learn.association.candidates import (
     EXCESS_SMOOTHING_SD_BINS,
     RESPONSIBILITY_MAX,
     Candidates,
-    excess,
+    departures_in_reach,
+    excess_over_null,
     find_candidates,
-    in_reach,
     number_pairs,
     possible,
 )
@@ -42,11 +42,11 @@ from camtopod.learn.limits import (
     WEIGHED_AT_ONCE,
     WEIGHED_MAX,
     ZONE_PAIRS_MAX,
-    clearest,
+    arrivals_within,
     zone_pairs_max,
 )
 from camtopod.learn.traffic import Arrivals, Chance, Departures
-from camtopod.topology import LagBins, smooth, smoother
+from camtopod.topology import LagBins, lag_smoothing_matrix, smooth
 
 Part = tuple[Ints, Ints, Singles, Singles]
 """Some candidates, (n,) each: departure, arrival, lag in seconds, probability."""
@@ -82,7 +82,7 @@ The larger of the two counts.
 """
 
 
-class Followed(Struct):
+class FollowedSources(Struct):
     """Sources followed of one zone of arrival."""
 
     sources: Longs
@@ -91,7 +91,7 @@ class Followed(Struct):
     """Number of events learned at the last look at this zone; -1 if there was none."""
 
 
-class Ends(NamedTuple):
+class ScreenInput(NamedTuple):
     """Departures and arrivals of a window, prepared for looks and weighing."""
 
     departures: Departures
@@ -107,7 +107,7 @@ class Ends(NamedTuple):
     bins: LagBins
 
 
-class Screen:
+class CandidateScreen:
     """Selects the candidates of each fit, and remembers which pairs of zones are followed.
 
     While pairs of zones and candidates are few, all candidates are returned and nothing is
@@ -115,7 +115,7 @@ class Screen:
     """
 
     def __init__(self) -> None:
-        self.followed: dict[int, Followed] = {}
+        self.followed: dict[int, FollowedSources] = {}
         """Sources followed, by `place` of the zone of arrival."""
 
     @staticmethod
@@ -123,7 +123,7 @@ class Screen:
         departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, candidates_max: int
     ) -> bool:
         """Return True if there are more candidates, or pairs of zones, than can all be weighed."""
-        low, high = in_reach(departures.t, arrivals.t, bins)
+        low, high = departures_in_reach(departures.t, arrivals.t, bins)
         return int((high - low).sum()) > candidates_max or zones**2 > PAIRS_FEW
 
     def find(
@@ -149,8 +149,8 @@ class Screen:
             return find_candidates(departures, arrivals, bins, len(places))
 
         # Look at the zones whose turn it is.
-        low, high = in_reach(departures.t, arrivals.t, bins)
-        ends = ends_of(departures, arrivals, bins, len(places), until)
+        low, high = departures_in_reach(departures.t, arrivals.t, bins)
+        ends = screen_input(departures, arrivals, bins, len(places), until)
         self._look(ends, places, learned, high - low, everywhere)
         sources_of = self._sources(places)
 
@@ -163,7 +163,7 @@ class Screen:
         for zone, sources in sources_of.items():
             mine = ends.coming[zone]
             reach[mine] = _reach([left[source] for source in sources], arrivals.t[mine], bins)
-        kept = clearest(reach, WEIGHED_MAX)
+        kept = arrivals_within(reach, WEIGHED_MAX)
 
         # Weigh the candidates of one zone of arrival at a time, in blocks.
         def parts() -> Iterator[Part]:
@@ -187,12 +187,14 @@ class Screen:
                 result[zone] = sources
         return result
 
-    def _look(self, ends: Ends, places: Longs, learned: int, reach: Rows, everywhere: bool) -> None:
+    def _look(
+        self, ends: ScreenInput, places: Longs, learned: int, reach: Rows, everywhere: bool
+    ) -> None:
         """Look at the zones with the oldest looks, within the budget; forget zones that are gone.
 
         reach: departures within the lags of each arrival, the cost of a look.
         """
-        never = Followed(np.zeros(0, np.int64), -1)
+        never = FollowedSources(np.zeros(0, np.int64), -1)
         self.followed = {place: self.followed.get(place, never) for place in places.tolist()}
 
         pairs_max = zone_pairs_max(len(np.unique(places >> 32)))
@@ -202,12 +204,12 @@ class Screen:
         ):
             if budget <= 0 and not everywhere:
                 break
-            sources = standing_out(ends, zone, pairs_max)
-            self.followed[int(places[zone])] = Followed(places[sources], learned)
+            sources = find_sources(ends, zone, pairs_max)
+            self.followed[int(places[zone])] = FollowedSources(places[sources], learned)
             budget -= int(reach[ends.coming[zone]].sum()) + len(places) * ends.bins.size
 
 
-def whole(
+def candidates_of_pairs(
     candidates: Candidates,
     pairs: Rows,
     departures: Departures,
@@ -238,7 +240,7 @@ def whole(
     for zone, here in pairs_to.items():
         left = [departures.t[leaving[source]] for source in candidates.source[here]]
         reach[coming[zone]] = _reach(left, arrivals.t[coming[zone]], bins)
-    clear = clearest(reach, JUDGED_MAX)
+    clear = arrivals_within(reach, JUDGED_MAX)
 
     # List the candidates of one zone of arrival at a time.
     parts = [
@@ -269,7 +271,7 @@ def whole(
     )
 
 
-def not_overlapping(
+def negative_without_overlap(
     candidates: Candidates,
     departures: Departures,
     arrivals: Arrivals,
@@ -320,11 +322,11 @@ def place(camera: int, number: int) -> int:
     return camera << 32 | number
 
 
-def ends_of(
+def screen_input(
     departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, until: float
-) -> Ends:
+) -> ScreenInput:
     """Prepare the departures and arrivals of a window that ends at ``until`` (seconds)."""
-    return Ends(
+    return ScreenInput(
         departures,
         arrivals,
         rows_of(departures.zone, zones),
@@ -335,18 +337,18 @@ def ends_of(
     )
 
 
-def standing_out(ends: Ends, zone: int, pairs_max: int = ZONE_PAIRS_MAX) -> Rows:
+def find_sources(ends: ScreenInput, zone: int, pairs_max: int = ZONE_PAIRS_MAX) -> Rows:
     """Return the zones whose departures the arrivals at ``zone`` follow most clearly, ascending.
 
     They are at most `SOURCES_PER_ZONE_MAX`, and at most the zone's share of ``pairs_max``, the
     pairs that all zones may follow together.
     """
-    above = followed_above_chance(ends, zone)
+    above = excess_by_source(ends, zone)
     best = np.argsort(-above, kind="stable")[: min(SOURCES_PER_ZONE_MAX, pairs_max // len(above))]
     return np.sort(best[above[best] > STANDS_OUT_SD])
 
 
-def followed_above_chance(ends: Ends, zone: int) -> Floats:
+def excess_by_source(ends: ScreenInput, zone: int) -> Floats:
     """Return how far the lag histogram of each zone of departure exceeds the null model.
 
     Returns standard deviations at the lag with the largest excess, (zones,); -inf where too few
@@ -357,7 +359,7 @@ def followed_above_chance(ends: Ends, zone: int) -> Floats:
     zones, bins = len(ends.leaving), ends.bins
     seen = np.zeros(zones * bins.size)
     every = ends.coming[zone]
-    low, high = in_reach(ends.departures.t, ends.arrivals.t[every], bins)
+    low, high = departures_in_reach(ends.departures.t, ends.arrivals.t[every], bins)
 
     # Beyond the limit, count the candidates of every second arrival only, or every third, and so
     # on.
@@ -388,7 +390,7 @@ def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:
     """
     most = np.zeros(len(seen))
     for sd_bins in EXCESS_SMOOTHING_SD_BINS:
-        spread = smoother(bins.size, sd_bins)
+        spread = lag_smoothing_matrix(bins.size, sd_bins)
         noise = np.sqrt(np.maximum(chance, 0.5) @ (spread**2).T)
         most = np.maximum(most, (((seen - chance) @ spread.T) / noise).max(axis=1))
     return most
@@ -402,7 +404,7 @@ def _reach(left: list[Floats], came: Floats, bins: LagBins) -> Rows:
     """
     reach = np.zeros(len(came), np.intp)
     for times in left:
-        low, high = in_reach(times, came, bins)
+        low, high = departures_in_reach(times, came, bins)
         reach += high - low
     return reach
 
@@ -412,7 +414,7 @@ def _among(leaving: list[Rows], sources: Longs | Ints) -> Rows:
     return np.sort(np.concatenate([leaving[source] for source in sources]), kind="stable")
 
 
-def _likely(ends: Ends, zone: int, sources: Longs, mine: Rows) -> Part:
+def _likely(ends: ScreenInput, zone: int, sources: Longs, mine: Rows) -> Part:
     """Return the probable candidates of some arrivals at one zone.
 
     sources: the zones of departure that are followed, ascending.
@@ -448,9 +450,9 @@ def _likely(ends: Ends, zone: int, sources: Longs, mine: Rows) -> Part:
     exposed = ends.exposure[sources] * bins.widths
     usual = ends.chance.of(sources, np.full(len(sources), zone))[:, None] * exposed
     seen = np.bincount(cell, minlength=size).reshape(-1, bins.size).astype(float)
-    hazard = np.maximum(excess(seen, usual, bins, NOISE_SD), START_FLOOR * seen) / np.maximum(
-        exposed, bins.widths
-    )
+    hazard = np.maximum(
+        excess_over_null(seen, usual, bins, NOISE_SD), START_FLOOR * seen
+    ) / np.maximum(exposed, bins.widths)
 
     # A few rounds of EM. E step: share each arrival among its candidates and the outside, and each
     # departure among at most one arrival. M step: count, smooth, divide by exposure.

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Indices, Ints, Singles
-from camtopod.learn.association.candidates import Candidates, together
+from camtopod.learn.association.candidates import Candidates, slices_by_arrival
 from camtopod.learn.traffic import (
     NO_PERSISTENCE,
     Arrivals,
@@ -55,7 +55,7 @@ def adjust(
     cell = np.empty(len(c.lag), np.int32)
     agree = np.empty(len(c.lag), np.float32) if found.correlation > 0 else None
 
-    for part in together(c.arrival):
+    for part in slices_by_arrival(c.arrival):
         lag = np.clip(c.lag[part].astype(float), bins.lag_min, bins.lag_max)
         if found != NO_PERSISTENCE:
             left = departures.slow.take(c.departure[part])

@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from camtopod.arrays import rows_of
 from camtopod.learn.changes.change_points import Change, Trials, latest_change, threshold_nats
-from camtopod.learn.changes.silence import Silences
+from camtopod.learn.changes.silence import CameraSilences
 from camtopod.learn.traffic import Scene
 from camtopod.records import Alarm, Camera
 from camtopod.topology import ALARMS_KEPT_MAX
@@ -110,7 +110,7 @@ class AlarmLog:
         scene: Scene,
         zones: list[str],
         cameras: list[str],
-        silences: list[Silences],
+        silences: list[CameraSilences],
         changes: list[Change],
         published: set[tuple[int, int]],
         share_min: float,
@@ -191,7 +191,12 @@ class AlarmLog:
         self._once(version, t, kind, subject, detail, since)
 
     def cameras(
-        self, version: int, t: float, silences: list[Silences], cameras: list[str], begun: float
+        self,
+        version: int,
+        t: float,
+        silences: list[CameraSilences],
+        cameras: list[str],
+        begun: float,
     ) -> None:
         """Raise the alarms for cameras that fell silent after ``begun`` (seconds) or are back."""
         for name, silence in zip(cameras, silences, strict=True):

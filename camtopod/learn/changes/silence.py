@@ -28,7 +28,7 @@ PASSES = 2
 """Estimates of a camera's share of the traffic; after the first, without its silences."""
 
 
-class Silences(NamedTuple):
+class CameraSilences(NamedTuple):
     """Silences of one camera."""
 
     intervals: list[tuple[float, float]]
@@ -37,7 +37,7 @@ class Silences(NamedTuple):
     """True if the last one lasts, and is longer than the camera's own habits explain."""
 
 
-def find_silences(t: Floats, camera: NDArray[np.int64], cameras: int) -> list[Silences]:
+def find_silences(t: Floats, camera: NDArray[np.int64], cameras: int) -> list[CameraSilences]:
     """Return the silences of every camera from the events of the window.
 
     t (n, seconds): times, ascending.
@@ -47,10 +47,10 @@ def find_silences(t: Floats, camera: NDArray[np.int64], cameras: int) -> list[Si
     return [_silences(t, own) for own in rows_of(camera, cameras)]
 
 
-def _silences(t: Floats, own: NDArray[np.intp]) -> Silences:
+def _silences(t: Floats, own: NDArray[np.intp]) -> CameraSilences:
     """Return the silences of the camera whose events are the rows ``own`` of all events."""
     if len(own) < EVENTS_MIN:
-        return Silences([], False)
+        return CameraSilences([], False)
 
     # Gaps between its events, in events of the others. A gap is a silence if its probability, given
     # the camera's share of the traffic, is below the limit.
@@ -65,4 +65,4 @@ def _silences(t: Floats, own: NDArray[np.intp]) -> Silences:
     ends = np.append(t[own[1:]], np.inf)
     intervals = [(float(t[own[k]]), float(ends[k])) for k in np.flatnonzero(silent)]
     lasts = bool(silent[-1]) and bool(gaps[-1] > LONGER_THAN_BEFORE * gaps[:-1].max(initial=0))
-    return Silences(intervals, lasts)
+    return CameraSilences(intervals, lasts)

@@ -17,45 +17,49 @@ from camtopod.learn.links.link_table import (
     TRANSITIONS_MIN,
     WEAK_TRANSITIONS_MIN,
     LinkTable,
-    beside,
-    join,
-    joined_by,
-    leaving,
-    pace_of,
-    refresh_monte_carlo,
+    concatenate_transitions,
+    exposed_departures,
+    select_weak_links,
     significant,
     tabulate,
+    transition_slowness,
     transitions_of,
+    with_monte_carlo_variance,
+    zone_pairs_of,
 )
-from camtopod.learn.links.missed_detections import joined, without_missed
-from camtopod.learn.links.shortfall import Lacking, lacking
-from camtopod.learn.links.significance import log_likelihood_ratio, unrelated
-from camtopod.learn.links.visible_links import in_view, visible_transitions, with_usual_stays
+from camtopod.learn.links.missed_detections import match_rows, without_missed_detections
+from camtopod.learn.links.shortfall import LinkShortfall, shortfall_of
+from camtopod.learn.links.significance import evidence_against_unrelated, log_likelihood_ratio
+from camtopod.learn.links.visible_links import (
+    passages_lasting,
+    visible_transitions,
+    with_usual_dwell_times,
+)
 
 __all__ = [
     "MONTE_CARLO_SEED",
     "TRANSITIONS_MIN",
     "WEAK_TRANSITIONS_MIN",
-    "Lacking",
+    "LinkShortfall",
     "LinkTable",
-    "beside",
+    "concatenate_transitions",
     "cross_evidence",
-    "in_view",
-    "join",
-    "joined",
-    "joined_by",
-    "lacking",
-    "leaving",
+    "evidence_against_unrelated",
+    "exposed_departures",
     "log_likelihood_ratio",
     "mahalanobis",
+    "match_rows",
     "monte_carlo",
-    "pace_of",
-    "refresh_monte_carlo",
+    "passages_lasting",
+    "select_weak_links",
+    "shortfall_of",
     "significant",
     "tabulate",
+    "transition_slowness",
     "transitions_of",
-    "unrelated",
     "visible_transitions",
-    "with_usual_stays",
-    "without_missed",
+    "with_monte_carlo_variance",
+    "with_usual_dwell_times",
+    "without_missed_detections",
+    "zone_pairs_of",
 ]

@@ -75,14 +75,14 @@ def cross_evidence(
 
     first, until (seconds): beginning and end of the window.
     """
-    parts = Parts(departures, arrivals, fit, bins, zones, first, until)
+    parts = WindowParts(departures, arrivals, fit, bins, zones, first, until)
     numbers = np.arange(PARTS)
     products = [*_products(parts, numbers), *_products(parts, numbers[::-1])]
     mean: Floats = np.logaddexp.reduce(products) - np.log(len(products))
     return mean
 
 
-def _products(parts: Parts, order: Longs) -> list[Floats]:
+def _products(parts: WindowParts, order: Longs) -> list[Floats]:
     """Return the evidence (P,) in nats against the stronger null model, for each of `EVEN_SHARES`.
 
     order: the parts, in the order in which they are used.
@@ -96,7 +96,7 @@ def _products(parts: Parts, order: Longs) -> list[Floats]:
     return list(evidence.min(axis=1))
 
 
-class Parts:
+class WindowParts:
     """The window in parts: the departures and arrivals of each, and its exposure."""
 
     def __init__(

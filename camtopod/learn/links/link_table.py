@@ -47,7 +47,7 @@ class Transitions(NamedTuple):
     """Hazard of a link of the same size without a transit time, over the hazard at the lag."""
 
 
-def join(parts: list[Transitions]) -> Transitions:
+def concatenate_transitions(parts: list[Transitions]) -> Transitions:
     """Return several tables of transitions as one."""
     none = Transitions(
         np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0), np.zeros(0)
@@ -69,7 +69,7 @@ def transitions_of(fit: Fit, least: float = 0.0) -> Transitions:
     )
 
 
-def leaving(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:
+def exposed_departures(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:
     """Return the departures of each zone that could have been seen to arrive: (zones, bins).
 
     For lags before the exit these are all departures. Objects that have just left may still be
@@ -81,7 +81,7 @@ def leaving(departures: Departures, bins: LagBins, zones: int, until: float) -> 
     return np.where(bins.edges[1:] > 0, exposures(departures, bins, zones, until), every)
 
 
-class Pace(NamedTuple):
+class TransitionSlowness(NamedTuple):
     """Slowness of the objects behind transitions."""
 
     slow: Floats
@@ -92,7 +92,9 @@ class Pace(NamedTuple):
     """(zones,) standard error of the usual log dwell time after entries there, scaled likewise."""
 
 
-def pace_of(fit: Fit, departures: Departures, arrivals: Arrivals, zones: int) -> Pace | None:
+def transition_slowness(
+    fit: Fit, departures: Departures, arrivals: Arrivals, zones: int
+) -> TransitionSlowness | None:
     """Return the slowness behind the candidates of a joint fit; None if it does not affect lags."""
     scaling, _, sd = fit.persistence
     if scaling <= 0:
@@ -108,7 +110,7 @@ def pace_of(fit: Fit, departures: Departures, arrivals: Arrivals, zones: int) ->
         for ends in (departures, arrivals)
     )
     left, came = (scaling * MEDIAN_ERROR * sd / np.sqrt(np.maximum(n, 1)) for n in number)
-    return Pace(slow, left, came)
+    return TransitionSlowness(slow, left, came)
 
 
 class LinkTable(NamedTuple):
@@ -165,7 +167,7 @@ def tabulate(
     left: Floats,
     bins: LagBins,
     zones: int,
-    pace: Pace | None = None,
+    pace: TransitionSlowness | None = None,
     delay: Floats | None = None,
 ) -> LinkTable:
     """Return the figures of every pair of zones that has a transition.
@@ -211,7 +213,7 @@ def tabulate(
 
     # Evidence, Var(d) and transition probability.
     ratio = log_likelihood_ratio(pair, transitions.weight, transitions.flat, pairs)
-    variance = np.nan_to_num(transit.sd) ** 2 / mahalanobis.chance_variance(
+    variance = np.nan_to_num(transit.sd) ** 2 / mahalanobis.null_variance(
         bins.lag_min, bins.lag_max
     )
     probability = np.zeros(pairs)
@@ -232,14 +234,14 @@ def tabulate(
     )
 
 
-def refresh_monte_carlo(table: LinkTable, bins: LagBins) -> LinkTable:
+def with_monte_carlo_variance(table: LinkTable, bins: LagBins) -> LinkTable:
     """Return the table with ``Var(d)`` computed from Monte Carlo observations (thesis 4.3).
 
     They take the place of the observed transit times, which are few.
     """
     density = smooth(table.counts)[0] / bins.widths
     samples = monte_carlo.observe(density, np.nan_to_num(table.transit.sd), bins, MONTE_CARLO_SEED)
-    chance = mahalanobis.chance_variance(bins.lag_min, bins.lag_max)
+    chance = mahalanobis.null_variance(bins.lag_min, bins.lag_max)
     return table._replace(variance=mahalanobis.distance_variance(samples, chance))
 
 
@@ -253,12 +255,12 @@ def significant(table: LinkTable, settings: Settings) -> NDArray[np.bool_]:
     )
 
 
-def joined_by(table: LinkTable) -> set[tuple[int, int]]:
+def zone_pairs_of(table: LinkTable) -> set[tuple[int, int]]:
     """Return the pairs of zones of the table."""
     return set(zip(table.source.tolist(), table.target.tolist(), strict=True))
 
 
-def beside(likely: LinkTable, published: LinkTable, zones: int) -> LinkTable:
+def select_weak_links(likely: LinkTable, published: LinkTable, zones: int) -> LinkTable:
     """Return the weak links: unpublished pairs of the posterior, the likeliest of each source.
 
     The share of a source that published links leave over is divided among its weak links and

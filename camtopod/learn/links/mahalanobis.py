@@ -16,7 +16,7 @@ LINKED_VARIANCE_MAX = 1.0
 """Largest ``Var(d)`` of a link (table 4.3)."""
 
 
-def chance_variance(lag_min: float, lag_max: float) -> float:
+def null_variance(lag_min: float, lag_max: float) -> float:
     """Return the variance (s^2) of lags spread evenly over the range looked at."""
     return (lag_max - lag_min) ** 2 / 12.0
 

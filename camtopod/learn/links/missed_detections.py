@@ -55,7 +55,7 @@ OWN_SD = 2.0
 """A link's own transitions must be at least this many standard deviations of the explained ones."""
 
 
-class Ways(NamedTuple):
+class SkippedPaths(NamedTuple):
     """Paths over a skipped camera, (W,) each: a link, a passage and another link."""
 
     pair: Rows
@@ -70,7 +70,7 @@ class Ways(NamedTuple):
     """Spread of the lag, seconds."""
 
 
-def without_missed(
+def without_missed_detections(
     between: LinkTable,
     through: LinkTable,
     found: NDArray[np.bool_],
@@ -100,11 +100,11 @@ def unexplained(
 ) -> Floats:
     """Return the expected transitions (P,) of each pair; of links, only those not explained.
 
-    Arguments are those of `without_missed`.
+    Arguments are those of `without_missed_detections`.
     """
     # Find the paths over skipped cameras.
     bins = LagBins(-settings.overlap_max_seconds, settings.transit_max_seconds)
-    ways = find_ways(between, through, np.flatnonzero(found), camera)
+    ways = find_skipped_paths(between, through, np.flatnonzero(found), camera)
     own = between.transit.total.astype(float)
     if len(ways.pair) == 0:
         return own
@@ -116,14 +116,16 @@ def unexplained(
     seen = np.where(known, (near * between.counts[row]).sum(axis=1), 0.0)
 
     # Take off what missed passages explain.
-    odds = Odds(ways, at, seen, settings.missed_share_max)
+    odds = MissedOdds(ways, at, seen, settings.missed_share_max)
     for pair in np.flatnonzero(known & found[row]).tolist():
         explained = UNCERTAINTY * odds.expected(pair)
         own[row[pair]] -= min(explained, seen[pair])
     return own
 
 
-def find_ways(between: LinkTable, through: LinkTable, links: Rows, camera: Rows) -> Ways:
+def find_skipped_paths(
+    between: LinkTable, through: LinkTable, links: Rows, camera: Rows
+) -> SkippedPaths:
     """Return all paths along one of the ``links``, through a view and along another of the links.
 
     links: rows of ``between``.
@@ -138,8 +140,8 @@ def find_ways(between: LinkTable, through: LinkTable, links: Rows, camera: Rows)
     )
 
     # Join link, passage and link where one ends and the next begins.
-    first, middle = joined(between.target[links], through.source[passages])
-    step, last = joined(through.target[passages][middle], between.source[links])
+    first, middle = match_rows(between.target[links], through.source[passages])
+    step, last = match_rows(through.target[passages][middle], between.source[links])
     k, j, m = links[first[step]], passages[middle[step]], links[last]
 
     # Transitions of the first link, times the shares of its objects that take the passage and the
@@ -152,7 +154,7 @@ def find_ways(between: LinkTable, through: LinkTable, links: Rows, camera: Rows)
         * total[m]
         / left[through.target[j]]
     )
-    return Ways(
+    return SkippedPaths(
         between.source[k].astype(np.intp) * zones + between.target[m],
         camera[between.target[k]],
         expected,
@@ -161,10 +163,10 @@ def find_ways(between: LinkTable, through: LinkTable, links: Rows, camera: Rows)
     )
 
 
-class Odds:
+class MissedOdds:
     """Odds of a passage being missed, by camera, estimated from pairs of zones."""
 
-    def __init__(self, ways: Ways, at: Rows, seen: Floats, missed_share_max: float) -> None:
+    def __init__(self, ways: SkippedPaths, at: Rows, seen: Floats, missed_share_max: float) -> None:
         """Collect the pairs of zones whose transitions are mostly due to one camera.
 
         at (W,): row in ``seen`` of the pair that each path joins.
@@ -216,7 +218,7 @@ def median(table: LinkTable) -> Floats:
     return table.transit.quantiles[:, 1]
 
 
-def _inside(ways: Ways, at: Rows, delay: Floats, bins: LagBins) -> NDArray[np.bool_]:
+def _inside(ways: SkippedPaths, at: Rows, delay: Floats, bins: LagBins) -> NDArray[np.bool_]:
     """Return a mask (pairs, bins) of the lag bins where one of a pair's paths can end.
 
     at (W,): row of the pair that each path joins.
@@ -233,7 +235,7 @@ def _inside(ways: Ways, at: Rows, delay: Floats, bins: LagBins) -> NDArray[np.bo
     return inside
 
 
-def joined(
+def match_rows(
     left: NDArray[np.signedinteger[Any]], right: NDArray[np.signedinteger[Any]]
 ) -> tuple[Rows, Rows]:
     """Return every pair of rows that have the same key, as rows of ``left`` and of ``right``."""

@@ -21,7 +21,7 @@ PASSAGES_MIN = 1.0
 """Least number of passages that an unpublished link lacks."""
 
 
-class Lacking(NamedTuple):
+class LinkShortfall(NamedTuple):
     """Shortfall of weak links, (L,) each; nan where waiting does not help."""
 
     passages: Floats
@@ -30,14 +30,14 @@ class Lacking(NamedTuple):
     """Time until they have happened, at the present traffic."""
 
 
-def lacking(
+def shortfall_of(
     weak: LinkTable,
     between: LinkTable,
     published: int,
     zones: int,
     seconds: float,
     settings: Settings,
-) -> Lacking:
+) -> LinkShortfall:
     """Return the shortfall of each weak link.
 
     weak: the weak links (L,), with the evidence in the fit.
@@ -62,4 +62,4 @@ def lacking(
     passages = np.full(len(key), np.nan)
     passages[helps] = (needed - held_out[helps]) / each[helps]
     passages = np.maximum(passages, np.maximum(TRANSITIONS_MIN - transitions, PASSAGES_MIN))
-    return Lacking(passages, passages * seconds / np.maximum(transitions, 1e-9))
+    return LinkShortfall(passages, passages * seconds / np.maximum(transitions, 1e-9))

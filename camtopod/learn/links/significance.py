@@ -32,10 +32,10 @@ def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs
     untimed = np.bincount(
         pair, -np.log1p(share * (np.minimum(flat, FLAT_MAX) - 1.0)), minlength=pairs
     )
-    return np.minimum(unrelated(pair, responsibility, pairs), untimed)
+    return np.minimum(evidence_against_unrelated(pair, responsibility, pairs), untimed)
 
 
-def unrelated(pair: Ints, responsibility: Floats, pairs: int) -> Floats:
+def evidence_against_unrelated(pair: Ints, responsibility: Floats, pairs: int) -> Floats:
     """Return the evidence (P,) in nats against the zones being unrelated."""
     share = np.minimum(responsibility, RESPONSIBILITY_MAX)
     evidence: Floats = np.bincount(pair, -np.log1p(-share) - share, minlength=pairs).astype(float)

@@ -11,13 +11,18 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Floats, Longs, rows_of
-from camtopod.learn.association import find_candidates, fit_jointly, in_reach, newest
+from camtopod.learn.association import (
+    departures_in_reach,
+    find_candidates,
+    fit_jointly,
+    newest_within_limit,
+)
 from camtopod.learn.limits import fair_share
 from camtopod.learn.links.link_table import (
     TRANSITIONS_MIN,
     LinkTable,
     Transitions,
-    join,
+    concatenate_transitions,
     transitions_of,
 )
 from camtopod.learn.traffic import Arrivals, Departures, Scene, local_rates
@@ -50,15 +55,15 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
 
     # Cameras without tracks: fit, with a fair share of the candidates for each.
     views = [_view(scene, int(camera)) for camera in np.flatnonzero(~scene.tracked)]
-    reach = [in_reach(view.starts.t, view.ends.t, bins) for view in views]
+    reach = [departures_in_reach(view.starts.t, view.ends.t, bins) for view in views]
     most = fair_share(
         np.array([int((high - low).sum()) for low, high in reach], np.intp), candidates_max
     )
     parts.extend(_joined(view, bins, most, scene.last) for view in views)
-    return join(parts)
+    return concatenate_transitions(parts)
 
 
-def in_view(stay: Floats, entry: Longs, bins: LagBins, zones: int) -> Floats:
+def passages_lasting(stay: Floats, entry: Longs, bins: LagBins, zones: int) -> Floats:
     """Return the passages from each zone of entry that last until a lag bin begins, (zones, bins).
 
     stay (n, seconds): dwell times.
@@ -71,7 +76,7 @@ def in_view(stay: Floats, entry: Longs, bins: LagBins, zones: int) -> Floats:
     return result
 
 
-def with_usual_stays(departures: Departures, through: LinkTable) -> Departures:
+def with_usual_dwell_times(departures: Departures, through: LinkTable) -> Departures:
     """Return the departures with an estimated beginning where their passage is unknown.
 
     It is the time at which 90 % of the passages that leave at this zone have begun. Without it
@@ -132,9 +137,9 @@ def _view(scene: Scene, camera: int) -> _View:
 
 def _joined(view: _View, bins: LagBins, candidates_max: int, until: float) -> Transitions:
     """Return the passages through a camera without tracks, by a joint fit of entries and exits."""
-    starts, ends = newest(view.starts, view.ends, bins, candidates_max)
+    starts, ends = newest_within_limit(view.starts, view.ends, bins, candidates_max)
     if len(starts.t) == 0 or len(ends.t) == 0:
-        return join([])
+        return concatenate_transitions([])
     candidates = find_candidates(starts, ends, bins, view.zones)
     found = transitions_of(fit_jointly(starts, ends, candidates, bins, view.zones, until))
     first = np.int32(view.first)

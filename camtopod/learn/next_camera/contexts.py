@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
-from camtopod.learn.association import Candidates, together
+from camtopod.learn.association import Candidates, slices_by_arrival
 from camtopod.learn.limits import context_cells_max
 from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
@@ -29,7 +29,7 @@ PREVIOUS_RESPONSIBILITY_MIN = 0.02
 """Candidates with a smaller responsibility are ignored when the previous camera is determined."""
 
 
-class Level(NamedTuple):
+class ContextLevel(NamedTuple):
     """One level of context, as it is published."""
 
     zone: Longs
@@ -46,11 +46,11 @@ class Level(NamedTuple):
     """(rows,) certain transitions to that zone, f N."""
 
 
-class Counted(NamedTuple):
+class ContextCounts(NamedTuple):
     """Counts of one level of context, in a form for leave-one-out probabilities."""
 
     keys: Longs
-    """(contexts, 3): zone of departure and the two parts, as of `Level`."""
+    """(contexts, 3): zone of departure and the two parts, as of `ContextLevel`."""
     departures: Floats
     """(contexts,) certain departures."""
     row: Longs
@@ -121,7 +121,7 @@ class Contexts:
 
     def count(
         self, candidates: Candidates, responsibility: Singles, gone: Floats, leave: Floats
-    ) -> tuple[list[Counted], Floats]:
+    ) -> tuple[list[ContextCounts], Floats]:
         """Count each level of context; return the counts and each probability to leave the site.
 
         responsibility (M,): of the candidates.
@@ -150,10 +150,10 @@ class Contexts:
                 each.astype(np.float32) for each in (mine, told / below, 1.0 - told)
             )
             moved = np.zeros((len(keys), width), np.float32)
-            levels.append(Counted(keys, n, number * width, own, scale, unsure, moved))
+            levels.append(ContextCounts(keys, n, number * width, own, scale, unsure, moved))
 
         # Transitions of each context.
-        for part in together(c.arrival):
+        for part in slices_by_arrival(c.arrival):
             departure, target = c.departure[part].astype(np.intp), column.take(c.pair[part])
             for level in levels:
                 cell, own = level.of(departure, target, responsibility[part])
@@ -161,7 +161,11 @@ class Contexts:
         return levels, leave
 
     def judged(
-        self, candidates: Candidates, responsibility: Singles, share: Floats, levels: list[Counted]
+        self,
+        candidates: Candidates,
+        responsibility: Singles,
+        share: Floats,
+        levels: list[ContextCounts],
     ) -> Singles:
         """Return the leave-one-out probability (M,) of each candidate's transition in its context.
 
@@ -170,7 +174,7 @@ class Contexts:
         """
         c, column = candidates, self._columns(candidates)[0]
         after, without = np.empty(len(c.lag), np.float32), share.astype(np.float32)
-        for part in together(c.arrival):
+        for part in slices_by_arrival(c.arrival):
             departure, pair = c.departure[part].astype(np.intp), c.pair[part].astype(np.intp)
             target, here = column.take(pair), without.take(pair)
             for level in levels:
@@ -180,7 +184,9 @@ class Contexts:
             after[part] = here
         return after
 
-    def named(self, candidates: Candidates, levels: list[Counted]) -> list[Level]:
+    def published_levels(
+        self, candidates: Candidates, levels: list[ContextCounts]
+    ) -> list[ContextLevel]:
         """Return the levels in the form that is published."""
         first, result = np.searchsorted(candidates.source, np.arange(self.zones)), []
         for level in levels:
@@ -189,7 +195,7 @@ class Contexts:
             rows = np.searchsorted(context, np.arange(len(level.keys) + 1))
             transitions = level.moved[context, at].astype(float)
             result.append(
-                Level(
+                ContextLevel(
                     level.keys[:, 0],
                     level.keys[:, 1:],
                     level.departures,
@@ -249,7 +255,7 @@ class Contexts:
     def _sureness(self, candidates: Candidates, responsibility: Singles) -> Floats:
         """Return the certain share of the transitions from each zone (zones,)."""
         squares, all_of = np.zeros(self.zones), np.zeros(self.zones)
-        for part in together(candidates.arrival):
+        for part in slices_by_arrival(candidates.arrival):
             zone, r = (
                 self._zone.take(candidates.departure[part]),
                 responsibility[part].astype(float),

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Singles, rows_together
-from camtopod.learn.association import START_FLOOR, Candidates, first_hazards
+from camtopod.learn.association import START_FLOOR, Candidates, initial_hazards
 from camtopod.learn.limits import entry_pairs_max
-from camtopod.learn.links import in_view
+from camtopod.learn.links import passages_lasting
 from camtopod.learn.traffic import Arrivals, Chance, Departures
 from camtopod.topology import LagBins, smooth
 
@@ -77,7 +77,7 @@ class EntryKernels:
         self._order = np.argsort(self.cell, kind="stable")
         self._reached = self.cell[self._order]
         self._began, self._entered = d.since[tied], entry[tied]
-        self.exposure = in_view((d.t - d.since)[tied], self._entered, bins, zones)
+        self.exposure = passages_lasting((d.t - d.since)[tied], self._entered, bins, zones)
         """(zones, bins) passages still in view when a lag bin, counted from the entry, begins."""
 
     def start(self, noise_sd: float) -> None:
@@ -94,7 +94,7 @@ class EntryKernels:
         for rows, some, seen in self._counts(np.ones(len(self.rows))):
             source = self.source[rows]
             chance = rates.of(source, self.target[rows])
-            first = first_hazards(
+            first = initial_hazards(
                 seen, chance, self.exposure, source, self._bins, noise_sd, START_FLOOR
             )
             self.hazard[some] = first.take(self.cell[some] - rows.start * self._bins.size)

@@ -10,7 +10,7 @@ evidence. To the joint fit's hazards of pairs of zones (`association.em`) this f
 * a *prior* (`prior`): departures elsewhere in the view, and return traffic, predict transitions
   that have not been seen yet;
 * *contexts* of a departure (`contexts`), and leaving the site as an outcome like the others;
-* a test of whether two views overlap at all (`not_overlapping`);
+* a test of whether two views overlap at all (`negative_without_overlap`);
 * *sampling* at the end (`sampling`): the posterior is half the fit and half the mean of samples;
 * the *spurious* share of each pair of zones (`spurious`).
 
@@ -26,21 +26,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Ints, Singles, rows_together
-from camtopod.learn.association import NOTHING, Candidates, Em, Fit, not_overlapping, result
+from camtopod.learn.association import (
+    NOTHING,
+    Candidates,
+    Em,
+    Fit,
+    negative_without_overlap,
+    result,
+)
 from camtopod.learn.limits import FOLLOWED_MAX
-from camtopod.learn.next_camera.contexts import Contexts, Counted, Level, multipliers
+from camtopod.learn.next_camera.contexts import ContextCounts, ContextLevel, Contexts, multipliers
 from camtopod.learn.next_camera.entry_kernels import EntryKernels
 from camtopod.learn.next_camera.prior import Prior
-from camtopod.learn.next_camera.sampling import Sources, with_faint
+from camtopod.learn.next_camera.sampling import Sources, add_prior_transitions
 from camtopod.learn.next_camera.skip_rate import SkippedCameras
 from camtopod.learn.next_camera.skipped_cameras import (
     Legs,
     legs_of,
     skip_hazards,
-    skipped_beside,
-    ways_through,
+    skip_hazards_elsewhere,
+    view_paths,
 )
-from camtopod.learn.next_camera.spurious import doubts
+from camtopod.learn.next_camera.spurious import spurious_shares
 from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import LEAVE_FLOOR, LagBins
 
@@ -86,7 +93,7 @@ class Posterior(NamedTuple):
     """(Q, bins) entry kernels, per second and passage still in view, counted from the entry."""
     delay: Floats
     """(P,) seconds to add to the lags (`long_paths`)."""
-    levels: list[Level]
+    levels: list[ContextLevel]
     """Departures and transitions by context."""
 
 
@@ -156,7 +163,7 @@ class PosteriorFitter:
         cameras = int(em.camera.max(initial=0)) + 1
         self.contexts = Contexts(departures, arrivals, zones, cameras)
         entry = self.contexts.entry
-        self._through = ways_through(departures, entry, em.camera)
+        self._through = view_paths(departures, entry, em.camera)
         self.entering = EntryKernels(candidates, departures, arrivals, entry, bins, zones)
         self.skipping = SkippedCameras(bins, self._left[candidates.source])
         em.terms = (self.entering, self.skipping)
@@ -177,7 +184,7 @@ class PosteriorFitter:
         They are the likeliest `FOLLOWED_MAX` at most.
         """
         c, responsibility = self.em.candidates, self.em.responsibility
-        impossible = not_overlapping(
+        impossible = negative_without_overlap(
             c, self.em.departures, self.em.arrivals, responsibility, overlapping
         )
         kept = (responsibility > NEGLIGIBLE) & ~impossible
@@ -239,10 +246,12 @@ class PosteriorFitter:
         evidence (pairs,): evidence of links, nats (`cross_evidence`).
         """
         em = self.em
-        levels = self.contexts.named(em.candidates, self._count_contexts())
+        levels = self.contexts.published_levels(em.candidates, self._count_contexts())
         hazard = em.after_exit(self.hazard, slice(0, em.pairs))
         found = result(em, hazard, np.zeros((0, em.bins.size)))  # nobody asks for the counts
-        doubt = doubts(em.candidates.pair, found.responsibility, em.pairs, evidence, self._left)
+        doubt = spurious_shares(
+            em.candidates.pair, found.responsibility, em.pairs, evidence, self._left
+        )
         return Posterior(
             found,
             self.share,
@@ -258,7 +267,7 @@ class PosteriorFitter:
     def with_skips(self, posterior: Posterior) -> Posterior:
         """Return the posterior with paths over skipped cameras to pairs that were not followed."""
         em, c = self.em, posterior.fit.candidates
-        source, target, unit = skipped_beside(
+        source, target, unit = skip_hazards_elsewhere(
             self._legs(self.hazard), c, self._through, em.bins, em.zones
         )
         hazard = (self.skipping.odds * unit).astype(np.float32)
@@ -307,7 +316,7 @@ class PosteriorFitter:
     def _with_faint(self, hazard: Singles) -> Singles:
         """Return the hazards with faint transitions added at every lag (`sampling`)."""
         em = self.em
-        return with_faint(hazard, em.some_exposed, em.candidates.source, em.bins)
+        return add_prior_transitions(hazard, em.some_exposed, em.candidates.source, em.bins)
 
     def _find_skips(self, hazard: Singles) -> None:
         """Find the paths over skipped cameras among links and passages as they are known now."""
@@ -335,7 +344,7 @@ class PosteriorFitter:
             )
         em.multiplier = multiplier
 
-    def _count_contexts(self) -> list[Counted]:
+    def _count_contexts(self) -> list[ContextCounts]:
         """Estimate `share` and `leave`, and return departures and transitions by context."""
         em, c, zone = self.em, self.em.candidates, self.em.departures.zone
         below = np.maximum(self._left, 1e-9)

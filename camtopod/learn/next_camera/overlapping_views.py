@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Rows
 from camtopod.learn.traffic import Scene
-from camtopod.topology import LagBins, smooth, smoother
+from camtopod.topology import LagBins, lag_smoothing_matrix, smooth
 
 SHIFTS_SECONDS = (-30.0, -15.0, 15.0, 30.0)
 """Shifts of the exits that make up the null model, seconds."""
@@ -45,7 +45,7 @@ OPEN_PAIRS_AT_ONCE = 1 << 18
 """Pairs that are in memory at one time."""
 
 
-class Overlapping(NamedTuple):
+class OverlappingViews(NamedTuple):
     """Two overlapping views."""
 
     source: int
@@ -58,7 +58,7 @@ class Overlapping(NamedTuple):
     """(bins,) open passages of other objects for each exit, by offset."""
 
 
-def table_of(overlapping: list[Overlapping], cameras: int) -> NDArray[np.bool_]:
+def overlap_table(overlapping: list[OverlappingViews], cameras: int) -> NDArray[np.bool_]:
     """Return whether objects leaving one camera's view are seen by another, (cameras, cameras)."""
     table = np.zeros((cameras, cameras), np.bool_)
     for one in overlapping:
@@ -82,7 +82,7 @@ def views_of(scene: Scene) -> Views:
     return Views(camera[p.source[order]], p.entered[order], p.left[order])
 
 
-def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[Overlapping]:
+def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[OverlappingViews]:
     """Return the overlapping pairs of views, sorted by source, then target.
 
     cameras: number of cameras.
@@ -121,7 +121,7 @@ def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[Overlapp
     same, others = _Counted(first.seen + second.seen, first.null + second.null).split()
     left = np.maximum(exits[0] + exits[1], 1)[source]
     return [
-        Overlapping(int(source[k]), int(target[k]), same[k] / left[k], others[k] / left[k])
+        OverlappingViews(int(source[k]), int(target[k]), same[k] / left[k], others[k] / left[k])
         for k in overlap
     ]
 
@@ -135,7 +135,9 @@ class _Counted(NamedTuple):
 
     def split(self) -> tuple[Floats, Floats]:
         """Return the counts of the same object and those of other objects, (P, bins) each."""
-        others = np.maximum(self.null @ smoother(self.null.shape[1], NULL_SD_BINS).T, NULL_MIN)
+        others = np.maximum(
+            self.null @ lag_smoothing_matrix(self.null.shape[1], NULL_SD_BINS).T, NULL_MIN
+        )
         same = smooth(self.seen)[0] - others - NOISE_SD * np.sqrt(others)
         return np.maximum(same, 0.0), others
 

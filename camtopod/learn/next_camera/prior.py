@@ -47,9 +47,9 @@ class Prior:
         self.share = (came / np.bincount(camera, came)[camera])[candidates.target][:, None]
         self.back = _leading_back(candidates, len(camera))
 
-    def expected(self, counts: Floats) -> Expected:
+    def expected(self, counts: Floats) -> PriorTransitions:
         """Return the prior expectation, given the ``counts`` (P, bins) of transitions."""
-        return Expected(self, counts)
+        return PriorTransitions(self, counts)
 
     def two_way(self, transitions: Floats) -> float:
         """Return the share of the ``transitions`` (P,) that return traffic matches."""
@@ -66,7 +66,7 @@ class Prior:
         return rates
 
 
-class Expected:
+class PriorTransitions:
     """Transitions that the prior adds to pairs of zones, and the ``departures`` they belong to."""
 
     def __init__(self, prior: Prior, counts: Floats) -> None:

@@ -41,7 +41,7 @@ class Sources:
         return drawn
 
 
-def with_faint(hazard: Singles, exposed: Floats, source: Ints, bins: LagBins) -> Singles:
+def add_prior_transitions(hazard: Singles, exposed: Floats, source: Ints, bins: LagBins) -> Singles:
     """Add the faint transitions of every pair of zones to its hazard, in place, and return it.
 
     hazard (P, bins): per second and exposed departure.

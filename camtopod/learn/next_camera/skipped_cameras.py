@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Longs
 from camtopod.learn.association import Candidates
-from camtopod.learn.links import joined
+from camtopod.learn.links import match_rows
 from camtopod.learn.traffic import Departures
-from camtopod.topology import UNKNOWN_STAY_SECONDS, LagBins, smoother
+from camtopod.topology import UNKNOWN_DWELL_SECONDS, LagBins, lag_smoothing_matrix
 
 PASSAGE_SHARE_MIN = 0.02
 """Smallest share of the passages from an entry zone that a path through the view must have."""
@@ -40,7 +40,7 @@ WAYS_AT_ONCE = 1024
 """Paths worked on together: each takes memory for all pairs of quantiles of its two legs."""
 
 
-class Through(NamedTuple):
+class ViewPaths(NamedTuple):
     """Paths through views, (n,) each."""
 
     entry: Longs
@@ -80,7 +80,7 @@ def legs_of(
     return Legs(candidates.source[some], candidates.target[some], share[some], lag)
 
 
-def ways_through(departures: Departures, entry: Longs, camera: Longs) -> Through:
+def view_paths(departures: Departures, entry: Longs, camera: Longs) -> ViewPaths:
     """Return the likely paths through all views.
 
     entry (departures,): zone where the passage of each departure began, -1 where unknown.
@@ -101,7 +101,7 @@ def ways_through(departures: Departures, entry: Longs, camera: Longs) -> Through
     share = n / np.bincount(came, n, minlength=zones)[came]
     known = ties[camera[came]] & (share >= PASSAGE_SHARE_MIN)
     guessed = _any_to_any(departures, camera, ~ties & (of_camera > 0))
-    return Through(
+    return ViewPaths(
         *(
             np.concatenate((ours[known], theirs))
             for ours, theirs in zip((came, left, share, seconds), guessed, strict=True)
@@ -109,7 +109,7 @@ def ways_through(departures: Departures, entry: Longs, camera: Longs) -> Through
     )
 
 
-def _any_to_any(departures: Departures, camera: Longs, wanted: NDArray[np.bool_]) -> Through:
+def _any_to_any(departures: Departures, camera: Longs, wanted: NDArray[np.bool_]) -> ViewPaths:
     """Return paths through the views of some cameras as if the zone of entry did not matter.
 
     wanted (cameras,): whether to include a camera.
@@ -118,17 +118,17 @@ def _any_to_any(departures: Departures, camera: Longs, wanted: NDArray[np.bool_]
     d = departures
     timed = np.isfinite(d.since)
     where, _, stay = _medians(camera[d.zone[timed]], (d.t - d.since)[timed])
-    seconds = np.full(len(wanted), UNKNOWN_STAY_SECONDS)
+    seconds = np.full(len(wanted), UNKNOWN_DWELL_SECONDS)
     seconds[where] = stay
 
     # Shares of the exits of each camera.
     left = np.bincount(d.zone, minlength=len(camera))
     share = left / np.maximum(np.bincount(camera, left)[camera], 1.0)
     mine = np.flatnonzero(wanted[camera])
-    entry, ends = joined(camera[mine], camera[mine])
+    entry, ends = match_rows(camera[mine], camera[mine])
     kept = share[mine[ends]] >= PASSAGE_SHARE_MIN
     came, gone = mine[entry][kept], mine[ends][kept]
-    return Through(came, gone, share[gone], seconds[camera[gone]])
+    return ViewPaths(came, gone, share[gone], seconds[camera[gone]])
 
 
 def _medians(key: Longs, seconds: Floats) -> tuple[Longs, Longs, Floats]:
@@ -139,7 +139,7 @@ def _medians(key: Longs, seconds: Floats) -> tuple[Longs, Longs, Floats]:
 
 
 def skip_hazards(
-    legs: Legs, candidates: Candidates, through: Through, bins: LagBins, zones: int
+    legs: Legs, candidates: Candidates, through: ViewPaths, bins: LagBins, zones: int
 ) -> tuple[Longs, Floats]:
     """Return the pairs (K,), ascending, that paths over skipped cameras join, and their hazards.
 
@@ -157,8 +157,8 @@ def skip_hazards(
     )
 
 
-def skipped_beside(
-    legs: Legs, candidates: Candidates, through: Through, bins: LagBins, zones: int
+def skip_hazards_elsewhere(
+    legs: Legs, candidates: Candidates, through: ViewPaths, bins: LagBins, zones: int
 ) -> tuple[Ints, Ints, Floats]:
     """Return sources, targets (X,) and hazards (X, bins) of paths between zones without candidates.
 
@@ -197,17 +197,17 @@ class _Ways(NamedTuple):
         return _Ways(self.before[rows], self.through[rows], self.after[rows], self.taken[rows])
 
 
-def _ways(legs: Legs, through: Through) -> _Ways:
+def _ways(legs: Legs, through: ViewPaths) -> _Ways:
     """Return all paths over one skipped camera with a share of at least `WAY_SHARE_MIN`."""
-    before, way = joined(legs.target, through.entry)
-    step, after = joined(through.exit[way], legs.source)
+    before, way = match_rows(legs.target, through.entry)
+    step, after = match_rows(through.exit[way], legs.source)
     before, way = before[step], way[step]
     taken = legs.share[before] * through.share[way] * legs.share[after]
     return _Ways(before, way, after, taken).take(taken >= WAY_SHARE_MIN)
 
 
 def _along(
-    ways: _Ways, number: NDArray[np.intp], rows: int, legs: Legs, through: Through, bins: LagBins
+    ways: _Ways, number: NDArray[np.intp], rows: int, legs: Legs, through: ViewPaths, bins: LagBins
 ) -> Floats:
     """Return the hazards (rows, bins) of the paths at odds of 1.
 
@@ -230,7 +230,9 @@ def _along(
 
     # Spread over neighbouring bins, per second.
     hazard: Floats = (
-        mass.reshape(-1, bins.size) @ smoother(bins.size, SPREAD_SD_BINS).T / bins.widths
+        mass.reshape(-1, bins.size)
+        @ lag_smoothing_matrix(bins.size, SPREAD_SD_BINS).T
+        / bins.widths
     )
     return hazard
 

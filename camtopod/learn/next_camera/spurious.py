@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import expit
 
 from camtopod.arrays import Floats, Ints
-from camtopod.learn.links import unrelated
+from camtopod.learn.links import evidence_against_unrelated
 
 SPREAD_MIN = 0.7
 """Least standard deviation of the log of the evidence per transition among real paths."""
@@ -40,7 +40,7 @@ REAL_MIN = 0.07
 """Least share of a pair's transitions that is taken as real, however weak the evidence."""
 
 
-def doubts(
+def spurious_shares(
     pair: Ints, responsibility: Floats, pairs: int, evidence: Floats, left: Floats
 ) -> Floats:
     """Return the spurious share (P,) of the transitions of each of ``pairs`` pairs of zones.
@@ -52,13 +52,13 @@ def doubts(
     A pair without a transition of its own gets the probability that there is no link at all.
     """
     transitions: Floats = np.bincount(pair, responsibility, minlength=pairs).astype(float)
-    each = unrelated(pair, responsibility, pairs) / np.maximum(transitions, 1e-300)
-    real = np.where(transitions > 0, np.maximum(in_character(each, transitions), REAL_MIN), 1.0)
-    doubt: Floats = 1.0 - linked(evidence, left) * real
+    each = evidence_against_unrelated(pair, responsibility, pairs) / np.maximum(transitions, 1e-300)
+    real = np.where(transitions > 0, np.maximum(real_probability(each, transitions), REAL_MIN), 1.0)
+    doubt: Floats = 1.0 - any_link_probability(evidence, left) * real
     return doubt
 
 
-def in_character(each: Floats, transitions: Floats) -> Floats:
+def real_probability(each: Floats, transitions: Floats) -> Floats:
     """Return the probability (P,) that a pair is a real path.
 
     each (P,): evidence per transition, nats.
@@ -87,7 +87,7 @@ def in_character(each: Floats, transitions: Floats) -> Floats:
     return probability
 
 
-def linked(evidence: Floats, left: Floats) -> float:
+def any_link_probability(evidence: Floats, left: Floats) -> float:
     """Return the probability that the site has any link, with prior probability 1/2.
 
     evidence (pairs with any, nats): evidence for a link.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.topology import LAG_SECONDS_MIN, SLOWNESS_MAX, STAY_SECONDS_MIN, LagBins
+from camtopod.topology import DWELL_SECONDS_MIN, LAG_SECONDS_MIN, SLOWNESS_MAX, LagBins
 
 WAY_PASSAGES_MIN = 5
 """Least passages between two zones whose median dwell time counts as usual."""
@@ -63,7 +63,7 @@ def usual_stays(
     for way, seconds in zip(
         zip(source.tolist(), target.tolist(), strict=True), stay.tolist(), strict=True
     ):
-        stays.setdefault(way, []).append(max(seconds, STAY_SECONDS_MIN))
+        stays.setdefault(way, []).append(max(seconds, DWELL_SECONDS_MIN))
     return {
         way: math.exp(float(np.median(np.log(each))))
         for way, each in stays.items()
@@ -83,7 +83,7 @@ def slowness(
         return np.zeros(0)
 
     # Number the pairs of zones.
-    log_stay = np.log(np.maximum(stay, STAY_SECONDS_MIN))
+    log_stay = np.log(np.maximum(stay, DWELL_SECONDS_MIN))
     way, count = np.unique(
         source.astype(np.int64) * zones + target, return_inverse=True, return_counts=True
     )[1:]

@@ -1,6 +1,6 @@
 """The bus: publish, subscribe and query between the programs of a site, over zenoh.
 
-Start with `session`: `Bus`, one program's session, opened by `dial` (a client) or `meet` (the
+Start with `session`: `Bus`, one program's session, opened by `dial` (a client) or `open_daemon_session` (the
 daemon, which other programs connect to). `topology_subscriber` follows the daemon's topology. The
 other modules serve the daemon: `access` (who may connect), `refusals` (count what zenoh refuses,
 from its log), `sockets` (options that zenoh does not set), `single_daemon` (detect a second daemon
@@ -10,41 +10,41 @@ of the site) and `self_check` (is the bus reachable).
 from __future__ import annotations
 
 from camtopod.serve.bus import access, session
-from camtopod.serve.bus.access import boxes
+from camtopod.serve.bus.access import certificate_by_camera
 from camtopod.serve.bus.self_check import SelfCheck
 from camtopod.serve.bus.session import (
-    HANGS_SECONDS,
     JSON,
+    SLOW_PUBLICATION_SECONDS,
     Bus,
     BusError,
-    Ear,
     Heard,
     OnMessage,
     QueryError,
+    Subscription,
+    counting_refusals,
     dial,
-    meet,
-    refusals_heard,
+    open_daemon_session,
 )
-from camtopod.serve.bus.single_daemon import ROLE, Rivals
-from camtopod.serve.bus.topology_subscriber import TopologyView
+from camtopod.serve.bus.single_daemon import ROLE, OtherDaemons
+from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 
 __all__ = [
-    "HANGS_SECONDS",
     "JSON",
     "ROLE",
+    "SLOW_PUBLICATION_SECONDS",
     "Bus",
     "BusError",
-    "Ear",
     "Heard",
     "OnMessage",
+    "OtherDaemons",
     "QueryError",
-    "Rivals",
     "SelfCheck",
-    "TopologyView",
+    "Subscription",
+    "TopologySubscriber",
     "access",
-    "boxes",
+    "certificate_by_camera",
+    "counting_refusals",
     "dial",
-    "meet",
-    "refusals_heard",
+    "open_daemon_session",
     "session",
 ]

@@ -17,7 +17,7 @@ from camtopod.serve.runtime import Clock
 
 log = logging.getLogger(__name__)
 
-STRANGERS_NAMED_MAX = 100
+UNLISTED_NAMED_MAX = 100
 """Most certificates without rights that are named in the log; each is named once."""
 
 
@@ -80,7 +80,7 @@ def read_access(config: Config, clock: Clock) -> rules.Access | None:
     return access
 
 
-def boxes(config: Config) -> dict[str, str]:
+def certificate_by_camera(config: Config) -> dict[str, str]:
     """Return, by camera, the name of the certificate under which its events are published.
 
     Empty without authentication. Raises `AccessError`.
@@ -112,7 +112,7 @@ def check_files(config: Config) -> None:
             raise AccessError(f"cannot read {path}: {error.strerror}; see [bus.tls]") from None
 
 
-def openness(config: Config) -> str | None:
+def openness_warning(config: Config) -> str | None:
     """Return a warning of what is open to whom, and what to do; None with authentication."""
     if config.bus.tls.ca:
         return None
@@ -146,7 +146,7 @@ def is_local(endpoint: str) -> bool:
         return False
 
 
-class Doorkeeper:
+class ConnectionWatch:
     """Count the connections of certificates without rights, and log each such certificate once."""
 
     def __init__(self, access: rules.Access | None) -> None:
@@ -164,7 +164,7 @@ class Doorkeeper:
             return
         with self._mutex:
             self.strangers += 1
-            first = name not in self._said and len(self._said) < STRANGERS_NAMED_MAX
+            first = name not in self._said and len(self._said) < UNLISTED_NAMED_MAX
             if first:
                 self._said.add(name)
         if first:

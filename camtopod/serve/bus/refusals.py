@@ -27,13 +27,13 @@ FILTER = (
 The decisions of access control are logged at level trace only, a line for each message. ``demux``
 writes no lines of its own: it adds the session of the sender to the others.
 """
-FILTER_OF_STRANGERS = f"{FILTER},zenoh_transport::unicast::universal::rx=trace"
+FILTER_WITH_SIZES = f"{FILTER},zenoh_transport::unicast::universal::rx=trace"
 """`FILTER`, and messages that are too large to be reassembled from their fragments.
 
 These, too, are logged at level trace only, where every message is logged with its bytes: 6 us of
 CPU time for a message of 150 bytes. So this filter is used only with authentication.
 """
-SAY_SECONDS = 60.0
+LOG_INTERVAL_SECONDS = 60.0
 """Shortest time between two log lines for the same reason, in seconds."""
 LINE_BYTES_MAX = 4096
 """Longest part of a log line that is read, in bytes."""
@@ -206,7 +206,7 @@ class Refusals:
         """Count a refusal, and log it unless one of the same reason was logged recently."""
         self.counts[reason] += 1
         now = time.monotonic()
-        if now - self._said.get(reason, -SAY_SECONDS) >= SAY_SECONDS:
+        if now - self._said.get(reason, -LOG_INTERVAL_SECONDS) >= LOG_INTERVAL_SECONDS:
             self._said[reason] = now
             log.warning("%s (%d so far)", what, self.counts[reason])
 
@@ -222,7 +222,7 @@ refusals = Refusals()
 
 
 @contextlib.contextmanager
-def standard_output_heard() -> Iterator[None]:
+def capture_standard_output() -> Iterator[None]:
     """Send standard output (file descriptor 1) to `refusals` while the block runs."""
     reading, writing = os.pipe()
     saved = os.dup(1)

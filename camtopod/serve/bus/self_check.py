@@ -15,11 +15,11 @@ import msgspec
 from camtopod.config import Config
 from camtopod.serve.bus.session import Bus, BusError, dial
 from camtopod.serve.bus.single_daemon import ROLE
-from camtopod.serve.runtime import Mark
+from camtopod.serve.runtime import Heartbeat
 
 log = logging.getLogger(__name__)
 
-LOOK_SECONDS = 5.0
+CHECK_SECONDS = 5.0
 """Time between two checks, in seconds."""
 
 
@@ -34,18 +34,20 @@ class SelfCheck:
         bus = msgspec.structs.replace(config.bus, listen=(endpoint,), connect=())
         self._config, self._name = msgspec.structs.replace(config, bus=bus), name
         self._reached = False
-        self.look_seconds_max = LOOK_SECONDS + config.bus.connect_seconds + config.bus.query_seconds
+        self.look_seconds_max = (
+            CHECK_SECONDS + config.bus.connect_seconds + config.bus.query_seconds
+        )
         """Longest time between two checks, in seconds."""
 
-    def work(self, stopping: threading.Event, mark: Mark) -> None:
-        """Check every `LOOK_SECONDS` until ``stopping`` is set, and beat ``mark`` after a success.
+    def work(self, stopping: threading.Event, mark: Heartbeat) -> None:
+        """Check every `CHECK_SECONDS` until ``stopping`` is set, and beat ``mark`` after a success.
 
         Until the first success ``mark`` beats, too: the daemon may be unreachable from its own
         machine.
         """
         with contextlib.ExitStack() as stack:
             session: Bus | None = None
-            while not stopping.wait(LOOK_SECONDS):
+            while not stopping.wait(CHECK_SECONDS):
                 if session is None and (session := self._dial()) is not None:
                     stack.callback(session.close)
                 seen = session is not None and self._name in session.present(ROLE)

@@ -37,14 +37,14 @@ JSON = "application/json"
 _OPEN_RETRY_SECONDS = 0.2
 """Time between two attempts to open a session, in seconds."""
 _TAKEN_MAX = 10_000
-"""Most messages that `Ear.take` returns at a time."""
+"""Most messages that `HeartbeatReceiver.take` returns at a time."""
 _REPLIES_MAX = 4096
 """Most answers to one query that are kept; closing the channel drops the rest."""
 _PROMPT = ("prediction", "ack", "status")
 """Schemas of small and urgent messages, which never wait behind a topology on the same link."""
 _UNREPEATED = ("event", "part")
 """Schemas that are published once, by programs that may wait until a full link has room."""
-HANGS_SECONDS = 1.0
+SLOW_PUBLICATION_SECONDS = 1.0
 """A publication that takes longer than this, in seconds, shows in the status."""
 
 # What zenoh does with a message for a link that is full: make the caller wait (_WAIT); let one
@@ -83,7 +83,7 @@ Heard = tuple[str, bytes, bytes]
 """A received message: (key below the site, payload, the publisher's attachment)."""
 
 
-class Ear:
+class Subscription:
     """A subscription that one thread reads, instead of a callback.
 
     Where many messages come, this is far cheaper than a callback for each, and a single message is
@@ -148,17 +148,17 @@ class Bus:
         self._query_seconds, self._bytes_max = settings.query_seconds, settings.message_bytes_max
         self._too_large: set[str] = set()
         self._declared: list[Any] = []
-        self._ears: list[Ear] = []
+        self._ears: list[Subscription] = []
         self._closed = threading.Event()
-        self._doorkeeper: access.Doorkeeper | None = None
+        self._doorkeeper: access.ConnectionWatch | None = None
         # By thread: (since when on the monotonic clock, key) of its publication under way.
         self._putting: dict[int, tuple[float, str]] = {}
 
     def put(self, key: str, noun: Any, schema: str) -> None:
         """Publish a struct as MessagePack, without confirmation (see `camtopod.serve.outbox`)."""
-        self.put_raw(key, codec.to_pack(noun), schema)
+        self.publish_raw(key, codec.to_pack(noun), schema)
 
-    def put_raw(
+    def publish_raw(
         self, key: str, payload: bytes, schema: str, attachment: bytes | None = None
     ) -> None:
         """Publish bytes that are MessagePack already. Does nothing once the bus is closed.
@@ -175,7 +175,7 @@ class Bus:
             return
         self._mind_size(key, payload)
 
-        # Publish, and note since when, for `hanging`.
+        # Publish, and note since when, for `slowest_publication`.
         thread = threading.get_ident()
         self._putting[thread] = time.monotonic(), key
         try:
@@ -198,7 +198,7 @@ class Bus:
             del self._putting[thread]
 
     @property
-    def hanging(self) -> tuple[float, str]:
+    def slowest_publication(self) -> tuple[float, str]:
         """(seconds, key) of the publication that has been under way longest; (0, "") if none."""
         since, key = min(self._putting.copy().values(), default=(math.inf, ""))
         return max(0.0, time.monotonic() - since), key
@@ -223,8 +223,8 @@ class Bus:
 
         return end
 
-    def listen(self, key: str, most: int) -> Ear:
-        """Subscribe to ``key`` (may contain ``*``) and return an `Ear` for one thread to read.
+    def listen(self, key: str, most: int) -> Subscription:
+        """Subscribe to ``key`` (may contain ``*``) and return an `HeartbeatReceiver` for one thread to read.
 
         While more than ``most`` messages wait to be taken, nothing is delivered to the whole
         session, so the thread has to take them whatever else it has to do.
@@ -232,7 +232,7 @@ class Bus:
         subscriber = self._session.declare_subscriber(
             self._full(key), zenoh.handlers.FifoChannel(most)
         )
-        ear = Ear(subscriber, self._full(""))
+        ear = Subscription(subscriber, self._full(""))
         self._ears.append(ear)
         return ear
 
@@ -351,7 +351,7 @@ class Bus:
             self._session.liveliness().declare_subscriber(key, change, history=True)
         )
 
-    def watch_door(self, doorkeeper: access.Doorkeeper) -> None:
+    def watch_connections(self, doorkeeper: access.ConnectionWatch) -> None:
         """Report new connections to ``doorkeeper``, and keep closing ones from blocking the bus."""
 
         def change(event: zenoh.LinkEvent) -> None:
@@ -366,7 +366,7 @@ class Bus:
 
     @property
     def refused(self) -> dict[str, int]:
-        """Number of refusals by reason; outside of `refusals_heard` only "no-rights" is counted."""
+        """Number of refusals by reason; outside of `counting_refusals` only "no-rights" is counted."""
         strangers = 0 if self._doorkeeper is None else self._doorkeeper.strangers
         return {**refusals.refusals.counts, "no-rights": strangers}
 
@@ -441,7 +441,7 @@ def dial(config: Config) -> Bus:
             return Bus(session, config.site.name, endpoints[0], config.bus)
 
 
-def meet(config: Config, shared: bool = False) -> Bus:
+def open_daemon_session(config: Config, shared: bool = False) -> Bus:
     """Open the daemon's session: listen at ``config.listens``, or connect if there are none.
 
     shared: the other shards of the site connect to this daemon and send what they have learned.
@@ -449,7 +449,7 @@ def meet(config: Config, shared: bool = False) -> Bus:
     Port 0 stands for a free port. Logs a warning if the bus is open without authentication. Raises
     `BusError`.
     """
-    if (open_to := access.openness(config)) is not None:
+    if (open_to := access.openness_warning(config)) is not None:
         log.warning("%s", open_to)
 
     if not config.listens:
@@ -473,19 +473,19 @@ def meet(config: Config, shared: bool = False) -> Bus:
     # Watch connections, and keep stalled ones from delaying others.
     sockets.limit_waiting(endpoints)
     bus = Bus(session, config.site.name, endpoints[0], config.bus)
-    bus.watch_door(access.Doorkeeper(granted))
+    bus.watch_connections(access.ConnectionWatch(granted))
     return bus
 
 
 @contextlib.contextmanager
-def refusals_heard(config: Config) -> Iterator[None]:
+def counting_refusals(config: Config) -> Iterator[None]:
     """Count and log who is refused while the block runs.
 
     Once in a process, which must not write to standard output meanwhile.
     """
-    with refusals.standard_output_heard():
+    with refusals.capture_standard_output():
         zenoh.init_log_from_env_or(
-            refusals.FILTER_OF_STRANGERS if config.bus.tls.ca else refusals.FILTER
+            refusals.FILTER_WITH_SIZES if config.bus.tls.ca else refusals.FILTER
         )
         yield
 

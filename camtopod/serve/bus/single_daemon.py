@@ -27,7 +27,7 @@ NAMED_MAX = 20
 """Most other daemons that are remembered by name."""
 
 
-class Rivals:
+class OtherDaemons:
     """The other daemons of the site.
 
     name: the name of this daemon.

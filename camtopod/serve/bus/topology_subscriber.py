@@ -20,7 +20,7 @@ from camtopod.topology import apply_delta
 log = logging.getLogger(__name__)
 
 WAITING_MAX = 1000
-"""Most deltas that wait for `TopologyView.update`; beyond it they are dropped."""
+"""Most deltas that wait for `TopologySubscriber.update`; beyond it they are dropped."""
 BEHIND_SECONDS = 1.0
 """A delta counts as lost when the daemon has had a newer version for this many seconds."""
 _ASK_AGAIN_SECONDS = 0.5
@@ -35,7 +35,7 @@ class _Status(Struct):
     version: int
 
 
-class TopologyView:
+class TopologySubscriber:
     """The newest topology of one site's daemon. Call `update` from one thread, as often as needed.
 
     A late start, a missed delta, a restarted daemon and a new epoch are all handled the same way:

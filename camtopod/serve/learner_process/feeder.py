@@ -7,15 +7,13 @@ so that a refit delays nothing here; order, position and failures are looked aft
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import math
 import queue
 import signal
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from camtopod.serve.ingest import Received
 from camtopod.serve.learner_process.messages import (
@@ -35,7 +33,7 @@ from camtopod.serve.learner_process.messages import (
 )
 from camtopod.serve.learner_process.process import LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import Recovered, note_failure
-from camtopod.serve.runtime import Beat, memory, no_beat
+from camtopod.serve.runtime import Beat, no_beat
 from camtopod.serve.storage import Entry, Journal, Snapshot, Version, head_of, read_rewind
 
 log = logging.getLogger(__name__)
@@ -51,17 +49,6 @@ A message for each event would cost more than learning it.
 """
 QUEUED_EVENTS_MAX = 20_000
 """Most events kept in memory for the learner; more are read from the journal again."""
-THOROUGH_EVERY = 250
-"""Number of versions between full garbage collections.
-
-Without them, some objects would stay in memory for ever; each of them halts all threads for a
-moment.
-"""
-GIVE_WAY_SECONDS = 0.0001
-"""Interval after which a thread that prepares a version yields the GIL to one that waits for it.
-
-Predictions need the GIL often.
-"""
 REFUSED_SECONDS = 60.0
 """How long the status mentions refused cameras after an event of one."""
 _TICK_SECONDS = 0.2
@@ -309,7 +296,6 @@ class Learning:
             assert isinstance(saved, Saved)
             self._on_snapshot(Snapshot(self.position, self.epoch, saved.state))
             self._saved, self._due = self.position, False
-            memory.give_back()
 
     def _ask(self, question: Question, stopping: threading.Event, beat: Beat) -> Answer:
         """Send a question, handle its new versions, return the last answer. Raises `LearnerEnded`.
@@ -345,11 +331,9 @@ class Learning:
         """Hand a new version over."""
         self._due = True
         self.made += 1
-        with _giving_way(), memory.kept(thorough=self.made % THOROUGH_EVERY == 0):
-            version = Version(
-                head_of(made.packed), made.content, made.packed, made.delta, made.told
-            )
-            self._on_version(version)
+        self._on_version(
+            Version(head_of(made.packed), made.content, made.packed, made.delta, made.told)
+        )
 
     def _begin_epoch(self, version: int) -> None:
         """Begin an epoch, as a stored version was not reproduced."""
@@ -360,17 +344,3 @@ class Learning:
             self.epoch,
         )
         self._process.send(NewEpoch(self.epoch))
-
-
-@contextlib.contextmanager
-def _giving_way() -> Iterator[None]:
-    """Yield the GIL fast in the block, which computes for a tenth of a second.
-
-    Other threads have little to do, but have to do it at once.
-    """
-    usual = sys.getswitchinterval()
-    sys.setswitchinterval(min(usual, GIVE_WAY_SECONDS))
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(usual)

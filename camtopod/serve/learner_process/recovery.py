@@ -27,7 +27,13 @@ from camtopod.serve.learner_process.messages import (
     Unusable,
 )
 from camtopod.serve.learner_process.process import LearnerProcess
-from camtopod.serve.storage import Journal, StateError, corrections, leave_out, offender
+from camtopod.serve.storage import (
+    Journal,
+    StateError,
+    camera_to_leave_out,
+    leave_out,
+    read_corrections,
+)
 
 log = logging.getLogger(__name__)
 
@@ -99,7 +105,7 @@ def recover(
     """
 
     def begin(position: int, epoch: str, load: bool = False) -> Recovered:
-        before, left_out, forgotten = corrections(journal, position, epoch)
+        before, left_out, forgotten = read_corrections(journal, position, epoch)
         epoch = before or epoch
         taught = process.ask(
             Begin(settings, site, epoch, journal.versions(epoch), load, portion, forgotten)
@@ -126,7 +132,7 @@ def recover(
     beyond = 0 if found is None else found[0]
     if failure is not None and failure.hopeless and beyond < failure.at:
         ended, epoch = epoch, new_epoch()
-        camera = offender(journal, beyond, failure.at, most=failure.of_memory)
+        camera = camera_to_leave_out(journal, beyond, failure.at, most=failure.of_memory)
         if camera is not None:
             journal.commit([leave_out(camera, ended, epoch, forget=failure.of_memory)], now=now)
             journal.set_meta("failure", codec.to_json(Failure(0, 0)).decode())

@@ -25,7 +25,7 @@ from camtopod.learn import (
     Settings,
     SnapshotError,
     pack,
-    rewound,
+    rewind,
     unpack,
 )
 from camtopod.records import Topology
@@ -183,7 +183,7 @@ class Pupil:
 
     def _rewind(self, lesson: Rewind) -> None:
         """Drop events after a time, and begin an epoch unless a later one has begun already."""
-        self._change(lambda state: rewound(state, lesson.to))
+        self._change(lambda state: rewind(state, lesson.to))
         if lesson.epoch > self._learner.epoch:
             self._stored, self._newest_stored = dict(lesson.stored), max(lesson.stored, default=0)
             self._newest = None

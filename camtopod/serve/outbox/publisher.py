@@ -43,7 +43,7 @@ class Publisher:
         self, spool: Spool, limit_batch_events: int, on_ack: Callable[[Ack], None] | None = None
     ) -> None:
         self._spool, self.on_ack = spool, on_ack
-        self._box = clock.box().encode()
+        self._box = clock.machine_id().encode()
         self._bus: Bus | None = None
         self._batch_max = limit_batch_events
         self._pending: list[Event] = []
@@ -99,7 +99,7 @@ class Publisher:
             if self._bus is not None:
                 for event in numbered:
                     self._introduce(self._bus, event.camera)
-                    self._bus.put_raw(
+                    self._bus.publish_raw(
                         f"event/{event.camera}", codec.to_pack(event), "event", self._box
                     )
 
@@ -141,7 +141,7 @@ class Publisher:
             raise self._refusal(key, parameters, "from is not a sequence number")
         camera = key.removeprefix("spool/")
         try:
-            self._spool.asked_by(parameters.get("daemon", "")[:NAME_CHARACTERS_MAX], endpoint)
+            self._spool.note_daemon(parameters.get("daemon", "")[:NAME_CHARACTERS_MAX], endpoint)
             return self._spool.batch(
                 camera, parameters.get("boot"), start, max(1, min(most, 10_000))
             )
@@ -161,7 +161,7 @@ class Publisher:
                 raise codec.Rejected("wrong-camera", f"says camera {ack.camera!r}")
             if not 0 <= ack.seq <= SEQ_MAX:
                 raise codec.Rejected("bad-value", "seq is not a sequence number")
-            self._spool.asked_by(ack.daemon[:NAME_CHARACTERS_MAX], endpoint)
+            self._spool.note_daemon(ack.daemon[:NAME_CHARACTERS_MAX], endpoint)
             if not self._spool.ack(ack.camera, ack.boot, ack.seq):
                 raise codec.Rejected("beyond", "seq is above the highest one of this boot")
             if self.on_ack is not None:

@@ -161,7 +161,7 @@ class Spool:
                 self._acked = spool_schema.acked(self._db)
             return numbered
 
-    def asked_by(self, daemon: str, endpoint: str) -> None:
+    def note_daemon(self, daemon: str, endpoint: str) -> None:
         """Note that a daemon, reached at ``endpoint``, queries or acknowledges events.
 
         The acknowledged events are kept for the daemon that has acknowledged them, or its successor

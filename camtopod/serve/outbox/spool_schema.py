@@ -49,7 +49,7 @@ def open_file(path: Path) -> Opened:
 
     An existing file is not written to, so that it can be opened on a full disk.
     """
-    connection, _ = sqlite_file.connect_or_begin_anew(path, SCHEMA, _prepare)
+    connection, _ = sqlite_file.connect_or_recreate(path, SCHEMA, _prepare)
     with contextlib.ExitStack() as undo:
         undo.callback(connection.close)
         rescued = 0

@@ -10,28 +10,28 @@ from __future__ import annotations
 
 from camtopod.serve.runtime import clock, memory, systemd
 from camtopod.serve.runtime.background_work import Leisure, let_go
-from camtopod.serve.runtime.clock import Clock, steady_beside, ulid, wall
-from camtopod.serve.runtime.ownership import everything
-from camtopod.serve.runtime.progress import Beat, Mark, Progress, no_beat
+from camtopod.serve.runtime.clock import Clock, steady_clock_for, ulid, wall
+from camtopod.serve.runtime.ownership import owns_every_camera
+from camtopod.serve.runtime.progress import Beat, Heartbeat, Progress, no_beat
 from camtopod.serve.runtime.rejects import Rejects
-from camtopod.serve.runtime.reload import changes
+from camtopod.serve.runtime.reload import changed_settings
 from camtopod.serve.runtime.systemd import SOCKET_VARIABLE
 
 __all__ = [
     "SOCKET_VARIABLE",
     "Beat",
     "Clock",
+    "Heartbeat",
     "Leisure",
-    "Mark",
     "Progress",
     "Rejects",
-    "changes",
+    "changed_settings",
     "clock",
-    "everything",
     "let_go",
     "memory",
     "no_beat",
-    "steady_beside",
+    "owns_every_camera",
+    "steady_clock_for",
     "systemd",
     "ulid",
     "wall",

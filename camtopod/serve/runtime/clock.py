@@ -32,7 +32,7 @@ def since_boot() -> float:
     )
 
 
-def box() -> str:
+def machine_id() -> str:
     """Return an identifier shared by all programs that read this machine's clock, and by no others.
 
     It is the boot id of the kernel, or the host name where there is none.
@@ -42,7 +42,7 @@ def box() -> str:
     return socket.gethostname()
 
 
-def steady_beside(clock: Clock) -> Clock:
+def steady_clock_for(clock: Clock) -> Clock:
     """Return the clock to measure durations with, which never steps, given the program's ``clock``.
 
     A simulated clock serves for both.

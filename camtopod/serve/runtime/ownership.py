@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 
-def everything(camera: str) -> bool:
+def owns_every_camera(camera: str) -> bool:
     """Return True: a daemon that serves its site alone owns every camera."""
     return True

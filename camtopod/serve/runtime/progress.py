@@ -1,6 +1,6 @@
 """Liveness: detect loops of a program that have stalled, although the process is running.
 
-A loop calls `Mark.beat` after each piece of work, and when it finds no work. A loop that hangs in a
+A loop calls `Heartbeat.beat` after each piece of work, and when it finds no work. A loop that hangs in a
 single step, or has work waiting and cannot do it, does not beat; after its time limit it counts as
 stalled. A loop that waits for something that is monitored elsewhere (a full disk, room in the
 learner's queue) beats all the same, as a restart would not help.
@@ -21,7 +21,7 @@ def no_beat() -> None:
     """Do nothing: the beat of a loop that is not watched."""
 
 
-class Mark:
+class Heartbeat:
     """When one loop last made progress, on the monotonic clock."""
 
     def __init__(self, seconds_max: float, monotonic: Callable[[], float]) -> None:
@@ -50,11 +50,11 @@ class Progress:
     def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
         self._monotonic = monotonic
         self._mutex = threading.Lock()
-        self._marks: dict[str, Mark] = {}
+        self._marks: dict[str, Heartbeat] = {}
 
-    def watch(self, name: str, seconds_max: float) -> Mark:
+    def watch(self, name: str, seconds_max: float) -> Heartbeat:
         """Return a new mark for the loop ``name``, which may be silent for ``seconds_max``."""
-        mark = Mark(seconds_max, self._monotonic)
+        mark = Heartbeat(seconds_max, self._monotonic)
         with self._mutex:
             self._marks[name] = mark
         return mark
@@ -69,7 +69,7 @@ class Progress:
         with self._mutex:
             self._marks.pop(name, None)
 
-    def stuck(self) -> list[str]:
+    def stalled(self) -> list[str]:
         """Return a sentence for each loop over its time limit; empty if all make progress."""
         with self._mutex:
             silent = {name: (mark.silent(), mark.seconds_max) for name, mark in self._marks.items()}

@@ -24,7 +24,7 @@ _OF_OTHERS = ("vision",)
 """Tables that the daemon does not read. ([cameras] is not in `TABLES` at all.)"""
 
 
-def changes(old: Config, new: Config) -> tuple[Limits, list[str]]:
+def changed_settings(old: Config, new: Config) -> tuple[Limits, list[str]]:
     """Return the new limits to use from now on, and the changed settings that need a restart."""
     obeyed = {name: getattr(new.limits, name) for name in WHILE_RUNNING}
     waiting = []

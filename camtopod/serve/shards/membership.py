@@ -9,8 +9,8 @@ from __future__ import annotations
 from camtopod.event_time import microseconds
 from camtopod.keys import STATUS
 from camtopod.serve.learner_process import Portion
-from camtopod.serve.runtime import everything
-from camtopod.sharding import Dealing, Sharding, districts_of
+from camtopod.serve.runtime import owns_every_camera
+from camtopod.sharding import Assignment, Sharding, districts_of
 
 SOON_SECONDS = 60.0
 """Time before its turn at which a guest is subscribed to.
@@ -26,7 +26,7 @@ class Share:
         self.sharding, self.shard = sharding, shard
         self.strangers: frozenset[str] = frozenset()
         """Other shards' cameras that are needed only as guests, as the learner said last."""
-        self._dealing = Dealing(sharding)
+        self._dealing = Assignment(sharding)
         self._districts = frozenset(districts_of(*shard, sharding.districts))
 
     @property
@@ -70,7 +70,7 @@ class Share:
         if self.owns(camera) or camera not in self.strangers:
             return True
         turn = microseconds(now + SOON_SECONDS) // self._dealing.turn_us
-        return any(self._dealing.guest(camera, one) for one in (turn - 2, turn - 1, turn))
+        return any(self._dealing.is_guest(camera, one) for one in (turn - 2, turn - 1, turn))
 
 
 class Whole:
@@ -81,4 +81,4 @@ class Whole:
 
     def owns(self, camera: str) -> bool:
         """Return True: it owns every camera."""
-        return everything(camera)
+        return owns_every_camera(camera)

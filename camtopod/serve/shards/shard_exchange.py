@@ -14,7 +14,7 @@ from pathlib import Path
 from camtopod import codec
 from camtopod.config import Config
 from camtopod.records import Topology
-from camtopod.serve.bus import ROLE, Bus, OnMessage, QueryError, TopologyView
+from camtopod.serve.bus import ROLE, Bus, OnMessage, QueryError, TopologySubscriber
 from camtopod.serve.learner_process import Learning, Told
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.serve.shards.membership import Share
@@ -91,7 +91,7 @@ class Sharing:
             self._bus.subscribe("part/*", self.merger.on_part)
             self._bus.watch_alive(ROLE, lambda name, alive: self._came.set())
         else:
-            self._view = TopologyView(self._bus)
+            self._view = TopologySubscriber(self._bus)
 
     def publish(self, version: Version) -> None:
         """Publish a version of this shard's districts that is stored."""
@@ -101,7 +101,7 @@ class Sharing:
             self._parts |= {part.district: part for part in told.parts}
             self._reached = told.reached
             self._published += 1
-        self._bus.put_raw(f"part/{self._share.shard[0]}", version.told, "part")
+        self._bus.publish_raw(f"part/{self._share.shard[0]}", version.told, "part")
 
     def tell(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Publish this shard's progress until ``stopping``, and follow the needs of its learner.

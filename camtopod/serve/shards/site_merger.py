@@ -26,8 +26,15 @@ from camtopod.records import Topology
 from camtopod.serve.learner_process import Told
 from camtopod.serve.runtime import Beat, no_beat
 from camtopod.serve.runtime import clock as clocks
-from camtopod.serve.storage import Journal, Snapshot, Storing, Version
-from camtopod.sharding import Dealing, Line, LineState, Sharding, age_of, is_dealt
+from camtopod.serve.storage import Journal, JournalWriter, Snapshot, Version
+from camtopod.sharding import (
+    Assignment,
+    Sharding,
+    VersionLine,
+    VersionLineState,
+    age_of,
+    is_assigned,
+)
 from camtopod.topology import make_delta
 
 log = logging.getLogger(__name__)
@@ -66,12 +73,12 @@ class Merger:
         publish: Callable[[Version], None],
     ) -> None:
         self._journal = Journal(directory / FOLDER, keep)
-        self._storing = Storing(self._journal, clock, clocks.steady_beside(clock), publish)
-        self._clock, self._shards, self._dealing = clock, shards, Dealing(sharding)
+        self._storing = JournalWriter(self._journal, clock, clocks.steady_clock_for(clock), publish)
+        self._clock, self._shards, self._dealing = clock, shards, Assignment(sharding)
         self._inbox: list[Told] = []
         self._came = threading.Condition()
         self._reached: dict[int, float | None] = {}  # event time by shard
-        self._line = Line(settings, site, "")
+        self._line = VersionLine(settings, site, "")
         with contextlib.ExitStack() as undo:  # close the journal if the start fails
             undo.callback(self._journal.close)
             self._load()
@@ -114,7 +121,7 @@ class Merger:
                 self._shards,
             )
             return
-        if not all(is_dealt(part, self._dealing) for part in told.parts):
+        if not all(is_assigned(part, self._dealing) for part in told.parts):
             log.error(
                 "shard %d has different [shards] settings; all shards of a site must agree",
                 told.shard,
@@ -159,9 +166,9 @@ class Merger:
         epoch = self._journal.meta("epoch")
         for snapshot in self._journal.snapshots():
             try:
-                state = codec.read(LineState, snapshot.state, pack=True)
-                state.parts = [part for part in state.parts if is_dealt(part, self._dealing)]
-                state.waiting = [part for part in state.waiting if is_dealt(part, self._dealing)]
+                state = codec.read(VersionLineState, snapshot.state, pack=True)
+                state.parts = [part for part in state.parts if is_assigned(part, self._dealing)]
+                state.waiting = [part for part in state.waiting if is_assigned(part, self._dealing)]
                 self._line.load(state)
                 break
             except codec.Rejected as error:

@@ -3,7 +3,7 @@
 Read from the bottom up. `sqlite_file` opens, checks and sets aside databases, with the help of
 `wal_check` (is the write-ahead log complete) and `open_files` (are the open files still in place).
 `journal` stores entries, versions and snapshots in one of them; `journal_schema` has its tables,
-`witness` notices a journal that was restored from an older copy, `corrections` are entries that
+`witness` notices a journal that was restored from an older copy, `read_corrections` are entries that
 revise what was learned, and `packed_version` is a topology on its way into the journal.
 `journal_writer` is the daemon's storing thread; `inspect_state` reads databases for diagnosis.
 """
@@ -13,33 +13,33 @@ from __future__ import annotations
 from camtopod.serve.storage import inspect_state, sqlite_file
 from camtopod.serve.storage.corrections import (
     Rewind,
-    corrections,
+    camera_to_leave_out,
     leave_out,
-    offender,
+    read_corrections,
     read_rewind,
     rewind,
 )
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
-from camtopod.serve.storage.journal_writer import Storing
+from camtopod.serve.storage.journal_writer import JournalWriter
 from camtopod.serve.storage.packed_version import Newest, Version, head_of
-from camtopod.serve.storage.sqlite_file import StateError, held_by
+from camtopod.serve.storage.sqlite_file import StateError, lock_reason
 
 __all__ = [
     "Entry",
     "Journal",
+    "JournalWriter",
     "Newest",
     "Rewind",
     "Snapshot",
     "StateError",
     "StoredVersion",
-    "Storing",
     "Version",
-    "corrections",
+    "camera_to_leave_out",
     "head_of",
-    "held_by",
     "inspect_state",
     "leave_out",
-    "offender",
+    "lock_reason",
+    "read_corrections",
     "read_rewind",
     "rewind",
     "sqlite_file",

@@ -80,7 +80,7 @@ def leave_out(camera: str, before: str, epoch: str, forget: bool) -> Entry:
     )
 
 
-def corrections(journal: Journal, after: int, epoch: str) -> Corrections:
+def read_corrections(journal: Journal, after: int, epoch: str) -> Corrections:
     """Return the corrections after the entry ``after``; ``epoch`` is the journal's.
 
     Raises `sqlite3.Error` and `codec.Rejected`.
@@ -95,7 +95,7 @@ def corrections(journal: Journal, after: int, epoch: str) -> Corrections:
     return Corrections(found[0][2].before if only_rewinds else None, left_out, forgotten)
 
 
-def offender(journal: Journal, after: int, failed_at: int, most: bool) -> str | None:
+def camera_to_leave_out(journal: Journal, after: int, failed_at: int, most: bool) -> str | None:
     """Return the camera whose events after the entry ``after`` to leave out; None if there is none.
 
     failed_at: the entry at which the learner fails.
@@ -116,9 +116,9 @@ def offender(journal: Journal, after: int, failed_at: int, most: bool) -> str | 
         return None
 
     # Count each camera's events that are not left out yet.
-    sent = journal.senders(after, failed_at)
+    sent = journal.count_events(after, failed_at)
     for number, camera in before:
-        sent[camera] = journal.senders(number, failed_at).get(camera, 0)
+        sent[camera] = journal.count_events(number, failed_at).get(camera, 0)
 
     # Take the camera of the failing entry, or the one with most events.
     [sender] = [

@@ -41,7 +41,7 @@ STREAMS_KEPT_MAX = 100_000
 """Most (camera, boot) whose stored seq is kept, over all cameras, as anyone can invent names."""
 PRUNED_ROWS_MAX = 5_000
 """Most entries deleted at a time, so that a transaction stays short."""
-USUAL_STAMPS = 1_000
+MEDIAN_ENTRIES = 1_000
 """Number of newest entries whose median storing time is used.
 
 More than half of them would have to be stored under a wrong clock for it to be trusted.
@@ -120,9 +120,7 @@ class Journal:
         # Open the file; release everything after an error.
         with contextlib.ExitStack() as undo:
             undo.callback(self._lock.close)
-            self._db, self.set_aside = sqlite_file.connect_or_begin_anew(
-                self._path, SCHEMA, prepare
-            )
+            self._db, self.set_aside = sqlite_file.connect_or_recreate(self._path, SCHEMA, prepare)
             undo.callback(self._db.close)
             try:
                 with sqlite_file.damage_noticed(self._path):
@@ -160,7 +158,7 @@ class Journal:
                 found.entries,
             )
             with sqlite_file.transaction(self._db):
-                journal_schema.begin_behind(self._db, known)
+                journal_schema.prepare_new_epoch(self._db, known)
         self._witness.note(journal_schema.how_far(self._db))
 
     def meta(self, key: str) -> str | None:
@@ -228,7 +226,7 @@ class Journal:
         with self._mutex, sqlite_file.damage_noticed(self._path):
             for table in ("entry", "version"):
                 newest = f"SELECT stored FROM {table} ORDER BY id DESC LIMIT ?"
-                if rows := self._db.execute(newest, (USUAL_STAMPS,)).fetchall():
+                if rows := self._db.execute(newest, (MEDIAN_ENTRIES,)).fetchall():
                     return float(statistics.median(stored for (stored,) in rows))
         return None
 
@@ -306,7 +304,7 @@ class Journal:
             ).fetchall()
         return [(row[0], Entry(*row[2:7])) for row in rows if crc(*row[:7]) == row[7]]
 
-    def senders(self, after: int, up_to: int) -> dict[str, int]:
+    def count_events(self, after: int, up_to: int) -> dict[str, int]:
         """Return the number of events of each camera after ``after`` up to ``up_to``.
 
         Raises `sqlite3.Error`.

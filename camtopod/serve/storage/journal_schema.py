@@ -12,7 +12,7 @@ import zlib
 from pathlib import Path
 
 from camtopod.serve.storage.sqlite_file import Damaged, StateError, crc, readable
-from camtopod.serve.storage.witness import Known
+from camtopod.serve.storage.witness import JournalExtent
 
 log = logging.getLogger(__name__)
 
@@ -148,15 +148,15 @@ def last_version(database: sqlite3.Connection) -> int:
     return int(database.execute("SELECT COALESCE(MAX(id), 0) FROM version").fetchone()[0])
 
 
-def how_far(database: sqlite3.Connection) -> Known:
+def how_far(database: sqlite3.Connection) -> JournalExtent:
     """Return how far the journal has come."""
     epoch = max(read_meta(database, key) or "" for key in ("epoch", "epoch before"))
-    return Known(
+    return JournalExtent(
         last_entry(database), last_version(database), epoch, read_meta(database, "name") or ""
     )
 
 
-def begin_behind(database: sqlite3.Connection, known: Known) -> None:
+def prepare_new_epoch(database: sqlite3.Connection, known: JournalExtent) -> None:
     """Prepare a journal that was set back for a new epoch, within the caller's transaction.
 
     Its own epoch ends, as published versions may be missing; the next one sorts after it and after

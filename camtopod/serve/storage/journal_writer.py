@@ -29,16 +29,16 @@ SLOW_SECONDS = 5.0
 
 On a slow memory card one can take several seconds.
 """
-BELIEVED_SECONDS = 86_400.0
+TRUSTED_SECONDS = 86_400.0
 """A wall clock that has run evenly for this many seconds is trusted.
 
 Until then it ages the rows of the journal by at most this much.
 """
-EVEN_SECONDS = 60.0
+CLOCK_STEP_SECONDS = 60.0
 """Change of the wall clock's offset from the steady clock that counts as a step, in seconds."""
 
 
-class Storing:
+class JournalWriter:
     """The storing end of the daemon. ``publish`` is called with each version after it is stored.
 
     Raises `sqlite3.Error`.
@@ -149,20 +149,20 @@ class Storing:
     def _believable_time(self) -> float:
         """Return Unix seconds: the wall clock, limited to what can be trusted.
 
-        It is limited to the trusted time plus the time since plus `BELIEVED_SECONDS`. Otherwise a
+        It is limited to the trusted time plus the time since plus `TRUSTED_SECONDS`. Otherwise a
         single wrong reading of the clock would make everything in the journal too old to keep.
         """
         wall, now = self._clock(), self._steady()
         apart, since = self._even
-        if abs(wall - now - apart) > EVEN_SECONDS:
+        if abs(wall - now - apart) > CLOCK_STEP_SECONDS:
             self._even = (wall - now, now)
-        elif now - since >= BELIEVED_SECONDS:
+        elif now - since >= TRUSTED_SECONDS:
             self._believed, self._even = (wall, now), (wall - now, since)  # it may drift
 
         then, at = self._believed
-        return min(wall, then + (now - at) + BELIEVED_SECONDS)
+        return min(wall, then + (now - at) + TRUSTED_SECONDS)
 
-    def last_words(self, snapshot: Snapshot | None) -> None:
+    def store_remaining(self, snapshot: Snapshot | None) -> None:
         """Store what the learner has handed over at the end, after both threads have ended."""
         if snapshot is not None:
             self.on_snapshot(snapshot)

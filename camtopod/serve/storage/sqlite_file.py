@@ -99,7 +99,7 @@ class Lock:
             self._fd = -1
 
 
-def held_by(path: Path) -> str:
+def lock_reason(path: Path) -> str:
     """Return why the database at ``path`` cannot be opened (another process has it), or ""."""
     lock = path.with_suffix(".lock")
     if lock.exists():
@@ -228,7 +228,7 @@ def connect(
         raise StateError(f"cannot use {path}: {error.strerror}") from None
 
 
-def connect_or_begin_anew(
+def connect_or_recreate(
     path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None
 ) -> tuple[Connection, Path | None]:
     """Open as `connect` does; set a damaged file aside and begin a new one.

@@ -21,7 +21,7 @@ _CRC_BYTES = 9
 """Length of the checksum at the end of the line, with the line break, in bytes."""
 
 
-class Known(NamedTuple):
+class JournalExtent(NamedTuple):
     """How far a journal has come.
 
     entries, versions: the numbers of the newest ones.
@@ -34,7 +34,7 @@ class Known(NamedTuple):
     epoch: str = ""
     name: str = ""
 
-    def is_older_than(self, other: Known) -> bool:
+    def is_older_than(self, other: JournalExtent) -> bool:
         """Return True if a journal that had come as far as ``other`` has lost something."""
         return (
             self.entries < other.entries
@@ -48,12 +48,12 @@ class Witness:
 
     def __init__(self, lock: Lock) -> None:
         self._lock = lock
-        self.known = Known()
+        self.known = JournalExtent()
         """The record as it was read or written last; the default if it could not be read."""
         with contextlib.suppress(OSError):
             self.known = _decode(lock.read(_LINE_BYTES))
 
-    def note(self, known: Known) -> None:
+    def note(self, known: JournalExtent) -> None:
         """Write how far the journal has come, if that has changed. Errors are ignored."""
         if known == self.known:
             return
@@ -64,15 +64,15 @@ class Witness:
             log.debug("cannot write the lock file: %s", error)
 
 
-def _encode(known: Known) -> bytes:
+def _encode(known: JournalExtent) -> bytes:
     text = f"{known.entries:20} {known.versions:20} {known.epoch:26} {known.name:26} "
     return f"{text}{zlib.crc32(text.encode()):08x}\n".encode()
 
 
-def _decode(line: bytes) -> Known:
+def _decode(line: bytes) -> JournalExtent:
     text, checksum = line[:-_CRC_BYTES], line[-_CRC_BYTES:]
     if len(line) != _LINE_BYTES or checksum != f"{zlib.crc32(text):08x}\n".encode():
-        return Known()
-    return Known(
+        return JournalExtent()
+    return JournalExtent(
         int(text[:20]), int(text[21:41]), text[42:68].decode().strip(), text[69:95].decode().strip()
     )

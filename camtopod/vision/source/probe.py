@@ -90,7 +90,7 @@ def probe(
 ) -> Probe:
     """Open the source and count its frames.
 
-    Takes at most the timeouts plus `LOOK_SECONDS`. Never raises for a source that does not work.
+    Takes at most the timeouts plus `CHECK_SECONDS`. Never raises for a source that does not work.
     """
     kind = kind_of(source)
     path = source.removeprefix("file://")

@@ -1,6 +1,4 @@
-"""The joint fit: candidates, expectation and maximisation against slow twins, and what it finds in
-made data.
-"""
+"""The joint fit: candidates, E and M step against slow versions, and results on synthetic data."""
 
 from __future__ import annotations
 
@@ -13,7 +11,12 @@ from hypothesis import strategies as st
 
 from camtopod.learn.association import candidates as candidates_module
 from camtopod.learn.association import em
-from camtopod.learn.association.candidates import Candidates, excess, find_candidates, newest
+from camtopod.learn.association.candidates import (
+    Candidates,
+    excess_over_null,
+    find_candidates,
+    newest_within_limit,
+)
 from camtopod.learn.association.em import Em
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import Fit, fit_jointly
@@ -33,7 +36,7 @@ from camtopod.learn.traffic.speed import (
     slowness,
 )
 from camtopod.topology.lag_bins import SMOOTHING_SD_BINS, LagBins, smooth
-from camtopod.topology.shared_constants import SLOWNESS_MAX, STAY_SECONDS_MIN
+from camtopod.topology.shared_constants import DWELL_SECONDS_MIN, SLOWNESS_MAX
 
 BINS = LagBins(-20.0, 120.0)
 SINGLE = 1e-5
@@ -44,7 +47,7 @@ SHORT = LagBins(-3.0, 8.0)
 def made(
     seed: int, left: int, came: int, zones: int = 3, span: float = 60.0
 ) -> tuple[Departures, Arrivals]:
-    """Departures and arrivals that have nothing to do with each other; every zone is a camera."""
+    """Return unrelated departures and arrivals; every zone is a camera."""
     rng = np.random.default_rng(seed)
     t = np.sort(rng.uniform(0, span, left))
     zone = rng.integers(0, zones, left).astype(np.int32)
@@ -56,8 +59,9 @@ def made(
 
 
 def in_whole_seconds(departures: Departures, arrivals: Arrivals) -> tuple[Departures, Arrivals]:
-    """The same by cameras that look once a second: much happens at one instant. A departure whose
-    passage began with an arrival of its camera is tied to it.
+    """Return the same, seen by cameras with one frame a second, so that many events coincide.
+
+    A departure whose passage began with an arrival of its camera is tied to it.
     """
     t, came = np.floor(departures.t), np.floor(arrivals.t)
     since, own, free = np.floor(departures.since), departures.own.copy(), set(range(len(came)))
@@ -103,7 +107,7 @@ def test_candidates_equal_a_double_loop(seed: int, left: int, came: int, in_step
 @given(st.integers(0, 10**6), st.integers(1, 400))
 def test_beyond_the_limit_only_the_newest_stretch_counts(seed: int, limit: int) -> None:
     departures, arrivals = made(seed, 40, 40)
-    left, came = newest(departures, arrivals, SHORT, limit)
+    left, came = newest_within_limit(departures, arrivals, SHORT, limit)
     assert len(find_candidates(left, came, SHORT, 3).lag) <= limit
     first = came.t[0] if len(came.t) else np.inf
     assert came.t.tolist() == [t for t in arrivals.t if t >= first]
@@ -123,7 +127,7 @@ def test_excess_is_what_exceeds_chance() -> None:
     seen = chance.copy()
     (at,) = BINS.index(np.array([8.0]))
     seen[1, at - 1 : at + 2] += 40.0
-    found = excess(seen, chance, BINS, 2.0)
+    found = excess_over_null(seen, chance, BINS, 2.0)
     assert (found[0] == 0).all()
     assert np.argmax(found[1]) == at
     assert 20 < found[1].sum() < 200
@@ -221,8 +225,9 @@ def test_iterations_equal_their_slow_twin(
 
 
 class Walks:
-    """Objects that appear at a zone, cross its view and go on: zone k is entry and exit of camera
-    k.
+    """Objects that enter at a zone, cross its view and go on.
+
+    Zone k is entry and exit of camera k.
     """
 
     def __init__(self, seed: int) -> None:
@@ -231,8 +236,9 @@ class Walks:
         self.came: list[tuple[float, int]] = []
 
     def go(self, objects: int, span: float, *way: tuple[int, float, float, float]) -> Walks:
-        """Each object is at the zones in turn: (zone, lag to it, spread of the lag, share that goes
-        there).
+        """Add objects that visit the zones in turn.
+
+        ``steps``: (zone, lag to it, spread of the lag, share that goes there).
         """
         for t in self.rng.uniform(0, span, objects):
             for zone, lag, sd, share in way:
@@ -261,7 +267,7 @@ def fitted(departures: Departures, arrivals: Arrivals, zones: int) -> Fit:
 
 
 def share(fit: Fit, departures: Departures, source: int, target: int) -> float:
-    """Of those leaving at ``source`` the share that appears next at ``target``."""
+    """Return the share of those leaving at ``source`` that appear next at ``target``."""
     at = (fit.candidates.source == source) & (fit.candidates.target == target)
     return float(fit.counts[at].sum() / (departures.zone == source).sum())
 
@@ -292,7 +298,7 @@ def test_every_arrival_and_every_departure_counts_once() -> None:
 
 
 def test_an_indirect_way_is_no_link() -> None:
-    """0 -> 1 -> 2 makes a clean peak from 0 to 2, which goes to those who passed 1."""
+    """0 -> 1 -> 2 makes a clear peak from 0 to 2, but the transitions belong to zone 1."""
     departures, arrivals = (
         Walks(3).go(500, 20_000.0, (0, 0, 0, 1), (1, 8.0, 1.0, 1), (2, 6.0, 1.0, 1)).columns(3)
     )
@@ -312,7 +318,7 @@ def test_overlapped_views_have_negative_lags() -> None:
 
 @pytest.mark.parametrize("gap", [500.0, -500.0])
 def test_without_a_candidate(gap: float) -> None:
-    """All arrivals long after, or long before, all departures."""
+    """All arrivals are long before, or long after, all departures."""
     departures, _ = made(1, 20, 0)
     _, arrivals = made(2, 0, 20)
     arrivals = arrivals._replace(t=arrivals.t + gap)
@@ -363,12 +369,15 @@ def test_slowness_equals_its_slow_twin(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     source, target = rng.integers(0, 3, (2, n)).astype(np.int32)
     stay = rng.exponential(3.0, n)
-    slow = naive.slowness(source, target, stay, WAY_PASSAGES_MIN, STAY_SECONDS_MIN, SLOWNESS_MAX)
+    slow = naive.slowness(source, target, stay, WAY_PASSAGES_MIN, DWELL_SECONDS_MIN, SLOWNESS_MAX)
     assert slowness(source, target, stay, 3) == pytest.approx(slow, nan_ok=True)
 
 
 def walkers(seed: int, n: int, own: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Slowness before and after, and lag, of n walkers whose own pace (spread ``own``) lasts."""
+    """Return slowness before and after, and lag, of n walkers.
+
+    Slowness lasts; ``own`` is its spread.
+    """
     rng = np.random.default_rng(seed)
     pace = own * rng.standard_normal(n)
     left, came, way = (pace + 0.1 * rng.standard_normal(n) for _ in range(3))
@@ -410,7 +419,7 @@ def test_persistence_needs_sure_transitions_of_known_slowness() -> None:
 
 @pytest.mark.parametrize("constant", ["left", "came", "both"])
 def test_persistence_of_machines(constant: str) -> None:
-    """Every passage through a view takes equally long: its slowness tells nothing."""
+    """Equal dwell times in a view carry no information."""
     left, came, lag = walkers(0, 800, 0.3)
     left = np.zeros(800) if constant != "came" else left
     came = np.zeros(800) if constant != "left" else came
@@ -426,9 +435,7 @@ def test_combined() -> None:
 
 
 def test_adjusted_lag() -> None:
-    """Someone e^0.5 times slower takes 20 s where others take 12; short lags and the unknown
-    stay.
-    """
+    """An object e^0.5 times slower takes 20 s where others take 12; short and unknown lags stay."""
     lag = np.array([20.0, 20.0, 1.0, -5.0, 119.0])
     slow = np.array([0.5, np.nan, 0.5, 0.5, -0.5])
     assert adjusted_lag(lag, slow, 1.0, BINS) == pytest.approx(
@@ -450,8 +457,8 @@ def test_agreement_is_the_ratio_of_densities() -> None:
 
 
 def test_agreement_stays_within_single_precision() -> None:
-    """Where passages hardly vary, two loiterers agree beyond all measure: what is kept of that has
-    to be a number.
+    """Where passages hardly vary, two loiterers agree extremely well; the value must
+    stay finite.
     """
     departures, arrivals = made(3, 20, 20)
     departures = departures._replace(slow=np.full(len(departures.t), 1.5))
@@ -466,7 +473,7 @@ def test_agreement_stays_within_single_precision() -> None:
 
 
 def test_speed_tells_who_is_who() -> None:
-    """Two on the way at once: with their speeds known the fit is surer of the right ones."""
+    """With two objects on the path at once, known speeds make the fit surer of the right ones."""
     rng = np.random.default_rng(7)
     rows, ends = [], []
     for k, t in enumerate(np.sort(rng.uniform(0, 16_000, 400))):

@@ -1,6 +1,4 @@
-"""Screening: what it leaves out is unlikely, what it keeps is what a fit without it would have
-had.
-"""
+"""Screening leaves out unlikely candidates and keeps those of a fit without it."""
 
 from __future__ import annotations
 
@@ -14,24 +12,24 @@ from camtopod.learn.association import screening as module
 from camtopod.learn.association.candidates import (
     EXCESS_SMOOTHING_SD_BINS,
     Candidates,
-    excess,
+    excess_over_null,
     find_candidates,
     possible,
 )
 from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.screening import (
-    Screen,
+    CandidateScreen,
     _joined,
     _likely,
+    candidates_of_pairs,
+    find_sources,
     place,
-    standing_out,
-    whole,
 )
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.sim.score import Score, score
+from camtopod.sim.scoring import Score, score
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.topology.lag_bins import SMOOTHING_SD_BINS, LagBins
 
@@ -44,7 +42,7 @@ SCREENED, UNSCREENED = 100_000, 10**9
 def anything(
     seed: int, left: int, came: int, zones: int = 6, span: float = 60.0
 ) -> tuple[Departures, Arrivals]:
-    """Departures and arrivals that have nothing to do with each other; two zones to a camera."""
+    """Return unrelated departures and arrivals, with two zones to a camera."""
     rng = np.random.default_rng(seed)
     t, zone = np.sort(rng.uniform(0, span, left)), rng.integers(0, zones, left).astype(np.int32)
     stay = np.where(rng.random(left) < 0.3, np.inf, rng.exponential(4.0, left))
@@ -56,8 +54,9 @@ def anything(
 
 
 def site(seed: int, zones: int = 40, span: float = 4000.0) -> tuple[Departures, Arrivals]:
-    """People come and go at all zones; of those who leave at 3 and 17 most are at 0 after 8 s and
-    30 s.
+    """Return a site with two links among many zones.
+
+    Of those who leave at 3 and 17 most are at 0 after 8 s and 30 s.
     """
     rng = np.random.default_rng(seed)
     departures, arrivals = anything(seed, 100 * zones, 100 * zones, zones, span)
@@ -84,7 +83,7 @@ def places_of(zones: int) -> np.ndarray:
 
 
 def found_by(
-    screen: Screen, ends: tuple[Departures, Arrivals], most: int, zones: int, learned: int = 1
+    screen: CandidateScreen, ends: tuple[Departures, Arrivals], most: int, zones: int, learned: int = 1
 ) -> Candidates:
     departures, arrivals = ends
     until = float(max(departures.t[-1], arrivals.t[-1]))
@@ -92,7 +91,7 @@ def found_by(
 
 
 def listed(found: Candidates) -> dict[tuple[int, int], tuple[float, int, int]]:
-    """(arrival, departure) -> lag and pair of zones."""
+    """Return (arrival, departure) -> lag and pair of zones."""
     rows = zip(
         found.arrival.tolist(),
         found.departure.tolist(),
@@ -115,7 +114,7 @@ def in_reach(departures: Departures, arrivals: Arrivals) -> int:
 
 def test_while_they_are_few_all_are_found_and_nothing_is_followed() -> None:
     ends = anything(1, 60, 60)
-    screen, number = Screen(), in_reach(*ends)
+    screen, number = CandidateScreen(), in_reach(*ends)
     assert len(found_by(screen, ends, number - 1, 6).lag)
     assert len(screen.followed) == 6
     found, every = found_by(screen, ends, number, 6), find_candidates(*ends, BINS, 6)
@@ -129,7 +128,7 @@ def test_where_pairs_of_zones_are_many_they_are_screened_at_once(
     ends = anything(1, 60, 60)
     for few, followed in ((36, 0), (35, 6)):
         monkeypatch.setattr(module, "PAIRS_FEW", few)
-        screen = Screen()
+        screen = CandidateScreen()
         assert (len(found_by(screen, ends, 10**6, 6).lag) < in_reach(*ends)) or not followed
         assert len(screen.followed) == followed
 
@@ -141,7 +140,7 @@ def test_what_is_kept_are_candidates(seed: int, left: int, came: int, most: int)
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(module, "LIKELY_MAX", most)
         limits.setattr(module, "LIKELY_PER_ARRIVAL", 0)
-        found = found_by(Screen(), ends, in_reach(*ends) - 1, 6)
+        found = found_by(CandidateScreen(), ends, in_reach(*ends) - 1, 6)
     assert len(found.lag) <= most
     rows = listed(found)
     assert rows.items() <= listed(find_candidates(*ends, BINS, 6)).items()
@@ -151,7 +150,7 @@ def test_what_is_kept_are_candidates(seed: int, left: int, came: int, most: int)
 
 
 def true_ones(found: Candidates) -> list[bool]:
-    """Whether each candidate has a lag as the two links of `site` have them."""
+    """Return True for each candidate whose lag fits one of the two links of `site`."""
     near = {(3, 0): (8.0, 3.0), (17, 0): (30.0, 12.0)}
     return [
         (u, v) in near and abs(lag - near[u, v][0]) < near[u, v][1]
@@ -160,11 +159,11 @@ def true_ones(found: Candidates) -> list[bool]:
 
 
 def test_the_true_ones_among_many_are_kept() -> None:
-    """Of 300,000 candidates nearly all are noise."""
+    """Of 300,000 candidates nearly all are spurious."""
     ends = site(2)
     every, found = (
         find_candidates(*ends, BINS, 40),
-        found_by(Screen(), ends, in_reach(*ends) - 1, 40),
+        found_by(CandidateScreen(), ends, in_reach(*ends) - 1, 40),
     )
     assert len(found.lag) < 0.5 * len(every.lag)
     assert sum(true_ones(found)) > 0.98 * sum(true_ones(every)) > 130
@@ -173,15 +172,15 @@ def test_the_true_ones_among_many_are_kept() -> None:
 def test_of_too_many_the_likeliest_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     ends = site(3)
     most = in_reach(*ends) - 1
-    roomy = found_by(Screen(), ends, most, 40)
+    roomy = found_by(CandidateScreen(), ends, most, 40)
     monkeypatch.setattr(module, "LIKELY_MAX", 5000)
     monkeypatch.setattr(module, "LIKELY_PER_ARRIVAL", 1)
-    tight = found_by(Screen(), ends, most, 40)
+    tight = found_by(CandidateScreen(), ends, most, 40)
     assert len(tight.lag) == 5000
     assert listed(tight).items() <= listed(roomy).items()
     assert np.mean(true_ones(tight)) > 10 * np.mean(true_ones(roomy))
     monkeypatch.setattr(module, "LIKELY_PER_ARRIVAL", 2)
-    assert len(found_by(Screen(), ends, most, 40).lag) == 2 * len(ends[1].t) > 5000
+    assert len(found_by(CandidateScreen(), ends, most, 40).lag) == 2 * len(ends[1].t) > 5000
 
 
 @given(st.integers(0, 10**6), st.integers(0, 4), st.integers(1, 50))
@@ -222,9 +221,7 @@ def test_parts_are_joined_by_arrival_and_the_likeliest_stay(
 def test_possible_ones_equal_a_double_loop(
     seed: int, left: int, came: int, share: float | None, at_once: int
 ) -> None:
-    """Those before the exit included: of another camera only, and if the passage there had
-    begun.
-    """
+    """Arrivals before the exit count at other cameras only, and if the passage had begun there."""
     rng = np.random.default_rng(seed)
     departures, arrivals = anything(seed, left, came)
     mine = np.flatnonzero(arrivals.zone == arrivals.zone[0])
@@ -242,7 +239,7 @@ def test_possible_ones_equal_a_double_loop(
 @given(st.integers(0, 10**6), st.integers(1, 25), st.integers(1, 25))
 def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> None:
     departures, arrivals = anything(seed, left, came, zones=4, span=30.0)
-    ends = module.ends_of(departures, arrivals, SHORT, 4, 40.0)
+    ends = module.screen_input(departures, arrivals, SHORT, 4, 40.0)
     zone = int(arrivals.zone[0])
     sources = np.flatnonzero(np.random.default_rng(seed).random(4) < 0.6)
     if not len(sources):
@@ -256,7 +253,7 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
         SHORT,
         ends.exposure,
         ends.chance.of,
-        lambda seen, usual: excess(seen, usual, SHORT, module.NOISE_SD),
+        lambda seen, usual: excess_over_null(seen, usual, SHORT, module.NOISE_SD),
         SMOOTHING_SD_BINS,
         (module.ROUNDS, module.OUTSIDE_FIRST, START_FLOOR, module.LIKELY_MIN),
     )
@@ -269,8 +266,8 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
 # --- looks over all pairs ---
 
 
-def made_ready(departures: Departures, arrivals: Arrivals, zones: int) -> module.Ends:
-    return module.ends_of(
+def made_ready(departures: Departures, arrivals: Arrivals, zones: int) -> module.ScreenInput:
+    return module.screen_input(
         departures, arrivals, BINS, zones, float(max(departures.t[-1], arrivals.t[-1]))
     )
 
@@ -287,7 +284,7 @@ def test_what_stands_out_equals_its_slow_twin(
     seed: int, left: int, came: int, at_once: int, all_seen: bool
 ) -> None:
     departures, arrivals = anything(seed, left, came)
-    ends = module.ends_of(departures, arrivals, SHORT, 6, 60.0)
+    ends = module.screen_input(departures, arrivals, SHORT, 6, 60.0)
     seen_min = 1 if all_seen else module.SEEN_MIN
     above = [
         naive.standing_out(
@@ -313,7 +310,7 @@ def test_what_stands_out_equals_its_slow_twin(
         limits.setattr(module, "COUNTED_AT_ONCE", at_once)
         limits.setattr(module, "SEEN_MIN", seen_min)
         limits.setattr(module, "_above", above_chance)
-        found = [standing_out(ends, zone).tolist() for zone in range(6)]
+        found = [find_sources(ends, zone).tolist() for zone in range(6)]
     assert found == [[u for u in range(6) if row[u] > module.STANDS_OUT_SD] for row in above]
     every = find_candidates(departures, arrivals, SHORT, 6)
     pairs = np.bincount(every.pair, minlength=len(every.source))
@@ -324,7 +321,7 @@ def test_what_stands_out_equals_its_slow_twin(
 def test_the_sources_of_a_link_stand_out() -> None:
     for seed in range(4, 8):
         ends = made_ready(*site(seed), 40)
-        sources = standing_out(ends, 0)
+        sources = find_sources(ends, 0)
         assert {3, 17} <= set(sources.tolist())
         assert len(sources) <= module.SOURCES_PER_ZONE_MAX
 
@@ -332,22 +329,20 @@ def test_the_sources_of_a_link_stand_out() -> None:
 def test_at_most_so_many_stand_out_and_those_that_do_most(monkeypatch: pytest.MonkeyPatch) -> None:
     ends = made_ready(*site(9), 40)
     monkeypatch.setattr(module, "STANDS_OUT_SD", -np.inf)
-    assert len(standing_out(ends, 0)) == module.SOURCES_PER_ZONE_MAX < 40
+    assert len(find_sources(ends, 0)) == module.SOURCES_PER_ZONE_MAX < 40
     monkeypatch.setattr(module, "SOURCES_PER_ZONE_MAX", 2)
-    assert standing_out(ends, 0).tolist() == [3, 17]
+    assert find_sources(ends, 0).tolist() == [3, 17]
 
 
-def looked(screen: Screen, zones: int) -> list[int]:
+def looked(screen: CandidateScreen, zones: int) -> list[int]:
     return [screen.followed[int(name)].looked for name in places_of(zones)]
 
 
 def test_looks_go_round(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With room for one look in each fit every zone has its turn, the one whose look is longest ago
-    first.
-    """
+    """With room for one zone in each fit, the zone examined longest ago comes first."""
     monkeypatch.setattr(module, "LOOKS_MIN", 1)
     monkeypatch.setattr(module, "LOOKS_PER_EVENT", 0)
-    ends, screen = anything(10, 200, 200), Screen()
+    ends, screen = anything(10, 200, 200), CandidateScreen()
     for fit in range(1, 13):
         found_by(screen, ends, 100, 6, fit)
         assert sorted(looked(screen, 6)) == [-1] * max(6 - fit, 0) + list(
@@ -361,7 +356,7 @@ def test_where_there_is_no_other_fit_every_zone_is_looked_at(
 ) -> None:
     monkeypatch.setattr(module, "LOOKS_MIN", 1)
     monkeypatch.setattr(module, "LOOKS_PER_EVENT", 0)
-    (departures, arrivals), screen = anything(10, 200, 200), Screen()
+    (departures, arrivals), screen = anything(10, 200, 200), CandidateScreen()
     screen.find(departures, arrivals, BINS, places_of(6), 1e9, 1, 100, everywhere=True)
     assert looked(screen, 6) == [1] * 6
 
@@ -372,7 +367,7 @@ def test_as_many_looks_as_the_events_allow(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(module, "LOOKS_MIN", 1)
     for share, least, most in ((0.25, 1, 3), (0.6, 3, 5), (1.01, 6, 6)):
         monkeypatch.setattr(module, "LOOKS_PER_EVENT", share * work / 400)
-        screen = Screen()
+        screen = CandidateScreen()
         found_by(screen, ends, 100, 6)
         assert least <= 6 - looked(screen, 6).count(-1) <= most
 
@@ -380,7 +375,7 @@ def test_as_many_looks_as_the_events_allow(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_zone_that_is_no_more_is_forgotten_and_a_new_one_looked_at_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    (departures, arrivals), screen = site(12), Screen()
+    (departures, arrivals), screen = site(12), CandidateScreen()
     most = in_reach(departures, arrivals) // 2
     names = places_of(40)
     until = float(departures.t[-1])
@@ -411,9 +406,9 @@ def test_whole_pairs_have_all_their_candidates(
     seed: int, left: int, came: int, share: float
 ) -> None:
     ends = anything(seed, left, came)
-    found = found_by(Screen(), ends, min(100, in_reach(*ends) - 1), 6)
+    found = found_by(CandidateScreen(), ends, min(100, in_reach(*ends) - 1), 6)
     asked = np.flatnonzero(np.random.default_rng(seed).random(len(found.source)) < share)
-    full = whole(found, asked, *ends, BINS, 6)
+    full = candidates_of_pairs(found, asked, *ends, BINS, 6)
     pairs = set(zip(found.source[asked].tolist(), found.target[asked].tolist(), strict=True))
     every = listed(find_candidates(*ends, BINS, 6))
     assert listed(full) == {key: row for key, row in every.items() if row[1:] in pairs}
@@ -432,7 +427,7 @@ def test_places_differ() -> None:
 
 
 def learned(network: SimSettings, candidates_max: int) -> tuple[Score, int]:
-    """How near one batch fit comes to the truth, and how many links between views it has."""
+    """Return the accuracy of one batch fit, and the number of links between views."""
     events, truth = simulate(network)
     learner = Learner(Settings(refit_share=1e9, refit_hours=1e9, candidates_max=candidates_max))
     for event in events:
@@ -446,8 +441,8 @@ def learned(network: SimSettings, candidates_max: int) -> tuple[Score, int]:
 
 
 def test_where_there_are_no_links_none_is_published(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is kept of a pair has the lag that was looked for: judged by that alone, some look like
-    links.
+    """Screened pairs have the lags that were searched for, so some look like links by
+    these alone.
     """
     monkeypatch.setattr(module, "LIKELY_MAX", 1)  # a few for each arrival
     network = SimSettings(cameras=24, hours=0.3, seed=2, linked=False, objects_per_second=4.0)

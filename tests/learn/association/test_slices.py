@@ -12,7 +12,7 @@ from synthetic_events import LINKED, Views, fit_posterior
 
 from camtopod.arrays import ROWS_AT_ONCE, rows_together
 from camtopod.learn.association import candidates as module
-from camtopod.learn.association.candidates import find_candidates, together
+from camtopod.learn.association.candidates import find_candidates, slices_by_arrival
 from camtopod.learn.association.em import Em
 from camtopod.learn.association.speed_adjustment import adjust
 from camtopod.learn.traffic.speed import Persistence
@@ -25,7 +25,7 @@ BINS = LagBins(-20.0, 60.0)
 def test_candidates_of_an_arrival_are_worked_on_together(arrival: list[int], at_once: int) -> None:
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(module, "CANDIDATES_AT_ONCE", at_once)
-        parts = together(np.array(arrival, np.int32))
+        parts = slices_by_arrival(np.array(arrival, np.int32))
     assert [row for part in parts for row in range(part.start, part.stop)] == list(
         range(len(arrival))
     )
@@ -43,7 +43,7 @@ def test_of_rows_no_few_are_left_over(rows: int) -> None:
 
 
 def walks() -> Views:
-    """Most go from zone 0 to zone 1, and others come and go at zone 2."""
+    """Return traffic in which most go from zone 0 to zone 1, beside unrelated traffic at zone 2."""
     rng = np.random.default_rng(2)
     views = Views([0, 1, 2])
     for t in rng.uniform(0, 3_200, 160):

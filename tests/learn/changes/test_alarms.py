@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn.changes.alarms import AlarmLog
 from camtopod.learn.changes.change_points import Change
-from camtopod.learn.changes.silence import Silences, find_silences
+from camtopod.learn.changes.silence import CameraSilences, find_silences
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import pack, unpack
@@ -73,7 +73,7 @@ def test_only_the_newest_are_kept() -> None:
 # --- cameras ---
 
 
-def heard(*times: NDArray[np.float64]) -> list[Silences]:
+def heard(*times: NDArray[np.float64]) -> list[CameraSilences]:
     """Return the silences of cameras with events at these times."""
     t, camera = (
         np.concatenate(times),
@@ -91,15 +91,15 @@ def poisson(rate: float, begin: float, end: float, seed: int) -> NDArray[np.floa
 def test_a_camera_that_stops_is_silent() -> None:
     busy, lost = poisson(0.1, 0, 40_000, 1), poisson(0.05, 0, 30_000, 2)
     first, second = heard(busy, lost)
-    assert first == Silences([], False)
-    assert second == Silences([(lost[-1], np.inf)], True)
+    assert first == CameraSilences([], False)
+    assert second == CameraSilences([(lost[-1], np.inf)], True)
 
 
 def test_a_camera_that_was_away_has_a_silence_that_is_over() -> None:
     busy = poisson(0.1, 0, 60_000, 1)
     early, late = poisson(0.05, 0, 20_000, 2), poisson(0.05, 40_000, 60_000, 3)
     _, second = heard(busy, np.concatenate((early, late)))
-    assert second == Silences([(early[-1], late[0])], False)
+    assert second == CameraSilences([(early[-1], late[0])], False)
 
 
 def test_nobody_is_silent_by_chance_or_at_night() -> None:
@@ -109,7 +109,7 @@ def test_nobody_is_silent_by_chance_or_at_night() -> None:
             [poisson(r, 40_000 * k, 40_000 * (k + 1), 9 * seed + k) for k, r in enumerate(rates)]
         )
         quiet = poisson(0.002, 0, 160_000, seed)
-        assert heard(day, day + 0.1, day + 0.2, quiet) == 4 * [Silences([], False)]
+        assert heard(day, day + 0.1, day + 0.2, quiet) == 4 * [CameraSilences([], False)]
 
 
 def test_nights_of_its_own_are_a_habit() -> None:
@@ -121,23 +121,23 @@ def test_nights_of_its_own_are_a_habit() -> None:
 
 
 def test_few_events_say_nothing() -> None:
-    assert heard(poisson(0.1, 0, 40_000, 1), np.array([1.0, 2.0]))[1] == Silences([], False)
+    assert heard(poisson(0.1, 0, 40_000, 1), np.array([1.0, 2.0]))[1] == CameraSilences([], False)
 
 
 def test_a_camera_that_stops_while_an_installation_starts_is_not_said_to_be_silent() -> None:
     """In the first half hour no alarm is raised, as traffic has yet to be learned."""
-    log, silent = AlarmLog(), Silences([(100.0, np.inf)], True)
+    log, silent = AlarmLog(), CameraSilences([(100.0, np.inf)], True)
     log.cameras(1, 900.0, [silent], ["a"], 1800.0)
     assert said(log) == []
-    log.cameras(2, 9000.0, [Silences([(1900.0, np.inf)], True)], ["a"], 1800.0)
+    log.cameras(2, 9000.0, [CameraSilences([(1900.0, np.inf)], True)], ["a"], 1800.0)
     assert said(log) == [(2, "camera_silent", "a")]
 
 
 def test_a_camera_is_said_to_be_silent_and_to_be_back_once() -> None:
     log = AlarmLog()
-    gone, back = Silences([(5.0, np.inf)], True), Silences([(5.0, 90.0)], False)
-    for version, silence in enumerate([Silences([], False), gone, gone, back, back], start=1):
-        log.cameras(version, 10.0 * version, [Silences([], False), silence], ["a", "b"], 0.0)
+    gone, back = CameraSilences([(5.0, np.inf)], True), CameraSilences([(5.0, 90.0)], False)
+    for version, silence in enumerate([CameraSilences([], False), gone, gone, back, back], start=1):
+        log.cameras(version, 10.0 * version, [CameraSilences([], False), silence], ["a", "b"], 0.0)
     assert said(log) == [(2, "camera_silent", "b"), (4, "camera_back", "b")]
 
 

@@ -9,7 +9,7 @@ from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import fit_jointly
 from camtopod.learn.links import cross_validation
-from camtopod.learn.links.cross_validation import BETS, PARTS, Parts, cross_evidence
+from camtopod.learn.links.cross_validation import BETS, PARTS, WindowParts, cross_evidence
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
@@ -39,7 +39,7 @@ def test_parts_together_see_what_the_whole_sees(seconds: float) -> None:
     departures, arrivals = crowd(1, 4, 50, seconds)
     found = find_candidates(departures, arrivals, BINS, 4)
     fit = fit_jointly(departures, arrivals, found, BINS, 4, seconds)
-    parts = Parts(departures, arrivals, fit, BINS, 4, 0.0, seconds)
+    parts = WindowParts(departures, arrivals, fit, BINS, 4, 0.0, seconds)
     taken = [parts.take(np.array([k])) for k in range(PARTS)]
     assert sum(part.exposure for part in taken) == pytest.approx(
         exposures(departures, BINS, 4, seconds)

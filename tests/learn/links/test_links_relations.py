@@ -1,4 +1,4 @@
-"""Figures of links, the rule for publishing them, weak links, pairs of cameras, the chain."""
+"""Figures of links, their publication, weak links, relations of camera pairs, the chain."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from camtopod.learn.links.link_table import (
     WEAK_TRANSITIONS_MIN,
     LinkTable,
     Transitions,
-    beside,
-    join,
-    leaving,
-    refresh_monte_carlo,
+    concatenate_transitions,
+    exposed_departures,
+    select_weak_links,
     significant,
     tabulate,
+    with_monte_carlo_variance,
 )
 from camtopod.learn.settings import Settings
 from camtopod.records import ChainEdge, Link, Transit, Zone
-from camtopod.topology.camera_pairs import camera_pairs, relation_of, sum_rule
+from camtopod.topology.camera_pairs import find_camera_pairs, relation_of, sum_rule
 from camtopod.topology.lag_bins import LagBins
-from camtopod.topology.markov_chain import markov_chain
+from camtopod.topology.markov_chain import estimate_markov_chain
 
 BINS = LagBins(-20.0, 120.0)
 SETTINGS = Settings(publish_q_max=0.01, publish_probability_min=0.03)
 
 
 def transitions(*rows: tuple[int, int, float, float]) -> Transitions:
-    """(source, target, lag, weight) each."""
+    """Return transitions (source, target, lag, weight)."""
     source, target, lag, weight = (np.array(column) for column in zip(*rows, strict=True))
     return Transitions(
         source.astype(np.int32), target.astype(np.int32), lag, weight, np.full(len(lag), 1e-3)
@@ -82,16 +82,16 @@ def test_table_has_every_pair_once_with_its_figures(seed: int, n: int, zones: in
 
 
 def test_no_transitions_no_rows() -> None:
-    table = tabulate(join([]), np.zeros((3, 1)), BINS, 3)
+    table = tabulate(concatenate_transitions([]), np.zeros((3, 1)), BINS, 3)
     assert len(table.source) == 0
     assert table.counts.shape == (0, BINS.size)
     assert not significant(table, SETTINGS).any()
-    assert len(tabulate(join([]), np.zeros((0, 1)), BINS, 0).source) == 0
+    assert len(tabulate(concatenate_transitions([]), np.zeros((0, 1)), BINS, 0).source) == 0
 
 
 def test_join_keeps_all_in_order() -> None:
     one, two = transitions((0, 1, 5.0, 1.0)), transitions((1, 2, 6.0, 0.5), (2, 0, 7.0, 0.25))
-    both = join([one, two])
+    both = concatenate_transitions([one, two])
     assert both.lag.tolist() == [5.0, 6.0, 7.0]
     assert both.weight.tolist() == [1.0, 0.5, 0.25]
 
@@ -103,10 +103,10 @@ def test_who_may_still_be_on_the_way_does_not_lower_the_share() -> None:
         views.through(3.0 * k, 3.0 * k + 1.0, 0, 0)
     departures, _ = views.columns()
     arrived = transitions(*repeated(0, 1, 60.0, 20))
-    table = tabulate(arrived, leaving(departures, BINS, 2, until=121.0), BINS, 2)
+    table = tabulate(arrived, exposed_departures(departures, BINS, 2, until=121.0), BINS, 2)
     assert table.probability[0] == pytest.approx(1.0, abs=0.1)
     ahead = tabulate(
-        transitions(*repeated(0, 1, -3.0, 20)), leaving(departures, BINS, 2, until=121.0), BINS, 2
+        transitions(*repeated(0, 1, -3.0, 20)), exposed_departures(departures, BINS, 2, until=121.0), BINS, 2
     )
     assert ahead.probability[0] == pytest.approx(
         0.5, abs=0.01
@@ -146,7 +146,7 @@ def test_a_link_needs_evidence_share_and_number() -> None:
 
 
 def test_the_thesiss_variance_counts_too() -> None:
-    """Lags at both ends of the range vary more than at chance."""
+    """Lags at both ends of the range vary more than under the null model."""
     table = tabulate(
         transitions(*repeated(0, 1, -19.0, 50), *repeated(0, 1, 119.0, 50)),
         np.full((2, 1), 100.0),
@@ -158,10 +158,10 @@ def test_the_thesiss_variance_counts_too() -> None:
 
 
 def test_monte_carlo_variance_is_near_that_of_the_transitions() -> None:
-    """A little above: the observations are of the smoothed histogram."""
+    """It is slightly larger, as the observations are drawn from the smoothed histogram."""
     rows = [(0, 1, float(lag), 0.9) for lag in np.random.default_rng(0).normal(30, 5, 400)]
     table = tabulate(transitions(*rows), np.full((2, 1), 500.0), BINS, 2)
-    refreshed = refresh_monte_carlo(table, BINS)
+    refreshed = with_monte_carlo_variance(table, BINS)
     assert table.variance[0] == pytest.approx(25 / (140**2 / 12), rel=0.1)
     assert table.variance[0] < refreshed.variance[0] < 2 * table.variance[0]
     assert refreshed.counts is table.counts
@@ -171,14 +171,14 @@ def test_monte_carlo_variance_is_near_that_of_the_transitions() -> None:
 
 
 def weak_and_strong(seed: int) -> tuple[LinkTable, LinkTable, LinkTable]:
-    """A posterior over 40 zones, the published among its rows, and the weak links."""
+    """Return a posterior over 40 zones, its published rows, and the weak links."""
     rng = np.random.default_rng(seed)
     rows = [(0, v, 5.0, w) for v, w in enumerate(rng.exponential(1.0, 40))]
     rows += [(1, v, 5.0, 0.01) for v in range(5)] + [(2, 3, 5.0, 6.0)]
     likely = tabulate(transitions(*rows), np.full((40, 1), 60.0), BINS, 40)
     strong = likely.rows(np.flatnonzero(rng.random(len(rows)) < 0.1))
     strong = strong._replace(probability=np.minimum(1.2 * strong.probability, 1.0))
-    return likely, strong, beside(likely, strong, 40)
+    return likely, strong, select_weak_links(likely, strong, 40)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -214,8 +214,8 @@ def test_weak_links_share_what_the_published_leave_over(seed: int) -> None:
 
 
 def test_no_weak_links() -> None:
-    none = tabulate(join([]), np.zeros((3, 1)), BINS, 3)
-    assert len(beside(none, none, 3).source) == 0
+    none = tabulate(concatenate_transitions([]), np.zeros((3, 1)), BINS, 3)
+    assert len(select_weak_links(none, none, 3).source) == 0
 
 
 # --- relations ---
@@ -259,8 +259,8 @@ ZONES = [zone(name) for name in ("a/1", "a/2", "b/1", "b/2", "c/1")]
 
 
 def related(links: list[Link], tolerance: float = 0.2) -> list[tuple[str, ...]]:
-    """Cameras, relation, verdict by the lags, verdict by the sum rule ("": not tested)."""
-    pairs = camera_pairs(ZONES, links, tolerance)
+    """Return cameras, relation, verdict by lags, verdict by the sum rule ("": not tested)."""
+    pairs = find_camera_pairs(ZONES, links, tolerance)
     for pair in pairs:
         assert (pair.reason is None) == (pair.by_lags == pair.by_sum_rule)
     return [("".join(p.cameras), p.relation, p.by_lags or "", p.by_sum_rule or "") for p in pairs]
@@ -277,8 +277,8 @@ def test_pairs_of_cameras_once_each_sorted() -> None:
         ("ab", "unseen_path", "unseen_path", ""),
         ("ac", "overlapped", "overlapped", ""),
     ]
-    assert camera_pairs(ZONES, [], 0.2) == []
-    assert camera_pairs(ZONES, [link("a/1", "a/2", "visible", 5.0)], 0.2) == []
+    assert find_camera_pairs(ZONES, [], 0.2) == []
+    assert find_camera_pairs(ZONES, [link("a/1", "a/2", "visible", 5.0)], 0.2) == []
 
 
 def test_one_overlapped_link_makes_the_pair_overlapped() -> None:
@@ -325,7 +325,7 @@ LINKS = st.lists(
 @given(LINKS, st.lists(st.integers(0, 30), min_size=5, max_size=5))
 def test_chain_equals_its_slow_twin(links: list[Link], exits: list[int]) -> None:
     zones = [zone(z.id, n) for z, n in zip(ZONES, exits, strict=True)]
-    found = markov_chain(zones, links, 6)
+    found = estimate_markov_chain(zones, links, 6)
     assert [(e.from_, e.to) for e in found] == sorted((e.from_, e.to) for e in found)
     slow = naive.chain(zones, links)
     assert {(e.from_, e.to): e.probability for e in found if e.probability} == pytest.approx(
@@ -337,4 +337,4 @@ def test_chain_by_hand() -> None:
     zones = [zone("a/1", 30), zone("a/2", 10), zone("b/1", 5)]
     links = [link("a/1", "b/1", "unseen", 5.0, 0.5), link("a/2", "b/1", "overlapped", -1.0, 1.0)]
     links += [link("b/1", "b/1", "unseen", 9.0, 0.2), link("a/1", "a/2", "visible", 5.0, 1.0)]
-    assert markov_chain(zones, links, 6) == [ChainEdge("a", "b", 0.625), ChainEdge("b", "b", 0.2)]
+    assert estimate_markov_chain(zones, links, 6) == [ChainEdge("a", "b", 0.625), ChainEdge("b", "b", 0.2)]

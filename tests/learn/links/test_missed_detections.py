@@ -1,4 +1,4 @@
-"""What missed passages explain away, and what they do not."""
+"""Links that missed detections explain, and links that they do not."""
 
 from __future__ import annotations
 
@@ -7,14 +7,19 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from camtopod.learn.links.link_table import LinkTable, Transitions, join, tabulate
+from camtopod.learn.links.link_table import (
+    LinkTable,
+    Transitions,
+    concatenate_transitions,
+    tabulate,
+)
 from camtopod.learn.links.missed_detections import (
     UNCERTAINTY,
-    Odds,
-    Ways,
-    find_ways,
+    MissedOdds,
+    SkippedPaths,
+    find_skipped_paths,
     unexplained,
-    without_missed,
+    without_missed_detections,
 )
 from camtopod.learn.settings import Settings
 from camtopod.topology.lag_bins import LagBins
@@ -27,7 +32,7 @@ Row = tuple[int, int, float, int]
 
 
 def table(*rows: Row, zones: int = 9) -> LinkTable:
-    """Figures of transitions that keep their time within a second."""
+    """Return figures of transitions whose times vary by less than a second."""
     parts = []
     for source, target, lag, n in rows:
         spread = lag + np.linspace(-1.0, 1.0, n)
@@ -38,7 +43,7 @@ def table(*rows: Row, zones: int = 9) -> LinkTable:
             np.full(n, 0.999),
         )
         parts.append(Transitions(*column, np.full(n, 1e-3)))
-    return tabulate(join(parts), np.full((zones, 1), LEAVING), BINS, zones)
+    return tabulate(concatenate_transitions(parts), np.full((zones, 1), LEAVING), BINS, zones)
 
 
 CAMERA = np.array([0, 1, 1, 2, 2, 3, 3, 4, 4])
@@ -53,10 +58,10 @@ CHAIN = ((0, 1, 10.0, 300), (2, 3, 10.0, 300), (4, 5, 10.0, 300), (6, 7, 10.0, 3
 def kept(
     *rows: Row, through: LinkTable = THROUGH, settings: Settings = SETTINGS
 ) -> set[tuple[int, int]]:
-    """The pairs that stay when all of the rows have been found."""
+    """Return the pairs that remain of these rows."""
     between = table(*rows)
     found = np.ones(len(between.source), bool)
-    stays = without_missed(between, through, found, CAMERA, settings)
+    stays = without_missed_detections(between, through, found, CAMERA, settings)
     assert found.all()
     return {
         (int(u), int(v))
@@ -69,7 +74,7 @@ LINKS = {(u, v) for u, v, _, _ in CHAIN}
 
 
 def test_a_tenth_missed_everywhere() -> None:
-    """300 seen make 33 unseen."""
+    """300 recorded transitions imply 33 with a missed detection."""
     assert kept(*CHAIN, (0, 3, 25.0, 33), (2, 5, 25.0, 33), (4, 7, 25.0, 33)) == LINKS
 
 
@@ -79,7 +84,7 @@ def test_several_missed_in_a_row() -> None:
 
 
 def test_a_link_of_its_own_beside_a_way_stays() -> None:
-    """Many more than elsewhere, at the very same lag; or at another one."""
+    """It has many more transitions than elsewhere at the same lag, or another lag."""
     others = ((2, 5, 25.0, 33), (4, 7, 25.0, 33))
     assert kept(*CHAIN, *others, (0, 3, 25.0, 150)) == {*LINKS, (0, 3)}
     assert kept(*CHAIN, *others, (0, 3, 60.0, 33)) == {*LINKS, (0, 3)}
@@ -87,7 +92,7 @@ def test_a_link_of_its_own_beside_a_way_stays() -> None:
 
 
 def test_a_camera_that_misses_little_explains_little() -> None:
-    """90 are few where every camera misses a quarter and many where hardly any misses one."""
+    """90 are few if every camera misses a quarter, and many if hardly any misses one."""
     rows = (*CHAIN, (0, 3, 25.0, 90))
     assert (0, 3) not in kept(*rows, (2, 5, 25.0, 100), (4, 7, 25.0, 100))
     assert (0, 3) in kept(*rows, (2, 5, 25.0, 2), (4, 7, 25.0, 2))
@@ -110,7 +115,7 @@ def test_without_ways_nothing_is_explained() -> None:
 def test_only_what_was_found_is_a_way() -> None:
     between = table(*CHAIN, (0, 3, 25.0, 33))
     found = ~((between.source == 0) & (between.target == 1))
-    assert without_missed(between, THROUGH, found, CAMERA, SETTINGS).tolist() == found.tolist()
+    assert without_missed_detections(between, THROUGH, found, CAMERA, SETTINGS).tolist() == found.tolist()
 
 
 def test_what_is_left_over() -> None:
@@ -160,7 +165,7 @@ def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
                     expected.append(
                         (pair, CAMERA[between.target[k]], total[k] * share * total[m], median)
                     )
-    ways = find_ways(between, through, found, CAMERA)
+    ways = find_skipped_paths(between, through, found, CAMERA)
     actual = list(zip(*ways[:4], strict=True))
     assert len(actual) == len(expected)
     if expected:
@@ -173,27 +178,27 @@ def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
 
 
 def test_odds_of_one_camera_and_of_its_neighbours() -> None:
-    """Camera 1 and 3 have fifty pairs each, camera 2 none: it gets what the others have."""
+    """Cameras 1 and 3 have fifty pairs each, camera 2 none: it gets the odds of the others."""
     n = 100
     camera, level = np.where(np.arange(n) < 50, 1, 3), np.ones(n)
-    ways = Ways(np.arange(n), camera, 20.0 * level, 9.0 * level, level)
+    ways = SkippedPaths(np.arange(n), camera, 20.0 * level, 9.0 * level, level)
     seen = np.where(camera == 1, 3.0, 6.0)
-    odds = Odds(ways, np.arange(n), seen, 0.5)
+    odds = MissedOdds(ways, np.arange(n), seen, 0.5)
     assert [odds.of(k, 0) for k in (1, 3)] == pytest.approx([0.15, 0.3])
     assert odds.of(2, 0) in (pytest.approx(0.15), pytest.approx(0.3))
     assert odds.expected(0) == pytest.approx(3.0)
-    assert Odds(ways, np.arange(n), seen, 0.2).of(3, 0) == pytest.approx(0.25)
-    assert Odds(ways._replace(expected=level), np.arange(n), seen, 0.2).of(3, 0) == 0.25
+    assert MissedOdds(ways, np.arange(n), seen, 0.2).of(3, 0) == pytest.approx(0.25)
+    assert MissedOdds(ways._replace(expected=level), np.arange(n), seen, 0.2).of(3, 0) == 0.25
 
 
 def test_a_pair_does_not_tell_of_itself() -> None:
-    ways = Ways(np.arange(4), np.array([1, 2, 2, 2]), np.full(4, 30.0), np.ones(4), np.ones(4))
-    odds = Odds(ways, np.arange(4), np.array([30.0, 6.0, 6.0, 6.0]), 0.5)
+    ways = SkippedPaths(np.arange(4), np.array([1, 2, 2, 2]), np.full(4, 30.0), np.ones(4), np.ones(4))
+    odds = MissedOdds(ways, np.arange(4), np.array([30.0, 6.0, 6.0, 6.0]), 0.5)
     assert odds.of(1, 0) == pytest.approx(0.2)
     assert odds.of(1, 1) == pytest.approx(1.0)
 
 
 def test_no_camera_sees_everything() -> None:
-    ways = Ways(np.arange(4), np.ones(4, np.intp), np.full(4, 90.0), np.ones(4), np.ones(4))
-    assert Odds(ways, np.arange(4), np.zeros(4), 0.5).of(1, 0) == pytest.approx(1 / 9)
-    assert Odds(ways, np.arange(4), np.zeros(4), 0.0).of(1, 0) == 0.0
+    ways = SkippedPaths(np.arange(4), np.ones(4, np.intp), np.full(4, 90.0), np.ones(4), np.ones(4))
+    assert MissedOdds(ways, np.arange(4), np.zeros(4), 0.5).of(1, 0) == pytest.approx(1 / 9)
+    assert MissedOdds(ways, np.arange(4), np.zeros(4), 0.0).of(1, 0) == 0.0

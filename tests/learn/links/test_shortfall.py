@@ -7,7 +7,7 @@ import pytest
 
 from camtopod.learn.learner import Learner
 from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
-from camtopod.learn.links.shortfall import PASSAGES_MIN, Lacking, lacking
+from camtopod.learn.links.shortfall import PASSAGES_MIN, LinkShortfall, shortfall_of
 from camtopod.learn.links.significance import q_values, ratio_needed
 from camtopod.learn.links.transit_time import TransitFigures
 from camtopod.learn.settings import Settings
@@ -43,11 +43,11 @@ def table(*rows: tuple[int, int, float, float, float]) -> LinkTable:
 
 def of(
     *rows: tuple[int, int, float, float, float], held_out: float | None = None, published: int = 0
-) -> Lacking:
+) -> LinkShortfall:
     between = table(
         (7, 7, 1.0, 0.0, 1.0), *[] if held_out is None else [(*rows[0][:3], held_out, 0.5)]
     )
-    return lacking(table(*rows), between, published, 10, HOUR, SETTINGS)
+    return shortfall_of(table(*rows), between, published, 10, HOUR, SETTINGS)
 
 
 @pytest.mark.parametrize("rank", [1, 2, 5])
@@ -67,7 +67,7 @@ def test_a_passage_brings_as_much_as_those_so_far() -> None:
 
 def test_without_held_out_evidence_all_of_it_is_to_come() -> None:
     assert of((0, 1, 10.0, 20.0, 0.5)).passages == pytest.approx([np.log(100 / 0.01) / 2.0])
-    assert lacking(
+    assert shortfall_of(
         table((0, 1, 10.0, 20.0, 0.5)),
         table((0, 1, 1.0, 0.0, 1.0)).rows(np.zeros(0, np.intp)),
         0,

@@ -230,7 +230,7 @@ def test_distance_by_its_definition() -> None:
 
 
 def test_unrelated_zones_are_at_one_and_a_link_far_below() -> None:
-    chance = mahalanobis.chance_variance(-20.0, 120.0)
+    chance = mahalanobis.null_variance(-20.0, 120.0)
     rng = np.random.default_rng(0)
     spread = np.stack([rng.uniform(-20, 120, 5000), rng.normal(8, 2, 5000), np.full(5000, 7.0)])
     found = mahalanobis.distance_variance(spread, chance)

@@ -11,7 +11,7 @@ from synthetic_events import Views
 
 from camtopod.learn.association.candidates import Candidates, find_candidates
 from camtopod.learn.next_camera import contexts as module
-from camtopod.learn.next_camera.contexts import LEVELS, Contexts, Level, multipliers
+from camtopod.learn.next_camera.contexts import LEVELS, ContextLevel, Contexts, multipliers
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
@@ -48,7 +48,7 @@ def anything(seed: int, n: int) -> tuple[Departures, Arrivals, Candidates]:
     return departures, arrivals, find_candidates(departures, arrivals, SHORT, 4)
 
 
-def surely(level: Level, context: int) -> dict[int, float]:
+def surely(level: ContextLevel, context: int) -> dict[int, float]:
     """Return sure transitions of a context by zone."""
     rows = slice(level.first[context], level.first[context + 1])
     return dict(zip(level.target[rows].tolist(), level.transitions[rows].tolist(), strict=True))
@@ -66,7 +66,7 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
     counted, leaving = contexts.count(found, responsibility, gone, leave)
     after, levels = (
         contexts.judged(found, responsibility, share, counted),
-        contexts.named(found, counted),
+        contexts.published_levels(found, counted),
     )
     slow = naive.contexts(
         departures,
@@ -108,7 +108,7 @@ def test_multipliers_are_bounded_ratios(pairs: list[tuple[float, float]]) -> Non
 
 def told(
     views: Views, true: dict[float, float]
-) -> tuple[list[Level], Candidates, Departures, np.ndarray]:
+) -> tuple[list[ContextLevel], Candidates, Departures, np.ndarray]:
     """Return the levels when identities are known.
 
     ``true`` maps the time of an exit to the time of the next appearance.
@@ -126,7 +126,7 @@ def told(
     contexts = Contexts(departures, arrivals, zones, int(max(views.camera)) + 1)
     counted, _ = contexts.count(found, right, gone, leave)
     return (
-        contexts.named(found, counted),
+        contexts.published_levels(found, counted),
         found,
         departures,
         contexts.judged(found, right, share, counted),

@@ -13,7 +13,7 @@ from prediction_quality import prediction_quality
 from bench.regimes import REGIMES
 from camtopod.learn.learner import Learner
 from camtopod.learn.next_camera import fit as module
-from camtopod.learn.next_camera.sampling import FAINT_TRANSITIONS, Sources, with_faint
+from camtopod.learn.next_camera.sampling import FAINT_TRANSITIONS, Sources, add_prior_transitions
 from camtopod.learn.settings import Settings
 from camtopod.topology.lag_bins import LagBins
 
@@ -90,11 +90,11 @@ def test_a_draw_teaches_what_the_same_responsibilities_do(monkeypatch: pytest.Mo
 def test_faint_transitions_are_spread_over_later_lags() -> None:
     source = np.array([0, 0, 1], np.int32)
     hazard, exposed = np.full((3, BINS.size), 0.02, np.float32), np.full((2, BINS.size), 40.0)
-    mixed = with_faint(hazard.copy(), exposed, source, BINS)
+    mixed = add_prior_transitions(hazard.copy(), exposed, source, BINS)
     before = BINS.edges[1:] <= 0
     assert mixed[0, before] == pytest.approx(0.02 * 40 / (40 + 2 * FAINT_TRANSITIONS))
     assert mixed[2, before] == pytest.approx(0.02 * 40 / (40 + FAINT_TRANSITIONS))
-    alone = with_faint(np.zeros_like(hazard), exposed, source, BINS)
+    alone = add_prior_transitions(np.zeros_like(hazard), exposed, source, BINS)
     assert (alone * BINS.widths)[2].sum() * (40 + FAINT_TRANSITIONS) == pytest.approx(
         FAINT_TRANSITIONS
     )

@@ -1,4 +1,4 @@
-"""Whoever a camera misses is seen next where it would have led; how many, the ways around say."""
+"""Skipped cameras: an object missed by a camera is seen next where that camera leads."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from camtopod.learn.next_camera import skipped_cameras as module
 from camtopod.learn.next_camera.fit import Posterior
 from camtopod.learn.next_camera.skipped_cameras import (
     Legs,
-    Through,
+    ViewPaths,
     legs_of,
     skip_hazards,
-    skipped_beside,
-    ways_through,
+    skip_hazards_elsewhere,
+    view_paths,
 )
 from camtopod.learn.traffic.events import Departures
 from camtopod.topology.lag_bins import LagBins
-from camtopod.topology.shared_constants import LEAVE_FLOOR, UNKNOWN_STAY_SECONDS
+from camtopod.topology.shared_constants import LEAVE_FLOOR, UNKNOWN_DWELL_SECONDS
 
 BINS = LagBins(-60.0, 120.0)
 CAMERA = np.array([0, 1, 1, 2, 2, 3], np.int64)
@@ -33,7 +33,10 @@ SITE = Views([0, 1, 1, 2, 2, 3])
 
 
 def walks(seed: int, objects: int, missed: float, span: float = 30_000.0) -> Views:
-    """0 -> (1 2) -> (3 4) -> 5, or off after the first view; each view in between misses some."""
+    """Return walks 0 -> (1 2) -> (3 4) -> 5, or off after the first view.
+
+    The views in between miss some.
+    """
     rng = np.random.default_rng(seed)
     views = Views(SITE.camera.tolist())
     for t in rng.uniform(0, span, objects):
@@ -55,9 +58,7 @@ def learned(views: Views) -> Posterior:
 
 
 def screened(views: Views, pairs: set[tuple[int, int]]) -> tuple[Posterior, Posterior]:
-    """What is learned of the candidates of these pairs of zones only, without and with the ways
-    beside them.
-    """
+    """Learn the candidates of these pairs of zones only, without and with the paths beside them."""
     departures, arrivals = views.columns()
     zones = len(views.camera)
     every = find_candidates(departures, arrivals, BINS, zones)
@@ -112,7 +113,7 @@ def test_as_many_as_are_missed(missed: float) -> None:
 
 
 def test_ways_too_rare_to_be_found_are_foretold(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A site of 12 cameras that miss a tenth, an hour and a half."""
+    """The site has 12 cameras that miss a tenth, recorded for an hour and a half."""
     networks = [REGIMES["short"].make(seed, 0.5) for seed in (20, 21)]
     with_ways = [prediction_quality(*network) for network in networks]
     nothing = lambda *asked: (np.zeros(0, np.int64), np.zeros((0, asked[3].size)))  # noqa: E731
@@ -129,7 +130,7 @@ def test_ways_too_rare_to_be_found_are_foretold(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_ways_that_screening_left_out_are_foretold_beside_the_others() -> None:
-    """Of the odds nothing can be learned from these pairs: they are the first ones, a tenth."""
+    """The odds cannot be learned from these pairs, so they are the initial ones, a tenth."""
     without, found = screened(walks(6, 600, 0.1), {(0, 1), (2, 3), (4, 5), (5, 0)})
     for u, a, b, v in ((0, 1, 2, 3), (2, 3, 4, 5)):
         taken = share(found, u, a) * share(found, b, v)
@@ -174,7 +175,7 @@ def pairs_of(found: Posterior) -> list[tuple[int, int]]:
 
 
 def columns_of(found: Posterior) -> list[np.ndarray]:
-    """All that has a row for each pair."""
+    """Return all columns with a row for each pair."""
     return [found.share, found.doubt, found.fit.hazard]
 
 
@@ -200,14 +201,14 @@ def test_ways_through_equal_loops(seed: int, n: int, tied: float) -> None:
     departures = Departures.untold(
         t, zone, CAMERA[zone].astype(np.int32), since, np.full(n, np.nan)
     )
-    fast = ways_through(departures, entry, CAMERA)
+    fast = view_paths(departures, entry, CAMERA)
     slow = naive.ways_through(
         departures,
         entry,
         CAMERA,
         module.PASSAGE_SHARE_MIN,
         module.TIED_SHARE_MIN,
-        UNKNOWN_STAY_SECONDS,
+        UNKNOWN_DWELL_SECONDS,
     )
     found = {
         (a, b): (p, s) for a, b, p, s in zip(*(column.tolist() for column in fast), strict=True)
@@ -223,10 +224,8 @@ Ways = dict[tuple[int, int], tuple[float, float]]
 
 def some_links(
     seed: int, pairs: int, passages: int
-) -> tuple[np.ndarray, Candidates, Through, Ways]:
-    """Probabilities of appearing by lag, the pairs, and ways through views, as columns and by their
-    zones.
-    """
+) -> tuple[np.ndarray, Candidates, ViewPaths, Ways]:
+    """Return appearance probabilities by lag, pairs, and paths through views, in two forms."""
     rng = np.random.default_rng(seed)
     zones = len(CAMERA)
     key = np.sort(rng.choice(zones * zones, pairs, replace=False))
@@ -238,7 +237,7 @@ def some_links(
     came, left = (np.array([way[k] for way in ways], np.int64) for k in (0, 1))
     passes, seconds = (np.array([through[way][k] for way in ways]) for k in (0, 1))
     candidates = Candidates(none, none, none, np.zeros(0), source, target)
-    return appears, candidates, Through(came, left, passes, seconds), through
+    return appears, candidates, ViewPaths(came, left, passes, seconds), through
 
 
 def legs(appears: np.ndarray, candidates: Candidates) -> Legs:
@@ -275,10 +274,10 @@ def test_skip_hazards_equal_loops(seed: int, pairs: int, passages: int) -> None:
 def test_ways_beside_the_candidates_equal_loops_over_all_pairs(
     seed: int, pairs: int, passages: int
 ) -> None:
-    """As if the pairs that no candidate has were there, and nobody appeared there next."""
+    """Pairs without a candidate count as pairs without an appearance."""
     appears, candidates, through, ways = some_links(seed, pairs, passages)
     zones = len(CAMERA)
-    source, target, hazard = skipped_beside(
+    source, target, hazard = skip_hazards_elsewhere(
         legs(appears, candidates), candidates, through, BINS, zones
     )
     known = candidates.source.astype(int) * zones + candidates.target
@@ -293,7 +292,7 @@ def test_ways_beside_the_candidates_equal_loops_over_all_pairs(
 
 
 def taken(appears: np.ndarray, ways: Ways) -> np.ndarray:
-    """Share that takes the likeliest way over a skipped view, of each pair of zones."""
+    """Return the share of each pair that takes the likeliest path over a skipped view."""
     zones = len(CAMERA)
     share = appears.sum(axis=1)
     result = np.zeros(zones * zones)
@@ -308,10 +307,10 @@ def taken(appears: np.ndarray, ways: Ways) -> np.ndarray:
 
 def test_without_pairs_or_passages_nothing() -> None:
     none, nothing = np.zeros(0, np.int32), np.zeros(0)
-    nowhere = Through(np.zeros(0, np.int64), np.zeros(0, np.int64), nothing, nothing)
+    nowhere = ViewPaths(np.zeros(0, np.int64), np.zeros(0, np.int64), nothing, nothing)
     empty = Candidates(none, none, none, nothing, none, none)
     no_legs = legs(np.zeros((0, BINS.size)), empty)
     assert skip_hazards(no_legs, empty, nowhere, BINS, 3)[1].shape == (0, BINS.size)
-    assert [len(column) for column in skipped_beside(no_legs, empty, nowhere, BINS, 3)] == [0, 0, 0]
+    assert [len(column) for column in skip_hazards_elsewhere(no_legs, empty, nowhere, BINS, 3)] == [0, 0, 0]
     one = empty._replace(source=np.array([0], np.int32), target=np.array([1], np.int32))
     assert not len(skip_hazards(legs(np.full((1, BINS.size), 0.01), one), one, nowhere, BINS, 3)[0])

@@ -16,9 +16,9 @@ from camtopod.learn.next_camera.spurious import (
     NATS_TO_TELL,
     REAL_MIN,
     SPREAD_MIN,
-    doubts,
-    in_character,
-    linked,
+    any_link_probability,
+    real_probability,
+    spurious_shares,
 )
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Prediction, Topology
@@ -38,7 +38,7 @@ def test_by_loops(
     candidates: list[tuple[int, float]], evidence: list[float], left: list[int]
 ) -> None:
     pair, responsibility = (np.array([c[k] for c in candidates]) for k in (0, 1))
-    found = doubts(
+    found = spurious_shares(
         pair.astype(np.int32), responsibility, 6, np.array(evidence), np.array(left, float)
     )
     constants = (
@@ -54,7 +54,7 @@ def test_by_loops(
 
 
 def test_what_is_usual_is_not_doubted_and_what_is_out_of_character_is() -> None:
-    real = in_character(
+    real = real_probability(
         np.array([4.0, 5.0, 6.0, 2.0, 0.1]), np.array([100.0, 100.0, 100.0, 5.0, 5.0])
     )
     assert real[1:3] == pytest.approx([1.0, 1.0])
@@ -65,27 +65,27 @@ def test_what_is_usual_is_not_doubted_and_what_is_out_of_character_is() -> None:
 
 def test_little_evidence_is_in_character_where_all_have_little() -> None:
     each, many = np.array([4.0, 5.0, 6.0, 0.5]), np.full(4, 1e6)
-    assert in_character(0.01 * each, many) == pytest.approx(in_character(each, many), abs=1e-3)
-    apart = in_character(np.array([0.5, 5.0, 50.0, 500.0]), many)
+    assert real_probability(0.01 * each, many) == pytest.approx(real_probability(each, many), abs=1e-3)
+    apart = real_probability(np.array([0.5, 5.0, 50.0, 500.0]), many)
     assert (
-        apart[0] > in_character(each, many)[3] + 0.1
+        apart[0] > real_probability(each, many)[3] + 0.1
     )  # where pairs differ as widely, ten times less is nothing odd
 
 
 def test_a_few_transitions_tell_only_where_each_tells_much() -> None:
     for usual, tells in ((5.0, True), (0.05, False)):
-        real = in_character(usual * np.array([1.0, 1.0, 0.02]), np.array([100.0, 100.0, 4.0]))
+        real = real_probability(usual * np.array([1.0, 1.0, 0.02]), np.array([100.0, 100.0, 4.0]))
         assert (real[2] < 0.1) == tells
         assert (real[2] > 0.6) != tells
 
 
 def test_whether_anything_is_linked_takes_evidence_or_departures_to_tell() -> None:
     few, many = np.zeros(10), np.full(10, 500.0)
-    assert linked(np.zeros(0), few) == pytest.approx(0.5)
-    assert linked(np.zeros(0), many) < 1e-9
-    assert linked(np.array([np.log(100.0)]), many) == pytest.approx(0.5)
-    assert linked(np.array([-20.0, 60.0]), many) == pytest.approx(1.0)
-    assert doubts(
+    assert any_link_probability(np.zeros(0), few) == pytest.approx(0.5)
+    assert any_link_probability(np.zeros(0), many) < 1e-9
+    assert any_link_probability(np.array([np.log(100.0)]), many) == pytest.approx(0.5)
+    assert any_link_probability(np.array([-20.0, 60.0]), many) == pytest.approx(1.0)
+    assert spurious_shares(
         np.zeros(0, np.int32), np.zeros(0), 2, np.array([60.0]), many[:2]
     ) == pytest.approx([0.0, 0.0])
 

@@ -1,4 +1,4 @@
-"""Lag bins, smoothing, local rates and chance rates against their definitions."""
+"""Lag bins, smoothing, local rates and null model rates against their definitions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from camtopod.learn.traffic.background_rate import (
     Chance,
     local_rates,
 )
-from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, LagBins, smoother
+from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, LagBins, lag_smoothing_matrix
 
 BINS = LagBins(-20.0, 120.0)
 
@@ -55,7 +55,7 @@ def test_bins_cover_their_range(
 
 
 def test_zero_is_an_edge() -> None:
-    """So that a bin is either before the exit or after it."""
+    """A bin is either before the exit or after it."""
     assert 0.0 in BINS.edges
 
 
@@ -67,7 +67,7 @@ def test_an_empty_range_is_refused(low: float, high: float) -> None:
 
 @pytest.mark.parametrize("sd_bins", [0.7, 1.2, 6.0])
 def test_smoother_equals_its_slow_twin_and_keeps_mass(sd_bins: float) -> None:
-    spread = smoother(17, sd_bins)
+    spread = lag_smoothing_matrix(17, sd_bins)
     assert spread == pytest.approx(naive.smoothing_kernel(17, sd_bins))
     assert spread.sum(axis=0) == pytest.approx(1.0)
 
@@ -125,7 +125,7 @@ def test_chance_equals_its_slow_twin_as_a_table_and_pair_by_pair(
 
 
 def test_chance_has_no_table_of_many_zones() -> None:
-    """Nothing is worked out, or kept, for pairs that nobody asks for."""
+    """Rates are computed, and stored, only for pairs that are asked for."""
     zones = module.TABLE_ZONES_MAX
     left, came = traffic(1, 50, 3), traffic(2, 50, 3)
     small, large = Chance(*left, *came, zones), Chance(*left, *came, zones + 1)
