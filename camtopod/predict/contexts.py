@@ -6,9 +6,12 @@ before. `camtopod.learn.next_camera.contexts` learns them.
 
 from __future__ import annotations
 
+import itertools
+from array import array
+
 import numpy as np
 
-from camtopod.arrays import Floats
+from camtopod.arrays import Floats, Longs
 from camtopod.predict.hazards import Outcomes
 from camtopod.records import Context, Topology
 from camtopod.topology import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
@@ -28,14 +31,14 @@ class Surroundings:
         rows: list[Context] = (topology.model.contexts if topology.model else None) or []
 
         # Columns with one element for each context.
-        self._departures = np.array([row.departures for row in rows])
-        self._not_seen_again = np.array(
-            [max(row.departures - sum(row.to.values()), 0.0) for row in rows]
+        self._departures = array("d", [row.departures for row in rows])
+        self._not_seen_again = array(
+            "d", [max(row.departures - sum(row.to.values()), 0.0) for row in rows]
         )
 
         # Transitions of all contexts one after the other; those of context k end at `_end[k + 1]`.
         # Zones that this version does not have get the number behind the last zone.
-        self._end = np.cumsum([0, *(len(row.to) for row in rows)])
+        self._end = array("l", itertools.accumulate((len(row.to) for row in rows), initial=0))
         self._to = np.array([index.get(to, len(index)) for row in rows for to in row.to], np.int32)
         self._transitions = np.array([number for row in rows for number in row.to.values()])
         self._zones = len(index)
@@ -79,13 +82,14 @@ class Surroundings:
             keys.append(((None, None, previous), min(sure, 1.0)))
 
         # Each backs off to what is expected without it. Contexts without departures say nothing.
+        targets = np.array(outcomes.targets)
         share, leave = outcomes.share, outcomes.leave
         for key, probability in keys:
             number = numbers.get(key)
             if number is None:
                 continue
             total = self._departures[number] + BACK_OFF_DEPARTURES
-            moved = self._transitions_to(number, outcomes.targets)
+            moved = self._transitions_to(number, targets)
             share_here = (moved + BACK_OFF_DEPARTURES * share) / total
             leave_here = (self._not_seen_again[number] + BACK_OFF_DEPARTURES * leave) / total
             share = probability * share_here + (1.0 - probability) * share
@@ -94,9 +98,9 @@ class Surroundings:
         # Ratio to the share without any context, within limits.
         ratio = share / np.maximum(outcomes.share, 1e-300)
         limited = np.minimum(np.maximum(ratio, 1.0 / MULTIPLIER_MAX), MULTIPLIER_MAX)
-        return limited, max(float(leave), LEAVE_FLOOR)
+        return limited, max(leave, LEAVE_FLOOR)
 
-    def _transitions_to(self, number: int, targets: list[int]) -> Floats:
+    def _transitions_to(self, number: int, targets: Longs) -> Floats:
         """Return the number of transitions (targets,) to each target in a context."""
         of_context = slice(self._end[number], self._end[number + 1])
         by_zone = np.zeros(self._zones + 1)

@@ -15,7 +15,7 @@ import numpy as np
 
 from camtopod.predict.open_passages import OpenPassages, Passage
 from camtopod.records import InView, Look, NextCamera, Topology
-from camtopod.topology import LAG_SCALE_SECONDS, LAG_STEP, STEPS, offset_bins, masses_on_bins
+from camtopod.topology import LAG_SCALE_SECONDS, LAG_STEP, STEPS, masses_on_bins, offset_bins
 
 SHARE_MAX = 0.98
 """Largest probability that another camera sees the object, before its open passages are known."""
@@ -46,7 +46,10 @@ class HandOver:
         self._bins = offset_bins(scale, step)
         self._from: dict[str, list[_Overlap]] = {}
         for row in (model.overlaps if model else None) or []:
-            same, others = masses_on_bins(row.same, self._bins), masses_on_bins(row.others, self._bins)
+            same, others = (
+                masses_on_bins(row.same, self._bins),
+                masses_on_bins(row.others, self._bins),
+            )
 
             # Smaller rates are stored as 0.
             resolution = max(float(others.max()) / STEPS, RATE_MIN)

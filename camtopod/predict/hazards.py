@@ -9,7 +9,6 @@ from collections.abc import Set
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camtopod.arrays import Bools, Floats, Ints, Rows, Singles
 from camtopod.records import Link, Onward, Topology
@@ -56,7 +55,9 @@ class Outcomes(NamedTuple):
 
         Transitions over a long path are always exposed.
         """
-        return np.where(self.delay[:, None] > 0.0, 1.0, exposure)
+        is_long = (self.delay > 0.0).astype(float)
+        either: Floats = np.maximum(exposure, is_long[:, None])
+        return either
 
 
 class Hazards:
@@ -173,7 +174,8 @@ class Hazards:
 
         True only for zones of other cameras.
         """
-        return self._seen_before[zone]
+        possible: Bools = self._seen_before[zone]
+        return possible
 
     def exposed(self, stay: float) -> Floats:
         """Return the share (bins,) of each lag bin that lies within a passage, or after it.
@@ -357,8 +359,9 @@ class Hazards:
         hazard (n, bins): hazards of the targets.
         shift (n, seconds): added to lags to get the time at which arrivals are reported.
         """
-        possible: NDArray[np.bool_] = (hazard > 0.0) & (self.bins.edges[:-1] < -shift[:, None])
-        return possible.any(axis=1)
+        reported: Bools = self.bins.edges[:-1] < -shift[:, None]
+        possible: Bools = np.any(reported & (hazard > 0.0), axis=1)
+        return possible
 
 
 def _lag_range(topology: Topology) -> tuple[float, float]:

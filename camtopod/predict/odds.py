@@ -69,8 +69,9 @@ class SeenArrivals(NamedTuple):
 
     def take(self, rows: Rows) -> SeenArrivals:
         """Return some of the arrivals."""
-        columns = (column[rows] for column in (self.zone, self.t, self.rate, self.before))
-        return SeenArrivals(*columns, self.remembered)
+        return SeenArrivals(
+            self.zone[rows], self.t[rows], self.rate[rows], self.before[rows], self.remembered
+        )
 
 
 class Odds(NamedTuple):
@@ -206,7 +207,8 @@ def prior_mass(
     if query.elapsed:
         return mass * unknown_share(edges, query.elapsed, remembered, table.report_shift)
     # At the exit, bins count whole if any arrival in them would be reported later.
-    return np.where(edges[1:] > -table.report_shift[:, None], mass, 0.0)
+    mass *= edges[1:] > -table.report_shift[:, None]
+    return mass
 
 
 def rate_entered(query: Query, hazards: Hazards, seen: SeenArrivals) -> Floats:

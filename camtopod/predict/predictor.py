@@ -306,16 +306,17 @@ class Predictor:
         t: corrected time of the exit; began: that of the entry, minus infinity if unknown.
         """
         # Recent enough.
-        arrivals, offsets = self._arrivals, self._site.offset_of
+        times, zones = self._arrivals.t, self._arrivals.zone
         oldest = max(t + self._hazards.bins.lag_min, began)
-        rows = np.flatnonzero(arrivals.t >= oldest)
+        [rows] = (times >= oldest).nonzero()
 
-        # At zones where objects may appear before they leave here.
-        rows = rows[self._hazards.seen_before(zone)[arrivals.zone[rows]]]
-
-        # Reported before the exit.
-        shift = offsets[arrivals.zone[rows]] - offsets[zone]
-        return rows[arrivals.t[rows] + shift < t]
+        # At zones where objects may appear before they leave here, and reported before the exit.
+        offsets = self._site.offset_of
+        there = zones[rows]
+        fits = self._hazards.seen_before(zone)[there]
+        fits &= times[rows] + (offsets[there] - offsets[zone]) < t
+        before: Rows = rows[fits]
+        return before
 
     def _is_open(self, row: int, t: float) -> bool:
         """Return True if the passage that began with an arrival (row) had not ended before ``t``.
@@ -337,7 +338,8 @@ class Predictor:
         It follows from the events of others since a camera's last event.
         """
         nats = (self._events - self._last_event) * self._site.event_share
-        return 1.0 / (1.0 + DEAD_PRIOR * np.exp(np.minimum(nats, SILENCE_NATS_MAX)))
+        is_alive: Floats = 1.0 / (1.0 + DEAD_PRIOR * np.exp(np.minimum(nats, SILENCE_NATS_MAX)))
+        return is_alive
 
     # --- Observed events ---
 

@@ -14,11 +14,11 @@ import numpy as np
 from camtopod.arrays import Floats
 from camtopod.records import Topology
 from camtopod.topology import (
+    DWELL_SECONDS_MIN,
     LAG_SECONDS_MIN,
     LAG_STEP,
     SLOWNESS_MAX,
     SMOOTHING_SD_BINS,
-    DWELL_SECONDS_MIN,
 )
 
 NORMAL_Q90 = 1.2816
@@ -85,26 +85,24 @@ def windows_at_pace(pace: Pace | None, lags: Floats, transitions: Floats) -> Flo
     transitions (n,): transitions that the quantiles rest on, which decide how much the hazards
         were smoothed.
     """
-    # Short lags do not scale with speed, nor do lags before the exit.
-    scales = lags[:, 1] > LAG_SECONDS_MIN
-    if pace is None or not scales.any():
+    if pace is None:
         return lags
-    q10, q50, q90 = lags[scales].T
 
-    # Widths to both sides of the median, without smoothing and with the uncertainty of the pace.
-    below = np.log(q50 / np.minimum(np.maximum(q10, LAG_SECONDS_MIN), q50))
-    below = np.hypot(_without_smoothing(below, transitions[scales]), pace.spread)
-    above = np.hypot(_without_smoothing(np.log(q90 / q50), transitions[scales]), pace.spread)
+    # Widths (n, 2) of the window below and above the median, log scale.
+    bounded = np.maximum(lags, LAG_SECONDS_MIN)
+    logs = np.log(bounded)
+    width = logs[:, 1:] - logs[:, :-1]
 
-    # The new quantiles.
-    low = np.where(q10 > 0, q50 * np.exp(-below), q10)
-    adjusted = lags.copy()
-    adjusted[scales] = np.stack((low, q50, q50 * np.exp(above)), axis=1) * pace.factor
-    return adjusted
+    # Take out what smoothing the hazards has added, and add the uncertainty of the pace.
+    smoothing = np.count_nonzero(transitions[:, None] < _SMOOTHING_TRANSITIONS, axis=1)
+    added = _SMOOTHING_WIDTHS[smoothing, None]
+    width = np.sqrt(np.maximum(width**2 - added**2, (SHARP_MIN * width) ** 2) + pace.spread**2)
 
+    # The quantiles at this pace. Lags before the exit keep their width.
+    adjusted = lags * pace.factor
+    adjusted[:, 2] = adjusted[:, 1] * np.exp(width[:, 1])
+    low = adjusted[:, 1] * np.exp(-width[:, 0])
+    adjusted[:, 0] = np.where(lags[:, 0] > 0, low, adjusted[:, 0])
 
-def _without_smoothing(width: Floats, transitions: Floats) -> Floats:
-    """Return the widths (n,) of windows (log scale) less what smoothing the hazards has added."""
-    smoothing = (transitions[:, None] < _SMOOTHING_TRANSITIONS).sum(axis=1)
-    added = _SMOOTHING_WIDTHS[smoothing]
-    return np.sqrt(np.maximum(width**2 - added**2, (SHARP_MIN * width) ** 2))
+    # Short lags do not scale with speed.
+    return np.where(lags[:, 1:2] > LAG_SECONDS_MIN, adjusted, lags)

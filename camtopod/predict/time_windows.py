@@ -12,7 +12,7 @@ WINDOW = (0.1, 0.5, 0.9)
 
 def scale_lags(lags: Floats, factor: float) -> Floats:
     """Return lags (seconds) times a factor; lags before the exit do not scale with speed."""
-    return np.where(lags > 0, factor * lags, lags)
+    return lags if factor == 1.0 else np.where(lags > 0, factor * lags, lags)
 
 
 def unknown_share(edges: Floats, elapsed: float, remembered: float, shift: Floats) -> Floats:
@@ -52,8 +52,7 @@ def quantiles(mass: Floats, edges: Floats) -> Floats:
 
     # Bin in which it is reached.
     row = np.arange(len(mass))[:, None]
-    at = (below[:, None, :] <= wanted[:, :, None]).sum(axis=2) - 1
-    at = np.minimum(at, len(edges) - 2)
+    at = np.argmax(below[:, None, :] > wanted[:, :, None], axis=2) - 1
 
     # Interpolate within the bin.
     seconds_per_mass = (edges[at + 1] - edges[at]) / (below[row, at + 1] - below[row, at])

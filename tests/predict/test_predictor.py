@@ -45,10 +45,10 @@ from camtopod.sim.truth import Truth
 from camtopod.topology.lag_bins import LagBins
 from camtopod.topology.shared_constants import (
     BACK_OFF_DEPARTURES,
+    DWELL_SECONDS_MIN,
     LEAVE_FLOOR,
     MULTIPLIER_MAX,
     SLOWNESS_MAX,
-    DWELL_SECONDS_MIN,
 )
 
 COV = [[0.001, 0.0], [0.0, 0.001]]
