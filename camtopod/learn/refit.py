@@ -7,7 +7,7 @@ finds into versions. The steps, with the thesis's section:
 1. visible links and usual dwell times: passages through one view (4.1)
 2. silent cameras, and views that overlap (4.5)
 3. candidates: departures and arrivals that may be of one object
-4. joint fit: which of them are (4.1, 4.3)
+4. joint fit: which of them are (4.4)
 5. evidence of each pair of zones, by cross-validation (4.4)
 6. changes: links that have opened or closed
 7. the prediction model: where objects appear next, all weak evidence included (4.6)

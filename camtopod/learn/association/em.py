@@ -11,7 +11,11 @@ and clutter (Williams and Lau, IEEE Trans. AES 50(4), 2014), one sweep an iterat
 is judged by the hazard that the others make (leave one out). The M step counts. Marinakis and Dudek
 (2005) sample what is summed here.
 
-`Em` knows the hazards of pairs of zones. A fit may add `Term`s (further ways in which a departure
+A departure is *exposed* to a lag if an arrival after that lag would have been seen: the window
+lasts long enough, or, for a negative lag, the passage had begun.
+
+`Em` knows the hazards of pairs of zones. `run` iterates `expect` (E step) and `maximise` (M step),
+which are the places to begin reading. A fit may add `Term`s (further ways in which a departure
 causes an arrival), a prior, and what contexts say of single candidates and departures.
 
 There may be millions of candidates. Only one array of a kind is kept for all of them; intermediate
@@ -298,7 +302,10 @@ class Em:
         self._drawn = None
 
     def summed(self, index: Indices, size: int) -> Floats:
-        """Return the responsibilities summed by an ``index`` (M,), (size,)."""
+        """Return the sums (size,) of the responsibilities that have the same index.
+
+        index (M,): number below ``size`` of each candidate, such as its pair of zones.
+        """
         total = np.zeros(size)
         for part in self._telling:
             np.add.at(total, index[part].astype(np.intp), self.responsibility[part].astype(float))
@@ -398,7 +405,10 @@ class Em:
         return each if of is None else np.bincount(of, each, minlength=len(of)).astype(float)[of]
 
     def after_exit(self, hazard: Singles, rows: slice) -> Singles:
-        """Return all hazards (rows, bins) of some pairs that count from the exit."""
+        """Return the hazards (rows, bins) of some pairs whose lags count from the exit.
+
+        Those of all terms are included.
+        """
         result = hazard[rows]
         for term in self.terms:
             result = term.after_exit(result, rows)

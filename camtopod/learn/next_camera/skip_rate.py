@@ -73,9 +73,12 @@ class SkippedCameras:
         self.rows, self.share, self._cell = rows, share, np.zeros(0, np.int32)
 
     def rates(self, here: slice, responsibility: Singles) -> Singles:
-        """Return the hazards of a slice of `rows` at the current odds.
+        """Return the hazards of some candidates at the current odds of a missed passage.
 
-        They come from other pairs of zones, so no candidate is left out of its own.
+        The hazards come from other pairs of zones, so no candidate contributes to its own, and
+        the responsibilities are not needed.
+
+        here: slice of `rows`.
         """
         rates: Singles = self.odds * self._unit.take(self._cell[here])
         return rates
