@@ -199,7 +199,7 @@ class Beside:
 
 def keep_house(pipe: Connection, config: Config, now: Any) -> None:
     """Run the daemons, one after the other, on the same state and by the clock ``now``."""
-    memory.limit_arenas()
+    memory.tune_allocator()
     daemon: Daemon | None = None
     with contextlib.suppress(EOFError):
         while True:
@@ -226,7 +226,6 @@ def keep_house(pipe: Connection, config: Config, now: Any) -> None:
                     pipe.send([(number, event.camera, event.seq) for number, event in newer])
                 case "tidy":  # collect reference cycles of earlier daemons
                     gc.collect()
-                    memory.give_back()
                     pipe.send(True)
                 case "stop" if daemon is not None:
                     daemon.stop()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import queue
 import signal
 import subprocess
 import sys
@@ -21,18 +20,14 @@ from test_recovery import EVENTS, SETTINGS, Installation, uninterrupted
 
 from camtopod import codec
 from camtopod.codec import to_pack
-from camtopod.learn.learner import Learner
 from camtopod.records import Event
-from camtopod.serve.learner_process import feeder, messages, recovery
+from camtopod.serve.learner_process import feeder, recovery
 from camtopod.serve.learner_process.messages import (
     Answer,
     Begin,
-    Board,
     Made,
-    NewEpoch,
     Portion,
     Question,
-    Save,
     Show,
     Shown,
     Taught,
@@ -40,8 +35,6 @@ from camtopod.serve.learner_process.messages import (
     Told,
 )
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
-from camtopod.serve.learner_process.worker import Pupil
-from camtopod.serve.runtime import memory
 from camtopod.sharding.assignment import Sharding
 
 FAULTY = "learners.faulty"
@@ -126,23 +119,6 @@ def test_what_the_terminal_and_systemd_tell_the_group_is_not_for_it(
 
 def test_the_signals_of_whoever_starts_it_stay_as_they_were(process: LearnerProcess) -> None:
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
-
-
-def test_what_a_snapshot_took_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It takes as much memory as all that is learned; it is made at most once in a version."""
-    done: list[str] = []
-    monkeypatch.setattr(memory, "give_back", lambda: done.append("given back"))
-    monkeypatch.setattr(messages, "send", lambda _, answer: done.append(type(answer).__name__))
-    monkeypatch.setattr(os, "nice", lambda _: 0)
-    asked: queue.SimpleQueue[Question] = queue.SimpleQueue()
-    for question in (Begin(SETTINGS, "s", "E", {}, False), Save(), NewEpoch("F")):
-        asked.put(question)
-    with (
-        contextlib.closing(Board()) as board,
-        pytest.raises(ValueError, match="without a version mismatch"),
-    ):
-        Pupil(asked, -1, board, Learner).work()
-    assert done == ["Taught", "Saved", "given back"]
 
 
 def test_what_is_printed_there_is_no_answer(

@@ -1,12 +1,10 @@
-"""Freed memory is returned to the system, and the collector does not scan permanent objects."""
+"""Freed memory is returned to the system, and events need no garbage collection."""
 
 from __future__ import annotations
 
 import gc
 import subprocess
 import sys
-import weakref
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,54 +12,35 @@ import pytest
 from camtopod.records import Event
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.ingest.inbox import Message
-from camtopod.serve.runtime import memory
 from camtopod.serve.storage.journal import Entry
 
 RESIDENT = """
 import os, threading, sys
 from pathlib import Path
-from camtopod.serve import memory
-if sys.argv[1] == "limited":
-    memory.limit_arenas()
+from camtopod.serve.runtime import memory
+if sys.argv[1] == "tuned":
+    memory.tune_allocator()
 
 def resident_bytes():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 """
 
-COME_AND_GO = f"""{RESIDENT}
-def work(kept):
-    mine = [bytearray(3000) for _ in range(20000)]
-    kept.append(mine[::100])
-
-kept = []
-for _ in range(6):
-    threads = [threading.Thread(target=work, args=(kept,)) for _ in range(4)]
-    [thread.start() for thread in threads]
-    [thread.join() for thread in threads]
-if sys.argv[1] == "limited":
-    memory.give_back()
-print(resident_bytes())
-"""
-
-FIT = f"""{RESIDENT}
+THREADS = f"""{RESIDENT}
 def work():
     fitted = [bytearray(60_000) for _ in range(300)]
     del fitted
-    all_done.wait()  # as long as others live, a thread that ends leaves its arena to nobody
+    all_done.wait()  # a thread that ends would leave its arena to another
 
-bytearray(30_000_000)  # from now on glibc keeps as much in hand
+bytearray(30_000_000)  # raises glibc's dynamic threshold, up to which it keeps free memory
 before, all_done = resident_bytes(), threading.Barrier(3)
 threads = [threading.Thread(target=work) for _ in range(3)]
 [thread.start() for thread in threads]
 [thread.join() for thread in threads]
-memory.give_back()
 print(resident_bytes() - before)
 """
 
 VERSIONS = f"""{RESIDENT}
-if sys.argv[1] == "limited":
-    memory.keep_large_apart()
-bytearray(30_000_000)  # from now on glibc keeps as much in hand
+bytearray(30_000_000)  # raises glibc's dynamic threshold, up to which it keeps free memory
 before, kept = resident_bytes(), []
 for size in range(2_000_000, 8_000_000, 500_000):
     version = bytearray(size)
@@ -72,133 +51,42 @@ print(resident_bytes() - before)
 
 JOURNAL = f"""{RESIDENT}
 from camtopod.serve.storage.journal import Journal, Snapshot, StoredVersion
-journal = Journal(Path(sys.argv[1]))
+journal = Journal(Path(sys.argv[2]))
 before = resident_bytes()
 for number in (1, 2):
     version = StoredVersion("E", number, "digest", os.urandom(20_000_000))
     journal.commit([], [version], Snapshot(number, "E", version.content))
 del version
-memory.give_back()
 print(resident_bytes() - before)
 """
 
 
-def measured(program: str) -> dict[str, int]:
-    """Return the program's output, bytes: with limited arenas, and with glibc's default."""
-    return {
-        how: int(
-            subprocess.run(
-                [sys.executable, "-c", program, how], capture_output=True, check=True
-            ).stdout
-        )
-        for how in ("limited", "as it is")
-    }
+def measured(program: str, how: str, *arguments: str) -> int:
+    """Return what the program prints: bytes that it has in memory in addition."""
+    command = [sys.executable, "-c", program, how, *arguments]
+    return int(subprocess.run(command, capture_output=True, check=True).stdout)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="glibc only")
-def test_threads_that_come_and_go_leave_less_behind() -> None:
-    resident = measured(COME_AND_GO)
-    assert resident["limited"] < 0.8 * resident["as it is"]
+def test_what_several_threads_have_freed_is_returned() -> None:
+    assert measured(THREADS, "tuned") < 8e6
+    assert measured(THREADS, "untuned") > 15e6, "else the program tests nothing"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="glibc only")
-def test_what_a_fit_took_in_any_thread_is_given_back() -> None:
-    kept = measured(FIT)
-    assert kept["limited"] < 2_000_000
-    assert kept["as it is"] > 5_000_000, "the canary: the end of another arena than the first stays"
-
-
-class Circle:
-    """Refers to itself."""
-
-    def __init__(self) -> None:
-        self.itself = self
-
-
-@pytest.fixture
-def thawed() -> Iterator[None]:
-    yield
-    gc.unfreeze()
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="glibc only")
-def test_what_is_large_leaves_no_holes_behind() -> None:
-    bytes_more = measured(VERSIONS)
-    assert bytes_more["limited"] < 1e6 < 5e6 < bytes_more["as it is"]
+def test_large_blocks_leave_no_holes_behind() -> None:
+    assert measured(VERSIONS, "tuned") < 1e6
+    assert measured(VERSIONS, "untuned") > 5e6, "else the program tests nothing"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="glibc only")
 def test_what_is_in_the_journal_does_not_stay_in_memory(tmp_path: Path) -> None:
-    ran = subprocess.run(
-        [sys.executable, "-c", JOURNAL, str(tmp_path)], capture_output=True, check=True
-    )
-    assert int(ran.stdout) < 10e6
+    assert measured(JOURNAL, "tuned", str(tmp_path)) < 10e6
 
 
-@pytest.mark.usefixtures("thawed")
-def test_the_collector_does_not_go_through_what_is_kept() -> None:
-    began = []
-
-    def collecting(phase: str, info: dict[str, int]) -> None:
-        began.append((phase, info["generation"]))
-
-    with memory.kept():
-        gc.callbacks.append(collecting)
-        made = [[number] for number in range(100_000)]  # enough for each generation to be collected
-        gc.callbacks.remove(collecting)
-    assert began == []
-    assert gc.isenabled()
-    known = {id(one) for one in gc.get_objects()}
-    assert not known & {id(one) for one in made}
-
-
-@pytest.mark.usefixtures("thawed")
-def test_circles_among_what_was_kept_go_when_it_is_thorough() -> None:
-    with memory.kept():
-        circle = Circle()
-    gone = weakref.ref(circle)
-    del circle
-    gc.collect()
-    assert gone() is not None
-    with memory.kept(thorough=True):
-        pass
-    assert gone() is None
-
-
-@pytest.mark.usefixtures("thawed")
-def test_a_program_that_does_not_collect_goes_on_without() -> None:
-    gc.disable()
-    try:
-        with memory.kept():
-            pass
-        assert not gc.isenabled()
-    finally:
-        gc.enable()
-
-
-def test_the_collector_does_not_go_through_events_on_their_way() -> None:
-    """In a flood that would take longer than decoding them."""
+def test_the_garbage_collector_does_not_track_events() -> None:
+    """In a flood it would take longer to visit them than to decode them."""
     event, entry = Event("a", "exit", 1.0), Entry("event", "a", None, None, b"raw")
     assert not any(
         gc.is_tracked(one) for one in (event, entry, Received(entry, event), Message("a", b"raw"))
     )
-
-
-def test_the_collector_looks_seldom(threshold: None) -> None:
-    passes: list[str] = []
-    gc.callbacks.append(lambda phase, info: passes.append(phase))
-    memory.collect_rarely()
-    kept = [[k] for k in range(memory.YOUNG_MAX // 2)]
-    assert not passes
-    kept += [[k] for k in range(memory.YOUNG_MAX)]
-    assert passes == ["start", "stop"], "it looks, though"
-
-
-@pytest.fixture
-def threshold() -> Iterator[None]:
-    """Restore the collector's threshold."""
-    before, told = gc.get_threshold(), gc.callbacks.copy()
-    gc.collect()
-    yield
-    gc.set_threshold(*before)
-    gc.callbacks[:] = told

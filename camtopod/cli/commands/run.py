@@ -67,9 +67,7 @@ def _shard(text: str) -> tuple[int, int]:
 def run(args: argparse.Namespace) -> int:
     """Run the daemon until SIGTERM or SIGINT."""
     # Tune memory and thread switching before any work.
-    memory.limit_arenas()
-    memory.keep_large_apart()
-    memory.collect_rarely()
+    memory.tune_allocator()
     sys.setswitchinterval(SWITCH_SECONDS)
     start_logging(args)
     faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
@@ -113,7 +111,6 @@ def _run(daemon: Daemon, args: argparse.Namespace, config: Config, told: SignalR
     """Start the daemon, then reload on SIGHUP until a signal ends it or a part of it fails."""
     if not daemon.start(told.stop):
         return
-    memory.settle()
     try:
         systemd.notify("READY=1", systemd.status(f"running at {daemon.endpoint}"))
         while not told.stop.wait(_LOOK_SECONDS):

@@ -108,7 +108,6 @@ class Pupil:
                     )
                 case Save():
                     self._tell(Saved(self._save()))
-                    memory.give_back()  # the packed state took as much as the learner
                 case NewEpoch():
                     raise ValueError("a new epoch was sent without a version mismatch")
 
@@ -166,16 +165,13 @@ class Pupil:
     ) -> Learner | ShardLearner:
         if portion is not None:
             return ShardLearner(settings, portion.sharding, portion.shard, site, epoch)
-        learner = self._kind(settings, site, epoch)
-        learner.on_step = lambda step: memory.give_back()
-        return learner
+        return self._kind(settings, site, epoch)
 
     def _change(self, change: Callable[[LearnerState], LearnerState]) -> None:
         """Continue with a changed state; only a new learner can load one."""
         match self._learner:
             case Learner() as learner:
                 changed = self._kind(learner.settings, learner.site, learner.epoch)
-                changed.on_step = learner.on_step
                 changed.load(change(learner.save()))
                 self._learner = changed
             case ShardLearner() as shard:
@@ -249,7 +245,6 @@ class Pupil:
         while made := self._learner.updates():
             for topology in made:
                 self._hand_out(topology)
-            memory.give_back()  # a fit takes a lot for a moment
 
     def _hand_out(self, topology: Topology) -> None:
         """Send a version if it is new.
@@ -306,8 +301,7 @@ def main(learner: type[Learner] = Learner) -> None:
     """Learn until the daemon ends; never returns."""
     # Limit memory, and keep stray prints out of the answers.
     faulthandler.enable()
-    memory.limit_arenas()
-    memory.keep_large_apart()
+    memory.tune_allocator()
     out = os.dup(1)
     os.dup2(2, 1)
     asked: queue.SimpleQueue[Question] = queue.SimpleQueue()

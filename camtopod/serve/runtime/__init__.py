@@ -2,14 +2,13 @@
 
 Read `clock` (wall clock, steady clock, ULIDs) and `progress` (watch whether loops make progress)
 first. `systemd` reports both to the service manager. `rejects` counts malformed input, `reload`
-compares configurations, `background_work` and `memory` keep the learner from delaying the other
-threads, and `ownership` has the default answer to "which shard owns this camera".
+compares configurations, `memory` tunes the allocator, and `ownership` has the default answer to
+"which shard owns this camera".
 """
 
 from __future__ import annotations
 
 from camtopod.serve.runtime import clock, memory, systemd
-from camtopod.serve.runtime.background_work import Leisure, let_go
 from camtopod.serve.runtime.clock import Clock, steady_clock_for, ulid, wall
 from camtopod.serve.runtime.ownership import owns_every_camera
 from camtopod.serve.runtime.progress import Beat, Heartbeat, Progress, no_beat
@@ -22,12 +21,10 @@ __all__ = [
     "Beat",
     "Clock",
     "Heartbeat",
-    "Leisure",
     "Progress",
     "Rejects",
     "changed_settings",
     "clock",
-    "let_go",
     "memory",
     "no_beat",
     "owns_every_camera",
