@@ -27,7 +27,7 @@ from camtopod.serve.ingest.puller import read_batch
 from camtopod.serve.ingest.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Receiver
 from camtopod.serve.live_predictions import Live
 from camtopod.serve.outbox.spool import SpoolBatch
-from camtopod.serve.runtime.ownership import everything
+from camtopod.serve.runtime.ownership import owns_every_camera
 from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot
 from camtopod.serve.storage.packed_version import Version
@@ -49,7 +49,7 @@ class Bench:
     """A receiver on a journal; time stands still at `T0`."""
 
     def __init__(
-        self, directory: Path, owns: Callable[[str], bool] = everything, **limits: float
+        self, directory: Path, owns: Callable[[str], bool] = owns_every_camera, **limits: float
     ) -> None:
         self.journal, self.bus = Journal(directory), Acks()
         self.learned: list[Received] = []
@@ -308,7 +308,7 @@ def test_a_version_that_could_not_be_stored_at_the_end_is_stored_before_a_snapsh
     bench.receiver.storing.on_version(first_version())
     bench.work()
     full = False
-    bench.receiver.storing.last_words(Snapshot(0, "E", b"state"))
+    bench.receiver.storing.store_remaining(Snapshot(0, "E", b"state"))
     assert bench.journal.snapshots() == [Snapshot(0, "E", b"state")]
     assert list(bench.journal.versions("E")) == [1]
 
@@ -317,7 +317,7 @@ def test_the_last_snapshot_handed_over_is_stored_though_nothing_was_learned_sinc
     bench: Bench,
 ) -> None:
     bench.receiver.storing.on_snapshot(Snapshot(0, "E", b"state"))
-    bench.receiver.storing.last_words(None)
+    bench.receiver.storing.store_remaining(None)
     assert len(bench.journal.snapshots()) == 1
 
 
@@ -516,7 +516,7 @@ def test_a_journal_that_turns_out_to_be_damaged_ends_the_work_and_holds_up_no_en
     with pytest.raises(Damaged):
         bench.work()
     assert bench.bus.seen == []
-    bench.receiver.storing.last_words(Snapshot(0, "E", b"state"))
+    bench.receiver.storing.store_remaining(Snapshot(0, "E", b"state"))
     assert (
         "the last versions and snapshot could not be stored: the journal is damaged" in caplog.text
     )

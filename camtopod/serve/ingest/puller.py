@@ -17,7 +17,7 @@ from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus, QueryError
 from camtopod.serve.ingest.admission import SpoolAnswer
 from camtopod.serve.outbox import SpoolBatch
-from camtopod.serve.runtime import Mark, Rejects
+from camtopod.serve.runtime import Heartbeat, Rejects
 
 log = logging.getLogger(__name__)
 
@@ -77,7 +77,7 @@ class Puller:
         """Use other limits from now on. Any thread."""
         self._limits = limits
 
-    def work(self, stopping: threading.Event, mark: Mark | None = None) -> None:
+    def work(self, stopping: threading.Event, mark: Heartbeat | None = None) -> None:
         """Pull until ``stopping``.
 
         mark: shows a stall if a query never ends.

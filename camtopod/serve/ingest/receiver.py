@@ -48,7 +48,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from camtopod.config import Limits
 from camtopod.event_time import MICROSECONDS
 from camtopod.event_time import EventTime as LearnedTime
-from camtopod.serve.bus import Bus, Ear, Heard
+from camtopod.serve.bus import Bus, Heard, Subscription
 from camtopod.serve.ingest.acks import Acks
 from camtopod.serve.ingest.admission import SpoolAnswer, read_message
 from camtopod.serve.ingest.camera_registry import Cameras, Received
@@ -56,8 +56,8 @@ from camtopod.serve.ingest.duplicates import Duplicates
 from camtopod.serve.ingest.inbox import Inbox, Message
 from camtopod.serve.ingest.stages import Round, Stages
 from camtopod.serve.ingest.store_queue import Handover
-from camtopod.serve.runtime import Beat, Clock, everything, no_beat, steady_beside
-from camtopod.serve.storage import Journal, Storing, Version, rewind
+from camtopod.serve.runtime import Beat, Clock, no_beat, owns_every_camera, steady_clock_for
+from camtopod.serve.storage import Journal, JournalWriter, Version, rewind
 
 log = logging.getLogger(__name__)
 
@@ -115,14 +115,14 @@ class Receiver:
         publish: Callable[[Version], None],
         see: Callable[[list[Received], float], None],
         steady: Clock | None = None,
-        owns: Callable[[str], bool] = everything,
+        owns: Callable[[str], bool] = owns_every_camera,
         daemon: str = "",
         learned_time: LearnedTime | None = None,
         boxes: Mapping[str, str] | None = None,
         corrected: Callable[[float], tuple[str, str]] | None = None,
     ) -> None:
         # Settings, clocks and callbacks.
-        self._limits, self._clock, self._steady = limits, clock, steady or steady_beside(clock)
+        self._limits, self._clock, self._steady = limits, clock, steady or steady_clock_for(clock)
         self._see, self._learn, self._learner_room = see, learn, room
         self._learned_time, self._corrected = learned_time or LearnedTime(0.0), corrected
 
@@ -133,7 +133,7 @@ class Receiver:
         self._acks = Acks(bus, stored, owns, daemon, self._learned_time)
         self._stages = Stages(self.cameras, self.duplicates, self._acks, limits, self._room, owns)
         self._queue = Handover()
-        self.storing = Storing(journal, clock, self._steady, publish)
+        self.storing = JournalWriter(journal, clock, self._steady, publish)
         self._beat: Beat = no_beat
 
         # Parts of the stages that the status and the puller read.
@@ -142,7 +142,7 @@ class Receiver:
         self.with_spool = self._stages.with_spool
 
         # What waits to be put in order, and whose turn it is.
-        self.ear: Ear | None = None
+        self.ear: Subscription | None = None
         """The subscription that `listen` reads; None if `on_event` is called instead."""
         self._inbox = Inbox(
             limits.inbox_events_max,
@@ -326,7 +326,9 @@ class Receiver:
 
     # --- the path ---------------------------------------------------------------------------------
 
-    def _round(self, messages: Sequence[Message | SpoolAnswer], ear: Ear | None = None) -> None:
+    def _round(
+        self, messages: Sequence[Message | SpoolAnswer], ear: Subscription | None = None
+    ) -> None:
         """Move messages along the path, up to the queue to be stored.
 
         Admission and sequencing are not in the list of stages, as they go message by message: an
@@ -412,10 +414,10 @@ class Receiver:
             (watermark or 0) / MICROSECONDS - to,
             begun,
         )
-        entry, lesson = rewind(to, ended, begun)
+        entry, for_learner = rewind(to, ended, begun)
         self._stages.idle_time.rewind()
         self._stages.merge.rewind(to)
-        self._queue.put([Received(entry, rewind=lesson)])
+        self._queue.put([Received(entry, rewind=for_learner)])
 
     # --- the journal ------------------------------------------------------------------------------
 

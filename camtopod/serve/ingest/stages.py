@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from camtopod.config import Limits
-from camtopod.serve.bus import Ear
+from camtopod.serve.bus import Subscription
 from camtopod.serve.ingest.acks import Acks
 from camtopod.serve.ingest.admission import Admission, SpoolAnswer
 from camtopod.serve.ingest.backlog import Merge
@@ -44,7 +44,7 @@ class Round(NamedTuple):
     wall: float
     now: float
     limits: Limits
-    ear: Ear | None = None
+    ear: Subscription | None = None
 
 
 class Stages:
