@@ -93,7 +93,7 @@ def manual() -> str:
     lines = [
         f'.TH CAMTOPOD 1 {_DATE} "camtopod {__version__}"',
         ".SH NAME",
-        r"camtopod \- learns how the cameras of a site hang together",
+        r"camtopod \- learns the topology of a camera network",
         ".SH SYNOPSIS",
         r"\fBcamtopod\fR [\fIOPTION\fR]... \fICOMMAND\fR [\fIOPTION\fR]...",
         *_section("DESCRIPTION", str(parser.description)),

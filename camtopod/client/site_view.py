@@ -1,8 +1,8 @@
 """The newest version of a site's topology and the queries it answers without waiting.
 
-A thread keeps the version up to date: `camtopod.serve.bus.topology_subscriber.TopologySubscriber` applies
-each delta to the version before it, verifies the digest, and fetches the whole topology if a
-version is missing or the daemon has started a new epoch.
+A thread keeps the version up to date: `camtopod.serve.bus.topology_subscriber.TopologySubscriber`
+applies each delta to the version before it, verifies the digest, and fetches the whole topology if
+a version is missing or the daemon has started a new epoch.
 """
 
 from __future__ import annotations

@@ -8,10 +8,10 @@ within the range of lags, and into tables with a row for each pair of zones. The
 a window is limited, but the number of pairs grows with the square of the traffic: 30,000 departures
 and as many arrivals within five minutes are 900 million pairs. So each stage first counts its
 pairs, which is cheap because times are sorted, and then takes at most a fixed number of them.
-Beyond the limit it leaves out the arrivals with the most departures in reach (`arrivals_within`). They
-carry the least information, as each of them may have come from anywhere, and they come from the
-times and places where a camera floods. Arrivals at other times are unaffected, and so is every site
-that stays below the limits: a hundred cameras with ordinary traffic need a tenth of each.
+Beyond the limit it leaves out the arrivals with the most departures in reach (`arrivals_within`).
+They carry the least information, as each of them may have come from anywhere, and they come from
+the times and places where a camera floods. Arrivals at other times are unaffected, and so is every
+site that stays below the limits: a hundred cameras with ordinary traffic need a tenth of each.
 """
 
 from __future__ import annotations

@@ -99,8 +99,8 @@ class Refit(NamedTuple):
     found: significant links between views, whether or not they are open at present.
     changes, silences: links that opened or closed, and gaps in each camera's events.
     model: what prediction needs beside the links.
-    followed: as `JournalExtent.followed`, for the next refit.
-    happened: outcomes of the first of `JournalExtent.exits`; None for an exit that is not in the window.
+    followed: as `Known.followed`, for the next refit.
+    happened: outcomes of the first of `Known.exits`; None for an exit that is not in the window.
     """
 
     scene: Scene
@@ -124,7 +124,7 @@ class Associated(NamedTuple):
     late: the departures with the delayed copies of long paths.
     likely: the candidates that are worth following for prediction.
     evidence (pairs,): evidence of the candidates' pairs of zones, nats.
-    followed: as `JournalExtent.followed`.
+    followed: as `Known.followed`.
     """
 
     between: LinkTable

@@ -151,7 +151,9 @@ class Daemon:
                 self._process = process = LearnerProcess()
                 if self._bus is None:
                     self._bus = (
-                        open_daemon_session(config, isinstance(share, Share)) if share.first else dial(config)
+                        open_daemon_session(config, isinstance(share, Share))
+                        if share.first
+                        else dial(config)
                     )
                 name = config.site.name
                 recovered = recover(
@@ -327,7 +329,11 @@ class Daemon:
         """Why events are not stored, or not learned, at the moment; "" if they are."""
         receiver, watermark = self._receiver, self._learning.statistics["watermark"]
         seconds, key = self._bus.slowest_publication if self._bus is not None else (0.0, "")
-        hanging = f"publishing on {key} takes {seconds:.0f} s" if seconds > SLOW_PUBLICATION_SECONDS else ""
+        hanging = (
+            f"publishing on {key} takes {seconds:.0f} s"
+            if seconds > SLOW_PUBLICATION_SECONDS
+            else ""
+        )
         reason = (
             receiver.storing.reason
             or ("" if self._sharing is None else self._sharing.reason)

@@ -48,8 +48,8 @@ class ShardState(Struct):
 class ShardLearner:
     """Learner of shard ``shard`` = (i, n) of a site, i from 0 to n - 1.
 
-    Its versions are those of its own districts alone. The versions of the site are made by a `VersionLine`
-    from the parts of all shards.
+    Its versions are those of its own districts alone. The versions of the site are made by a
+    `VersionLine` from the parts of all shards.
     """
 
     def __init__(

@@ -2,8 +2,9 @@
 
 Reading order: `lag_bins` (the time scale of transit times), `histograms` (transit-time histograms
 as a version stores them), `grid` (image positions as integers), `shared_constants`, then what is
-derived from links: `find_camera_pairs` (overlapped views or unseen paths) and `estimate_markov_chain` (the chain
-over cameras). `versions` compares versions: keys, digests and deltas.
+derived from links: `find_camera_pairs` (overlapped views or unseen paths) and
+`estimate_markov_chain` (the chain over cameras). `versions` compares versions: keys, digests and
+deltas.
 """
 
 from __future__ import annotations

@@ -261,7 +261,9 @@ class Site:
 
 
 class _Seldom(logging.Filter):
-    """Log filter that passes each message once in `LOG_INTERVAL_SECONDS`, with the number suppressed."""
+    """Log filter that passes each message once in `LOG_INTERVAL_SECONDS`, with the number
+    suppressed.
+    """
 
     def __init__(self) -> None:
         super().__init__()

@@ -182,7 +182,10 @@ def test_names_are_different_and_one_s_own_stay() -> None:
         "hall",
     ]
     secret = "rtsp://192.0.2.9/user=admin_password=hunter2_channel="
-    assert list(with_names([("", f"{secret}1"), ("", f"{secret}2")])) == ["192-0-2-9", "192-0-2-9-2"]
+    assert list(with_names([("", f"{secret}1"), ("", f"{secret}2")])) == [
+        "192-0-2-9",
+        "192-0-2-9-2",
+    ]
 
 
 # --- the command ---------------------------------------------------------------------------------

@@ -237,7 +237,9 @@ def test_nobody_there_or_somebody_else(
 def test_messages_that_wait_have_a_limit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with mosquitto(tmp_path) as broker:
         source = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/frigate")
-        with contextlib.closing(mqtt.MessageSubscription(source, "events", limit_messages=10)) as messages:
+        with contextlib.closing(
+            mqtt.MessageSubscription(source, "events", limit_messages=10)
+        ) as messages:
             broker.publish([b"%d" % n for n in range(100)])
             wait_for(lambda: messages.dropped == 90, "the messages")
             stop = threading.Event()

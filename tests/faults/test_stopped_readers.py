@@ -281,7 +281,9 @@ def test_closing_the_connections_of_those_who_stopped_takes_no_time(
     """
     monkeypatch.setattr(sockets, "STALLED_SECONDS_MAX", 60.0)
     site = SiteSettings("hq")
-    with open_daemon_session(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)), site=site)) as hub:
+    with open_daemon_session(
+        Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)), site=site)
+    ) as hub:
         gone, heard, came = set[str](), threading.Event(), [0.0]
         hub.watch_alive("reader", lambda name, alive: None if alive else gone.add(name))
         puppets = [Puppet() for _ in range(4)]

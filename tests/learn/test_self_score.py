@@ -22,7 +22,9 @@ from camtopod.sim.scoring import next_entries
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 
-GUESS = ScoredPrediction(0.0, "a", 3, {"": 0.2, "b": 0.5, "c": 0.2, "d": 0.06, "e": 0.04}, {"": 0.3, "c": 0.7})
+GUESS = ScoredPrediction(
+    0.0, "a", 3, {"": 0.2, "b": 0.5, "c": 0.2, "d": 0.06, "e": 0.04}, {"": 0.3, "c": 0.7}
+)
 
 
 def test_a_plain_outcome_is_marked_as_it_is() -> None:

@@ -89,7 +89,11 @@ def hangs_and_gets_on(told: Systemd, part: str, let_go: Callable[[], None]) -> N
 
 @pytest.mark.parametrize(
     ("part", "owner", "name"),
-    [("versions", TopologySubscriber, "update"), ("messages", Feed, "_look"), ("page", Feed, "hello")],
+    [
+        ("versions", TopologySubscriber, "update"),
+        ("messages", Feed, "_look"),
+        ("page", Feed, "hello"),
+    ],
 )
 def test_a_page_that_hangs_does_not_feed_the_watchdog(
     part: str,

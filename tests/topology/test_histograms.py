@@ -47,10 +47,15 @@ def test_sums_and_multiples_are_those_of_the_masses(
     one, other = step_histogram(a, BINS), counts_histogram(b, BINS)
     wanted = p * masses_on_bins(one, BINS) + q * masses_on_bins(other, BINS)
     both = [(p, one), (q, other)]
-    assert np.abs(masses_on_bins(sum_as_steps(both), BINS) - wanted).max() <= 0.51 * wanted.max() / STEPS
+    assert (
+        np.abs(masses_on_bins(sum_as_steps(both), BINS) - wanted).max()
+        <= 0.51 * wanted.max() / STEPS
+    )
     assert sum_as_counts(both).unit == 1.0
     assert np.allclose(masses_on_bins(sum_as_counts(both), BINS), wanted, rtol=0.0051)
-    assert np.allclose(masses_on_bins(scale_histogram(one, p), BINS), p * masses_on_bins(one, BINS), rtol=1e-5)
+    assert np.allclose(
+        masses_on_bins(scale_histogram(one, p), BINS), p * masses_on_bins(one, BINS), rtol=1e-5
+    )
 
 
 @given(Masses)
@@ -79,5 +84,7 @@ def test_what_lies_beyond_the_bins_is_left_out() -> None:
     assert masses_on_bins(Histogram(-2, [1.0, 2.0, 3.0]), bins)[:2].tolist() == [3.0, 0.0]
     assert masses_on_bins(Histogram(bins.first + bins.size - 1, [4.0, 5.0]), bins)[-1] == 4.0
     assert (
-        masses_on_bins(Histogram(500, [1.0]), bins).sum() == masses_on_bins(Histogram(0, []), bins).sum() == 0.0
+        masses_on_bins(Histogram(500, [1.0]), bins).sum()
+        == masses_on_bins(Histogram(0, []), bins).sum()
+        == 0.0
     )

@@ -61,7 +61,7 @@ class TwoWay(NamedTuple):
 def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
     """Return the shift in bins of one direction against the other that matches best, and the match.
 
-    forth, back (K, lags): peaks of the correlograms of K pairs of zones (`find_sources`).
+    forth, back (K, lags): peaks of the correlograms of K pairs of zones (`standing_out`).
 
     The shift is positive if lags are longer in ``forth``. The match is the sum of products of the
     peaks; 0.0 if it is too small or not clearly better than that of any other shift.

@@ -1,10 +1,10 @@
 """The bus: publish, subscribe and query between the programs of a site, over zenoh.
 
-Start with `session`: `Bus`, one program's session, opened by `dial` (a client) or `open_daemon_session` (the
-daemon, which other programs connect to). `topology_subscriber` follows the daemon's topology. The
-other modules serve the daemon: `access` (who may connect), `refusals` (count what zenoh refuses,
-from its log), `sockets` (options that zenoh does not set), `single_daemon` (detect a second daemon
-of the site) and `self_check` (is the bus reachable).
+Start with `session`: `Bus`, one program's session, opened by `dial` (a client) or
+`open_daemon_session` (the daemon, which other programs connect to). `topology_subscriber` follows
+the daemon's topology. The other modules serve the daemon: `access` (who may connect), `refusals`
+(count what zenoh refuses, from its log), `sockets` (options that zenoh does not set),
+`single_daemon` (detect a second daemon of the site) and `self_check` (is the bus reachable).
 """
 
 from __future__ import annotations

@@ -224,7 +224,8 @@ class Bus:
         return end
 
     def listen(self, key: str, most: int) -> Subscription:
-        """Subscribe to ``key`` (may contain ``*``) and return an `HeartbeatReceiver` for one thread to read.
+        """Subscribe to ``key`` (may contain ``*``) and return an `HeartbeatReceiver` for one thread
+        to read.
 
         While more than ``most`` messages wait to be taken, nothing is delivered to the whole
         session, so the thread has to take them whatever else it has to do.
@@ -366,7 +367,9 @@ class Bus:
 
     @property
     def refused(self) -> dict[str, int]:
-        """Number of refusals by reason; outside of `counting_refusals` only "no-rights" is counted."""
+        """Number of refusals by reason; outside of `counting_refusals` only "no-rights" is
+        counted.
+        """
         strangers = 0 if self._doorkeeper is None else self._doorkeeper.strangers
         return {**refusals.refusals.counts, "no-rights": strangers}
 

@@ -1,9 +1,9 @@
 """Liveness: detect loops of a program that have stalled, although the process is running.
 
-A loop calls `Heartbeat.beat` after each piece of work, and when it finds no work. A loop that hangs in a
-single step, or has work waiting and cannot do it, does not beat; after its time limit it counts as
-stalled. A loop that waits for something that is monitored elsewhere (a full disk, room in the
-learner's queue) beats all the same, as a restart would not help.
+A loop calls `Heartbeat.beat` after each piece of work, and when it finds no work. A loop that hangs
+in a single step, or has work waiting and cannot do it, does not beat; after its time limit it
+counts as stalled. A loop that waits for something that is monitored elsewhere (a full disk, room in
+the learner's queue) beats all the same, as a restart would not help.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 Read from the bottom up. `sqlite_file` opens, checks and sets aside databases, with the help of
 `wal_check` (is the write-ahead log complete) and `open_files` (are the open files still in place).
 `journal` stores entries, versions and snapshots in one of them; `journal_schema` has its tables,
-`witness` notices a journal that was restored from an older copy, `read_corrections` are entries that
-revise what was learned, and `packed_version` is a topology on its way into the journal.
+`witness` notices a journal that was restored from an older copy, `read_corrections` are entries
+that revise what was learned, and `packed_version` is a topology on its way into the journal.
 `journal_writer` is the daemon's storing thread; `inspect_state` reads databases for diagnosis.
 """
 

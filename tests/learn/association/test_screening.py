@@ -83,7 +83,11 @@ def places_of(zones: int) -> np.ndarray:
 
 
 def found_by(
-    screen: CandidateScreen, ends: tuple[Departures, Arrivals], most: int, zones: int, learned: int = 1
+    screen: CandidateScreen,
+    ends: tuple[Departures, Arrivals],
+    most: int,
+    zones: int,
+    learned: int = 1,
 ) -> Candidates:
     departures, arrivals = ends
     until = float(max(departures.t[-1], arrivals.t[-1]))

@@ -106,7 +106,10 @@ def test_who_may_still_be_on_the_way_does_not_lower_the_share() -> None:
     table = tabulate(arrived, exposed_departures(departures, BINS, 2, until=121.0), BINS, 2)
     assert table.probability[0] == pytest.approx(1.0, abs=0.1)
     ahead = tabulate(
-        transitions(*repeated(0, 1, -3.0, 20)), exposed_departures(departures, BINS, 2, until=121.0), BINS, 2
+        transitions(*repeated(0, 1, -3.0, 20)),
+        exposed_departures(departures, BINS, 2, until=121.0),
+        BINS,
+        2,
     )
     assert ahead.probability[0] == pytest.approx(
         0.5, abs=0.01
@@ -337,4 +340,7 @@ def test_chain_by_hand() -> None:
     zones = [zone("a/1", 30), zone("a/2", 10), zone("b/1", 5)]
     links = [link("a/1", "b/1", "unseen", 5.0, 0.5), link("a/2", "b/1", "overlapped", -1.0, 1.0)]
     links += [link("b/1", "b/1", "unseen", 9.0, 0.2), link("a/1", "a/2", "visible", 5.0, 1.0)]
-    assert estimate_markov_chain(zones, links, 6) == [ChainEdge("a", "b", 0.625), ChainEdge("b", "b", 0.2)]
+    assert estimate_markov_chain(zones, links, 6) == [
+        ChainEdge("a", "b", 0.625),
+        ChainEdge("b", "b", 0.2),
+    ]

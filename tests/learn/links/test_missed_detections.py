@@ -115,7 +115,10 @@ def test_without_ways_nothing_is_explained() -> None:
 def test_only_what_was_found_is_a_way() -> None:
     between = table(*CHAIN, (0, 3, 25.0, 33))
     found = ~((between.source == 0) & (between.target == 1))
-    assert without_missed_detections(between, THROUGH, found, CAMERA, SETTINGS).tolist() == found.tolist()
+    assert (
+        without_missed_detections(between, THROUGH, found, CAMERA, SETTINGS).tolist()
+        == found.tolist()
+    )
 
 
 def test_what_is_left_over() -> None:
@@ -192,7 +195,9 @@ def test_odds_of_one_camera_and_of_its_neighbours() -> None:
 
 
 def test_a_pair_does_not_tell_of_itself() -> None:
-    ways = SkippedPaths(np.arange(4), np.array([1, 2, 2, 2]), np.full(4, 30.0), np.ones(4), np.ones(4))
+    ways = SkippedPaths(
+        np.arange(4), np.array([1, 2, 2, 2]), np.full(4, 30.0), np.ones(4), np.ones(4)
+    )
     odds = MissedOdds(ways, np.arange(4), np.array([30.0, 6.0, 6.0, 6.0]), 0.5)
     assert odds.of(1, 0) == pytest.approx(0.2)
     assert odds.of(1, 1) == pytest.approx(1.0)

@@ -311,6 +311,10 @@ def test_without_pairs_or_passages_nothing() -> None:
     empty = Candidates(none, none, none, nothing, none, none)
     no_legs = legs(np.zeros((0, BINS.size)), empty)
     assert skip_hazards(no_legs, empty, nowhere, BINS, 3)[1].shape == (0, BINS.size)
-    assert [len(column) for column in skip_hazards_elsewhere(no_legs, empty, nowhere, BINS, 3)] == [0, 0, 0]
+    assert [len(column) for column in skip_hazards_elsewhere(no_legs, empty, nowhere, BINS, 3)] == [
+        0,
+        0,
+        0,
+    ]
     one = empty._replace(source=np.array([0], np.int32), target=np.array([1], np.int32))
     assert not len(skip_hazards(legs(np.full((1, BINS.size), 0.01), one), one, nowhere, BINS, 3)[0])

@@ -65,7 +65,9 @@ def test_what_is_usual_is_not_doubted_and_what_is_out_of_character_is() -> None:
 
 def test_little_evidence_is_in_character_where_all_have_little() -> None:
     each, many = np.array([4.0, 5.0, 6.0, 0.5]), np.full(4, 1e6)
-    assert real_probability(0.01 * each, many) == pytest.approx(real_probability(each, many), abs=1e-3)
+    assert real_probability(0.01 * each, many) == pytest.approx(
+        real_probability(each, many), abs=1e-3
+    )
     apart = real_probability(np.array([0.5, 5.0, 50.0, 500.0]), many)
     assert (
         apart[0] > real_probability(each, many)[3] + 0.1
