@@ -151,9 +151,16 @@ MECHANISMS = [
     ),
     Mechanism(
         "silent cameras",
-        {"predict.predictor:Predictor._alive": lambda self, ready: [1.0] * len(ready.cameras)},
+        {"predict.predictor:Predictor._is_alive": lambda self: np.ones(len(self._site.cameras))},
     ),
-    Mechanism("seen before the exit", {"predict.exit_tables:Site.before": lambda self, zone: []}),
+    Mechanism(
+        "seen before the exit",
+        {
+            "predict.hazards:Hazards.seen_before": lambda self, zone: np.zeros(
+                self._seen_before.shape[1], np.bool_
+            )
+        },
+    ),
 ]
 """The mechanisms that are left out in turn."""
 
