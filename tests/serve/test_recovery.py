@@ -26,7 +26,7 @@ from camtopod.serve.learner_process.feeder import Learning
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import recover
 from camtopod.serve.runtime.progress import no_beat
-from camtopod.serve.storage import read_corrections, wal_check
+from camtopod.serve.storage import corrections, wal_check
 from camtopod.serve.storage.corrections import rewind
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.packed_version import Version
@@ -236,7 +236,7 @@ def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """When leaving out more events does not help."""
-    monkeypatch.setattr(read_corrections, "LEAVE_OUTS_MAX", 0)
+    monkeypatch.setattr(corrections, "LEAVE_OUTS_MAX", 0)
     one = start()
     one.learn(EVENTS[:120])
     one.store(
