@@ -120,8 +120,8 @@ MECHANISMS = [
     Mechanism(
         "spurious transitions",
         {
-            "learn.next_camera.fit:doubts": lambda pair, responsibility, pairs, *rest: np.zeros(
-                pairs
+            "learn.next_camera.fit:spurious_shares": lambda pair, responsibility, pairs, *rest: (
+                np.zeros(pairs)
             )
         },
     ),
@@ -130,7 +130,11 @@ MECHANISMS = [
     ),
     Mechanism(
         "test of overlap",
-        {"learn.next_camera.fit:not_overlapping": lambda c, *rest: np.zeros(len(c.lag), np.bool_)},
+        {
+            "learn.next_camera.fit:negative_without_overlap": lambda c, *rest: np.zeros(
+                len(c.lag), np.bool_
+            )
+        },
     ),
     Mechanism("first pruning of candidates", {"learn.next_camera.fit:NEGLIGIBLE": 0.0}),
     Mechanism(
@@ -139,7 +143,7 @@ MECHANISMS = [
     ),
     Mechanism(
         "missed detections",
-        {"learn.refit:without_missed": lambda between, through, found, *rest: found},
+        {"learn.refit:without_missed_detections": lambda between, through, found, *rest: found},
     ),
     Mechanism("changes", {"learn.refit:find_changes": lambda *arguments: []}),
     Mechanism("over-relaxed EM", {"learn.association.em:STRIDE": 1.0}),
@@ -147,7 +151,7 @@ MECHANISMS = [
     Mechanism("long paths", {"learn.long_paths:find_long_paths": lambda *arguments: []}),
     Mechanism(
         "usual dwell times",
-        {"learn.refit:with_usual_stays": lambda departures, through: departures},
+        {"learn.refit:with_usual_dwell_times": lambda departures, through: departures},
     ),
     Mechanism(
         "silent cameras",
