@@ -497,8 +497,8 @@ def test_many_signals_at_once_are_no_harm() -> None:
 
 LEAVES = """
 import sys, threading
-from camtopod.cli.common import leaving, signals
-with signals() as told, leaving(told.stop, float(sys.argv[1])):
+from camtopod.cli.common import ends_within, signals
+with signals() as told, ends_within(told.stop, float(sys.argv[1])):
     print("ready", flush=True)
     lock = threading.Lock(); lock.acquire(); lock.acquire()
 """

@@ -129,7 +129,7 @@ def connections_at(endpoint: str) -> int:
 
 
 def test_a_bus_that_is_dead_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(self_check, "LOOK_SECONDS", 0.1)
+    monkeypatch.setattr(self_check, "CHECK_SECONDS", 0.1)
     config = strict(tmp_path, stall_seconds=0.3)
     quick = msgspec.structs.replace(config.bus, connect_seconds=0.1, query_seconds=0.5)
     with Daemon(msgspec.structs.replace(config, bus=quick)) as daemon:
@@ -148,7 +148,7 @@ def test_a_bus_that_is_dead_is_noticed(tmp_path: Path, monkeypatch: pytest.Monke
 def test_a_bus_that_never_could_be_looked_at_is_not_called_dead(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(self_check, "LOOK_SECONDS", 0.1)
+    monkeypatch.setattr(self_check, "CHECK_SECONDS", 0.1)
     tried = threading.Event()
 
     def unreachable(config: Config) -> Bus:
