@@ -199,7 +199,7 @@ class Beside:
 
 def keep_house(pipe: Connection, config: Config, now: Any) -> None:
     """Run the daemons, one after the other, on the same state and by the clock ``now``."""
-    memory.tune_allocator()
+    memory.tune()
     daemon: Daemon | None = None
     with contextlib.suppress(EOFError):
         while True:

@@ -1,10 +1,11 @@
-"""Freed memory is returned to the system, and events need no garbage collection."""
+"""Freed memory is returned to the system, and garbage is collected seldom."""
 
 from __future__ import annotations
 
 import gc
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from camtopod.records import Event
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.ingest.inbox import Message
+from camtopod.serve.runtime import memory
 from camtopod.serve.storage.journal import Entry
 
 RESIDENT = """
@@ -19,7 +21,7 @@ import os, threading, sys
 from pathlib import Path
 from camtopod.serve.runtime import memory
 if sys.argv[1] == "tuned":
-    memory.tune_allocator()
+    memory.tune()
 
 def resident_bytes():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -82,6 +84,26 @@ def test_large_blocks_leave_no_holes_behind() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="glibc only")
 def test_what_is_in_the_journal_does_not_stay_in_memory(tmp_path: Path) -> None:
     assert measured(JOURNAL, "tuned", str(tmp_path)) < 10e6
+
+
+def test_garbage_is_collected_seldom(thresholds: None) -> None:
+    passes: list[str] = []
+    gc.callbacks.append(lambda phase, info: passes.append(phase))
+    memory.tune()
+    kept = [[k] for k in range(memory.NEW_OBJECTS_MAX // 2)]
+    assert passes == []
+    kept += [[k] for k in range(memory.NEW_OBJECTS_MAX)]
+    assert passes == ["start", "stop"]
+
+
+@pytest.fixture
+def thresholds() -> Iterator[None]:
+    """Restore the collector's thresholds and callbacks."""
+    before, callbacks = gc.get_threshold(), gc.callbacks.copy()
+    gc.collect()
+    yield
+    gc.set_threshold(*before)
+    gc.callbacks[:] = callbacks
 
 
 def test_the_garbage_collector_does_not_track_events() -> None:

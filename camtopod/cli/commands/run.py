@@ -67,7 +67,7 @@ def _shard(text: str) -> tuple[int, int]:
 def run(args: argparse.Namespace) -> int:
     """Run the daemon until SIGTERM or SIGINT."""
     # Tune memory and thread switching before any work.
-    memory.tune_allocator()
+    memory.tune()
     sys.setswitchinterval(SWITCH_SECONDS)
     start_logging(args)
     faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT

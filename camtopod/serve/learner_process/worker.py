@@ -301,7 +301,7 @@ def main(learner: type[Learner] = Learner) -> None:
     """Learn until the daemon ends; never returns."""
     # Limit memory, and keep stray prints out of the answers.
     faulthandler.enable()
-    memory.tune_allocator()
+    memory.tune()
     out = os.dup(1)
     os.dup2(2, 1)
     asked: queue.SimpleQueue[Question] = queue.SimpleQueue()

@@ -2,8 +2,8 @@
 
 Read `clock` (wall clock, steady clock, ULIDs) and `progress` (watch whether loops make progress)
 first. `systemd` reports both to the service manager. `rejects` counts malformed input, `reload`
-compares configurations, `memory` tunes the allocator, and `ownership` has the default answer to
-"which shard owns this camera".
+compares configurations, `memory` tunes the allocator and the garbage collector, and `ownership`
+has the default answer to "which shard owns this camera".
 """
 
 from __future__ import annotations
