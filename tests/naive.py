@@ -27,22 +27,6 @@ def data_spectroscopy(points, bandwidth):
     return values[kept], vectors[:, kept], np.array(labels)
 
 
-def eigenfunction_labels(points, values, vectors, bandwidth, new):
-    """Return the group of each new point (m, 2).
-
-    It has the largest ``phi_g(x) = sum_i K(x, x_i) v_g(i) / (n lambda_g)``.
-    """
-    labels = []
-    for x in new:
-        kernel = np.exp(-((points - x) ** 2).sum(axis=1) / (2 * bandwidth**2))
-        phi = [
-            abs(kernel @ v) / (len(points) * value)
-            for v, value in zip(vectors.T, values, strict=True)
-        ]
-        labels.append(int(np.argmax(phi)))
-    return np.array(labels)
-
-
 def bandwidth_of_points(points):
     """Compute `camtopod.learn.zones.daspec.bandwidth` over points (n, 2) in grid steps."""
     wanted = max(0.05 * len(points), 5)
@@ -55,6 +39,30 @@ def bandwidth_of_points(points):
     radii.sort()
     q95 = next(r for i, r in enumerate(radii, 1) if i / len(points) >= 0.95 - 1e-9)
     return max(q95 / np.sqrt(5.991464547107979), 0.75)
+
+
+def log_marginal_likelihood(groups, freedom, scale):
+    """Return the log marginal likelihood (...) of groups (6, ...) of events as one zone each.
+
+    A Gaussian with a flat prior of its mean and an inverse Wishart prior of its covariance.
+    """
+    n, sx, sy = groups[:3]
+    xx, xy, yy = groups[3:] - np.array((sx * sx, sx * sy, sy * sy)) / n
+    n = np.maximum(n, 1.0)
+    posterior = (freedom + n - 1) / 2
+    return (
+        scipy.special.multigammaln(posterior, 2)
+        - scipy.special.multigammaln(freedom / 2, 2)
+        + freedom * np.log(scale)
+        - (n - 1) * np.log(np.pi)
+        - np.log(n)
+        - posterior * np.log((scale + xx) * (scale + yy) - xy * xy)
+    )
+
+
+def log_share(n, prior):
+    """Return the term (...) of a zone with n events in the log prior of a partition."""
+    return scipy.special.gammaln(n + prior) - scipy.special.gammaln(prior)
 
 
 def clutter_rates(count, constants):

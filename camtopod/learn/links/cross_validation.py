@@ -25,6 +25,7 @@ import numpy as np
 
 from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.association import Candidates, Em, Fit, adjust
+from camtopod.learn.links.significance import FLAT_MAX
 from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import LagBins
 
@@ -55,8 +56,6 @@ ROUNDS = 1
 """Rounds of each fit before the one with the sparse prior."""
 RESPONSIBILITY_MAX = 1.0 - 1e-7
 """Responsibilities are clipped to this before log(1 - r) is taken."""
-FLAT_MAX = 1e6
-"""Largest ratio of a hazard without a transit time to the hazard of the fit."""
 
 
 def cross_evidence(

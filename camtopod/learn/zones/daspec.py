@@ -29,12 +29,8 @@ BANDWIDTH_MIN = 0.75
 """Least bandwidth, grid steps; a narrower kernel resolves the grid instead of the points."""
 EIGENVECTORS_MAX = 48
 """Most eigenvectors considered, and so most groups."""
-
-
-def _chi_95(d: int) -> float:
-    """Return the root of the 95 % quantile of chi-squared with ``d`` degrees of freedom."""
-    # Not by `scipy.stats`, which takes long to import.
-    return float(np.sqrt(2.0 * gammaincinv(d / 2.0, 0.95)))
+_CHI_95 = float(np.sqrt(2.0 * gammaincinv(1.0, 0.95)))
+"""Root of the 95 % quantile of chi-squared with two degrees of freedom."""
 
 
 class Spectrum(NamedTuple):
@@ -67,21 +63,6 @@ class Spectrum(NamedTuple):
         table = np.full(self.shape[0] * self.shape[1], -1, dtype=np.int16)
         table[self.cells] = self.labels
         return table.reshape(self.shape)
-
-    def extend(self) -> NDArray[np.int16]:
-        """Return the group that a new point in each cell (rows, columns) would belong to.
-
-        It is that of the largest eigenfunction ``phi(x) = sum_i K(x, x_i) v(i) / (n lambda)``.
-        """
-        rows, columns = (kernel_1d(size, self.bandwidth) for size in self.shape)
-        phi = np.empty((self.groups, *self.shape))
-        total = self.counts.sum()
-        for g in range(self.groups):
-            weighted = np.zeros(self.shape[0] * self.shape[1])
-            weighted[self.cells] = self.counts * self.vectors[:, g] / total
-            phi[g] = rows @ weighted.reshape(self.shape) @ columns / self.values[g]
-        labels: NDArray[np.int16] = np.abs(phi).argmax(axis=0).astype(np.int16)
-        return labels
 
 
 def kernel_1d(size: int, bandwidth: float) -> Floats:
@@ -133,19 +114,6 @@ def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum
     return Spectrum(shape, bandwidth, weights, cells, values, vectors, labels)
 
 
-def authors_bandwidth(points: Floats) -> float:
-    """Return the authors' bandwidth ``Q95_i(Q05_j |x_i - x_j|) / sqrt(chi2_{0.95, d})``.
-
-    points (n, d): positions, in the unit of the result.
-
-    For points that repeat on a grid it is too small (0.63 for those of table 5.1, zero if most
-    repeat), and with clutter far too large. The zones use `bandwidth` instead.
-    """
-    distances = np.sqrt(((points[:, None, :] - points[None, :, :]) ** 2).sum(axis=2))
-    near = np.quantile(distances, 0.05, axis=1)
-    return float(np.quantile(near, 0.95) / _chi_95(points.shape[1]))
-
-
 def bandwidth(counts: NDArray[np.generic]) -> float:
     """Return the bandwidth in grid steps for counts (rows, columns) without clutter.
 
@@ -168,6 +136,4 @@ def bandwidth(counts: NDArray[np.generic]) -> float:
     # The 95 % quantile of the radii, over points.
     by_radius = radius.argsort(kind="stable")
     share = np.cumsum(weights[by_radius]) / weights.sum()
-    return max(
-        float(radius[by_radius[(share >= 0.95 - 1e-9).argmax()]]) / _chi_95(2), BANDWIDTH_MIN
-    )
+    return max(float(radius[by_radius[(share >= 0.95 - 1e-9).argmax()]]) / _CHI_95, BANDWIDTH_MIN)

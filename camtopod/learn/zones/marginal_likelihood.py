@@ -14,7 +14,7 @@ zone.
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import gammaln
+from scipy.special import gammaln, multigammaln
 
 from camtopod.arrays import Floats
 
@@ -51,64 +51,38 @@ def covariance(n: Floats, scatter: Floats) -> Floats:
     return cov
 
 
-def log_evidence(groups: Floats) -> Floats:
-    """Return the log marginal likelihood of each group as one zone, relative to clutter."""
-    n = np.maximum(groups[0], 1.0)
-    xx, xy, yy = moments(groups)[1]
-    half = 0.5 * (_FREEDOM + n - 1)
-    determinant = (_SCALE + xx) * (_SCALE + yy) - xy * xy
-    result: Floats = (
-        _log_gamma_2(half)
-        + _CONSTANT
-        - (n - 1) * np.log(np.pi)
-        - np.log(n)
-        - half * np.log(determinant)
-    )
-    return result
-
-
 def log_zone(n: Floats, scatter: Floats) -> Floats:
-    """Return `log_evidence` plus `log_share` of groups from numbers of events and scatter.
+    """Return how well each group is explained as one zone, a log probability relative to clutter.
 
-    With these values of `_FREEDOM` and `SHARE_PRIOR` all their gamma functions reduce, by the
-    duplication formula, to powers of two times the same factorial.
+    It is the log marginal likelihood of the group plus its term in the log prior of the partition
+    (`log_zones`). With these values of `_FREEDOM` and `SHARE_PRIOR` the gamma functions of both
+    reduce, by the duplication formula, to powers of two times the same factorial.
+
+    n (...): number of events of each group.
+    scatter (3, ...): see `moments`.
     """
     factorial = gammaln(n + 1)
     n = np.maximum(n, 1.0)
     xx, xy, yy = scatter
     determinant = (xx + _SCALE) * (yy + _SCALE) - xy * xy
     result: Floats = (
-        factorial + np.maximum(factorial, 0.0) + np.log((n + 1) / n) - n * _LOG_TAU + _BOTH
+        factorial + np.maximum(factorial, 0.0) + np.log((n + 1) / n) - n * _LOG_TAU + _CONSTANT
     )
     result -= (0.5 * (_FREEDOM - 1) + 0.5 * n) * np.log(determinant)
-    return result
-
-
-def log_share(n: Floats) -> Floats:
-    """Return a zone's term in the log prior of the partition (`log_zones`)."""
-    result: Floats = gammaln(n + SHARE_PRIOR) - gammaln(SHARE_PRIOR)
     return result
 
 
 def log_zones(zones: int, total: Floats) -> Floats:
     """Return the log prior of a partition of ``total`` events into ``zones`` zones and clutter.
 
-    It is a Dirichlet multinomial over unordered zones. The terms of the single zones (`log_share`)
-    and of the clutter (log factorial of its events) are left out.
+    It is a Dirichlet multinomial over unordered zones. The terms of the single zones (see
+    `log_zone`) and of the clutter (log factorial of its events) are left out.
     """
     weight = SHARE_PRIOR * zones + 1
     result: Floats = gammaln(zones + 1) + gammaln(weight) - gammaln(total + weight)
     return result
 
 
-def _log_gamma_2(a: Floats) -> Floats:
-    """Return the log of the bivariate gamma function."""
-    result: Floats = 0.5 * np.log(np.pi) + gammaln(a) + gammaln(a - 0.5)
-    return result
-
-
-_CONSTANT = _FREEDOM * np.log(_SCALE) - _log_gamma_2(np.array(_FREEDOM / 2))
-"""Terms of `log_evidence` that do not depend on the group."""
-_BOTH = _CONSTANT + np.log(np.pi**2 / 2)
+_CONSTANT = float(_FREEDOM * np.log(_SCALE) - multigammaln(_FREEDOM / 2, 2) + np.log(np.pi**2 / 2))
 """Terms of `log_zone` that do not depend on the group."""
 _LOG_TAU = float(np.log(2 * np.pi))

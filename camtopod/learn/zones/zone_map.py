@@ -80,13 +80,8 @@ class ZoneMap(Struct, frozen=True, eq=False):
     """Number of events when the map was last learned from nothing."""
 
 
-def cell_of(x: float, y: float) -> tuple[int, int]:
-    """Return the cell (row, column) of an image position, both coordinates in [0, 1]."""
-    return min(int(y * GRID_ROWS), GRID_ROWS - 1), min(int(x * GRID_COLUMNS), GRID_COLUMNS - 1)
-
-
 def cells_of(x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the rows and columns of the cells of image positions (see `cell_of`)."""
+    """Return the rows and columns of the cells of image positions, both coordinates in [0, 1]."""
     rows = (np.asarray(y, dtype=np.float64) * GRID_ROWS).astype(np.intp)
     columns = (np.asarray(x, dtype=np.float64) * GRID_COLUMNS).astype(np.intp)
     return np.minimum(rows, GRID_ROWS - 1), np.minimum(columns, GRID_COLUMNS - 1)

@@ -57,7 +57,6 @@ _NOISE_RATE = 0.1
 """Weight of the newest frame in the running means of noise and shake."""
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _SQUARE = np.ones((3, 3), np.uint8)
-_WIDE = np.ones((3, 3), np.uint8)
 _DARK = 24.0
 """Level below which the logarithm flattens, so that noise in the dark makes no edges."""
 _LOGARITHM = np.clip(100 * np.log((np.arange(256) + _DARK) / _DARK), 0, 255).astype(np.uint8)
@@ -158,7 +157,7 @@ class MotionDetector:
 
         # Keep moving pixels near own edges or with a strong difference, and what they enclose.
         edges, strong = self._own_texture(frame, expected)
-        near = cv2.dilate(edges, _WIDE)
+        near = cv2.dilate(edges, _SQUARE)
         solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
         solid = cv2.bitwise_and(moving, _filled(solid))
         # Opening removes lines, such as outlines of furniture.

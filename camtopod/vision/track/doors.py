@@ -30,7 +30,8 @@ class Doors:
         self._unexplained: deque[tuple[float, float]] = deque(maxlen=REMEMBERED_MAX)
         self._passed = np.zeros((GRID_ROWS, GRID_COLUMNS), np.int32)
 
-    def _cell(self, x: float, y: float) -> tuple[int, int]:
+    def cell(self, x: float, y: float) -> tuple[int, int]:
+        """Return the grid cell (row, column) of a foot point."""
         row = int(y / self._size[1] * GRID_ROWS)
         column = int(x / self._size[0] * GRID_COLUMNS)
         return min(max(row, 0), GRID_ROWS - 1), min(max(column, 0), GRID_COLUMNS - 1)
@@ -47,10 +48,6 @@ class Doors:
         for row, column in feet:
             self._passed[row, column] += 1
 
-    def cell(self, x: float, y: float) -> tuple[int, int]:
-        """Return the grid cell of a foot point, for `walked`."""
-        return self._cell(x, y)
-
     def is_door(self, x: float, y: float, height: float) -> bool:
         """Return True if an object that begins or ends at this foot point uses a door.
 
@@ -60,4 +57,4 @@ class Doors:
         near = sum(
             1 for a, b in self._unexplained if (a - x) ** 2 + (b - y) ** 2 <= radius * radius
         )
-        return near >= DOOR_EVENTS_MIN and near > int(self._passed[self._cell(x, y)])
+        return near >= DOOR_EVENTS_MIN and near > int(self._passed[self.cell(x, y)])

@@ -10,7 +10,7 @@ from camtopod.learn.links.visible_links import visible_transitions
 from camtopod.learn.traffic.labelled_events import Scene, number_zones, see
 from camtopod.learn.traffic.speed import WAY_PASSAGES_MIN
 from camtopod.learn.window.sliding_window import Window
-from camtopod.learn.zones.zone_map import ZoneMap, cell_of, find_zones
+from camtopod.learn.zones.zone_map import ZoneMap, cells_of, find_zones
 from camtopod.records import Event
 from camtopod.topology.lag_bins import LagBins
 
@@ -72,7 +72,7 @@ def test_scene_equals_a_walk_over_the_events(forget: int) -> None:
             zone = (camera, 1)
         else:
             index = maps[camera].cells[
-                cell_of(round(event.x * 4096) / 4096, round(event.y * 4096) / 4096)
+                cells_of(round(event.x * 4096) / 4096, round(event.y * 4096) / 4096)
             ]
             zone = (camera, maps[camera].zones[index].number) if index >= 0 else None
         began = (
@@ -155,7 +155,7 @@ def test_zones_are_numbered_through() -> None:
             assert (
                 tables[
                     zone.camera,
-                    cell_of(zone.shape.x, zone.shape.y)[0] * 24 + int(zone.shape.x * 24),
+                    cells_of(zone.shape.x, zone.shape.y)[0] * 24 + int(zone.shape.x * 24),
                 ]
                 == k
             )

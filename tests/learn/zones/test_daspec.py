@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.support.thesis_tables import FIGURE_4_4_ZONES, TABLE_5_1, figure_4_4
-from camtopod.learn.zones.daspec import authors_bandwidth, bandwidth, data_spectroscopy
+from bench.thesis import authors_bandwidth
+from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
 from camtopod.learn.zones.zone_map import cells_of
 
 SHAPE = (30, 24)
@@ -57,18 +58,6 @@ def test_equals_the_operator_over_points(
     assert np.allclose(np.abs(spectrum.vectors[at]), np.abs(vectors), atol=1e-6)
     sure = np.ptp(np.sort(np.abs(vectors), axis=1)[:, -2:], axis=1) > 1e-6
     assert (spectrum.labels[at] == labels)[sure].all()
-
-
-def test_new_points_by_the_eigenfunction() -> None:
-    points = blobs(3, [20, 30, 12], 1.0)
-    spectrum = data_spectroscopy(grid_of(points), 1.5)
-    values, vectors, _ = naive.data_spectroscopy(points.astype(float), 1.5)
-    everywhere = np.argwhere(np.ones(SHAPE)).astype(float)
-    slow = naive.eigenfunction_labels(points.astype(float), values, vectors, 1.5, everywhere)
-    assert len(values) > 1
-    assert (spectrum.extend().ravel() == slow).mean() > 0.99  # ties in the far field
-    own = spectrum.grid() >= 0
-    assert (spectrum.extend()[own] == spectrum.grid()[own]).all()
 
 
 def test_counts_scale_the_operator_not() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from camtopod.learn.zones.mixture import classify_cells, log_density
-from camtopod.learn.zones.zone_map import ZoneShape, cell_of
+from camtopod.learn.zones.zone_map import ZoneShape, cells_of
 
 CELL = np.diag([1 / (12 * 24**2), 1 / (12 * 30**2)])
 A = ZoneShape(1, 0.3, 0.4, ((0.0020, 0.0008), (0.0008, 0.0030)), 0.8)
@@ -43,7 +43,7 @@ def test_more_clutter_more_cells_without_zone() -> None:
 def test_a_zone_narrower_than_a_cell_has_its_cell() -> None:
     point = ZoneShape(1, 0.71, 0.33, ((0.0, 0.0), (0.0, 0.0)), 1.0)
     cells = classify_cells((point,), 0.3)
-    assert cells[cell_of(0.71, 0.33)] == 0
+    assert cells[cells_of(0.71, 0.33)] == 0
     assert 1 <= (cells == 0).sum() <= 9
 
 

@@ -14,21 +14,15 @@ from hypothesis import strategies as st
 
 from bench.support.thesis_tables import FIGURE_4_4_ZONES, figure_4_4
 from camtopod.learn.zones import clutter as clutter_module
+from camtopod.learn.zones import marginal_likelihood as likelihood_module
 from camtopod.learn.zones import separation as valley_module
 from camtopod.learn.zones.clutter import clutter_rate, clutter_rates, dense_cells
-from camtopod.learn.zones.marginal_likelihood import (
-    gaussians,
-    log_evidence,
-    log_share,
-    log_zone,
-    moments,
-)
+from camtopod.learn.zones.marginal_likelihood import SHARE_PRIOR, gaussians, log_zone, moments
 from camtopod.learn.zones.separation import far, valley
 from camtopod.learn.zones.zone_map import (
     CellSums,
     ZoneMap,
     ZoneShape,
-    cell_of,
     cell_sums,
     cells_of,
     find_zones,
@@ -57,7 +51,7 @@ def found(positions: np.ndarray, previous: ZoneMap | None = None) -> ZoneMap:
 
 def zone_at(zones: ZoneMap, x: float, y: float) -> int:
     """Return the number of the zone there, 0 for none."""
-    index = int(zones.cells[cell_of(x, y)])
+    index = int(zones.cells[cells_of(x, y)])
     return zones.zones[index].number if index >= 0 else 0
 
 
@@ -66,7 +60,7 @@ THREE = [(0.1, 0.5, 0.02, 300), (0.5, 0.95, 0.03, 200), (0.9, 0.4, 0.015, 400)]
 
 @given(st.floats(0, 1), st.floats(0, 1))
 def test_cell_of_a_position(x: float, y: float) -> None:
-    row, column = cell_of(x, y)
+    row, column = cells_of(x, y)
     assert 0 <= row < 30
     assert 0 <= column < 24
     assert row <= y * 30 <= row + 1
@@ -92,7 +86,7 @@ def test_three_zones_in_clutter() -> None:
     assert sum(zone.weight for zone in zones.zones) == pytest.approx(1)
     own = zones.cells[cells_of(*positions.T)]
     for k, (x, y, _, _) in enumerate(THREE):
-        index = zones.cells[cell_of(x, y)]
+        index = zones.cells[cells_of(x, y)]
         assert abs(zones.zones[index].x - x) < 0.01
         assert abs(zones.zones[index].y - y) < 0.01
         assert (own[labels == k] == index).mean() > 0.95
@@ -281,6 +275,12 @@ def test_valley_equals_its_slow_twin(seed: int) -> None:
     assert fast > 0
 
 
+def log_evidence(groups: np.ndarray) -> np.ndarray:
+    module = likelihood_module
+    result: np.ndarray = naive.log_marginal_likelihood(groups, module._FREEDOM, module._SCALE)
+    return result
+
+
 def test_evidence_prefers_one_zone_for_one_gaussian_and_two_for_two() -> None:
     def group(points: np.ndarray) -> np.ndarray:
         x, y = points.T
@@ -312,7 +312,7 @@ def test_a_zone_at_once_is_its_evidence_and_its_share() -> None:
     )
     for weight in (1.0, 0.3, 0.01):
         weighed = groups * weight
-        both = log_evidence(weighed) + log_share(weighed[0])
+        both = log_evidence(weighed) + naive.log_share(weighed[0], SHARE_PRIOR)
         assert log_zone(weighed[0], moments(weighed)[1]) == pytest.approx(both, rel=1e-12, abs=1e-8)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camtopod.learn.zones.zone_map import ZoneMap, cell_of, cell_sums, find_zones, refresh_zones
+from camtopod.learn.zones.zone_map import ZoneMap, cell_sums, cells_of, find_zones, refresh_zones
 
 DOORS = [(0.05, 0.5), (0.5, 0.95), (0.9, 0.3), (0.4, 0.1)]
 WINDOW = 1500
@@ -35,7 +35,7 @@ def numbers(zones: ZoneMap) -> tuple[int, ...]:
 
 def number_at(zones: ZoneMap, place: tuple[float, float]) -> int:
     """Return the number of the zone there, 0 for none."""
-    index = int(zones.cells[cell_of(*place)])
+    index = int(zones.cells[cells_of(*place)])
     return zones.zones[index].number if index >= 0 else 0
 
 
@@ -72,7 +72,7 @@ def test_a_door_that_opens_has_a_number_of_its_own_and_one_that_closes_none() ->
     number = {
         door: zone.number for door in DOORS for zone in new.zones if abs(zone.x - door[0]) < 0.03
     }
-    kept = [old.zones[old.cells[cell_of(*door)]].number for door in DOORS[1:3]]
+    kept = [old.zones[old.cells[cells_of(*door)]].number for door in DOORS[1:3]]
     assert [number[door] for door in DOORS[1:3]] == kept
     assert number[DOORS[3]] not in numbers(old)
 
