@@ -26,12 +26,12 @@ Indices = NDArray[np.signedinteger[Any]]
 Bools = NDArray[np.bool_]
 
 ALL_KEYS_MAX = 1000
-"""Up to this many keys, `numbered` gives every key a row, whether it occurs or not."""
+"""Up to this many keys, `table_rows` gives every key a row, whether it occurs or not."""
 SHORT_MAX = np.iinfo(np.int16).max
 """Largest index that is sorted as 16 bits: NumPy's radix sort makes that ten times as fast."""
 
 
-def rows_of(label: Indices, groups: int) -> list[NDArray[np.intp]]:
+def rows_by_group(label: Indices, groups: int) -> list[NDArray[np.intp]]:
     """Return the rows of each group, ascending.
 
     label (n,): group of each row, from 0 to ``groups`` - 1.
@@ -40,7 +40,7 @@ def rows_of(label: Indices, groups: int) -> list[NDArray[np.intp]]:
     return np.split(order, np.cumsum(np.bincount(label, minlength=groups))[:-1]) if groups else []
 
 
-def numbered(key: Indices, keys: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def table_rows(key: Indices, keys: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the keys that get a row of a table, ascending, and the row of each ``key`` (n,).
 
     These are all keys from 0 to ``keys`` - 1 where that is at most `ALL_KEYS_MAX`, else only those
@@ -52,7 +52,7 @@ def numbered(key: Indices, keys: int) -> tuple[NDArray[np.int64], NDArray[np.int
     return present.astype(np.int64), row.astype(np.int64)
 
 
-def summed(rows: Floats, group: Indices, groups: int) -> Floats:
+def sum_by_group(rows: Floats, group: Indices, groups: int) -> Floats:
     """Return the sums (groups, columns) of the rows of each group."""
     # Sort the rows by group.
     result = np.zeros((groups, rows.shape[1]))
@@ -71,7 +71,7 @@ def summed(rows: Floats, group: Indices, groups: int) -> Floats:
     return result
 
 
-def rows_at(keys: Indices, wanted: Indices) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+def find_rows(keys: Indices, wanted: Indices) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Return the index among ``keys`` of each of the ``wanted`` (n,), and whether it is there.
 
     Both results have shape (n,); the index of a missing key is arbitrary but valid, unless there
@@ -88,7 +88,7 @@ ROWS_AT_ONCE = 1024
 """Rows of a table processed together, so that intermediate results stay in the CPU's cache."""
 
 
-def rows_together(rows: int) -> Iterator[slice]:
+def row_slices(rows: int) -> Iterator[slice]:
     """Yield slices of about `ROWS_AT_ONCE` rows that cover a table of ``rows`` rows.
 
     BLAS rounds a matrix product of few rows differently in the last bit, so the last slice takes

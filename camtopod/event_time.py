@@ -14,7 +14,7 @@ from collections.abc import Set
 from msgspec import Struct
 
 BEHIND_EVENTS = 20
-"""Consecutive events of a camera after which `Behind` decides whether its clock is slow."""
+"""Consecutive events of a camera after which `CameraDelay` decides whether its clock is slow."""
 
 
 MICROSECONDS = 1_000_000
@@ -25,7 +25,7 @@ def microseconds(t: float) -> int:
     return round(t * MICROSECONDS)
 
 
-class Behind(Struct):
+class CameraDelay(Struct):
     """How far the events of one camera are behind event time, in microseconds."""
 
     known: int = 0
@@ -56,7 +56,7 @@ class EventTimeState(Struct):
     second_us: int | None = None
     leader: str | None = None
     watermark_us: int | None = None
-    behind: dict[str, Behind] = {}
+    behind: dict[str, CameraDelay] = {}
 
 
 class EventTime:
@@ -79,7 +79,7 @@ class EventTime:
         """Time of the newest event of any camera other than `leader`."""
         self.leader: str | None = None
         """The camera with the newest event; None after `advance` or `rewind`."""
-        self.behind: dict[str, Behind] = {}
+        self.behind: dict[str, CameraDelay] = {}
         self.lateness_us = self._lateness_us
         """By how much the watermark trails event time: the setting plus the delay of the camera
         whose clock is slowest.
@@ -87,7 +87,7 @@ class EventTime:
 
     def note(self, t_us: int, camera: str) -> bool:
         """Note an event of ``camera`` at ``t_us``; return False if it is too late to be learned."""
-        self._look_behind(t_us, camera)
+        self._update_delay(t_us, camera)
         if self.watermark_us is not None and t_us < self.watermark_us:
             return False
 
@@ -128,26 +128,26 @@ class EventTime:
         """Continue from a saved state."""
         self.newest_us, self.second_us, self.leader = state.newest_us, state.second_us, state.leader
         self.watermark_us, self.behind = state.watermark_us, state.behind
-        self._wait_for_the_last()
+        self._update_lateness()
 
     def forget(self, names: Set[str]) -> None:
         """Forget the delays of these cameras."""
         for name in names & self.behind.keys():
             del self.behind[name]
-        self._wait_for_the_last()
+        self._update_lateness()
 
-    def _look_behind(self, t_us: int, camera: str) -> None:
+    def _update_delay(self, t_us: int, camera: str) -> None:
         """Update the camera's delay; ignore events further behind than clocks may differ."""
         come = self._come_to()
         if come is None or come - t_us > self._apart_us:
             return
-        behind = self.behind.setdefault(camera, Behind())
+        behind = self.behind.setdefault(camera, CameraDelay())
         known = behind.known
         behind.note(come - t_us, self._lateness_us)
         if behind.known != known:
-            self._wait_for_the_last()
+            self._update_lateness()
 
-    def _wait_for_the_last(self) -> None:
+    def _update_lateness(self) -> None:
         """Update `lateness_us` for the camera whose clock is slowest."""
         self.lateness_us = self._lateness_us + max(
             (behind.known for behind in self.behind.values()), default=0

@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 
 from bench.support import ratios
 from camtopod.arrays import Floats
-from camtopod.learn.zones.clutter import FLOOR_CHANCE, clutter_rates, dense_cells, groups_of
+from camtopod.learn.zones.clutter import (
+    FLOOR_PROBABILITY,
+    clutter_rates,
+    daspec_groups,
+    dense_cells,
+)
 from camtopod.learn.zones.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy
 from camtopod.learn.zones.zone_map import CellSums, ZoneMap, cell_sums, find_zones, refresh_zones
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
@@ -72,7 +77,7 @@ def flatness(cameras: Sequence[Camera], rounds: int, events: Sequence[int]) -> l
             n: [partial(refresh_zones, *one) for one in those] for n, those in windows.items()
         },
         ANEW: {n: [partial(find_zones, sums) for sums, _ in those] for n, those in windows.items()},
-        GROUPS: {n: [partial(groups_of, one) for one in dense[n]] for n in events},
+        GROUPS: {n: [partial(daspec_groups, one) for one in dense[n]] for n in events},
         EVERYWHERE: {n: [partial(_plain, one) for one in counts[n]] for n in events},
     }
     return [
@@ -112,7 +117,7 @@ def against_points(cameras: Sequence[Camera], rounds: int) -> list[ratios.Table]
         costs = ratios.take_turns(
             {
                 REFRESHED: _timed([partial(refresh_zones, *one) for one in windows]),
-                GROUPS: _timed([partial(groups_of, _dense(sums)) for sums, _ in windows]),
+                GROUPS: _timed([partial(daspec_groups, _dense(sums)) for sums, _ in windows]),
                 name: _timed(theirs, 1),
             },
             rounds,
@@ -140,7 +145,7 @@ def summed(positions: Floats) -> CellSums:
 
 def _dense(sums: CellSums) -> Floats:
     """Return the counts of the dense cells."""
-    return dense_cells(sums.count, clutter_rates(sums.count), FLOOR_CHANCE)
+    return dense_cells(sums.count, clutter_rates(sums.count), FLOOR_PROBABILITY)
 
 
 def _bandwidth(sums: CellSums) -> float:

@@ -27,7 +27,7 @@ from camtopod.learn import refit as refits
 from camtopod.learn.assemble import assemble, link_records, zone_id
 from camtopod.learn.association import FollowedSources
 from camtopod.learn.changes import AlarmLog, Move, find_move
-from camtopod.learn.clocks import ClockKeeper
+from camtopod.learn.clocks import ClockTracker
 from camtopod.learn.links import zone_pairs_of
 from camtopod.learn.refit import Known, Refit, dwell_bins, lag_bins, refit
 from camtopod.learn.retired_cameras import (
@@ -39,8 +39,8 @@ from camtopod.learn.retired_cameras import (
 from camtopod.learn.self_score import Scorer
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import CameraState, LearnerState, RetiredCamera
-from camtopod.learn.traffic import Scene, see
-from camtopod.learn.window import GONE, Intake, Window, cells_of
+from camtopod.learn.traffic import Scene, label_events
+from camtopod.learn.window import FORGOTTEN, ReorderBuffer, Window, cells_of
 from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
 from camtopod.predict import Predictor
 from camtopod.publishers import RETURNS_MIN, Publisher
@@ -80,7 +80,7 @@ class Learner:
         """Called with each of `STEPS` as it begins: what the one before took is free again."""
         self.bins = lag_bins(self.settings)
         self.stay_bins = dwell_bins(self.settings)
-        self._intake = Intake(
+        self._intake = ReorderBuffer(
             self.settings.lateness_seconds,
             self.settings.cameras_max,
             self.settings.ahead_seconds_max,
@@ -94,7 +94,7 @@ class Learner:
         self._followed: dict[
             int, FollowedSources
         ] = {}  # zones screened in as sources of each, by `place`
-        self._keeper = ClockKeeper()
+        self._keeper = ClockTracker()
         self._alarms = AlarmLog()
         self._scorer = Scorer()
         self._maps: list[ZoneMap] = []
@@ -121,7 +121,7 @@ class Learner:
     def receive(self, event: Event) -> str:
         """Take one event: ``accepted``, ``duplicate``, ``late`` or ``refused``."""
         if (
-            not self._intake.has_place(event.camera)
+            not self._intake.has_room_for(event.camera)
             and (other := camera_to_replace(self._intake, self._window)) is not None
         ):
             self._leave({other})
@@ -310,7 +310,7 @@ class Learner:
 
     def _forget(self, names: Set[str]) -> None:
         number = self._window.forget_cameras(names)
-        kept = number != GONE
+        kept = number != FORGOTTEN
         self._intake.forget(names)
         self._scorer.forget(names)
         self._keeper.keep(kept)
@@ -347,7 +347,7 @@ class Learner:
         self.on_step("zones")
         self._refresh_zones()
         self.on_step("clocks")
-        scene = self._to_fit(self._corrected(see(self._window, self._maps)))
+        scene = self._to_fit(self._corrected(label_events(self._window, self._maps)))
 
         known = Known(self._followed, self._learned, self.only_last, self._scorer.waiting)
         clocks = self._keeper.clocks
@@ -471,7 +471,9 @@ class Learner:
                 self._zoned.append(seen)
                 self._looked.append(seen)
                 self._gone.append(_vanished(left.zones, self._maps[camera]))
-            elif seen - self._zoned[camera] >= ZONES_REFRESH_SHARE * self._window.placed(camera):
+            elif seen - self._zoned[
+                camera
+            ] >= ZONES_REFRESH_SHARE * self._window.count_with_position(camera):
                 old = self._maps[camera]
                 known = old.zones + self._gone[camera]
                 new = refresh_zones(self._window.cell_sums(camera), old, self._gone[camera])
@@ -485,7 +487,7 @@ class Learner:
         """Estimate the clock offsets, and return the scene with its times corrected by them."""
         self._keeper.look(scene, len(self._window.cameras), self._learned)
         offset = self._keeper.clocks.offset
-        return see(self._window, self._maps, offset) if offset.any() else scene
+        return label_events(self._window, self._maps, offset) if offset.any() else scene
 
     def _to_fit(self, scene: Scene) -> Scene:
         """Return the part of the scene that is fitted. A `District` leaves cameras out."""

@@ -19,10 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from camtopod.arrays import Bools, Floats, Ints, rows_of
+from camtopod.arrays import Bools, Floats, Ints, rows_by_group
 from camtopod.learn.association import Candidates, CandidateScreen
 from camtopod.learn.changes import Change
-from camtopod.learn.clocks import LAGS, ROWS_AT_ONCE, Counts, chance, correlograms, side_by_side
+from camtopod.learn.clocks import (
+    LAGS,
+    ROWS_AT_ONCE,
+    Counts,
+    cache_friendly_order,
+    correlograms,
+    null_expectation,
+)
 from camtopod.learn.links import LinkTable
 from camtopod.learn.next_camera import Posterior
 from camtopod.learn.traffic import Arrivals, Departures
@@ -94,7 +101,7 @@ def find_long_paths(
         if half.any()
     ]
     nats, seconds = np.zeros(len(pairs)), np.zeros(len(pairs))
-    order = side_by_side(source, target, min(half.at_once for half in halves))
+    order = cache_friendly_order(source, target, min(half.at_once for half in halves))
     for k in range(0, len(order), ROWS_AT_ONCE):
         some = order[k : k + ROWS_AT_ONCE]
         counts = [half.of(source[some], target[some]) for half in halves]
@@ -121,7 +128,9 @@ def clearest_peaks(counts: list[Counts], lag_max: float, longest: float) -> tupl
     """
     lag = np.arange(-LAGS, LAGS + 1) * BIN_SECONDS
     before, near = lag < -LONG_SECONDS_MIN, np.abs(lag) < LONG_SECONDS_MIN
-    usual = [np.maximum(chance(half), half.mean(axis=1, keepdims=True)) for half in counts]
+    usual = [
+        np.maximum(null_expectation(half), half.mean(axis=1, keepdims=True)) for half in counts
+    ]
     best, where = np.zeros(len(counts[0])), np.zeros(len(counts[0]))
     for width in WIDTHS_BINS:
         seen, expected = (
@@ -157,7 +166,7 @@ def _usual_stay(departures: Departures, cameras: int) -> Floats:
     known = np.isfinite(departures.since)
     stay, camera = (departures.t - departures.since)[known], departures.camera[known]
     return np.array(
-        [np.median(stay[rows]) if len(rows) else 0.0 for rows in rows_of(camera, cameras)]
+        [np.median(stay[rows]) if len(rows) else 0.0 for rows in rows_by_group(camera, cameras)]
     )
 
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.arrays import Floats, rows_of
+from camtopod.arrays import Floats, rows_by_group
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.assemble import STAY_DECILES, zone_id
 from camtopod.learn.changes import Change
 from camtopod.learn.next_camera import LEVELS, OverlappingViews, Posterior
-from camtopod.learn.traffic import Persistence, Scene, usual_stays
+from camtopod.learn.traffic import Persistence, Scene, usual_dwell_times
 from camtopod.learn.window import Window
 from camtopod.records import (
     CameraModel,
@@ -88,7 +88,7 @@ def _pace(ids: list[str], scene: Scene, persistence: Persistence) -> Pace | None
     if persistence.scaling <= 0.0:
         return None
     p = scene.passages
-    stays = usual_stays(p.source, p.target, p.left - p.entered)
+    stays = usual_dwell_times(p.source, p.target, p.left - p.entered)
     ways = [
         Way(ids[entry], ids[left], round_significant(stay)) for (entry, left), stay in stays.items()
     ]
@@ -103,7 +103,9 @@ def _zone_models(ids: list[str], scene: Scene, posterior: Posterior | None) -> l
     zones = []
     known = np.flatnonzero(np.isfinite(d.since))
     stays = (d.t - d.since)[known]
-    for index, (name, mine) in enumerate(zip(ids, rows_of(d.zone[known], len(ids)), strict=True)):
+    for index, (name, mine) in enumerate(
+        zip(ids, rows_by_group(d.zone[known], len(ids)), strict=True)
+    ):
         stay = stays[mine]
         deciles = (
             [round_significant(float(value)) for value in np.quantile(stay, STAY_DECILES)]
@@ -146,7 +148,7 @@ def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) ->
     share = posterior.share * now
     rows = []
     likely = np.flatnonzero(share > SHARE_MIN)
-    for zone, mine in enumerate(rows_of(c.source[likely], len(ids))):
+    for zone, mine in enumerate(rows_by_group(c.source[likely], len(ids))):
         pairs = likely[mine]
         pairs = pairs[np.argsort(-share[pairs], kind="stable")][:OUTCOMES_PER_ZONE_MAX]
         mass = posterior.fit.hazard[pairs] * bins.widths * now[pairs, None]
@@ -169,7 +171,7 @@ def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryK
     total = mass.sum(axis=1)
     rows = []
     likely = np.flatnonzero(total > SHARE_MIN)
-    for zone, mine in enumerate(rows_of(p.entry_source[likely], len(ids))):
+    for zone, mine in enumerate(rows_by_group(p.entry_source[likely], len(ids))):
         pairs = likely[mine]
         pairs = pairs[np.argsort(-total[pairs], kind="stable")][:ENTRY_KERNELS_PER_ZONE_MAX]
         rows += [

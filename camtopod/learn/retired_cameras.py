@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.association import FollowedSources, place
-from camtopod.learn.window import GONE, Intake, Window
+from camtopod.learn.window import FORGOTTEN, ReorderBuffer, Window
 
 RETIRED_AFTER_SECONDS = 7 * 86_400.0
 """Seconds of event time that a camera without events stays listed, at least."""
@@ -29,7 +29,9 @@ _CAMERA_SHIFT = 32
 """Bits below the camera's index in a zone's key, see `place`."""
 
 
-def cameras_to_retire(intake: Intake, window: Window, now_us: int, window_us: int) -> set[str]:
+def cameras_to_retire(
+    intake: ReorderBuffer, window: Window, now_us: int, window_us: int
+) -> set[str]:
     """Return the cameras to retire.
 
     now_us (microseconds): event time.
@@ -47,10 +49,10 @@ def cameras_to_retire(intake: Intake, window: Window, now_us: int, window_us: in
 
     # Snapshots of older programs do not hold the time of a camera's last event, so the window and
     # the held events are checked, too.
-    return silent - window.cameras_present() - intake.held_of()
+    return silent - window.cameras_present() - intake.cameras_held()
 
 
-def camera_to_replace(intake: Intake, window: Window) -> str | None:
+def camera_to_replace(intake: ReorderBuffer, window: Window) -> str | None:
     """Return the camera that a new one replaces; None if none has been silent for long."""
     newest, watermark_us = intake.newest_of, intake.watermark_us
     silent_us = (watermark_us or 0) - round(REPLACEABLE_AFTER_SECONDS * MICROSECONDS)
@@ -61,7 +63,7 @@ def camera_to_replace(intake: Intake, window: Window) -> str | None:
 
     # Of the silent cameras, the one with the fewest events.
     events = dict(zip(window.cameras, window.events_of_cameras().tolist(), strict=True))
-    held = intake.held_of()
+    held = intake.cameras_held()
     silent = [
         (events.get(name, 0), t_us, name)
         for name, t_us in newest.items()
@@ -76,12 +78,12 @@ def renumber_followed(
     """Return the followed sources of each zone after the cameras were renumbered.
 
     followed (by `place`): sources that `CandidateScreen` follows.
-    number (cameras,): new index of each camera, `GONE` for retired ones.
+    number (cameras,): new index of each camera, `FORGOTTEN` for retired ones.
     """
     result = {}
     for target, known in followed.items():
-        if number[target >> _CAMERA_SHIFT] != GONE:
-            sources = known.sources[number[known.sources >> _CAMERA_SHIFT] != GONE]
+        if number[target >> _CAMERA_SHIFT] != FORGOTTEN:
+            sources = known.sources[number[known.sources >> _CAMERA_SHIFT] != FORGOTTEN]
             moved = np.array([_moved(source, number) for source in sources.tolist()], np.int64)
             result[_moved(target, number)] = FollowedSources(moved, known.looked)
     return result

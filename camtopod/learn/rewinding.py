@@ -13,7 +13,7 @@ from camtopod.event_time import EventTime, EventTimeState, microseconds
 from camtopod.learn.changes import AlarmState
 from camtopod.learn.self_score import ScorerState
 from camtopod.learn.snapshot import LearnerState
-from camtopod.learn.window import IntakeState, WindowState
+from camtopod.learn.window import ReorderBufferState, WindowState
 
 
 def rewind(state: LearnerState, to: float) -> LearnerState:
@@ -32,7 +32,7 @@ def rewind(state: LearnerState, to: float) -> LearnerState:
     )
 
 
-def _intake(state: LearnerState, to_us: int) -> IntakeState:
+def _intake(state: LearnerState, to_us: int) -> ReorderBufferState:
     intake = state.intake
     time = EventTime(state.settings.lateness_seconds, state.settings.ahead_seconds_max)
     time.load(

@@ -20,7 +20,7 @@ from camtopod.learn.changes import AlarmState, Move
 from camtopod.learn.clocks import ClockState
 from camtopod.learn.self_score import ScorerState
 from camtopod.learn.settings import Settings
-from camtopod.learn.window import IntakeState, WindowState
+from camtopod.learn.window import ReorderBufferState, WindowState
 from camtopod.learn.zones import ZoneMap, ZoneShape
 from camtopod.publishers import Publisher
 from camtopod.records import Topology
@@ -68,7 +68,7 @@ class LearnerState(Struct):
     site: str
     epoch: str
     topology: Topology | None
-    intake: IntakeState
+    intake: ReorderBufferState
     window: WindowState
     clocks: ClockState
     alarms: AlarmState

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from camtopod.lazy import names_from
+from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from camtopod.serve.daemon import Daemon
@@ -22,7 +22,7 @@ __all__ = [
     "RecordedState",
 ]
 
-__getattr__ = names_from(
+__getattr__ = lazy_getattr(
     __name__,
     {
         "Daemon": "daemon",

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from camtopod.lazy import names_from
+from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from camtopod.sharding.assignment import Assignment, Sharding, districts_of
@@ -39,7 +39,7 @@ __all__ = [
     "unpack_shard",
 ]
 
-__getattr__ = names_from(
+__getattr__ = lazy_getattr(
     __name__,
     {
         "Assignment": "assignment",

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from camtopod.lazy import names_from
+from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from camtopod.sim.floor import Plan, Walk, demo_plan, passages, simulate_walks, truth_of
@@ -39,7 +39,7 @@ __all__ = [
     "write_map",
 ]
 
-__getattr__ = names_from(
+__getattr__ = lazy_getattr(
     __name__,
     {
         "Plan": "floor",

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, rows_together
+from camtopod.arrays import Floats, row_slices
 
 LAG_SCALE_SECONDS = 4.0
 """Lag at which bins change from constant width to a constant share of the lag, seconds."""
@@ -127,7 +127,7 @@ def smooth(counts: Floats, total: Floats | None = None) -> tuple[Floats, Floats]
         few = np.flatnonzero((total >= least) & ~above)
         above[few] = True
         spread = lag_smoothing_matrix(size, sd_bins)
-        for part in rows_together(len(few)):
+        for part in row_slices(len(few)):
             rows = few[part]
             result[rows] = counts[rows] @ spread.T
             stays[rows] = spread[size // 2, size // 2]

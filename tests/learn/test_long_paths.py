@@ -149,7 +149,7 @@ def ends(events: list[Event], cameras: str = "abc") -> tuple[Departures, Arrival
         sides.append((t, camera))
     (left, source), (came, target) = sides
     unknown = np.full(len(left), np.nan)
-    departures = Departures.untold(left, source, source, left - STAY_SECONDS, unknown)
+    departures = Departures.without_arrivals(left, source, source, left - STAY_SECONDS, unknown)
     return departures, Arrivals(
         came, target, target, np.ones(len(came)), np.full(len(came), np.nan)
     )
@@ -215,7 +215,9 @@ def test_delayed_departures_are_those_of_their_own(
 ) -> None:
     camera = np.array([0, 0, 1, 2], np.int32)  # of each zone
     t, zone = np.array(sorted(t for t, _ in left)), np.array([zone for _, zone in left], np.int32)
-    departures = Departures.untold(t, zone, camera[zone], t - 1.0, np.full(len(t), np.nan))
+    departures = Departures.without_arrivals(
+        t, zone, camera[zone], t - 1.0, np.full(len(t), np.nan)
+    )
     ways = [LongPath(a, b, seconds) for a, b, seconds in routes if a != b]
 
     late = delayed(departures, camera, 3, ways)

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.learn.traffic.speed import usual_stays
+from camtopod.learn.traffic.speed import usual_dwell_times
 from camtopod.predict.predictor import Predictor
 from camtopod.predict.speed import Paces, windows_at_pace
 from camtopod.records import Camera, Model, Pace, Topology, Way, Zone
@@ -81,9 +81,9 @@ def test_few_transitions_were_smoothed_more() -> None:
 
 def test_usual_stays_are_medians_of_ways_often_taken() -> None:
     source, target = np.array([0] * 5 + [1] * 4, np.int32), np.array([1] * 9, np.int32)
-    stays = usual_stays(source, target, np.array([1.0, 2.0, 4.0, 8.0, 90.0] + [3.0] * 4))
+    stays = usual_dwell_times(source, target, np.array([1.0, 2.0, 4.0, 8.0, 90.0] + [3.0] * 4))
     assert stays == {(0, 1): pytest.approx(4.0)}
-    even = usual_stays(
+    even = usual_dwell_times(
         np.zeros(6, np.int32), np.ones(6, np.int32), np.array([1.0, 1.0, 2.0, 8.0, 9.0, 9.0])
     )
     assert even[0, 1] == pytest.approx(math.sqrt(2.0 * 8.0))

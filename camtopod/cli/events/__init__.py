@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from camtopod.lazy import names_from
+from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from camtopod.cli.events.event_lines import Line, LineReader, numbered, open_input
@@ -29,7 +29,7 @@ __all__ = [
     "open_input",
 ]
 
-__getattr__ = names_from(
+__getattr__ = lazy_getattr(
     __name__,
     {
         "FORMATS": "input_formats",

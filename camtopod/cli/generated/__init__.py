@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from camtopod.lazy import names_from
+from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from camtopod.cli.generated.config_schema import text
@@ -20,7 +20,7 @@ __all__ = [
     "text",
 ]
 
-__getattr__ = names_from(
+__getattr__ = lazy_getattr(
     __name__,
     {
         "example": "example_config",

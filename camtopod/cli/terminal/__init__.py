@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from camtopod.lazy import names_from
+from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from camtopod.cli.terminal.progress import Progress
@@ -41,7 +41,7 @@ __all__ = [
     "transit",
 ]
 
-__getattr__ = names_from(
+__getattr__ = lazy_getattr(
     __name__,
     {
         "SiteState": "site_state",

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
+from camtopod.arrays import Floats, Indices, Ints, Singles, row_slices
 from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import LagBins, lag_smoothing_matrix
 
@@ -236,7 +236,7 @@ def initial_hazards(
     exposure (zones, bins): exposed departures.
     source (P,): zone of departure of each pair.
     """
-    for rows in rows_together(len(seen)):
+    for rows in row_slices(len(seen)):
         exposed = exposure[source[rows]] * bins.widths
         chance = rates[rows, None] * exposed
         above = np.maximum(excess_over_null(seen[rows], chance, bins, noise_sd), least * seen[rows])

@@ -29,7 +29,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from camtopod.arrays import Bools, Floats, Indices, Longs, Singles, rows_together
+from camtopod.arrays import Bools, Floats, Indices, Longs, Singles, row_slices
 from camtopod.learn.association.candidates import (
     Candidates,
     initial_hazards,
@@ -42,10 +42,10 @@ from camtopod.learn.traffic import (
     NO_PERSISTENCE,
     SURE_RESPONSIBILITY,
     Arrivals,
-    Chance,
     Departures,
+    NullRates,
     Persistence,
-    persistence,
+    estimate_persistence,
 )
 from camtopod.topology import LEAVE_FLOOR, LagBins, smooth
 
@@ -186,7 +186,7 @@ class Em:
             return np.zeros((self.pairs, self.bins.size), np.float32)
         seen = self._count(np.ones(part.stop - part.start) for part in self.parts)
         near = slice(None) if self.near is None else self.near
-        null_model = Chance(left.t[near], left.zone[near], came.t, came.zone, self.zones)
+        null_model = NullRates(left.t[near], left.zone[near], came.t, came.zone, self.zones)
         rates = null_model.of(c.source, c.target)
         first = initial_hazards(
             seen, rates, self.exposure, c.source, self.bins, noise_sd, START_FLOOR
@@ -199,7 +199,7 @@ class Em:
             self.expect(hazard)
             fresh = self.maximise()
             if iteration < ITERATIONS - SETTLING_ITERATIONS:
-                for rows in rows_together(self.pairs):
+                for rows in row_slices(self.pairs):
                     ratio = fresh[rows] / np.maximum(hazard[rows], NOTHING)
                     fresh[rows] *= np.minimum(ratio, STRIDE_RATIO_MAX) ** (STRIDE - 1.0)
             hazard = fresh
@@ -252,7 +252,7 @@ class Em:
         self.expect(hazard)
         sure = np.flatnonzero(self.responsibility > SURE_RESPONSIBILITY)
         c = self.candidates
-        found = persistence(
+        found = estimate_persistence(
             self.departures.slow.take(c.departure[sure]),
             self.arrivals.slow.take(c.arrival[sure]),
             c.lag[sure].astype(float),
@@ -393,7 +393,7 @@ class Em:
         if self.leaving is not None:
             return self.leaving
         share = np.zeros(self.pairs)
-        for rows in rows_together(self.pairs):
+        for rows in row_slices(self.pairs):
             share[rows] = self.appears(self.after_exit(hazard, rows), rows).sum(axis=1)
         again = np.bincount(self.candidates.source, share, minlength=self.zones).astype(float)
         left: Floats = np.maximum(1.0 - self.over_copies(again[self.departures.zone]), LEAVE_FLOOR)
@@ -443,7 +443,7 @@ class Em:
         del counts  # larger than the hazards
 
         hazard = np.empty_like(smoothed)
-        for rows in rows_together(self.pairs):
+        for rows in row_slices(self.pairs):
             exposed = self.exposed(rows)
             if expected is None:
                 np.divide(smoothed[rows], exposed * self.bins.widths, out=hazard[rows])
@@ -459,7 +459,7 @@ class Em:
         kept = np.maximum(total - self.sparsity, 1e-3 * total) if self.sparsity else total
         share = (kept / np.maximum(total, 1e-300))[:, None]
         smoothed = np.empty(counts.shape, np.float32)
-        for rows in rows_together(self.pairs):
+        for rows in row_slices(self.pairs):
             some, stays = smooth(counts[rows], kept[rows])
             smoothed[rows] = some = some * share[rows]
             self.own[rows] = stays[:, None] / np.maximum(some, NOTHING)
@@ -487,7 +487,7 @@ class Em:
         even, c = np.zeros(self.pairs), self.candidates
         one_view = self.camera[c.source] == self.camera[c.target]
         before = self.bins.edges[1:] <= 0
-        for rows in rows_together(self.pairs):
+        for rows in row_slices(self.pairs):
             exposed = self.exposure[c.source[rows]] * self.bins.widths
             exposed[one_view[rows, None] & before] = 0.0  # in one view no lag is before the exit
             total = np.maximum(exposed.sum(axis=1), 1e-9)

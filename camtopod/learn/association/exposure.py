@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from camtopod.arrays import Floats, rows_of
+from camtopod.arrays import Floats, rows_by_group
 from camtopod.learn.traffic import Departures
 from camtopod.topology import LagBins
 
@@ -20,7 +20,7 @@ def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -
     exposed = np.zeros((zones, bins.size))
     ahead = int((bins.edges[1:] <= 0).sum())
     before = bins.edges[: ahead + 1]
-    for zone, here in enumerate(rows_of(departures.zone, zones)):
+    for zone, here in enumerate(rows_by_group(departures.zone, zones)):
         # Lags after the exit: departures at least this long before the end of the window.
         left = np.sort(until - departures.t[here])
         exposed[zone] = len(here) - np.searchsorted(left, bins.edges[1:], side="left")

@@ -23,7 +23,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from camtopod.arrays import Bools, Floats, Ints, Longs, Rows, Singles, rows_of
+from camtopod.arrays import Bools, Floats, Ints, Longs, Rows, Singles, rows_by_group
 from camtopod.learn.association.candidates import (
     EXCESS_SMOOTHING_SD_BINS,
     RESPONSIBILITY_MAX,
@@ -45,7 +45,7 @@ from camtopod.learn.limits import (
     arrivals_within,
     zone_pairs_max,
 )
-from camtopod.learn.traffic import Arrivals, Chance, Departures
+from camtopod.learn.traffic import Arrivals, Departures, NullRates
 from camtopod.topology import LagBins, lag_smoothing_matrix, smooth
 
 Part = tuple[Ints, Ints, Singles, Singles]
@@ -102,7 +102,7 @@ class ScreenInput(NamedTuple):
     """(zones,) rows of the arrivals of each zone."""
     exposure: Floats
     """(zones, bins) exposed departures."""
-    chance: Chance
+    chance: NullRates
     """Rates of arrivals under the null model."""
     bins: LagBins
 
@@ -227,10 +227,10 @@ def candidates_of_pairs(
     pairs: indices of the pairs.
     """
     # Group events by zone, and pairs by zone of arrival.
-    leaving, coming = rows_of(departures.zone, zones), rows_of(arrivals.zone, zones)
+    leaving, coming = rows_by_group(departures.zone, zones), rows_by_group(arrivals.zone, zones)
     pairs_to = {
         zone: pairs[rows]
-        for zone, rows in enumerate(rows_of(candidates.target[pairs], zones))
+        for zone, rows in enumerate(rows_by_group(candidates.target[pairs], zones))
         if len(rows)
     }
 
@@ -329,10 +329,10 @@ def screen_input(
     return ScreenInput(
         departures,
         arrivals,
-        rows_of(departures.zone, zones),
-        rows_of(arrivals.zone, zones),
+        rows_by_group(departures.zone, zones),
+        rows_by_group(arrivals.zone, zones),
         exposures(departures, bins, zones, until),
-        Chance(departures.t, departures.zone, arrivals.t, arrivals.zone, zones),
+        NullRates(departures.t, departures.zone, arrivals.t, arrivals.zone, zones),
         bins,
     )
 

@@ -19,7 +19,7 @@ from camtopod.learn.traffic import (
     Persistence,
     adjusted_lag,
     agreement,
-    combined,
+    mean_slowness,
 )
 from camtopod.topology import LagBins
 
@@ -60,7 +60,7 @@ def adjust(
         if found != NO_PERSISTENCE:
             left = departures.slow.take(c.departure[part])
             came = arrivals.slow.take(c.arrival[part])
-            lag = adjusted_lag(lag, combined(left, came), found.scaling, bins)
+            lag = adjusted_lag(lag, mean_slowness(left, came), found.scaling, bins)
         cell[part] = c.pair[part] * bins.size + bins.index(lag)
         if agree is not None:
             agree[part] = agreement(left, came, found)

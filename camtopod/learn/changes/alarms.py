@@ -11,7 +11,7 @@ from collections.abc import Iterable, Set
 import numpy as np
 from msgspec import Struct
 
-from camtopod.arrays import rows_of
+from camtopod.arrays import rows_by_group
 from camtopod.learn.changes.change_points import Change, Trials, latest_change, threshold_nats
 from camtopod.learn.changes.silence import CameraSilences
 from camtopod.learn.traffic import Scene
@@ -266,8 +266,8 @@ def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
     found = {}
     cameras = max((ref.camera for ref in scene.zones), default=-1) + 1
     ends = scene.departures, scene.arrivals
-    of_camera = [rows_of(events.camera, cameras) for events in ends]
-    of_zone = [rows_of(events.zone, len(scene.zones)) for events in ends]
+    of_camera = [rows_by_group(events.camera, cameras) for events in ends]
+    of_zone = [rows_by_group(events.zone, len(scene.zones)) for events in ends]
 
     # Test each zone's share of its camera's events, unless it has all of them.
     for index, ref in enumerate(scene.zones):

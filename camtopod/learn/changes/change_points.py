@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from camtopod.arrays import Floats, Longs, rows_of
+from camtopod.arrays import Floats, Longs, rows_by_group
 from camtopod.learn.association import Fit
 from camtopod.learn.links import LinkTable, log_likelihood_ratio
 from camtopod.learn.traffic import Arrivals, Departures
@@ -111,7 +111,9 @@ def find_changes(
     threshold = threshold_nats(len(pairs), len(departures.t))
     camera_of = dict(zip(arrivals.zone.tolist(), arrivals.camera.tolist(), strict=True))
     done = departures.t[: np.searchsorted(departures.t, over, side="right")]
-    left = rows_of(departures.zone[: len(done)], int(fit.candidates.source.max(initial=-1)) + 1)
+    left = rows_by_group(
+        departures.zone[: len(done)], int(fit.candidates.source.max(initial=-1)) + 1
+    )
 
     found = []
     for pair, moved, share in transitions_by_pair(fit, departures, arrivals, pairs):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, rows_of
+from camtopod.arrays import Floats, rows_by_group
 
 FALSE_ALARM = 1e-3
 """Probability of any false silence of a camera in one window."""
@@ -44,7 +44,7 @@ def find_silences(t: Floats, camera: NDArray[np.int64], cameras: int) -> list[Ca
     camera (n,): camera of each event.
     cameras: number of cameras.
     """
-    return [_silences(t, own) for own in rows_of(camera, cameras)]
+    return [_silences(t, own) for own in rows_by_group(camera, cameras)]
 
 
 def _silences(t: Floats, own: NDArray[np.intp]) -> CameraSilences:

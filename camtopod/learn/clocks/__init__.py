@@ -11,20 +11,20 @@ from camtopod.learn.clocks.correlogram import (
     LAGS,
     ROWS_AT_ONCE,
     Counts,
-    chance,
+    cache_friendly_order,
     correlograms,
-    side_by_side,
+    null_expectation,
 )
-from camtopod.learn.clocks.offsets import ClockKeeper, Clocks, ClockState
+from camtopod.learn.clocks.offsets import Clocks, ClockState, ClockTracker
 
 __all__ = [
     "LAGS",
     "ROWS_AT_ONCE",
-    "ClockKeeper",
     "ClockState",
+    "ClockTracker",
     "Clocks",
     "Counts",
-    "chance",
+    "cache_friendly_order",
     "correlograms",
-    "side_by_side",
+    "null_expectation",
 ]

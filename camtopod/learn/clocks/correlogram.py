@@ -16,7 +16,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from camtopod.arrays import Floats, Ints, Longs, rows_of
+from camtopod.arrays import Floats, Ints, Longs, rows_by_group
 
 Counts = NDArray[np.float32]
 Spectra = NDArray[np.complex64]
@@ -52,7 +52,7 @@ SCALES_BINS = (1.5, 4.0, 10.0)
 NOISE_SD = 2.5
 """Standard deviations of the null model subtracted from every peak; lower ones count as none."""
 HIGHEST_LAGS, HIGHEST_WIDTH = 400, 5
-"""Largest lag of `highest`, in bins either way, and the width of its peaks."""
+"""Largest lag of `highest_peaks`, in bins either way, and the width of its peaks."""
 NEAR_BINS = 100.0
 """Lag in bins beyond which peaks weigh less the longer it is."""
 
@@ -67,7 +67,7 @@ def correlograms(
     labels: number of labels; they are counted from 0.
 
     The correlograms of all pairs would need a lot of memory. They are computed fastest if those
-    asked for in succession have at most ``at_once`` labels (`side_by_side`).
+    asked for in succession have at most ``at_once`` labels (`cache_friendly_order`).
     """
     # Bin the newest stretch of time.
     blocks = max(SPECTRA_MAX // labels, 1)
@@ -87,7 +87,7 @@ def correlograms(
     return ByTransform(bins, names, labels)
 
 
-def side_by_side(a: NDArray[Any], b: NDArray[Any], at_once: int) -> NDArray[np.intp]:
+def cache_friendly_order(a: NDArray[Any], b: NDArray[Any], at_once: int) -> NDArray[np.intp]:
     """Return an order of pairs (P,) in which long runs have at most ``at_once`` labels.
 
     a, b (P,): labels of the pairs. The matrix of all pairs is passed through tile by tile.
@@ -149,7 +149,7 @@ class ByTransform:
     def __init__(self, bins: list[Longs], names: list[Longs], labels: int) -> None:
         self._blocks = int(max(b.max(initial=0) for b in bins)) // BLOCK + 1
         self._bins = [
-            [some[rows] for rows in rows_of(name, labels)]
+            [some[rows] for rows in rows_by_group(name, labels)]
             for some, name in zip(bins, names, strict=True)
         ]
         self.at_once = max(SPECTRA_KEPT // (2 * self._blocks), 2)
@@ -195,7 +195,7 @@ class ByTransform:
         return known
 
 
-def chance(counts: Counts) -> Counts:
+def null_expectation(counts: Counts) -> Counts:
     """Return the expected correlograms (P, lags) under the null model of local rates only."""
     smooth = counts
     for width in CHANCE_BINS:
@@ -204,10 +204,10 @@ def chance(counts: Counts) -> Counts:
     return result
 
 
-def standing_out(counts: Counts, usual: Counts) -> Counts:
+def significant_peaks(counts: Counts, usual: Counts) -> Counts:
     """Return the peaks of correlograms above the null model; most of the result is zero.
 
-    counts, usual (P, lags): correlograms, and their expectations (`chance`).
+    counts, usual (P, lags): correlograms, and their expectations (`null_expectation`).
 
     The unit is standard deviations of the null model. Peaks are smoothed at each of `SCALES_BINS`,
     and lags longer than `NEAR_BINS` weigh less.
@@ -222,13 +222,13 @@ def standing_out(counts: Counts, usual: Counts) -> Counts:
     return best
 
 
-def highest(counts: Counts) -> Floats:
+def highest_peaks(counts: Counts) -> Floats:
     """Return the height (P,) of the highest peak of each correlogram (P, lags): fast, one width.
 
     The unit is standard deviations of one bin under the null model.
     """
     rows = counts[:, LAGS - HIGHEST_LAGS : LAGS + HIGHEST_LAGS + 1]
-    usual = chance(rows)
+    usual = null_expectation(rows)
     above = uniform_filter1d(rows - usual, HIGHEST_WIDTH, axis=1, mode="constant") / np.sqrt(usual)
     peaks: Floats = above.max(axis=1).astype(np.float64)
     return peaks

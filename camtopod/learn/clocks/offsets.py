@@ -22,8 +22,13 @@ from scipy.optimize import linprog
 from scipy.sparse import coo_array
 
 from camtopod.arrays import Bools, Floats, Ints
-from camtopod.learn.clocks.correlogram import ROWS_AT_ONCE, correlograms, highest, side_by_side
-from camtopod.learn.clocks.two_way_paths import two_ways
+from camtopod.learn.clocks.correlogram import (
+    ROWS_AT_ONCE,
+    cache_friendly_order,
+    correlograms,
+    highest_peaks,
+)
+from camtopod.learn.clocks.two_way_paths import find_two_way_paths
 from camtopod.learn.traffic import Arrivals, Departures, Scene
 
 BIN_SECONDS = 1.0
@@ -59,7 +64,7 @@ SHORT_SECONDS = 2.0
 """Shorter transit times count as this long for `SPREAD_SHARE_MAX`."""
 RIGHT_WEIGHT = 0.01
 """Cost of a second of offset, in standard deviations of disagreement of one difference."""
-STAYS_RIGHT = 0.5
+RIGHT_BEFORE_TRUST = 0.5
 """Additional trust in a clock that was right before; the trust in a clock is otherwise 1 to 2."""
 OUTLIER_SD = 3.0
 """Disagreement, in standard deviations, at which a difference weighs half; also the degrees of
@@ -118,7 +123,7 @@ class Difference(NamedTuple):
 
 
 class ClockState(Struct):
-    """The saved state of a `ClockKeeper`."""
+    """The saved state of a `ClockTracker`."""
 
     offset: Floats
     sd: Floats
@@ -131,7 +136,7 @@ def right_clocks(cameras: int) -> Clocks:
     return Clocks(np.zeros(cameras), np.full(cameras, np.inf), np.zeros(cameras, bool))
 
 
-class ClockKeeper:
+class ClockTracker:
     """The latest estimate of the clocks, updated once enough events are new."""
 
     def __init__(self) -> None:
@@ -173,7 +178,10 @@ class ClockKeeper:
             return False
 
         # Change only what clearly differs.
-        self.clocks, self._looked = held(known, estimate_clocks(scene, cameras, known)), learned
+        self.clocks, self._looked = (
+            keep_unless_clear(known, estimate_clocks(scene, cameras, known)),
+            learned,
+        )
         return bool((np.abs(self.clocks.offset - known.offset) > RELEARN_SECONDS).any())
 
 
@@ -196,8 +204,8 @@ def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:
         arrivals.camera, minlength=cameras
     )
     camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
-    return solve(
-        differences(departures, arrivals, camera_of, turning(scene), weight), weight, known
+    return solve_offsets(
+        find_differences(departures, arrivals, camera_of, turning(scene), weight), weight, known
     )
 
 
@@ -213,7 +221,7 @@ def turning(scene: Scene) -> Bools:
     return only | (back > TURNING_SHARE * np.maximum(np.bincount(p.target, minlength=zones), 1))
 
 
-def differences(
+def find_differences(
     departures: Departures,
     arrivals: Arrivals,
     camera_of: Ints,
@@ -242,14 +250,14 @@ def differences(
     found = []
     a_of, b_of = np.array(pairs).T
     cameras_at_once = seen.at_once * len(zones_of) // len(camera_of)
-    for a, b in (pairs[k] for k in side_by_side(a_of, b_of, cameras_at_once)):
+    for a, b in (pairs[k] for k in cache_friendly_order(a_of, b_of, cameras_at_once)):
         u, v = (
             ends.ravel().astype(np.int32)
             for ends in np.meshgrid(zones_of[a], zones_of[b], indexing="ij")
         )
 
         # Their two-way paths.
-        for k, way in two_ways(seen.of(u, v), seen.of(v, u)):
+        for k, way in find_two_way_paths(seen.of(u, v), seen.of(v, u)):
             if way.spread > SPREAD_SHARE_MAX * max(abs(way.transit), SHORT_SECONDS / BIN_SECONDS):
                 continue
             # If objects turn around at both zones, one walk from u to v also looks like one from v
@@ -275,11 +283,11 @@ def _promising(
     a, b = (np.array([pair[k] for pair in pairs], np.int32) for k in range(2))
     left, came = (departures.t, departures.camera), (arrivals.t, arrivals.camera)
     seen = correlograms(left, came, len(zones_of), SCREENING_BIN_SECONDS)
-    peak, order = np.zeros(len(a)), side_by_side(a, b, seen.at_once)
+    peak, order = np.zeros(len(a)), cache_friendly_order(a, b, seen.at_once)
     for k in range(0, len(a), ROWS_AT_ONCE):
         some = order[k : k + ROWS_AT_ONCE]
         peak[some] = np.minimum(
-            highest(seen.of(a[some], b[some])), highest(seen.of(b[some], a[some]))
+            highest_peaks(seen.of(a[some], b[some])), highest_peaks(seen.of(b[some], a[some]))
         )
 
     # The best ones within the limit.
@@ -288,7 +296,7 @@ def _promising(
     return [pairs[k] for k in np.sort(order[(size <= ZONE_PAIRS_MAX)])]
 
 
-def solve(found: list[Difference], weight: NDArray[np.int64], known: Clocks) -> Clocks:
+def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clocks) -> Clocks:
     """Estimate the offsets of all clocks from differences between them.
 
     weight (cameras,): number of events of each camera.
@@ -308,7 +316,7 @@ def solve(found: list[Difference], weight: NDArray[np.int64], known: Clocks) -> 
     trust = (
         1.0
         + weight / max(int(weight.sum()), 1)
-        + STAYS_RIGHT * (known.identified & (known.offset == 0))
+        + RIGHT_BEFORE_TRUST * (known.identified & (known.offset == 0))
     )
     sd = _with_asymmetry(found, trust)
     clocks.identified[a] = clocks.identified[b] = True
@@ -443,7 +451,7 @@ def _least_squares(
     return offset, error
 
 
-def held(known: Clocks, found: Clocks) -> Clocks:
+def keep_unless_clear(known: Clocks, found: Clocks) -> Clocks:
     """Return the known clocks with those offsets replaced that clearly differ in a new estimate.
 
     Clocks that are no longer identified count as right again.

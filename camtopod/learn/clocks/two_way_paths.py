@@ -15,7 +15,7 @@ import scipy.fft
 from scipy.ndimage import gaussian_filter1d
 
 from camtopod.arrays import Floats
-from camtopod.learn.clocks.correlogram import LAGS, Counts, chance, standing_out
+from camtopod.learn.clocks.correlogram import LAGS, Counts, null_expectation, significant_peaks
 
 SHIFT_SMOOTHING_BINS = 3.0
 """Standard deviation of the smoothing over shifts, bins."""
@@ -37,13 +37,13 @@ ROUNDS = 12
 """Iterations of the mean shift."""
 WIDE, WIDE_ROUNDS = 2.0, 4
 """Factor of a wider window that checks the result, and the iterations in it."""
-WITHIN_MIN = 0.3
+PEAK_VARIANCE_MIN = 0.3
 """Least variance of a peak, bins squared: a little more than that of counting in bins."""
 EVENTS_MIN = 8.0
 """Least events above the null model within the window, in each direction."""
 
 
-class TwoWay(NamedTuple):
+class TwoWayPath(NamedTuple):
     """A path walked in both directions; all values are in bins.
 
     ahead, sd: offset of the second clock relative to the first (positive if fast), and its standard
@@ -61,7 +61,7 @@ class TwoWay(NamedTuple):
 def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
     """Return the shift in bins of one direction against the other that matches best, and the match.
 
-    forth, back (K, lags): peaks of the correlograms of K pairs of zones (`standing_out`).
+    forth, back (K, lags): peaks of the correlograms of K pairs of zones (`significant_peaks`).
 
     The shift is positive if lags are longer in ``forth``. The match is the sum of products of the
     peaks; 0.0 if it is too small or not clearly better than that of any other shift.
@@ -83,14 +83,14 @@ def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
     return at - 2 * LAGS, peak if clear else 0.0
 
 
-def two_ways(forth: Counts, back: Counts) -> list[tuple[int, TwoWay]]:
+def find_two_way_paths(forth: Counts, back: Counts) -> list[tuple[int, TwoWayPath]]:
     """Find the two-way paths between two cameras; return them as (pair of zones, path).
 
     forth, back (K, lags): correlograms of K pairs of zones in both directions.
     """
     # The shift that all pairs of zones of the two cameras have in common.
-    usual = chance(forth), chance(back)
-    clear = standing_out(forth, usual[0]), standing_out(back, usual[1])
+    usual = null_expectation(forth), null_expectation(back)
+    clear = significant_peaks(forth, usual[0]), significant_peaks(back, usual[1])
     shift, peak = best_shift(*clear)
     if peak <= 0.0:
         return []
@@ -107,7 +107,7 @@ def two_ways(forth: Counts, back: Counts) -> list[tuple[int, TwoWay]]:
     found = []
     for k in np.flatnonzero(together.max(axis=1) >= SHARE_MIN * peak):
         there = int(np.argmax(together[k])) - LAGS
-        way = _centred(
+        way = _refine(
             (forth[k], back[k]), (usual[0][k], usual[1][k]), float(there + shift), float(there)
         )
         if way is not None:
@@ -115,9 +115,9 @@ def two_ways(forth: Counts, back: Counts) -> list[tuple[int, TwoWay]]:
     return found
 
 
-def _centred(
+def _refine(
     counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], forth: float, back: float
-) -> TwoWay | None:
+) -> TwoWayPath | None:
     """Return the two-way path with peaks near the lags ``forth`` and ``back`` (bins), if any.
 
     counts, usual: correlogram of each direction, and its expectation under the null model.
@@ -132,7 +132,7 @@ def _centred(
         if step is None or np.abs(step[0] - (forth, back)).max() > LAGS:
             return None
         centres, within, error = step
-        within = min(max(within, WITHIN_MIN), 0.9 * width**2)
+        within = min(max(within, PEAK_VARIANCE_MIN), 0.9 * width**2)
         # The width of a normal peak that the window has made narrower.
         spread = float(1.0 / np.sqrt(1.0 / within - 1.0 / width**2))
         last, width = width, float(np.clip(1.5 * spread, *WIDTHS_BINS))
@@ -149,7 +149,7 @@ def _centred(
         wide = centres if step is None else step[0]
     other = abs(0.5 * float(wide[0] - wide[1]) - ahead)
     sd = float(np.hypot(sd, other)) if other > WIDE * sd else sd
-    return TwoWay(ahead, sd, 0.5 * float(centres[0] + centres[1]), spread)
+    return TwoWayPath(ahead, sd, 0.5 * float(centres[0] + centres[1]), spread)
 
 
 def _step(

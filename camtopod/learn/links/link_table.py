@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Ints, rows_together
+from camtopod.arrays import Floats, Ints, row_slices
 from camtopod.learn.association import Fit, exposures
 from camtopod.learn.links import mahalanobis, monte_carlo
 from camtopod.learn.links.significance import log_likelihood_ratio, q_values
 from camtopod.learn.links.transit_time import MEDIAN_ERROR, TransitFigures, transit_figures
 from camtopod.learn.settings import Settings
-from camtopod.learn.traffic import Arrivals, Departures, combined
+from camtopod.learn.traffic import Arrivals, Departures, mean_slowness
 from camtopod.topology import LagBins, smooth
 
 TRANSITIONS_MIN = 2.0
@@ -102,7 +102,7 @@ def transition_slowness(
 
     # Slowness of each candidate, scaled to its effect on lags.
     c = fit.candidates
-    slow = scaling * combined(departures.slow[c.departure], arrivals.slow[c.arrival])
+    slow = scaling * mean_slowness(departures.slow[c.departure], arrivals.slow[c.arrival])
 
     # Standard error of a median, from the number of events with a known slowness.
     number = (
@@ -217,7 +217,7 @@ def tabulate(
         bins.lag_min, bins.lag_max
     )
     probability = np.zeros(pairs)
-    for rows in rows_together(pairs):
+    for rows in row_slices(pairs):
         probability[rows] = np.minimum(
             (counts[rows] / np.maximum(left[source[rows]], 1.0)).sum(axis=1), 1.0
         )

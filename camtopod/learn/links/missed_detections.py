@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Rows, rows_at, rows_together
+from camtopod.arrays import Floats, Rows, find_rows, row_slices
 from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.settings import Settings
 from camtopod.topology import LagBins
@@ -111,7 +111,7 @@ def unexplained(
 
     # Transitions of the pairs that the paths join, at the lags of the paths.
     pairs, at = np.unique(ways.pair, return_inverse=True)
-    row, known = rows_at(between.source.astype(np.intp) * len(camera) + between.target, pairs)
+    row, known = find_rows(between.source.astype(np.intp) * len(camera) + between.target, pairs)
     near = _inside(ways, at, between.delay[row], bins)
     seen = np.where(known, (near * between.counts[row]).sum(axis=1), 0.0)
 
@@ -226,7 +226,7 @@ def _inside(ways: SkippedPaths, at: Rows, delay: Floats, bins: LagBins) -> NDArr
     """
     reach = WINDOW_SD * ways.spread + WINDOW_SECONDS
     inside = np.zeros((len(delay), bins.size), bool)
-    for rows in rows_together(len(at)):
+    for rows in row_slices(len(at)):
         near = (
             np.abs(bins.centres + (delay[at[rows]] - ways.median[rows])[:, None])
             <= reach[rows, None]

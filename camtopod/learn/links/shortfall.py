@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Floats, rows_at
+from camtopod.arrays import Floats, find_rows
 from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.links.significance import ratio_needed
 from camtopod.learn.settings import Settings
@@ -50,7 +50,7 @@ def shortfall_of(
     # Evidence needed for the next link, and held-out evidence so far.
     needed = ratio_needed(published + 1, zones * zones, settings.publish_q_max)
     key, known = (table.source.astype(np.int64) * zones + table.target for table in (weak, between))
-    at, tested = rows_at(known, key)
+    at, tested = find_rows(known, key)
     held_out = np.zeros(len(key))
     held_out[tested] = between.ratio[at[tested]]
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Floats, Longs, rows_of
+from camtopod.arrays import Floats, Longs, rows_by_group
 from camtopod.learn.association import (
     departures_in_reach,
     find_candidates,
@@ -70,7 +70,7 @@ def passages_lasting(stay: Floats, entry: Longs, bins: LagBins, zones: int) -> F
     entry (n,): zone of entry.
     """
     result = np.zeros((zones, bins.size))
-    for zone, mine in enumerate(rows_of(entry, zones)):
+    for zone, mine in enumerate(rows_by_group(entry, zones)):
         stays = np.sort(stay[mine])
         result[zone] = len(stays) - np.searchsorted(stays, bins.edges[:-1], side="left")
     return result
@@ -116,7 +116,7 @@ def _view(scene: Scene, camera: int) -> _View:
     left = scene.departures.camera == camera
     of_camera = [index for index, zone in enumerate(scene.zones) if zone.camera == camera]
     first, zones = min(of_camera, default=0), len(of_camera)
-    starts = Departures.untold(
+    starts = Departures.without_arrivals(
         scene.arrivals.t[came],
         scene.arrivals.zone[came] - np.int32(first),
         scene.arrivals.camera[came],

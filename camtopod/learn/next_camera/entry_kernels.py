@@ -12,11 +12,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Indices, Singles, rows_together
+from camtopod.arrays import Floats, Indices, Singles, row_slices
 from camtopod.learn.association import START_FLOOR, Candidates, initial_hazards
 from camtopod.learn.limits import entry_pairs_max
 from camtopod.learn.links import passages_lasting
-from camtopod.learn.traffic import Arrivals, Chance, Departures
+from camtopod.learn.traffic import Arrivals, Departures, NullRates
 from camtopod.topology import LagBins, smooth
 
 
@@ -88,7 +88,7 @@ class EntryKernels:
         a, order = self._arrivals, np.argsort(self._began, kind="stable")
         if len(self.rows) == 0:
             return
-        rates = Chance(
+        rates = NullRates(
             self._began[order], self._entered[order].astype(np.int32), a.t, a.zone, self._zones
         )
         for rows, some, seen in self._counts(np.ones(len(self.rows))):
@@ -140,7 +140,7 @@ class EntryKernels:
         Each item is a slice of the pairs, their candidates and the counts.
         """
         size = self._bins.size
-        for rows in rows_together(len(self.source)):
+        for rows in row_slices(len(self.source)):
             first, last = np.searchsorted(
                 self._reached, (rows.start * size, rows.stop * size)
             ).tolist()

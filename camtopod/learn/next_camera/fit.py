@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Ints, Singles, rows_together
+from camtopod.arrays import Floats, Ints, Singles, row_slices
 from camtopod.learn.association import (
     NOTHING,
     Candidates,
@@ -330,7 +330,7 @@ class PosteriorFitter:
         """Return the hazards (P, bins) as possible legs of paths over a skipped camera."""
         em = self.em
         share = np.concatenate(
-            [em.appears(hazard[rows], rows).sum(axis=1) for rows in rows_together(em.pairs)]
+            [em.appears(hazard[rows], rows).sum(axis=1) for rows in row_slices(em.pairs)]
         )
         return legs_of(share, lambda some: em.appears(hazard[some], some), em.candidates, em.bins)
 

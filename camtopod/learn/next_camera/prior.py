@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Singles, numbered, rows_together, summed
+from camtopod.arrays import Floats, Singles, row_slices, sum_by_group, table_rows
 from camtopod.learn.association import Candidates
 from camtopod.topology import smooth
 
@@ -41,9 +41,9 @@ class Prior:
     ) -> None:
         cameras = int(camera.max(initial=0)) + 1
         source, target = camera[candidates.source], camera[candidates.target]
-        self._views, self.pair = numbered(source * cameras + target, cameras * cameras)
+        self._views, self.pair = table_rows(source * cameras + target, cameras * cameras)
         self._leaving = self._views // cameras
-        self._exposed = np.maximum(summed(exposure, camera, cameras), 1.0)
+        self._exposed = np.maximum(sum_by_group(exposure, camera, cameras), 1.0)
         self.share = (came / np.bincount(camera, came)[camera])[candidates.target][:, None]
         self.back = _leading_back(candidates, len(camera))
 
@@ -59,9 +59,9 @@ class Prior:
 
     def pooled(self, counts: Floats) -> Singles:
         """Return transitions per exposed departure from camera to camera, (camera pairs, bins)."""
-        seen = summed(counts, self.pair, len(self._views))
+        seen = sum_by_group(counts, self.pair, len(self._views))
         rates = np.empty(seen.shape, np.float32)
-        for rows in rows_together(len(seen)):
+        for rows in row_slices(len(seen)):
             rates[rows] = smooth(seen[rows])[0] / self._exposed[self._leaving[rows]]
         return rates
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
+from camtopod.arrays import Floats, Indices, Ints, Singles, row_slices
 from camtopod.topology import LagBins
 
 FAINT_TRANSITIONS = 0.2
@@ -51,7 +51,7 @@ def add_prior_transitions(hazard: Singles, exposed: Floats, source: Ints, bins: 
     after = bins.edges[1:] > 0
     more = FAINT_TRANSITIONS * np.bincount(source, minlength=len(exposed))
     faint = FAINT_TRANSITIONS * after / (after.sum() * bins.widths)
-    for rows in rows_together(len(hazard)):
+    for rows in row_slices(len(hazard)):
         here, zone = exposed[source[rows]], source[rows]
         hazard[rows] = (hazard[rows] * here + faint) / (here + more[zone][:, None])
     return hazard

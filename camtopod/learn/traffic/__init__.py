@@ -7,34 +7,34 @@ it persists from view to view; `background_rate` has the rates of arrivals under
 
 from __future__ import annotations
 
-from camtopod.learn.traffic.background_rate import Chance, local_rates
+from camtopod.learn.traffic.background_rate import NullRates, local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.learn.traffic.labelled_events import Scene, ZoneRef, see
+from camtopod.learn.traffic.labelled_events import Scene, ZoneRef, label_events
 from camtopod.learn.traffic.speed import (
     NO_PERSISTENCE,
     SURE_RESPONSIBILITY,
     Persistence,
     adjusted_lag,
     agreement,
-    combined,
-    persistence,
-    usual_stays,
+    estimate_persistence,
+    mean_slowness,
+    usual_dwell_times,
 )
 
 __all__ = [
     "NO_PERSISTENCE",
     "SURE_RESPONSIBILITY",
     "Arrivals",
-    "Chance",
     "Departures",
+    "NullRates",
     "Persistence",
     "Scene",
     "ZoneRef",
     "adjusted_lag",
     "agreement",
-    "combined",
+    "estimate_persistence",
+    "label_events",
     "local_rates",
-    "persistence",
-    "see",
-    "usual_stays",
+    "mean_slowness",
+    "usual_dwell_times",
 ]

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Singles, rows_of
+from camtopod.arrays import Floats, Singles, rows_by_group
 
 RATE_HALF_WINDOW_SECONDS = 600.0
 """Arrivals this long before and after an arrival make up its local rate."""
 RATE_PRIOR_EVENTS = 2.0
 """Weight, in events, of a zone's mean rate in its local rate."""
 CHANCE_BIN_SECONDS = 300.0
-"""Width of the time bins in which `Chance` counts departures and arrivals."""
+"""Width of the time bins in which `NullRates` counts departures and arrivals."""
 TABLE_ZONES_MAX = 2000
-"""Up to this many zones, `Chance` computes the rates of all pairs at once (32 MB)."""
+"""Up to this many zones, `NullRates` computes the rates of all pairs at once (32 MB)."""
 PAIRS_AT_ONCE = 500
 """Pairs whose rates are computed together where there are more than `TABLE_ZONES_MAX` zones."""
 
@@ -35,7 +35,7 @@ def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
     if len(t) == 0:
         return rates
     first, last = t[0], t[-1]
-    for here in rows_of(zone, zones):
+    for here in rows_by_group(zone, zones):
         if len(here) == 0:
             continue
 
@@ -51,7 +51,7 @@ def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
     return rates
 
 
-class Chance:
+class NullRates:
     """Null model of zone pairs: arrivals per second at one zone around departures from another.
 
     Departures and arrivals are counted in time bins, and the rate of arrivals is averaged over the

@@ -54,7 +54,9 @@ class Departures(NamedTuple):
         )
 
     @staticmethod
-    def untold(t: Floats, zone: Ints, camera: Ints, since: Floats, slow: Floats) -> Departures:
+    def without_arrivals(
+        t: Floats, zone: Ints, camera: Ints, since: Floats, slow: Floats
+    ) -> Departures:
         """Return departures without information about their arrivals and blocks."""
         unknown = np.full(len(t), -1, np.int32)
         return Departures(t, zone, camera, since, slow, unknown, unknown)

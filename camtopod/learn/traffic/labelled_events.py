@@ -87,7 +87,7 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
     return zones, np.stack(tables).astype(np.int32) if tables else np.zeros((0, size), np.int32)
 
 
-def see(window: Window, maps: list[ZoneMap], ahead: Floats | None = None) -> Scene:
+def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = None) -> Scene:
     """Label the window's events with zones, and sort them into departures, arrivals and passages.
 
     ahead (cameras, seconds): clock offset of each camera (positive if fast), by which times are

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats
 from camtopod.topology import DWELL_SECONDS_MIN, LAG_SECONDS_MIN, SLOWNESS_MAX, LagBins
 
-WAY_PASSAGES_MIN = 5
+USUAL_PASSAGES_MIN = 5
 """Least passages between two zones whose median dwell time counts as usual."""
 SURE_RESPONSIBILITY = 0.5
 """A candidate with more than this responsibility counts as a transition in the estimates here."""
@@ -48,7 +48,7 @@ NO_PERSISTENCE = Persistence(0.0, 0.0, 1.0)
 """Slowness in one view says nothing of the lag to the next view or of the slowness there."""
 
 
-def usual_stays(
+def usual_dwell_times(
     source: NDArray[np.int32], target: NDArray[np.int32], stay: Floats
 ) -> dict[tuple[int, int], float]:
     """Return the median dwell time in seconds by (zone of entry, zone of exit).
@@ -56,7 +56,7 @@ def usual_stays(
     source, target (n,): zones of entry and exit of passages.
     stay (n, seconds): their dwell times.
 
-    Pairs of zones with less than `WAY_PASSAGES_MIN` passages are left out. The median is that of
+    Pairs of zones with less than `USUAL_PASSAGES_MIN` passages are left out. The median is that of
     the logs.
     """
     stays: dict[tuple[int, int], list[float]] = {}
@@ -67,7 +67,7 @@ def usual_stays(
     return {
         way: math.exp(float(np.median(np.log(each))))
         for way, each in stays.items()
-        if len(each) >= WAY_PASSAGES_MIN
+        if len(each) >= USUAL_PASSAGES_MIN
     }
 
 
@@ -96,10 +96,10 @@ def slowness(
 
     # Slowness relative to it.
     relative = np.clip(log_stay - median[way], -SLOWNESS_MAX, SLOWNESS_MAX)
-    return np.where(count[way] >= WAY_PASSAGES_MIN, relative, np.nan)
+    return np.where(count[way] >= USUAL_PASSAGES_MIN, relative, np.nan)
 
 
-def persistence(
+def estimate_persistence(
     left: Floats, came: Floats, lag: Floats, pair: NDArray[np.int32], responsibility: Floats
 ) -> Persistence:
     """Estimate how far speed persists from candidates (M,).
@@ -122,7 +122,9 @@ def persistence(
     varies = min(left[both].std(), came[both].std()) > 0
     observed = float(np.corrcoef(left[both], came[both])[0, 1]) if varies else 0.0
     correlation = min(max(observed - SIGNIFICANT_SD / math.sqrt(n), 0.0), 0.95)
-    return Persistence(_scaling(combined(left, came), lag, pair, sure), correlation, max(sd, 0.05))
+    return Persistence(
+        _scaling(mean_slowness(left, came), lag, pair, sure), correlation, max(sd, 0.05)
+    )
 
 
 def _scaling(slow: Floats, lag: Floats, pair: NDArray[np.int32], sure: NDArray[np.bool_]) -> float:
@@ -150,7 +152,7 @@ def _scaling(slow: Floats, lag: Floats, pair: NDArray[np.int32], sure: NDArray[n
     return min(max(slope - SIGNIFICANT_SD * error, 0.0), 1.0)
 
 
-def combined(left: Floats, came: Floats) -> Floats:
+def mean_slowness(left: Floats, came: Floats) -> Floats:
     """Return the mean of the two slownesses, the one that is known, or nan."""
     both = 0.5 * (left + came)
     return np.where(np.isfinite(both), both, np.where(np.isfinite(left), left, came))

@@ -7,14 +7,18 @@ pairs entries with exits to passages and sums positions per grid cell.
 
 from __future__ import annotations
 
-from camtopod.learn.window.reorder_buffer import EVENTS_PER_SECOND_MAX, Intake, IntakeState
-from camtopod.learn.window.sliding_window import GONE, Window, WindowState, cells_of
+from camtopod.learn.window.reorder_buffer import (
+    EVENTS_PER_SECOND_MAX,
+    ReorderBuffer,
+    ReorderBufferState,
+)
+from camtopod.learn.window.sliding_window import FORGOTTEN, Window, WindowState, cells_of
 
 __all__ = [
     "EVENTS_PER_SECOND_MAX",
-    "GONE",
-    "Intake",
-    "IntakeState",
+    "FORGOTTEN",
+    "ReorderBuffer",
+    "ReorderBufferState",
     "Window",
     "WindowState",
     "cells_of",

@@ -19,7 +19,7 @@ from operator import itemgetter
 
 from msgspec import Struct
 
-from camtopod.event_time import Behind, EventTime, EventTimeState, microseconds
+from camtopod.event_time import CameraDelay, EventTime, EventTimeState, microseconds
 from camtopod.records import Event
 
 BOOTS_PER_CAMERA_MAX = 16
@@ -37,11 +37,11 @@ _Key = tuple[int, str, str, float, float, str, str, int]
 """Sort key of an event: time (microseconds), camera, kind, x, y, track, boot, seq."""
 
 
-class IntakeState(Struct):
-    """The saved state of an `Intake`.
+class ReorderBufferState(Struct):
+    """The saved state of an `ReorderBuffer`.
 
-    seen: (camera, boot, starts, ends) of every `Sequence`.
-    newest: `Intake.newest_of`.
+    seen: (camera, boot, starts, ends) of every `ReceivedNumbers`.
+    newest: `ReorderBuffer.newest_of`.
     """
 
     newest_us: int | None
@@ -52,12 +52,12 @@ class IntakeState(Struct):
     held: list[Event]
     cameras: list[str]
     seen: list[tuple[str, str, list[int], list[int]]]
-    behind: dict[str, Behind] = {}
+    behind: dict[str, CameraDelay] = {}
     newest: dict[str, int] = {}
     surplus: int = 0
 
 
-class Sequence:
+class ReceivedNumbers:
     """The sequence numbers received of one boot: disjoint ranges, merged as gaps are filled."""
 
     def __init__(self) -> None:
@@ -93,7 +93,7 @@ class Sequence:
         return True
 
 
-class Intake:
+class ReorderBuffer:
     """Accepts events in any order and returns them ordered by time.
 
     lateness_seconds, clocks_apart_seconds: see `EventTime`.
@@ -120,7 +120,7 @@ class Intake:
         self._held: dict[tuple[int, str], list[Event]] = {}
         self._oldest_us: int | None = None
         # Received sequence numbers by camera and boot.
-        self._seen: dict[str, dict[str, Sequence]] = {}
+        self._seen: dict[str, dict[str, ReceivedNumbers]] = {}
         self.newest_of: dict[str, int] = {}
         """Time of the newest event of each camera in microseconds, late events included.
 
@@ -142,7 +142,7 @@ class Intake:
         """By how much the watermark trails event time, in microseconds."""
         return self.time.lateness_us
 
-    def save(self) -> IntakeState:
+    def save(self) -> ReorderBufferState:
         """Return the state from which `load` continues."""
         seen = [
             (camera, boot, sequence.starts, sequence.ends)
@@ -150,7 +150,7 @@ class Intake:
             for boot, sequence in boots.items()
         ]
         time = self.time.save()
-        return IntakeState(
+        return ReorderBufferState(
             time.newest_us,
             time.second_us,
             time.leader,
@@ -164,7 +164,7 @@ class Intake:
             self.surplus,
         )
 
-    def load(self, state: IntakeState) -> None:
+    def load(self, state: ReorderBufferState) -> None:
         """Continue from a saved state; this buffer must be new."""
         self.time.load(
             EventTimeState(
@@ -176,7 +176,7 @@ class Intake:
             self._hold(event, microseconds(event.t))
         self._seen = {camera: {} for camera in state.cameras}
         for camera, boot, starts, ends in state.seen:
-            sequence = self._seen[camera][boot] = Sequence()
+            sequence = self._seen[camera][boot] = ReceivedNumbers()
             sequence.starts, sequence.ends = starts, ends
         self.newest_of = state.newest
 
@@ -189,13 +189,13 @@ class Intake:
         self.counts[verdict] += 1
         return verdict
 
-    def has_place(self, camera: str) -> bool:
+    def has_room_for(self, camera: str) -> bool:
         """Return True if the camera is known or there is room for one more."""
         return camera in self._seen or len(self._seen) < self.cameras_max
 
     def _judge(self, event: Event) -> str:
         """Return the verdict on an event, and hold it if it is accepted."""
-        if not self.has_place(event.camera):
+        if not self.has_room_for(event.camera):
             return "refused"
 
         # The camera has been active.
@@ -206,7 +206,7 @@ class Intake:
         if event.boot is not None and event.seq is not None:
             sequence = boots.get(event.boot)
             if sequence is None:
-                sequence = boots[event.boot] = Sequence()
+                sequence = boots[event.boot] = ReceivedNumbers()
                 if len(boots) > BOOTS_PER_CAMERA_MAX:
                     del boots[next(iter(boots))]
             if not sequence.add(event.seq):
@@ -227,7 +227,7 @@ class Intake:
         """Names of the known cameras."""
         return list(self._seen)
 
-    def held_of(self) -> set[str]:
+    def cameras_held(self) -> set[str]:
         """Return the cameras that have held events."""
         return {camera for _, camera in self._held}
 
@@ -269,7 +269,7 @@ class Intake:
         if len(waiting) <= self._tick_events_max:
             return waiting
         self.surplus += len(waiting) - self._tick_events_max
-        return sorted(waiting, key=_order)[-self._tick_events_max :]
+        return sorted(waiting, key=_sort_key)[-self._tick_events_max :]
 
     def _all_held(self) -> list[Event]:
         return [event for waiting in self._held.values() for event in waiting]
@@ -292,12 +292,12 @@ def _in_order(timed: list[tuple[int, Event]]) -> list[tuple[int, Event]]:
     for k in range(1, len(timed) + 1):
         if k == len(timed) or timed[k][0] != timed[first][0]:
             if k - first > 1:
-                timed[first:k] = sorted(timed[first:k], key=lambda one: _order(one[1]))
+                timed[first:k] = sorted(timed[first:k], key=lambda one: _sort_key(one[1]))
             first = k
     return timed
 
 
-def _order(event: Event) -> _Key:
+def _sort_key(event: Event) -> _Key:
     """Return an event's key in the canonical order: its time, then everything else.
 
     So the order of events at the same time does not depend on that in which they are received.

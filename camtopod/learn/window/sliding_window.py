@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from camtopod.arrays import rows_of
+from camtopod.arrays import rows_by_group
 from camtopod.learn.zones import CellSums, GridSums
 from camtopod.records import Event
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
@@ -34,7 +34,7 @@ NO_CELL = -1
 """In place of a coordinate or a cell for events without position."""
 NO_MATE = -1
 """In place of the row of the entry for exits without one."""
-GONE = -1
+FORGOTTEN = -1
 """In place of the new index of a camera that has been forgotten."""
 
 _COLUMNS = {
@@ -196,11 +196,11 @@ class Window:
     def forget_cameras(self, names: Set[str]) -> NDArray[np.int64]:
         """Forget these cameras and their events, and renumber the others.
 
-        Return the new index of each camera by its old one, `GONE` for the forgotten ones.
+        Return the new index of each camera by its old one, `FORGOTTEN` for the forgotten ones.
         """
         # Remove the events.
         kept = np.array([name not in names for name in self.cameras], np.bool_)
-        number = np.where(kept, np.cumsum(kept) - 1, GONE)
+        number = np.where(kept, np.cumsum(kept) - 1, FORGOTTEN)
         gone = ~kept[self.column("camera")]
         if gone.any():
             self._drop(gone)
@@ -252,7 +252,7 @@ class Window:
 
     def rows_of_cameras(self) -> list[NDArray[np.intp]]:
         """Return the row indices of each camera, oldest first; valid until the window changes."""
-        return rows_of(self.column("camera"), len(self.cameras))
+        return rows_by_group(self.column("camera"), len(self.cameras))
 
     def events_of_cameras(self) -> NDArray[np.int64]:
         """Return the number of events of each camera in the window (cameras,)."""
@@ -262,7 +262,7 @@ class Window:
         """Return the names of the cameras with events in the window."""
         return {self.cameras[camera] for camera in np.flatnonzero(self.events_of_cameras())}
 
-    def placed(self, camera: int) -> int:
+    def count_with_position(self, camera: int) -> int:
         """Return the number of the camera's events in the window that have positions."""
         return self.sums.count(camera)
 

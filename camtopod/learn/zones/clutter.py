@@ -23,18 +23,18 @@ Counts = NDArray[np.int64] | Floats
 
 CONTRAST_MIN = 2.5
 """Least ratio of a zone's density to the density of the clutter around it."""
-FLOOR_CHANCE = 0.01
+FLOOR_PROBABILITY = 0.01
 """A cell is kept for DaSpec if clutter alone would put as many events into its surroundings with
 less than this probability.
 """
-FOUND_CHANCE = 0.0001
-"""`FLOOR_CHANCE` for the later search among events that were taken for clutter."""
+SEARCH_PROBABILITY = 0.0001
+"""`FLOOR_PROBABILITY` for the later search among events that were taken for clutter."""
 FLOOR_WIDTHS = (0.75, 1.75)
 """Standard deviations of the kernels that define a cell's surroundings, grid steps.
 
 The smaller one suits a single door, the larger one a zone of few events.
 """
-PEELS_MAX = 3
+DASPEC_RUNS_MAX = 3
 """Most runs of DaSpec, each on the cells that no eigenvector kept so far reaches."""
 WIDTH = 4.0
 """Standard deviation, grid steps, of the kernel that averages clutter; larger than a zone."""
@@ -96,7 +96,7 @@ def clutter_rates(count: Counts) -> Floats:
     return rate
 
 
-def _chance(count: Counts, rate: Floats, which: NDArray[np.bool_]) -> Floats:
+def _clutter_probability(count: Counts, rate: Floats, which: NDArray[np.bool_]) -> Floats:
     """Return the probability that clutter alone puts as many events around a cell; 1 if not small.
 
     which (rows, columns): mask of the cells to test; the result has one value for each.
@@ -123,18 +123,18 @@ def dense_cells(count: Counts, rate: Floats, chance: float) -> Floats:
     keep = (count > rate + 2 * np.sqrt(rate)) & (count > CONTRAST_MIN * rate)
     if not keep.any():
         return np.zeros(keep.shape)
-    keep[keep] = _chance(count, rate, keep) < chance
+    keep[keep] = _clutter_probability(count, rate, keep) < chance
     return np.where(keep, np.maximum(count - rate, 0.5), 0.0)
 
 
-def groups_of(dense: Floats) -> Labels:
+def daspec_groups(dense: Floats) -> Labels:
     """Return DaSpec's group of each dense cell (rows * columns,), -1 in all others."""
     # Half the bandwidth of the rule: too many groups rather than too few, as `partition` merges.
     dense = dense.copy()
     width = max(bandwidth(dense) / 2, BANDWIDTH_MIN)
     labels = np.full(dense.size, -1, dtype=np.intp)
     groups = 0
-    for _ in range(PEELS_MAX):
+    for _ in range(DASPEC_RUNS_MAX):
         # Keep the groups of the cells that the eigenvectors of this run reach.
         found = data_spectroscopy(dense, width)
         own = found.vectors[np.arange(len(found.cells)), found.labels]

@@ -25,10 +25,10 @@ from scipy.special import gammaln
 from camtopod.arrays import Floats
 from camtopod.learn.zones.clutter import (
     CONTRAST_MIN,
-    FLOOR_CHANCE,
-    FOUND_CHANCE,
+    FLOOR_PROBABILITY,
+    SEARCH_PROBABILITY,
+    daspec_groups,
     dense_cells,
-    groups_of,
 )
 from camtopod.learn.zones.marginal_likelihood import (
     covariance,
@@ -37,7 +37,7 @@ from camtopod.learn.zones.marginal_likelihood import (
     log_zones,
     moments,
 )
-from camtopod.learn.zones.separation import discriminant, far, sd_along, valley
+from camtopod.learn.zones.separation import are_far_apart, discriminant, sd_along, valley_log_ratio
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 Labels = NDArray[np.intp]
@@ -63,7 +63,7 @@ VALLEY_ALONE = 8.0
 
 This finds several doors in a row, which look like one Gaussian whichever way they are cut in two.
 """
-UNLIKE = 2.0
+UNLIKE_GAIN_PER_EVENT = 2.0
 """Gain of log posterior per event of the smaller group above which no valley is needed."""
 EXCESS_MIN = 11.0
 """Log likelihood ratio of a surplus over clutter at which a group is a zone, however badly its
@@ -130,19 +130,19 @@ def partition(
     # Improve the partition so far.
     one = np.zeros(len(cells.index), dtype=np.intp)
     if held is not None and held.max() >= 0 and count.sum() >= EVENTS_MIN:
-        labels = _Moves(cells, held, rates, held=True).settle()
+        labels = _Partition(cells, held, rates, held=True).settle()
         return labels if labels.max() >= 0 else one
     if count.sum() < EVENTS_MIN:
         return one
 
     # Start from nothing: density floor, DaSpec, moves.
-    dense = dense_cells(count, rates, FLOOR_CHANCE)
-    groups = groups_of(dense if dense.any() else count.astype(np.float64))
-    labels = _Moves(cells, groups[cells.index], rates).settle()
+    dense = dense_cells(count, rates, FLOOR_PROBABILITY)
+    groups = daspec_groups(dense if dense.any() else count.astype(np.float64))
+    labels = _Partition(cells, groups[cells.index], rates).settle()
     return labels if labels.max() >= 0 else one
 
 
-class _Moves:
+class _Partition:
     """A partition of the cells, improved by moves.
 
     labels (m,): group of each cell, -1 for clutter.
@@ -220,10 +220,10 @@ class _Moves:
         count = np.zeros(GRID_ROWS * GRID_COLUMNS)
         count[self.cells.index[outside]] = self.cells.sums[0, outside]
         labels, known = self.labels, len(self.zones)
-        dense = dense_cells(count.reshape(GRID_ROWS, GRID_COLUMNS), self.rates, FOUND_CHANCE)
+        dense = dense_cells(count.reshape(GRID_ROWS, GRID_COLUMNS), self.rates, SEARCH_PROBABILITY)
         if not dense.any():
             return False
-        groups = groups_of(dense)[self.cells.index]
+        groups = daspec_groups(dense)[self.cells.index]
 
         # Add its groups, and remove those that are not zones or were tried before.
         self._set(np.where(groups >= 0, groups + known, labels))
@@ -362,8 +362,8 @@ class _Moves:
         """Return the gain of log posterior of two zones over one, and True where it is sufficient.
 
         It is sufficient without a valley if it exceeds ``least`` and the two are far apart, or the
-        gain per event of the smaller one exceeds `UNLIKE`. Unless they are far apart, the gain is
-        coarsened (`PAIR_EVENTS`).
+        gain per event of the smaller one exceeds `UNLIKE_GAIN_PER_EVENT`. Unless they are far
+        apart, the gain is coarsened (`PAIR_EVENTS`).
 
         n (2, ..., m): events of the two groups of each pair.
         mean (2, 2, ..., m), scatter (3, 2, ..., m): their `moments`.
@@ -371,7 +371,7 @@ class _Moves:
         of (m,): index of each pair into ``both``.
         """
         # The two as one zone, coarsened and not.
-        well_apart = far(n, mean, scatter)
+        well_apart = are_far_apart(n, mean, scatter)
         weigh = 1 / (1 + both[0] / PAIR_EVENTS)
         weights = np.array((weigh, np.ones_like(weigh)))
         wholes = self._one_zone(both[:, None] * weights, self.total * weights)[:, of]
@@ -387,7 +387,7 @@ class _Moves:
         # The gain, and where it is sufficient.
         first, second = log_zone(n * weight, scatter * weight)
         gain = first + second - whole
-        unlike = gain > UNLIKE * np.minimum(*n) * weight
+        unlike = gain > UNLIKE_GAIN_PER_EVENT * np.minimum(*n) * weight
         return gain, (gain > least) & (well_apart | unlike)
 
     def _one_zone(self, groups: Floats, total: Floats) -> Floats:
@@ -437,7 +437,7 @@ class _Moves:
         chosen = np.flatnonzero(inside | tube)
         n = self.cells.sums[0, chosen] / (1 + (a[0] + b[0]) / PAIR_EVENTS)
         sd = sd_along(self.cells.spread[:, chosen], line)
-        return valley(n, along[chosen], sd, -2 * sd_a, apart + 2 * sd_b)
+        return valley_log_ratio(n, along[chosen], sd, -2 * sd_a, apart + 2 * sd_b)
 
     def _assign(self) -> bool:
         """Assign each cell to the Gaussian or the clutter that explains its events best on average.

@@ -1,7 +1,7 @@
 """Separation of two groups of events along the line that discriminates them best.
 
-Groups whose centres are far apart (`far`), or with a stretch of low density between them
-(`valley`), are two zones. Used by `partition`.
+Groups whose centres are far apart (`are_far_apart`), or with a stretch of low density between them
+(`valley_log_ratio`), are two zones. Used by `partition`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FAR = 3.0
 """
 
 
-def far(n: Floats, mean: Floats, scatter: Floats) -> NDArray[np.bool_]:
+def are_far_apart(n: Floats, mean: Floats, scatter: Floats) -> NDArray[np.bool_]:
     """Return True for pairs of groups that are `FAR` apart.
 
     n (2, ...): events of the two groups of each pair.
@@ -91,7 +91,7 @@ _STARTS = np.flatnonzero(np.diff(_VALLEYS, prepend=-1))
 _ONE_SIDE = len(_INNER)
 
 
-def valley(n: Floats, position: Floats, sd: Floats, low: float, high: float) -> float:
+def valley_log_ratio(n: Floats, position: Floats, sd: Floats, low: float, high: float) -> float:
     """Return the log likelihood ratio for a valley somewhere in [low, high], at least 0.
 
     n (m,): events of each cell.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from camtopod.lazy import names_from
+from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from camtopod.serve.shards.membership import Share, Whole
@@ -21,7 +21,7 @@ __all__ = [
     "Whole",
 ]
 
-__getattr__ = names_from(
+__getattr__ = lazy_getattr(
     __name__,
     {
         "Share": "membership",

@@ -27,12 +27,12 @@ from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.traffic.speed import (
     NO_PERSISTENCE,
     SURE_TRANSITIONS_MIN,
-    WAY_PASSAGES_MIN,
+    USUAL_PASSAGES_MIN,
     Persistence,
     adjusted_lag,
     agreement,
-    combined,
-    persistence,
+    estimate_persistence,
+    mean_slowness,
     slowness,
 )
 from camtopod.topology.lag_bins import SMOOTHING_SD_BINS, LagBins, smooth
@@ -52,7 +52,7 @@ def made(
     t = np.sort(rng.uniform(0, span, left))
     zone = rng.integers(0, zones, left).astype(np.int32)
     stay = np.where(rng.random(left) < 0.3, np.inf, rng.exponential(4.0, left))
-    departures = Departures.untold(t, zone, zone, t - stay, np.full(left, np.nan))
+    departures = Departures.without_arrivals(t, zone, zone, t - stay, np.full(left, np.nan))
     t = np.sort(rng.uniform(0, span, came))
     zone = rng.integers(0, zones, came).astype(np.int32)
     return departures, Arrivals(t, zone, zone, local_rates(t, zone, zones), np.full(came, np.nan))
@@ -253,7 +253,7 @@ class Walks:
     def columns(self, zones: int) -> tuple[Departures, Arrivals]:
         t, zone, since = (np.array(column) for column in zip(*sorted(self.left), strict=True))
         zone = zone.astype(np.int32)
-        departures = Departures.untold(t, zone, zone, since, np.full(len(t), np.nan))
+        departures = Departures.without_arrivals(t, zone, zone, since, np.full(len(t), np.nan))
         t, zone = (np.array(column) for column in zip(*sorted(self.came), strict=True))
         zone = zone.astype(np.int32)
         return departures, Arrivals(
@@ -369,7 +369,7 @@ def test_slowness_equals_its_slow_twin(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     source, target = rng.integers(0, 3, (2, n)).astype(np.int32)
     stay = rng.exponential(3.0, n)
-    slow = naive.slowness(source, target, stay, WAY_PASSAGES_MIN, DWELL_SECONDS_MIN, SLOWNESS_MAX)
+    slow = naive.slowness(source, target, stay, USUAL_PASSAGES_MIN, DWELL_SECONDS_MIN, SLOWNESS_MAX)
     assert slowness(source, target, stay, 3) == pytest.approx(slow, nan_ok=True)
 
 
@@ -386,7 +386,7 @@ def walkers(seed: int, n: int, own: float) -> tuple[np.ndarray, np.ndarray, np.n
 
 def test_persistence_of_those_who_keep_their_speed() -> None:
     left, came, lag = walkers(0, 800, 0.3)
-    found = persistence(left, came, lag, np.zeros(800, np.int32), np.ones(800))
+    found = estimate_persistence(left, came, lag, np.zeros(800, np.int32), np.ones(800))
     assert found.correlation == pytest.approx(
         0.9, abs=0.09
     )  # 0.09 / (0.09 + 0.01), less its uncertainty
@@ -396,7 +396,7 @@ def test_persistence_of_those_who_keep_their_speed() -> None:
 
 def test_no_persistence_where_there_is_none() -> None:
     left, came, lag = walkers(1, 800, 0.0)
-    found = persistence(left, came, lag, np.zeros(800, np.int32), np.ones(800))
+    found = estimate_persistence(left, came, lag, np.zeros(800, np.int32), np.ones(800))
     assert found.correlation == pytest.approx(0, abs=0.05)
     assert found.scaling == pytest.approx(0, abs=0.15)
 
@@ -404,16 +404,19 @@ def test_no_persistence_where_there_is_none() -> None:
 def test_persistence_needs_sure_transitions_of_known_slowness() -> None:
     left, came, lag = walkers(0, 800, 0.3)
     pair = np.zeros(800, np.int32)
-    assert persistence(left, came, lag, pair, np.full(800, 0.4)) == NO_PERSISTENCE
+    assert estimate_persistence(left, came, lag, pair, np.full(800, 0.4)) == NO_PERSISTENCE
     few = np.zeros(800)
     few[: SURE_TRANSITIONS_MIN - 1] = 1.0
-    assert persistence(left, came, lag, pair, few) == NO_PERSISTENCE
-    assert persistence(np.full(800, np.nan), came, lag, pair, np.ones(800)) == NO_PERSISTENCE
+    assert estimate_persistence(left, came, lag, pair, few) == NO_PERSISTENCE
     assert (
-        persistence(left, came, np.full(800, 1.0), pair, np.ones(800)).scaling == 0
+        estimate_persistence(np.full(800, np.nan), came, lag, pair, np.ones(800)) == NO_PERSISTENCE
+    )
+    assert (
+        estimate_persistence(left, came, np.full(800, 1.0), pair, np.ones(800)).scaling == 0
     )  # too short to scale
     assert (
-        persistence(left, came, lag, np.arange(800, dtype=np.int32), np.ones(800)).scaling == 0
+        estimate_persistence(left, came, lag, np.arange(800, dtype=np.int32), np.ones(800)).scaling
+        == 0
     )  # nothing to compare
 
 
@@ -423,14 +426,14 @@ def test_persistence_of_machines(constant: str) -> None:
     left, came, lag = walkers(0, 800, 0.3)
     left = np.zeros(800) if constant != "came" else left
     came = np.zeros(800) if constant != "left" else came
-    found = persistence(left, came, lag, np.zeros(800, np.int32), np.ones(800))
+    found = estimate_persistence(left, came, lag, np.zeros(800, np.int32), np.ones(800))
     assert found.correlation == 0
     assert np.isfinite(found).all()
 
 
 def test_combined() -> None:
     nan = np.nan
-    found = combined(np.array([1.0, 1.0, nan, nan]), np.array([3.0, nan, 3.0, nan]))
+    found = mean_slowness(np.array([1.0, 1.0, nan, nan]), np.array([3.0, nan, 3.0, nan]))
     assert found == pytest.approx([2.0, 1.0, 3.0, nan], nan_ok=True)
 
 
@@ -486,7 +489,9 @@ def test_speed_tells_who_is_who() -> None:
     zone, other = np.zeros(400, np.int32), np.ones(400, np.int32)
     right = []
     for known in (1.0, np.nan):
-        departures = Departures.untold(left_t, zone, zone, left_t - 5.0, left_slow * known)
+        departures = Departures.without_arrivals(
+            left_t, zone, zone, left_t - 5.0, left_slow * known
+        )
         arrivals = Arrivals(came_t, other, other, local_rates(came_t, other, 2), came_slow * known)
         fit = fitted(departures, arrivals, 2)
         true = who[fit.candidates.arrival] == fit.candidates.departure

@@ -46,7 +46,7 @@ def anything(
     rng = np.random.default_rng(seed)
     t, zone = np.sort(rng.uniform(0, span, left)), rng.integers(0, zones, left).astype(np.int32)
     stay = np.where(rng.random(left) < 0.3, np.inf, rng.exponential(4.0, left))
-    departures = Departures.untold(t, zone, zone // 2, t - stay, np.full(left, np.nan))
+    departures = Departures.without_arrivals(t, zone, zone // 2, t - stay, np.full(left, np.nan))
     t, zone = np.sort(rng.uniform(0, span, came)), rng.integers(0, zones, came).astype(np.int32)
     return departures, Arrivals(
         t, zone, zone // 2, local_rates(t, zone, zones), np.full(came, np.nan)

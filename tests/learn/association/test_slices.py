@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic_events import LINKED, Views, fit_posterior
 
-from camtopod.arrays import ROWS_AT_ONCE, rows_together
+from camtopod.arrays import ROWS_AT_ONCE, row_slices
 from camtopod.learn.association import candidates as module
 from camtopod.learn.association.candidates import find_candidates, slices_by_arrival
 from camtopod.learn.association.em import Em
@@ -37,7 +37,7 @@ def test_candidates_of_an_arrival_are_worked_on_together(arrival: list[int], at_
 
 @given(st.integers(0, 5000))
 def test_of_rows_no_few_are_left_over(rows: int) -> None:
-    parts = list(rows_together(rows))
+    parts = list(row_slices(rows))
     assert [row for part in parts for row in range(part.start, part.stop)] == list(range(rows))
     assert all(part.stop - part.start >= min(rows, ROWS_AT_ONCE) for part in parts)
 

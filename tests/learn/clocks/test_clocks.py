@@ -8,19 +8,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camtopod.learn.clocks import correlogram, offsets
-from camtopod.learn.clocks.correlogram import LAGS, chance, correlograms, standing_out
+from camtopod.learn.clocks.correlogram import (
+    LAGS,
+    correlograms,
+    null_expectation,
+    significant_peaks,
+)
 from camtopod.learn.clocks.offsets import (
     REFRESH_SHARE,
     SPAN_MIN_SECONDS,
-    ClockKeeper,
     Clocks,
+    ClockTracker,
     Difference,
     estimate_clocks,
-    held,
+    keep_unless_clear,
     right_clocks,
-    solve,
+    solve_offsets,
 )
-from camtopod.learn.clocks.two_way_paths import best_shift, two_ways
+from camtopod.learn.clocks.two_way_paths import best_shift, find_two_way_paths
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic.events import Arrivals, Departures
@@ -84,14 +89,14 @@ def test_no_more_transforms_are_kept_than_said(monkeypatch: pytest.MonkeyPatch) 
     seen = correlograms(left, came, 30, 1.0)
     assert isinstance(seen, correlogram.ByTransform)
     a, b = (ends.ravel() for ends in np.meshgrid(labels, labels))
-    for k in correlogram.side_by_side(a, b, seen.at_once):
+    for k in correlogram.cache_friendly_order(a, b, seen.at_once):
         seen.of(a[k : k + 1], b[k : k + 1])
         assert sum(len(blocks) for blocks in seen._spectra.values()) <= 40
 
 
 def test_pairs_side_by_side_are_all_pairs_and_few_labels_for_long() -> None:
     a, b = (ends.ravel() for ends in np.meshgrid(np.arange(20), np.arange(20)))
-    order = correlogram.side_by_side(a, b, 8)
+    order = correlogram.cache_friendly_order(a, b, 8)
     assert sorted(order.tolist()) == list(range(400))
     for k in range(0, 400, 16):
         assert len({*a[order[k : k + 16]].tolist(), *b[order[k : k + 16]].tolist()}) <= 8
@@ -113,7 +118,9 @@ def test_what_stands_out_is_the_peak_and_not_the_rhythm() -> None:
     counts = np.random.default_rng(1).poisson(rate + 12.0 * np.exp(-0.5 * ((lag - 30) / 4) ** 2))[
         None, :
     ]
-    clear = standing_out(counts.astype(np.float32), chance(counts.astype(np.float32)))[0]
+    clear = significant_peaks(
+        counts.astype(np.float32), null_expectation(counts.astype(np.float32))
+    )[0]
     assert abs(int(np.argmax(clear)) - LAGS - 30) < 4
     assert np.mean(clear[np.abs(lag - 30) > 20] > 0) < 0.05
 
@@ -121,8 +128,8 @@ def test_what_stands_out_is_the_peak_and_not_the_rhythm() -> None:
 def test_the_quick_look_finds_the_row_with_a_peak() -> None:
     rows = np.concatenate([lag_counts(seed) for seed in range(300)])
     rows[277] = lag_counts(1, (50.0, 2.0, 40))
-    assert int(np.argmax(correlogram.highest(rows))) == 277
-    assert len(correlogram.highest(rows[:0])) == 0
+    assert int(np.argmax(correlogram.highest_peaks(rows))) == 277
+    assert len(correlogram.highest_peaks(rows[:0])) == 0
 
 
 def test_of_a_large_network_the_promising_pairs_of_cameras_are_looked_at(
@@ -157,7 +164,7 @@ def test_twice_the_difference_is_between_there_and_back(transit: float, ahead: f
     for seed in range(20):
         forth = lag_counts(seed, (transit + ahead, 3.0, 300))
         back = lag_counts(100 + seed, (transit - ahead, 3.0, 200))
-        ((pair, way),) = two_ways(forth, back)
+        ((pair, way),) = find_two_way_paths(forth, back)
         assert pair == 0
         assert way.transit == pytest.approx(transit, abs=2.0)
         assert way.spread == pytest.approx(3.0, rel=0.4)
@@ -167,7 +174,7 @@ def test_twice_the_difference_is_between_there_and_back(transit: float, ahead: f
 
 def test_one_way_alone_tells_nothing() -> None:
     for seed in range(20):
-        assert two_ways(lag_counts(seed, (15.0, 2.0, 200)), lag_counts(seed + 50)) == []
+        assert find_two_way_paths(lag_counts(seed, (15.0, 2.0, 200)), lag_counts(seed + 50)) == []
 
 
 def test_two_answers_are_none() -> None:
@@ -176,7 +183,7 @@ def test_two_answers_are_none() -> None:
         lag_counts(1, (200.0, 2.0, 100)),
         lag_counts(2, (20.0, 2.0, 100), (100.0, 2.0, 100)),
     )
-    clear = [standing_out(counts, chance(counts)) for counts in (forth, back)]
+    clear = [significant_peaks(counts, null_expectation(counts)) for counts in (forth, back)]
     assert best_shift(clear[0], clear[1])[1] == 0.0
 
 
@@ -308,7 +315,7 @@ def test_no_events_and_no_cameras() -> None:
     scene = walks.scene()
     nobody = scene._replace(arrivals=Arrivals(*(column[:0] for column in scene.arrivals)))
     assert not estimate_clocks(nobody, 2, right_clocks(2)).identified.any()
-    assert len(solve([], np.zeros(0, np.int64), right_clocks(0)).offset) == 0
+    assert len(solve_offsets([], np.zeros(0, np.int64), right_clocks(0)).offset) == 0
 
 
 # --- bringing differences together ---
@@ -332,14 +339,14 @@ def test_an_outlier_changes_nothing() -> None:
     found = differences_of(ahead, ALL_PAIRS)
     wild = [*found[1:], found[0]._replace(ahead=55.0)]
     for differences in (found, wild):
-        assert solve(differences, np.ones(5, int), right_clocks(5)).offset == pytest.approx(
+        assert solve_offsets(differences, np.ones(5, int), right_clocks(5)).offset == pytest.approx(
             ahead, abs=0.3
         )
 
 
 def test_small_offsets_are_not_called_wrong() -> None:
     assert (
-        solve(
+        solve_offsets(
             differences_of([0.0, 0.15, 0.0, -0.1, 0.0], ALL_PAIRS), np.ones(5, int), right_clocks(5)
         ).offset
         == 0
@@ -349,18 +356,20 @@ def test_small_offsets_are_not_called_wrong() -> None:
 def test_of_two_clocks_the_busier_is_right_unless_it_was_wrong_before() -> None:
     (difference,) = differences_of([0.0, 20.0], [(0, 1)])
     for weight, wrong in ((np.array([9, 1]), 1), (np.array([1, 9]), 0)):
-        assert np.flatnonzero(solve([difference], weight, right_clocks(2)).offset).tolist() == [
-            wrong
-        ]
+        assert np.flatnonzero(
+            solve_offsets([difference], weight, right_clocks(2)).offset
+        ).tolist() == [wrong]
     known = Clocks(np.array([0.0, 20.0]), np.full(2, 0.2), np.ones(2, bool))
-    assert np.flatnonzero(solve([difference], np.array([2, 3]), known).offset).tolist() == [1]
+    assert np.flatnonzero(solve_offsets([difference], np.array([2, 3]), known).offset).tolist() == [
+        1
+    ]
 
 
 def test_ways_that_disagree_make_all_less_sure() -> None:
     even = differences_of([0.0] * 5, 3 * ALL_PAIRS)
     rng = np.random.default_rng(3)
     uneven = [d._replace(ahead=d.ahead + float(1.0 * rng.standard_normal())) for d in even]
-    one, other = (solve(d, np.ones(5, int), right_clocks(5)) for d in (even, uneven))
+    one, other = (solve_offsets(d, np.ones(5, int), right_clocks(5)) for d in (even, uneven))
     assert (other.sd > 2.0 * one.sd).all()
 
 
@@ -368,18 +377,18 @@ def test_known_offsets_stay_until_the_evidence_is_clear() -> None:
     sd, yes = np.full(3, 0.2), np.ones(3, bool)
     known = Clocks(np.array([5.0, 0.0, 7.0]), sd, yes)
     near = Clocks(np.array([5.3, 0.0, 7.05]), sd / 10, np.array([True, True, True]))
-    stays = held(known, near._replace(sd=sd))
+    stays = keep_unless_clear(known, near._replace(sd=sd))
     assert stays.offset.tolist() == [5.0, 0.0, 7.0]
     assert stays.sd == pytest.approx(np.hypot(0.2, [0.3, 0.0, 0.05]))
-    assert held(known, near).offset.tolist() == [5.3, 0.0, 7.0]
+    assert keep_unless_clear(known, near).offset.tolist() == [5.3, 0.0, 7.0]
     gone = Clocks(np.zeros(3), np.full(3, np.inf), np.array([False, True, False]))
-    assert held(known, gone).offset.tolist() == [0.0, 0.0, 0.0]
+    assert keep_unless_clear(known, gone).offset.tolist() == [0.0, 0.0, 0.0]
 
 
 def test_the_keeper_looks_when_there_is_enough_new() -> None:
     scene = ring([0.0, 0.0, -25.0, 0.0]).scene()
     events = len(scene.departures.t) + len(scene.arrivals.t)
-    keeper = ClockKeeper()
+    keeper = ClockTracker()
     assert keeper.look(scene, 4, events)
     first = keeper.clocks
     assert np.flatnonzero(first.offset).tolist() == [2]

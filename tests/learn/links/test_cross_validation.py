@@ -25,7 +25,9 @@ def crowd(seed: int, zones: int, each: int, seconds: float) -> tuple[Departures,
     left, came = np.sort(rng.uniform(0, seconds, (2, n)))
     zone, other = rng.integers(0, zones, (2, n)).astype(np.int32)
     unknown = np.full(n, np.nan)
-    departures = Departures.untold(left, zone, zone, left - rng.exponential(5.0, n), unknown)
+    departures = Departures.without_arrivals(
+        left, zone, zone, left - rng.exponential(5.0, n), unknown
+    )
     return departures, Arrivals(came, other, other, np.full(n, each / seconds), unknown)
 
 

@@ -198,7 +198,7 @@ def test_ways_through_equal_loops(seed: int, n: int, tied: float) -> None:
     since = np.where(
         (entry >= 0) | (rng.random(n) < 0.3), t - rng.uniform(1, 30, n).round(2), -np.inf
     )
-    departures = Departures.untold(
+    departures = Departures.without_arrivals(
         t, zone, CAMERA[zone].astype(np.int32), since, np.full(n, np.nan)
     )
     fast = view_paths(departures, entry, CAMERA)

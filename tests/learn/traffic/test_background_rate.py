@@ -13,7 +13,7 @@ from camtopod.learn.traffic.background_rate import (
     CHANCE_BIN_SECONDS,
     RATE_HALF_WINDOW_SECONDS,
     RATE_PRIOR_EVENTS,
-    Chance,
+    NullRates,
     local_rates,
 )
 from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, LagBins, lag_smoothing_matrix
@@ -118,7 +118,7 @@ def test_chance_equals_its_slow_twin_as_a_table_and_pair_by_pair(
         with pytest.MonkeyPatch.context() as limits:
             limits.setattr(module, "TABLE_ZONES_MAX", table_max)
             limits.setattr(module, "PAIRS_AT_ONCE", at_once)
-            found = Chance(*left, *came, 3)
+            found = NullRates(*left, *came, 3)
             assert found.of(source, target) == pytest.approx(slow.ravel())
             assert found.of(target, source) == pytest.approx(slow.T.ravel())
             assert len(found.of(source[:0], target[:0])) == 0
@@ -128,7 +128,7 @@ def test_chance_has_no_table_of_many_zones() -> None:
     """Rates are computed, and stored, only for pairs that are asked for."""
     zones = module.TABLE_ZONES_MAX
     left, came = traffic(1, 50, 3), traffic(2, 50, 3)
-    small, large = Chance(*left, *came, zones), Chance(*left, *came, zones + 1)
+    small, large = NullRates(*left, *came, zones), NullRates(*left, *came, zones + 1)
     assert (
         sum(
             isinstance(part, np.ndarray) and part.shape == (zones, zones)

@@ -7,8 +7,8 @@ import pytest
 
 from camtopod.event_time import microseconds
 from camtopod.learn.links.visible_links import visible_transitions
-from camtopod.learn.traffic.labelled_events import Scene, number_zones, see
-from camtopod.learn.traffic.speed import WAY_PASSAGES_MIN
+from camtopod.learn.traffic.labelled_events import Scene, label_events, number_zones
+from camtopod.learn.traffic.speed import USUAL_PASSAGES_MIN
 from camtopod.learn.window.sliding_window import Window
 from camtopod.learn.zones.zone_map import ZoneMap, cells_of, find_zones
 from camtopod.records import Event
@@ -57,7 +57,7 @@ def seen(events: list[Event], forget: int = 0) -> tuple[Window, list[ZoneMap], S
     if forget:
         window.forget(microseconds(events[forget].t))
     maps = [find_zones(window.cell_sums(k)) for k in range(len(window.cameras))]
-    return window, maps, see(window, maps)
+    return window, maps, label_events(window, maps)
 
 
 @pytest.mark.parametrize("forget", [0, 37])
@@ -124,7 +124,7 @@ def test_slowness_stands_at_both_ends_of_a_passage() -> None:
         stays = ways[u, v]
         expected = (
             np.log((left - entered) / np.median(stays))
-            if len(stays) >= WAY_PASSAGES_MIN
+            if len(stays) >= USUAL_PASSAGES_MIN
             else np.nan
         )
         (leaving,) = d.slow[(d.t == left) & (d.zone == v)]
@@ -163,7 +163,7 @@ def test_zones_are_numbered_through() -> None:
 
 
 def test_nothing_to_see() -> None:
-    scene = see(Window(10), [])
+    scene = label_events(Window(10), [])
     assert scene.zones == []
     assert len(scene.departures.t) == len(scene.arrivals.t) == 0
     assert (scene.first, scene.last) == (0.0, 0.0)

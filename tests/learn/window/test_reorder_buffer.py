@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from camtopod.event_time import BEHIND_EVENTS, MICROSECONDS, microseconds
 from camtopod.learn.window import reorder_buffer as module
-from camtopod.learn.window.reorder_buffer import Intake, IntakeState, Sequence
+from camtopod.learn.window.reorder_buffer import ReceivedNumbers, ReorderBuffer, ReorderBufferState
 from camtopod.records import Event
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
@@ -22,7 +22,7 @@ def event(t: float, camera: str = "a", kind: str = "entry", **rest: object) -> E
     return Event(camera, kind, t, **rest)  # type: ignore[arg-type]
 
 
-def out(intake: Intake) -> list[Event]:
+def out(intake: ReorderBuffer) -> list[Event]:
     return [event for _, event in intake.take(10**18)]
 
 
@@ -31,7 +31,7 @@ def out(intake: Intake) -> list[Event]:
 
 @given(st.lists(st.integers(0, 30)))
 def test_sequence_is_a_set(numbers: list[int]) -> None:
-    sequence, seen = Sequence(), set[int]()
+    sequence, seen = ReceivedNumbers(), set[int]()
     for number in numbers:
         assert sequence.add(number) == (number not in seen)
         seen.add(number)
@@ -43,7 +43,7 @@ def test_sequence_is_a_set(numbers: list[int]) -> None:
 @given(st.lists(st.integers(0, 60), max_size=80))
 def test_sequence_forgets_the_oldest_gap(numbers: list[int]) -> None:
     """With room for three gaps it is a set in which older gaps are filled."""
-    sequence, seen = Sequence(), set[int]()
+    sequence, seen = ReceivedNumbers(), set[int]()
     patch = pytest.MonkeyPatch()
     with patch.context() as limits:
         limits.setattr(module, "GAPS_PER_BOOT_MAX", 3)
@@ -69,7 +69,7 @@ def test_sequence_forgets_the_oldest_gap(numbers: list[int]) -> None:
 
 
 def test_verdicts_and_counts() -> None:
-    intake = Intake(5.0, 2)
+    intake = ReorderBuffer(5.0, 2)
     assert intake.receive(event(100, boot="x", seq=1)) == "accepted"
     assert intake.receive(event(100, boot="x", seq=1)) == "duplicate"
     assert intake.receive(event(100, boot="y", seq=1)) == "accepted"
@@ -84,12 +84,12 @@ def test_verdicts_and_counts() -> None:
 
 
 def test_an_event_without_a_number_is_never_a_duplicate() -> None:
-    intake = Intake(5.0, 2)
+    intake = ReorderBuffer(5.0, 2)
     assert [intake.receive(event(1)) for _ in range(3)] == ["accepted"] * 3
 
 
 def test_the_oldest_incarnation_is_forgotten() -> None:
-    intake = Intake(5.0, 1)
+    intake = ReorderBuffer(5.0, 1)
     for k in range(module.BOOTS_PER_CAMERA_MAX + 1):
         assert intake.receive(event(1, boot=str(k), seq=7)) == "accepted"
     assert intake.receive(event(1, boot=str(k), seq=7)) == "duplicate"
@@ -97,7 +97,7 @@ def test_the_oldest_incarnation_is_forgotten() -> None:
 
 
 def test_the_watermark_trails_and_only_rises() -> None:
-    intake = Intake(5.0, 9)
+    intake = ReorderBuffer(5.0, 9)
     assert intake.watermark_us is None
     intake.advance(999 * MICROSECONDS)  # nothing has come: nobody is late
     assert intake.watermark_us is None
@@ -114,7 +114,7 @@ def test_the_watermark_trails_and_only_rises() -> None:
 
 
 def test_take_is_inclusive_and_leaves_the_rest() -> None:
-    intake = Intake(100.0, 9)
+    intake = ReorderBuffer(100.0, 9)
     for t in (3, 1, 2, 2.000001):
         intake.receive(event(t))
     assert [e.t for _, e in intake.take(microseconds(2))] == [1, 2]
@@ -154,7 +154,7 @@ def test_any_order_within_the_lateness_gives_the_same(
         Event(e.camera, e.kind, e.t, e.x, e.y, e.track, boot="x", seq=k)
         for k, e in enumerate(events)
     ]
-    plain, mixed = Intake(5.0, 9), Intake(5.0, 9)
+    plain, mixed = ReorderBuffer(5.0, 9), ReorderBuffer(5.0, 9)
     for e in sorted(numbered, key=lambda e: e.t):
         assert plain.receive(e) == "accepted"
     arrivals = [(e.t + chance.uniform(0, 5), e) for e in numbered for _ in range(2)]
@@ -168,7 +168,7 @@ def test_any_order_within_the_lateness_gives_the_same(
 @example([Event("a", "exit", 0.0, track=track) for track in (None, "", 0)], random.Random(1))
 @given(EVENTS, st.randoms(use_true_random=False))
 def test_ties_do_not_depend_on_the_order(events: list[Event], chance: random.Random) -> None:
-    first, second = Intake(100.0, 9), Intake(100.0, 9)
+    first, second = ReorderBuffer(100.0, 9), ReorderBuffer(100.0, 9)
     shuffled = events[:]
     chance.shuffle(shuffled)
     for intake, order in ((first, events), (second, shuffled)):
@@ -190,7 +190,7 @@ def test_ties_do_not_depend_on_the_order(events: list[Event], chance: random.Ran
 def test_a_single_clock_that_is_ahead_makes_nobody_late() -> None:
     """Camera b is 40 s ahead; without an allowance the others would be late."""
     for ahead, late in ((60.0, 0), (0.0, 98 + 100)):
-        intake = Intake(5.0, 9, ahead)
+        intake = ReorderBuffer(5.0, 9, ahead)
         for t in range(100):
             for camera, error in (("a", 0.0), ("b", 40.0), ("c", 0.5)):
                 intake.receive(event(t + error, camera))
@@ -199,7 +199,7 @@ def test_a_single_clock_that_is_ahead_makes_nobody_late() -> None:
 
 
 def test_one_that_is_further_ahead_is_obeyed_as_time_may_have_gone_on() -> None:
-    intake = Intake(5.0, 9, 60.0)
+    intake = ReorderBuffer(5.0, 9, 60.0)
     for camera in "ab":
         intake.receive(event(100, camera))
     intake.receive(event(1000, "a"))
@@ -209,7 +209,7 @@ def test_one_that_is_further_ahead_is_obeyed_as_time_may_have_gone_on() -> None:
 
 
 def test_silent_cameras_hold_nobody_up_for_longer() -> None:
-    intake = Intake(5.0, 9, 60.0)
+    intake = ReorderBuffer(5.0, 9, 60.0)
     intake.receive(event(0, "b"))
     for t in range(300):
         intake.receive(event(t, "a"))
@@ -219,7 +219,7 @@ def test_silent_cameras_hold_nobody_up_for_longer() -> None:
 
 
 def test_a_camera_that_is_alone_does_not_wait_for_another() -> None:
-    intake = Intake(5.0, 9, 60.0)
+    intake = ReorderBuffer(5.0, 9, 60.0)
     for t in range(50):
         intake.receive(event(t, "a"))
     assert intake.watermark_us == microseconds(49 - 5)
@@ -227,7 +227,7 @@ def test_a_camera_that_is_alone_does_not_wait_for_another() -> None:
 
 @given(EVENTS)
 def test_event_time_is_where_a_second_camera_has_come_to(events: list[Event]) -> None:
-    intake, newest = Intake(5.0, 9, 60.0), dict[str, float]()
+    intake, newest = ReorderBuffer(5.0, 9, 60.0), dict[str, float]()
     for e in events:
         before = intake.watermark_us
         if intake.receive(e) == "late":
@@ -243,7 +243,7 @@ def test_a_clock_that_is_behind_is_waited_for() -> None:
 
     Once it is put right, nothing waits.
     """
-    intake = Intake(5.0, 9, 60.0)
+    intake = ReorderBuffer(5.0, 9, 60.0)
     verdicts = []
     for t in range(400):
         intake.receive(event(t, "a"))
@@ -258,7 +258,7 @@ def test_a_clock_that_is_behind_is_waited_for() -> None:
 
 
 def test_what_is_late_for_once_is_not_waited_for() -> None:
-    intake = Intake(5.0, 9, 60.0)
+    intake = ReorderBuffer(5.0, 9, 60.0)
     for t in range(0, 1000, 10):
         intake.receive(event(t, "a"))
         intake.receive(event(t, "c"))
@@ -272,11 +272,13 @@ def test_what_is_late_for_once_is_not_waited_for() -> None:
 
 
 def test_how_far_clocks_are_behind_is_part_of_the_state() -> None:
-    intake, other = Intake(5.0, 9, 60.0), Intake(5.0, 9, 60.0)
+    intake, other = ReorderBuffer(5.0, 9, 60.0), ReorderBuffer(5.0, 9, 60.0)
     for t in range(75):
         for camera, behind in (("a", 0.0), ("c", 0.0), ("b", 20.0)):
             intake.receive(event(t - behind, camera))
-    other.load(msgspec.msgpack.decode(msgspec.msgpack.encode(intake.save()), type=IntakeState))
+    other.load(
+        msgspec.msgpack.decode(msgspec.msgpack.encode(intake.save()), type=ReorderBufferState)
+    )
     assert other.lateness_us == intake.lateness_us == microseconds(5 + 20)
     for t in range(75, 120):
         for camera, behind in (("a", 0.0), ("b", 0.0), ("c", 0.0)):
@@ -291,7 +293,7 @@ def test_how_far_clocks_are_behind_is_part_of_the_state() -> None:
 def test_within_the_lateness_nobody_is_waited_for_longer(
     events: list[Event], chance: random.Random
 ) -> None:
-    intake = Intake(20.0, 9, 60.0)
+    intake = ReorderBuffer(20.0, 9, 60.0)
     for e in sorted(events, key=lambda e: e.t + chance.uniform(0.0, 19.0)):
         if intake.receive(e) == "late":
             break
@@ -306,7 +308,7 @@ def test_of_a_site_with_wrong_clocks_nearly_all_is_learned(seed: int) -> None:
     events, truth = simulate(
         SimSettings(cameras=6, hours=2.0, seed=seed, clock_max=30.0, clock_share=1 / 3)
     )
-    patient, hasty = Intake(5.0, 9, 60.0), Intake(5.0, 9, 0.0)
+    patient, hasty = ReorderBuffer(5.0, 9, 60.0), ReorderBuffer(5.0, 9, 0.0)
     for e in sorted(events, key=lambda e: e.t - truth.clock_offsets.get(e.camera, 0.0)):
         patient.receive(e)
         hasty.receive(e)

@@ -83,7 +83,7 @@ def test_sums_equal_a_recount(steps: list[tuple[list[Event], int, bool]], events
         for camera, name in enumerate(window.cameras):
             assert (window.sums[camera] == sums.get(name, nothing)).all()
             assert window.unplaced[camera].tolist() == unplaced.get(name, [0, 0])
-            assert window.placed(camera) == sums.get(name, nothing)[0].sum()
+            assert window.count_with_position(camera) == sums.get(name, nothing)[0].sum()
             assert window.seen[camera] == sum(e.camera == name and e.x is not None for e in seen)
             assert (window.cell_sums(camera).syy == window.sums[camera][5]).all()
 
@@ -148,7 +148,7 @@ def test_columns_grow_and_are_reused() -> None:
         assert len(window) == min(k + 1, 5) * 100
     assert len(window.column("t").base) <= 4096  # type: ignore[arg-type]
     assert window.base == 19_500
-    assert window.placed(0) == 500
+    assert window.count_with_position(0) == 500
     window.append([])
     assert window.forget(0) == 0
 

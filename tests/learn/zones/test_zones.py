@@ -18,7 +18,7 @@ from camtopod.learn.zones import marginal_likelihood as likelihood_module
 from camtopod.learn.zones import separation as valley_module
 from camtopod.learn.zones.clutter import clutter_rate, clutter_rates, dense_cells
 from camtopod.learn.zones.marginal_likelihood import SHARE_PRIOR, gaussians, log_zone, moments
-from camtopod.learn.zones.separation import far, valley
+from camtopod.learn.zones.separation import are_far_apart, valley_log_ratio
 from camtopod.learn.zones.zone_map import (
     CellSums,
     ZoneMap,
@@ -258,7 +258,7 @@ def test_clutter_and_what_stands_out_of_it_equal_their_slow_twins(
         clutter_module.ROUNDS,
     )
     assert rates == pytest.approx(naive.clutter_rates(count, constants), rel=1e-9)
-    for chance in (clutter_module.FLOOR_CHANCE, clutter_module.FOUND_CHANCE):
+    for chance in (clutter_module.FLOOR_PROBABILITY, clutter_module.SEARCH_PROBABILITY):
         slow = naive.dense_cells(
             count, rates, chance, clutter_module.CONTRAST_MIN, clutter_module.FLOOR_WIDTHS
         )
@@ -270,7 +270,7 @@ def test_clutter_and_what_stands_out_of_it_equal_their_slow_twins(
 def test_valley_equals_its_slow_twin(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = np.concatenate([rng.normal(0, 1, 40 + 20 * seed), rng.normal(4 + seed, 1.5, 30)])
-    fast = valley(np.ones(len(points)), points, np.full(len(points), 1e-9), -3.0, 9.0)
+    fast = valley_log_ratio(np.ones(len(points)), points, np.full(len(points), 1e-9), -3.0, 9.0)
     assert fast == pytest.approx(naive.valley(points, -3.0, 9.0, valley_module._STEPS))
     assert fast > 0
 
@@ -334,7 +334,7 @@ def test_far_apart_is_by_the_line_that_tells_best() -> None:
         line /= np.hypot(*line)
         sd = np.sqrt(line @ a @ line + 1e-6) + np.sqrt(line @ b @ line + 1e-6)
         expected.append(line @ (other - one) > 3 * sd)
-    assert far(n, mean, scatter).tolist() == expected
+    assert are_far_apart(n, mean, scatter).tolist() == expected
     assert 20 < sum(expected) < 380
 
 
