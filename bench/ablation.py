@@ -35,7 +35,7 @@ from msgspec import Struct
 
 from bench import real
 from bench.regimes import REGIMES
-from bench.support.jobs import done
+from bench.support.jobs import map_tasks
 from bench.support.measure import measure as measure_regime
 from bench.support.real_figures import calibration_error
 from camtopod.learn.traffic.speed import NO_PERSISTENCE
@@ -79,7 +79,7 @@ class Task(Struct, frozen=True):
     scale: float
 
 
-def _untold(*levels: int) -> Callable[..., Any]:
+def _without_levels(*levels: int) -> Callable[..., Any]:
     """Return a replacement of `Contexts._contexts` in which some levels are always unknown."""
     every = import_module("camtopod.learn.next_camera.contexts").Contexts._contexts
 
@@ -97,19 +97,24 @@ def _no_skips(appears: Any, candidates: Any, through: Any, bins: Any, zones: int
 
 MECHANISMS = [
     Mechanism(
-        "context: zone of entry", {"learn.next_camera.contexts:Contexts._contexts": _untold(0)}
+        "context: zone of entry",
+        {"learn.next_camera.contexts:Contexts._contexts": _without_levels(0)},
     ),
     Mechanism(
-        "context: block of exit", {"learn.next_camera.contexts:Contexts._contexts": _untold(1)}
+        "context: block of exit",
+        {"learn.next_camera.contexts:Contexts._contexts": _without_levels(1)},
     ),
     Mechanism(
-        "context: entry and block", {"learn.next_camera.contexts:Contexts._contexts": _untold(2)}
+        "context: entry and block",
+        {"learn.next_camera.contexts:Contexts._contexts": _without_levels(2)},
     ),
     Mechanism(
-        "context: camera before", {"learn.next_camera.contexts:Contexts._contexts": _untold(3)}
+        "context: camera before",
+        {"learn.next_camera.contexts:Contexts._contexts": _without_levels(3)},
     ),
     Mechanism(
-        "contexts, all", {"learn.next_camera.contexts:Contexts._contexts": _untold(0, 1, 2, 3)}
+        "contexts, all",
+        {"learn.next_camera.contexts:Contexts._contexts": _without_levels(0, 1, 2, 3)},
     ),
     Mechanism("speed", {"learn.association.em:persistence": lambda *arguments: NO_PERSISTENCE}),
     Mechanism("skipped cameras", {"learn.next_camera.fit:skip_hazards": _no_skips}),
@@ -244,7 +249,7 @@ def main(argv: Sequence[str]) -> int:
         for name in names
         for seed in range(arguments.sampling_seeds)
     ]
-    figures = dict(zip(tasks, done(measure, tasks, arguments.jobs), strict=True))
+    figures = dict(zip(tasks, map_tasks(measure, tasks, arguments.jobs), strict=True))
     averaged: dict[tuple[str, str, str], list[list[float]]] = defaultdict(list)
     for task, row in figures.items():
         averaged[task.mechanism, task.kind, task.network].append(row)

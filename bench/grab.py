@@ -112,8 +112,8 @@ def measure(film: Film, rounds: int) -> ratios.Table:
     contestants = {
         DECODING: per_frame(decode),
         GRABBER: per_frame(grab),
-        frigate_at(film.size): per_frame(frigates_way, film.size),
-        frigate_at(SMALL_DETECT): per_frame(frigates_way, SMALL_DETECT),
+        frigate_at(film.size): per_frame(run_frigate, film.size),
+        frigate_at(SMALL_DETECT): per_frame(run_frigate, SMALL_DETECT),
         "the program ffmpeg, decoding alone": per_frame(decode_by_ffmpeg),
     }
     costs = ratios.take_turns(contestants, rounds)
@@ -145,7 +145,7 @@ def grab(film: Film) -> Grabber:
     return grabber
 
 
-def frigates_way(film: Film, detect: tuple[int, int]) -> None:
+def run_frigate(film: Film, detect: tuple[int, int]) -> None:
     """Pipe raw frames from ffmpeg and detect motion with OpenCV, as Frigate does."""
     frames, _ = frigate.watch(film.path, *detect)
     assert abs(frames - film.frames * frigate.FPS / films.FPS) <= 2, f"{frames} frames looked at"

@@ -121,7 +121,7 @@ def measure(settings: SimSettings) -> Row:
         truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:]
     )
     ours = score_predictions(predict(learn(events[:cut]), events, cut), events[cut:], tail)
-    told = score_predictions(markov_told(events, truth, cut), events[cut:], tail)
+    told = score_predictions(oracle_predictions(events, truth, cut), events[cut:], tail)
     return Row(
         seed=settings.seed,
         events=len(events),
@@ -169,7 +169,7 @@ def predict(topology: Topology, events: Sequence[Event], cut: int) -> list[Predi
     return predictions
 
 
-def markov_told(events: Sequence[Event], truth: Truth, cut: int) -> list[Prediction]:
+def oracle_predictions(events: Sequence[Event], truth: Truth, cut: int) -> list[Prediction]:
     """Predict the same exits by the oracle: counts per true zone of the next camera before ``cut``.
 
     Clutter is not counted.

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.regimes import REGIMES
-from bench.support.jobs import done
+from bench.support.jobs import map_tasks
 from bench.support.measure import TRAIN_SHARE, predict, prediction_figures
 from camtopod.arrays import Floats, Singles
 from camtopod.learn.association import Em
@@ -63,7 +63,7 @@ class Told:
         }
         self.kept = float("nan")
 
-    def of(self, em: Em) -> Singles:
+    def responsibilities(self, em: Em) -> Singles:
         """Return 1 for each candidate (M,) that is a transition of one object, else 0."""
         c = em.candidates
         left, came = (
@@ -76,7 +76,7 @@ class Told:
     @contextmanager
     def at_every_step(self) -> Iterator[None]:
         """Set responsibilities to the truth while the block runs; nothing is sampled."""
-        of = self.of
+        of = self.responsibilities
 
         class Told(Em):
             """EM whose E step sets the responsibilities to the truth."""
@@ -101,12 +101,12 @@ class Told:
 
         def begin(fitter: PosteriorFitter) -> None:
             if from_truth:
-                fitter.em.responsibility = self.of(fitter.em)
+                fitter.em.responsibility = self.responsibilities(fitter.em)
             sample(fitter)
 
         def follow(fitter: PosteriorFitter, overlapping: NDArray[np.bool_]) -> NDArray[np.bool_]:
             em = fitter.em
-            em.responsibility = np.maximum(em.responsibility, self.of(em))
+            em.responsibility = np.maximum(em.responsibility, self.responsibilities(em))
             return worth(fitter, overlapping)
 
         with (
@@ -122,7 +122,7 @@ class Told:
         posterior = PosteriorFitter.posterior
 
         def watched(fitter: PosteriorFitter, evidence: Floats) -> fit.Posterior:
-            true = self.of(fitter.em)
+            true = self.responsibilities(fitter.em)
             self.kept = float(fitter.em.responsibility @ true / max(true.sum(), 1.0))
             return posterior(fitter, evidence)
 
@@ -168,7 +168,7 @@ def main(argv: list[str]) -> int:
     sweeps = [int(n) for n in arguments.sweeps.split(",")]
     print(f"{'':36}" + "".join(f"{title:>22}" for title in FIGURES.values()))
     for regime in arguments.regimes.split(","):
-        found = done(partial(measure, regime, sweeps), range(arguments.seeds), arguments.jobs)
+        found = map_tasks(partial(measure, regime, sweeps), range(arguments.seeds), arguments.jobs)
         for row in found[0]:
             cells = []
             for figure in FIGURES:

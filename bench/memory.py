@@ -25,7 +25,7 @@ from bench.support.clients import client, result, status_of, write_events
 from bench.support.ratios import Row, Spread, Table
 from bench.support.site import (
     LEARNED_PER_SECOND_PER_CAMERA,
-    most_at_once,
+    peak_memory,
     resident,
     running,
     traffic,
@@ -102,7 +102,7 @@ def measure(cameras: int, count: int) -> Taken:
         )
         with (
             running(folder, limits=f"cameras_max = {cameras + 100}") as (endpoint, pid),
-            most_at_once(pid) as most,
+            peak_memory(pid) as most,
         ):
             with client(
                 "put_flood", folder, endpoint=endpoint, events=events, window=STRANGERS_WINDOW

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from msgspec import Struct, to_builtins
 
-from bench.support.jobs import done
+from bench.support.jobs import map_tasks
 from bench.support.real_figures import (
     SEARCH_RECALLS,
     TELLABLE_NATS,
@@ -88,7 +88,7 @@ def main(argv: Sequence[str]) -> int:
     )  # inherited by the workers: two of them share two cores
 
     # Measure and report.
-    results = done(measure, folders, arguments.jobs)
+    results = map_tasks(measure, folders, arguments.jobs)
     print("\n".join([*_links(results), "", *_predictions(results)]))
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(to_builtins(results, str_keys=True), indent=1) + "\n")

@@ -19,7 +19,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from camtopod.codec import to_json, to_pack
+from camtopod.codec import to_json, to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import pack
@@ -75,7 +75,9 @@ def lay_out(folder: Path, events: Sequence[Event], behind: int) -> int:
         learner.receive(event)
     journal = Journal(folder / "state")
     journal.set_meta("epoch", epoch)
-    journal.commit([Entry("event", event.camera, None, None, to_pack(event)) for event in events])
+    journal.commit(
+        [Entry("event", event.camera, None, None, to_msgpack(event)) for event in events]
+    )
 
     # Versions, and the snapshot behind which the last events lie.
     made = learner.updates()

@@ -111,7 +111,7 @@ def work(name: str, site: Site, shard: tuple[int, int], dealt: str) -> Work:
     """Let one shard learn the events it listens to."""
     events, truth = site
     districts = DISTRICTS_PER_SHARD * shard[1]
-    places = by_place(truth, districts) if dealt == BY_PLACE else ()
+    places = place_patterns(truth, districts) if dealt == BY_PLACE else ()
     learner = ShardLearner(
         sharding=Sharding(
             districts=districts, together=places, guest_turns=4 * shard[1], turn_hours=TURN_HOURS
@@ -146,7 +146,7 @@ def work(name: str, site: Site, shard: tuple[int, int], dealt: str) -> Work:
     )
 
 
-def by_place(truth: Truth, districts: int) -> tuple[str, ...]:
+def place_patterns(truth: Truth, districts: int) -> tuple[str, ...]:
     """Return patterns that assign cameras joined by paths to one district.
 
     The cameras are ordered in a line in which neighbours are near, and the line is cut.

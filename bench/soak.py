@@ -99,7 +99,7 @@ def main(argv: list[str]) -> int:
     ):
         print("day  resident MiB  journal MiB  spool MiB  version  start s  day s")
         for day in range(1, given.days + 1):
-            soak.live_through(day)
+            soak.run_day(day)
             d = soak.days[-1]
             sizes = "  ".join(
                 f"{value / 2**20:11.2f}" for value in (d.resident, d.journal, d.spool)
@@ -111,12 +111,16 @@ def main(argv: list[str]) -> int:
             if given.json is not None:
                 with given.json.open("ab") as out:
                     out.write(msgspec.json.encode(d) + b"\n")
-        wrong = [*grown(soak.days), *outside(soak.days, soak.bounds), *soak.wrong()]
+        wrong = [
+            *growth_violations(soak.days),
+            *bound_violations(soak.days, soak.bounds),
+            *soak.wrong(),
+        ]
     print("\n".join(wrong) or "flat, and nothing lost")
     return 1 if wrong else 0
 
 
-def grown(days: Sequence[Day]) -> Iterator[str]:
+def growth_violations(days: Sequence[Day]) -> Iterator[str]:
     """Yield a message for each size that grew after the day when it should have been full."""
     for name, since in (
         ("resident", MEMORY_FROM_DAY),
@@ -134,7 +138,7 @@ def grown(days: Sequence[Day]) -> Iterator[str]:
             yield f"{name} has grown by more than {GROWTH_MAX:.0%}"
 
 
-def outside(days: Sequence[Day], bounds: Mapping[str, int]) -> Iterator[str]:
+def bound_violations(days: Sequence[Day], bounds: Mapping[str, int]) -> Iterator[str]:
     """Yield a message for each size that exceeded its bound, or never came near it."""
     for name, most in bounds.items():
         peak = max(days, key=lambda day: int(getattr(day, name)))
@@ -163,7 +167,7 @@ def miscounted(sent: Mapping[str, int], stored: Counter[tuple[str, int]]) -> Ite
             yield f"{len(which)} of {len(made)} events are {what}, the first {min(which)}"
 
 
-class Beside:
+class WorkerProcess:
     """A process of its own that answers requests, one at a time."""
 
     def __init__(self, work: Callable[..., None], *given: Any) -> None:
@@ -178,18 +182,18 @@ class Beside:
         assert self._process.pid is not None
         return resident(self._process.pid)
 
-    def tell(self, what: Any) -> None:
+    def send(self, what: Any) -> None:
         """Send a request without waiting."""
         self._pipe.send(what)
 
-    def hear(self) -> Any:
+    def receive(self) -> Any:
         """Return the answer to a request. Raises `EOFError` if the process has ended."""
         return self._pipe.recv()
 
     def ask(self, what: Any) -> Any:
         """Send a request and return its answer."""
-        self.tell(what)
-        return self.hear()
+        self.send(what)
+        return self.receive()
 
     def close(self) -> None:
         """End the process."""
@@ -197,7 +201,7 @@ class Beside:
         self._process.join(WAIT_SECONDS)
 
 
-def keep_house(pipe: Connection, config: Config, now: Any) -> None:
+def run_daemons(pipe: Connection, config: Config, now: Any) -> None:
     """Run the daemons, one after the other, on the same state and by the clock ``now``."""
     memory.tune()
     daemon: Daemon | None = None
@@ -234,7 +238,7 @@ def keep_house(pipe: Connection, config: Config, now: Any) -> None:
         daemon.stop()
 
 
-def learn_beside(pipe: Connection, settings: Settings) -> None:
+def run_plain_learner(pipe: Connection, settings: Settings) -> None:
     """Run a plain learner that never stops; answer events with the versions they led to."""
     learner = Learner(settings, "site", "plain")
     with contextlib.suppress(EOFError):
@@ -272,8 +276,8 @@ class Soak:
         day = SimSettings(seed=1, cameras=cameras, hours=23.5, objects_per_second=rate, rhythm=0.8)
         self._day, _ = simulate(day)
         self._now = _PROCESSES.Value("d", 0.0)
-        self._home = Beside(keep_house, self._config, self._now)
-        self._twin = Beside(learn_beside, learn)
+        self._home = WorkerProcess(run_daemons, self._config, self._now)
+        self._twin = WorkerProcess(run_plain_learner, learn)
         self._expected: dict[int, str] = {}
         self._made: dict[int, str] = {}
         self._sent: Counter[str] = Counter()
@@ -288,7 +292,7 @@ class Soak:
         self._folder = folder
         self.days: list[Day] = []
 
-    def live_through(self, day: int) -> None:
+    def run_day(self, day: int) -> None:
         """Start the daemon, publish the day's traffic, and stop the daemon."""
         started = time.perf_counter()
         self._home.ask("start")
@@ -304,12 +308,12 @@ class Soak:
         for _, group in itertools.groupby(events, key=lambda event: event.t // BATCH_SECONDS):
             batch = list(group)
             self._now.value = batch[-1].t + 1.0
-            self._twin.tell(batch)
+            self._twin.send(batch)
             self._publisher.publish(*batch)
             self._sent.update(event.camera for event in batch)
-            if not self._publisher.drained(WAIT_SECONDS):
+            if not self._publisher.wait_acknowledged(WAIT_SECONDS):
                 raise TimeoutError("events are not acknowledged")
-            self._expected |= self._twin.hear()
+            self._expected |= self._twin.receive()
             self._count()
 
         # Take the sizes.

@@ -58,7 +58,7 @@ def event_from_json(line: bytes | str) -> Event:
     )
 
 
-def event_from_pack(payload: bytes) -> Event:
+def event_from_msgpack(payload: bytes) -> Event:
     """Return the event of a MessagePack payload; raise `Rejected`."""
     return _event(_pack_event, payload)
 
@@ -132,7 +132,7 @@ def read(kind: type[_T], raw: bytes, pack: bool = False) -> _T:
     return result
 
 
-def read_topology(raw: bytes, pack: bool = False) -> Topology:
+def decode_topology(raw: bytes, pack: bool = False) -> Topology:
     """Return a topology whose references and values are all valid; raise `Rejected`.
 
     Its users need not check again: each name refers to an item of the topology, and each number is
@@ -215,6 +215,6 @@ def to_json(noun: Event | Topology | Delta | Prediction | Any) -> bytes:
     return _to_json.encode(noun)
 
 
-def to_pack(noun: Event | Topology | Delta | Prediction | Any) -> bytes:
+def to_msgpack(noun: Event | Topology | Delta | Prediction | Any) -> bytes:
     """Return a record as MessagePack."""
     return _to_pack.encode(noun)

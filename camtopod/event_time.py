@@ -50,7 +50,7 @@ class CameraDelay(Struct):
 
 
 class EventTimeState(Struct):
-    """The saved state of an `EventTime`."""
+    """The saved state of an `IdleEventTime`."""
 
     newest_us: int | None = None
     second_us: int | None = None
@@ -138,7 +138,7 @@ class EventTime:
 
     def _update_delay(self, t_us: int, camera: str) -> None:
         """Update the camera's delay; ignore events further behind than clocks may differ."""
-        come = self._come_to()
+        come = self._event_time()
         if come is None or come - t_us > self._apart_us:
             return
         behind = self.behind.setdefault(camera, CameraDelay())
@@ -153,7 +153,7 @@ class EventTime:
             (behind.known for behind in self.behind.values()), default=0
         )
 
-    def _come_to(self) -> int | None:
+    def _event_time(self) -> int | None:
         """Return the event time."""
         if self.newest_us is None:
             return None
@@ -162,7 +162,7 @@ class EventTime:
 
     def _raise_watermark(self) -> None:
         """Raise the watermark; only `rewind` lowers it, as events below it have been learned."""
-        come = self._come_to()
+        come = self._event_time()
         assert come is not None
         watermark = come - self.lateness_us
         if self.watermark_us is None or watermark > self.watermark_us:

@@ -28,7 +28,7 @@ class Publisher(Struct):
     before: str = ""
     returns: int = 0
 
-    def note(self, boot: str) -> bool:
+    def note_boot(self, boot: str) -> bool:
         """Note the boot of one more event; return True if two programs publish at the same time."""
         if boot == self.boot:
             return False

@@ -744,7 +744,7 @@ def multiplier(before, after, most):
 
 
 def surroundings(share, leave, steps, back_off, most, leave_floor):
-    """Compute `camtopod.predict.contexts.Surroundings.multipliers`, target by target.
+    """Compute `camtopod.predict.contexts.ContextMultipliers.multipliers`, target by target.
 
     share: target -> share.
     steps: (departures, transitions by target, probability) of each context, in order.

@@ -33,23 +33,23 @@ LEAVES = ""
 """Outcome of an exit that nothing follows: the object left the site."""
 
 
-def told_score(
+def oracle_score(
     events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hashable]
 ) -> PredictionScore:
-    """Return the score of `told` on the events from ``cut`` on, with the best of
+    """Return the score of `oracle_predictions` on the events from ``cut`` on, with the best of
     `PSEUDO_COUNTS`.
     """
     tail = replace(
         truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:]
     )
     scores = [
-        score_predictions(told(events, truth, cut, states, a), events[cut:], tail)
+        score_predictions(oracle_predictions(events, truth, cut, states, a), events[cut:], tail)
         for a in PSEUDO_COUNTS
     ]
     return min(scores, key=lambda result: result.log_loss)
 
 
-def told(
+def oracle_predictions(
     events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hashable], pseudo_count: float
 ) -> list[Prediction]:
     """Return a prediction for each exit from event ``cut`` on, by earlier exits in its state.

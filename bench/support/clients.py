@@ -23,7 +23,7 @@ import msgspec
 import zenoh
 
 from bench.support.site import Status
-from camtopod.codec import to_pack
+from camtopod.codec import to_msgpack
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Ack, Event, Prediction
 from camtopod.serve.bus.session import Bus, dial, open_daemon_session
@@ -60,7 +60,7 @@ def put_paced(endpoint: str, events: str, bare: bool) -> dict[str, Any]:
             time.sleep(left)
         now = time.time()
         stamped = msgspec.structs.replace(event, t=now)
-        payload = to_pack(stamped)
+        payload = to_msgpack(stamped)
         if bare:
             payload = _framed(now, event.kind == "exit", len(payload))
         puts[event.camera].put(payload)
@@ -87,7 +87,7 @@ def put_flood(endpoint: str, events: str, window: int = WINDOW_EVENTS) -> dict[s
     for event in batch:
         seq = seqs[event.camera] = seqs[event.camera] + 1
         numbered = msgspec.structs.replace(event, t=event.t + later, boot=boot, seq=seq)
-        messages.append((puts[event.camera], to_pack(numbered)))
+        messages.append((puts[event.camera], to_msgpack(numbered)))
 
     # Count acknowledgements.
     stored = dict.fromkeys(seqs, 0)
@@ -140,7 +140,7 @@ def sink(endpoint: str, ready: str, dials: bool = False) -> dict[str, Any]:
     _say_ready(bus, ready)
     while not done.wait(ACK_SECONDS):
         ack = Ack("all", ENDED.decode(), count[0])
-        bus._session.put(f"{PREFIX}/ack/all", to_pack(ack))
+        bus._session.put(f"{PREFIX}/ack/all", to_msgpack(ack))
     bus.close()
     return {"received": count[0]}
 
@@ -205,7 +205,7 @@ def hear(endpoint: str, ready: str, bare: bool) -> dict[str, Any]:
 def status_of(endpoint: str) -> Status:
     """Return the daemon's status."""
     with _dialled(endpoint) as bus:
-        return msgspec.msgpack.decode(bus.ask("status/daemon")[0][1], type=Status)
+        return msgspec.msgpack.decode(bus.query("status/daemon")[0][1], type=Status)
 
 
 def learned_status(endpoint: str) -> Status:

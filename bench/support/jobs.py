@@ -11,7 +11,7 @@ _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
 
-def done(work: Callable[[_Task], _Result], tasks: Sequence[_Task], jobs: int) -> list[_Result]:
+def map_tasks(work: Callable[[_Task], _Result], tasks: Sequence[_Task], jobs: int) -> list[_Result]:
     """Return ``work(task)`` for each task, in order, computed by ``jobs`` processes.
 
     Processes are spawned: one forked from a process with threads may deadlock.

@@ -22,7 +22,7 @@ from bench.baselines.crossings import NARROW, WIDE, Candidates, Crossings, candi
 from bench.baselines.findings import Findings, Ranked, at, rank
 from bench.baselines.hawkes import hawkes
 from bench.baselines.information import information
-from bench.baselines.told import recorded_medians, told_score, transit_error
+from bench.baselines.told import oracle_score, recorded_medians, transit_error
 from bench.baselines.transfer import transfer
 from bench.baselines.zoning import methods
 from camtopod.learn.learner import Learner
@@ -137,7 +137,7 @@ def learn(events: Sequence[Event], learner: Learner) -> tuple[Topology, Topology
 
 def network_figures(topology: Topology, truth: Truth, events: Sequence[Event]) -> dict[str, float]:
     """Return the figures of zones, links, relations and clocks, as far as the truth has them."""
-    result = score(topology, by_their_clocks(truth))
+    result = score(topology, with_camera_clocks(truth))
     figures: dict[str, float] = {"links_learned": result.links_learned}
     if truth.pairs:
         figures |= {"relation_right": result.relation_right, "pair_f1": result.pair_f1}
@@ -183,7 +183,7 @@ def network_figures(topology: Topology, truth: Truth, events: Sequence[Event]) -
     return figures
 
 
-def by_their_clocks(truth: Truth) -> Truth:
+def with_camera_clocks(truth: Truth) -> Truth:
     """Return the truth with transit times by the clocks of the two cameras, as they are learned."""
     offset = {zone.id: truth.clock_offsets.get(zone.camera, 0.0) for zone in truth.zones}
     links = []
@@ -274,7 +274,7 @@ def prediction_figures(
         return None if zone is None else predictor.zones[zone].id
 
     ours = score_predictions(made, events[cut:], tail, zone_of=zone_of)
-    chain = told_score(events, truth, cut, states)
+    chain = oracle_score(events, truth, cut, states)
     return {
         **_of_predictions(ours, ""),
         **_of_predictions(chain, "told_"),
@@ -301,7 +301,7 @@ def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> 
     records = []
     for name, states in chains.items():
         started = time.process_time()
-        result = told_score(events, truth, cut, states)
+        result = oracle_score(events, truth, cut, states)
         seconds = time.process_time() - started
         records.append(
             Record(regime, seed, f"next: {name}", seconds, _plain(_of_predictions(result, "")))

@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from bench.support.recordings import SPURIOUS_TRANSITIONS_MAX, Passage, Recording, pairs_of
 from camtopod.arrays import Floats
 from camtopod.client import Gate
-from camtopod.predict.hand_over import added_up
+from camtopod.predict.hand_over import sum_by_camera
 from camtopod.records import Event, Prediction, Topology
 
 LEAVE = "leave"
@@ -31,7 +31,7 @@ beside the camera's.
 LAGS_MIN = 9
 """Least lags for a zone's own transit times; with fewer they are its camera's, or everybody's."""
 WHO_DEPARTURES_MIN = 5
-"""Least departures for a zone's own shares in `told_odds`; with fewer they are its camera's."""
+"""Least departures for a zone's own shares in `oracle_odds`; with fewer they are its camera's."""
 LOSS_FLOOR = 1e-3
 """Added to every outcome's probability before its logarithm is taken."""
 CALIBRATION_BINS = 10
@@ -152,7 +152,7 @@ class Guess(Struct):
     ways: list[tuple[str, float, tuple[float, float, float]]]
 
 
-class ToldChain:
+class Oracle:
     """A Markov chain that is given the identities (the oracle)."""
 
     def __init__(self, outcomes: Sequence[str]) -> None:
@@ -205,7 +205,7 @@ def prediction_figures(
     ``predictions`` are those of every exit, in order.
     """
     outcomes = [*recording.cameras, LEAVE]
-    chain, ours, told, happened = ToldChain(outcomes), list[Guess](), list[Guess](), list[Passage]()
+    chain, ours, told, happened = Oracle(outcomes), list[Guess](), list[Guess](), list[Passage]()
     for one in predictions:
         zone, passage = one.zone or f"{one.camera}/1", recording.passages[str(one.track)]
         if one.t <= recording.cut - recording.window:
@@ -219,7 +219,7 @@ def prediction_figures(
             ways = [(way.camera, way.probability) for way in one.next_]
             ours.append(
                 Guess(
-                    {LEAVE: one.leave} | added_up(ways),
+                    {LEAVE: one.leave} | sum_by_camera(ways),
                     [(w.camera, w.probability, (w.q10, w.q50, w.q90)) for w in one.next_],
                 )
             )
@@ -350,7 +350,7 @@ def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tup
                 of_zone[f"{one.camera}/"][camera] += 1
             continue
         looks = one.next_ if one.look is None else one.look
-        shares = added_up(
+        shares = sum_by_camera(
             (way.camera, way.probability) for way in looks if way.camera != one.camera
         )
         frequent = of_zone.get(one.zone or "") or of_zone[f"{one.camera}/"]
@@ -390,12 +390,12 @@ def who_figures(
     zones = {str(one.track): one.zone or "" for one in predictions}
     ours, told = (
         np.asarray(Gate(topology).affinity(exits, entries)),
-        told_odds(recording, exits, entries, zones),
+        oracle_odds(recording, exits, entries, zones),
     )
     return _edges_f1(ours, true), _edges_f1(told, true)
 
 
-def told_odds(
+def oracle_odds(
     recording: Recording, exits: Sequence[Event], entries: Sequence[Event], zones: Mapping[str, str]
 ) -> Floats:
     """Return log odds (exits, entries), as `Gate.affinity` has them, from identities before the

@@ -16,7 +16,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from camtopod.codec import to_json, to_pack
+from camtopod.codec import to_json, to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import pack
@@ -103,7 +103,7 @@ def lay_out(state: Path, events: Sequence[Event]) -> None:
         seq = seqs[event.camera] = seqs[event.camera] + 1
         moved = msgspec.structs.replace(event, t=event.t + later, boot="before", seq=seq)
         learner.receive(moved)
-        entries.append(Entry("event", event.camera, "before", seq, to_pack(moved)))
+        entries.append(Entry("event", event.camera, "before", seq, to_msgpack(moved)))
     learner.flush()
 
     # Journal, versions and snapshot.
@@ -188,7 +188,7 @@ def resident(pid: int, most: bool = False) -> int:
 
 
 @contextlib.contextmanager
-def most_at_once(pid: int) -> Iterator[list[int]]:
+def peak_memory(pid: int) -> Iterator[list[int]]:
     """Track the peak memory of a process and its children while the block runs.
 
     Yields a list whose only element is the peak in bytes. Pages of files that several processes

@@ -42,7 +42,7 @@ class _Track(Struct):
         self.box, self.t = box, t
 
 
-class Joiner:
+class BoxLinker:
     """Links the boxes of one kind in one camera into tracks, numbered from 1. Deterministic.
 
     The nearest pair of box and track is linked first. Two people who meet and turn back may
@@ -54,7 +54,7 @@ class Joiner:
         self._tracks: dict[int, _Track] = {}
         self._count = 0
 
-    def ids(self, boxes: Sequence[Box], t: float) -> list[int | None]:
+    def link(self, boxes: Sequence[Box], t: float) -> list[int | None]:
         """Return the track number of each box of the frame at ``t``; None beyond the limit."""
         self._tracks = {
             n: track for n, track in self._tracks.items() if abs(t - track.t) <= LOST_SECONDS

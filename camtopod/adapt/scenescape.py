@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 
 from camtopod import codec
 from camtopod.adapt.adapter import Sizes, checked, payload, size_of
-from camtopod.adapt.box_linking import Box, Joiner
+from camtopod.adapt.box_linking import Box, BoxLinker
 from camtopod.adapt.tracks import TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import CameraId, Event
@@ -53,7 +53,7 @@ class _Camera:
 
     def __init__(self, camera: str, size: tuple[int, int]) -> None:
         self.tracks = TrackEvents(camera, size)
-        self._joiners: dict[str, Joiner] = {}
+        self._joiners: dict[str, BoxLinker] = {}
 
     def names(self, kind: str, boxes: Sequence[Box], t: float) -> list[str | None]:
         """Link boxes of a kind to earlier ones; return the name of each box's track."""
@@ -61,8 +61,8 @@ class _Camera:
         if joiner is None:
             if len(self._joiners) >= KINDS_MAX:
                 return [None] * len(boxes)
-            joiner = self._joiners[kind] = Joiner()
-        return [None if number is None else f"{kind}-{number}" for number in joiner.ids(boxes, t)]
+            joiner = self._joiners[kind] = BoxLinker()
+        return [None if number is None else f"{kind}-{number}" for number in joiner.link(boxes, t)]
 
 
 class SceneScape:

@@ -61,7 +61,7 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> setting
         except OSError as error:
             raise InputError(f"cannot read {args.config}: {error.strerror}") from None
         if above is None:  # otherwise the supervisor warns, once for all cameras
-            for sentence in secret_files.exposed(loaded.secrets(args.config)):
+            for sentence in secret_files.find_exposed(loaded.secrets(args.config)):
                 log.warning("%s", sentence)
 
     # Apply the command line, then read the one camera's source.

@@ -16,9 +16,9 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from functools import partial
 from typing import TypeVar
 
-from camtopod.client.prediction_queue import WAITING_MAX, Inbox
-from camtopod.client.site_view import Settings, View
-from camtopod.client.wakeup import News
+from camtopod.client.prediction_queue import WAITING_MAX, PredictionQueue
+from camtopod.client.site_view import Settings, SiteView
+from camtopod.client.wakeup import ChangeSignal
 from camtopod.records import Prediction
 from camtopod.records import Topology as Version
 from camtopod.serve.bus import BusError
@@ -26,7 +26,7 @@ from camtopod.serve.bus import BusError
 T = TypeVar("T")
 
 
-class Topology(View):
+class Topology(SiteView):
     """As `camtopod.client.Topology`; methods that do not wait, such as `predict`, are not async."""
 
     @classmethod
@@ -95,7 +95,7 @@ class Topology(View):
         return self._opened(lambda bus: Predictions(bus, camera, seconds, waiting_max))
 
 
-class Predictions(Inbox):
+class Predictions(PredictionQueue):
     """As `camtopod.client.Predictions`, for ``async for``; ``async with`` closes it."""
 
     async def get(self, seconds: float | None = None) -> Prediction | None:
@@ -113,15 +113,17 @@ class Predictions(Inbox):
         self.close()
 
 
-async def _awaited(news: News, found: Callable[[], T | None], seconds: float | None) -> T | None:
-    """Do what `News.wait_for` does, in an event loop."""
+async def _awaited(
+    news: ChangeSignal, found: Callable[[], T | None], seconds: float | None
+) -> T | None:
+    """Do what `ChangeSignal.wait_for` does, in an event loop."""
     loop, came = asyncio.get_running_loop(), asyncio.Event()
 
     def tell() -> None:
         with contextlib.suppress(RuntimeError):  # raised if the loop has been closed meanwhile
             loop.call_soon_threadsafe(came.set)
 
-    with news.heard_by(tell), contextlib.suppress(TimeoutError):
+    with news.listener_added(tell), contextlib.suppress(TimeoutError):
         async with asyncio.timeout(seconds):
             while not news.closed:
                 if (value := found()) is not None:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
 from camtopod.client.errors import zone_at, zones_of
-from camtopod.predict import Hazards, Predictor, Surroundings
+from camtopod.predict import ContextMultipliers, Hazards, Predictor
 from camtopod.records import Event, Kind, Topology
 from camtopod.topology import block_of
 
@@ -75,7 +75,7 @@ class Gate:
         self.topology = topology
         self._predictor = predictor or Predictor(topology)
         self._hazards = Hazards(topology)
-        self._surroundings = Surroundings(topology)
+        self._surroundings = ContextMultipliers(topology)
         self._ahead = {camera.id: camera.clock_offset for camera in topology.cameras}
         self._new = self._rates_from_outside()
 
@@ -264,9 +264,14 @@ class Gate:
         # Hazards and exposure, with and without a known entry.
         entry = None if began is None else began.zone
         likelier, leave = self._surroundings.multipliers(zone, outcomes, block, entry, None, 0.0)
-        exposure = outcomes.exposure if began is None else self._hazards.exposed(began.stay)
+        exposure = (
+            outcomes.exposure if began is None else self._hazards.exposure_of_passage(began.stay)
+        )
         odds = (
-            outcomes.hazard * bins.widths * outcomes.exposed(exposure) * np.array(likelier)[:, None]
+            outcomes.hazard
+            * bins.widths
+            * outcomes.exposure_by_target(exposure)
+            * np.array(likelier)[:, None]
         )
         early = (
             np.zeros(len(odds))

@@ -6,7 +6,7 @@ import re
 from collections import deque
 
 from camtopod import codec
-from camtopod.client.wakeup import News
+from camtopod.client.wakeup import ChangeSignal
 from camtopod.records import CAMERA_PATTERN, Prediction
 from camtopod.serve.bus import Bus
 
@@ -14,7 +14,7 @@ WAITING_MAX = 1000
 """Predictions that may wait to be read; beyond it the oldest are dropped and counted."""
 
 
-class Inbox:
+class PredictionQueue:
     """Subscription to predictions until closed: common part of both `Predictions` classes."""
 
     def __init__(
@@ -26,7 +26,7 @@ class Inbox:
             raise ValueError(f"waiting_max {waiting_max}: at least 1, or nothing can be read")
         self._seconds = seconds
         self._waiting: deque[Prediction] = deque(maxlen=waiting_max)
-        self._news = News()
+        self._news = ChangeSignal()
         self.dropped = 0
         """Predictions dropped because the queue was full."""
         self.unreadable = 0
@@ -52,7 +52,7 @@ class Inbox:
             return
         self.dropped += len(self._waiting) == self._waiting.maxlen
         self._waiting.append(prediction)
-        self._news.tell()
+        self._news.notify()
 
     def _take(self) -> Prediction | None:
         try:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import partial
 
-from camtopod.client.prediction_queue import WAITING_MAX, Inbox
-from camtopod.client.site_view import Settings, View
+from camtopod.client.prediction_queue import WAITING_MAX, PredictionQueue
+from camtopod.client.site_view import Settings, SiteView
 from camtopod.records import Prediction
 from camtopod.records import Topology as Version
 
 
-class Topology(View):
+class Topology(SiteView):
     """Live view of the topology that a site's daemon has learned.
 
         with Topology.connect("hq") as site:
@@ -90,7 +90,7 @@ class Topology(View):
         self.close()
 
 
-class Predictions(Inbox):
+class Predictions(PredictionQueue):
     """The daemon's predictions in order of arrival.
 
         with site.predictions("lobby") as predictions:

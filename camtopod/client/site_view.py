@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from camtopod import codec
 from camtopod.client.errors import NothingLearned, zone_at, zones_of
 from camtopod.client.gate import Gate
-from camtopod.client.prediction_queue import Inbox
-from camtopod.client.wakeup import News
+from camtopod.client.prediction_queue import PredictionQueue
+from camtopod.client.wakeup import ChangeSignal
 from camtopod.config import DEFAULT_ENDPOINT, is_endpoint, secret_files
 from camtopod.config import settings as configs
 from camtopod.predict import Predictor
@@ -39,7 +39,7 @@ LOOK_SECONDS = 0.5
 """Longest interval between two checks of the bus, even without a notification."""
 Settings = configs.Config | str | Path | None
 """A configuration, or the file that holds one."""
-InboxT = TypeVar("InboxT", bound=Inbox)
+InboxT = TypeVar("InboxT", bound=PredictionQueue)
 
 
 class _Held(NamedTuple):
@@ -48,7 +48,7 @@ class _Held(NamedTuple):
     gate: Gate
 
 
-class View:
+class SiteView:
     """Current state of a site: common part of both `Topology` classes.
 
     `camtopod.client.Topology` and `camtopod.client.aio.Topology` add the methods that wait.
@@ -60,11 +60,11 @@ class View:
         """Connect; arguments are those of `camtopod.client.Topology.connect`."""
         settings = _settings(site, connect, config)
         self._bus = dial(settings)
-        self._news = News()
+        self._news = ChangeSignal()
         self._mutex = threading.Lock()  # predictors are not thread-safe
         self._held: _Held | None = None
         self._opening = threading.Lock()  # no subscription is opened once closing has begun
-        self._inboxes: list[Inbox] = []
+        self._inboxes: list[PredictionQueue] = []
         self._daemons: set[str] = set()
         self._stale_since: float | None = clock.wall()
         self._wake, self._closing = threading.Event(), threading.Event()
@@ -150,8 +150,8 @@ class View:
 
         # Validate the exit as if it had been received.
         asked = {"camera": camera, "kind": "exit", "t": t, "x": x, "y": y, "track": track}
-        event = codec.event_from_pack(
-            codec.to_pack(
+        event = codec.event_from_msgpack(
+            codec.to_msgpack(
                 {name: _plain(value) for name, value in asked.items() if value is not None}
             )
         )
@@ -285,13 +285,13 @@ class View:
                 if self._held is not None:
                     predictor.take_over(self._held.predictor)
                 self._held = _Held(version, predictor, gate)
-            self._news.tell()
+            self._news.notify()
         self._say_there(self._bus.connected and any(map(_leads, self._daemons.copy())))
 
     def _say_there(self, there: bool) -> None:
         if there != (self._stale_since is None):
             self._stale_since = None if there else clock.wall()
-            self._news.tell()
+            self._news.notify()
 
     def _on_daemon(self, name: str, alive: bool) -> None:
         (self._daemons.add if alive else self._daemons.discard)(name)
@@ -306,7 +306,7 @@ def _settings(site: str | None, connect: str | Sequence[str], config: Settings) 
     settings = config if isinstance(config, configs.Config) else configs.Config()
     if isinstance(config, str | Path):
         settings = configs.load(Path(config))
-        for sentence in secret_files.exposed(settings.secrets(Path(config))):
+        for sentence in secret_files.find_exposed(settings.secrets(Path(config))):
             log.warning("%s", sentence)
 
     # The site by argument takes precedence.

@@ -10,8 +10,8 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-class News:
-    """Change notification: call `tell` after each change; waiters check their condition again."""
+class ChangeSignal:
+    """Change notification: call `notify` after each change; waiters check their condition again."""
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
@@ -19,7 +19,7 @@ class News:
         self.closed = False
         """True once no further changes will be announced."""
 
-    def tell(self) -> None:
+    def notify(self) -> None:
         """Announce a change. Callable from any thread."""
         with self._condition:
             self._condition.notify_all()
@@ -30,7 +30,7 @@ class News:
     def close(self) -> None:
         """Announce that no more changes will come and release all waiters."""
         self.closed = True
-        self.tell()
+        self.notify()
 
     def wait_for(self, found: Callable[[], T | None], seconds: float | None = None) -> T | None:
         """Call ``found()`` after each change and return its first result that is not None.
@@ -51,7 +51,7 @@ class News:
         return value
 
     @contextlib.contextmanager
-    def heard_by(self, listener: Callable[[], None]) -> Iterator[None]:
+    def listener_added(self, listener: Callable[[], None]) -> Iterator[None]:
         """Call ``listener`` at each change while the block runs.
 
         The call comes from the thread that announces the change and must not block.

@@ -68,7 +68,7 @@ def write(path: Path, content: bytes, mode: int = 0o600) -> None:
         os.close(folder)
 
 
-def exposed(paths: Iterable[Path]) -> list[str]:
+def find_exposed(paths: Iterable[Path]) -> list[str]:
     """Return a sentence for each file that others can read or write, or whose group can write it.
 
     A group may read a file, as services share files so. Missing files are not exposed.

@@ -335,7 +335,7 @@ def load(path: Path, raw: bytes | None = None) -> Config:
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise ConfigError(str(path), [Problem(line, "the file is not UTF-8")]) from None
-    return _from(path.parent, parse(text, str(path)))
+    return _with_absolute_paths(path.parent, parse(text, str(path)))
 
 
 def parse(text: str, name: str = "configuration") -> Config:
@@ -356,7 +356,7 @@ class _Reader(TableReader):
         known = [*TABLES, "cameras"]
         for key in data:
             if key not in known:
-                self.say((key,), f"{key}: no such table{did_you_mean(key, known)}")
+                self.report((key,), f"{key}: no such table{did_you_mean(key, known)}")
         tables = {
             name: self.table(kind, data, (name,))
             for name, kind in TABLES.items()
@@ -367,7 +367,7 @@ class _Reader(TableReader):
 
     def _cameras(self, data: Any) -> dict[str, CameraSettings]:
         if not isinstance(data, dict):
-            self.say(("cameras",), "cameras: expected tables [cameras.ID], one a camera")
+            self.report(("cameras",), "cameras: expected tables [cameras.ID], one a camera")
             return {}
         cameras = {}
         for camera in data:
@@ -375,13 +375,13 @@ class _Reader(TableReader):
 
             # The id.
             if not re.match(CAMERA_PATTERN, camera):
-                self.say(
+                self.report(
                     path,
                     f"cameras.{camera}: a camera's id is 1 to 64 of the characters"
                     f" A-Z a-z 0-9 _ . -",
                 )
             if camera in RESERVED:
-                self.say(
+                self.report(
                     path,
                     f"cameras.{camera}: this name is taken on the bus; call the camera otherwise",
                 )
@@ -400,7 +400,7 @@ class _Reader(TableReader):
                         if not settings.source
                         else "give source or source_file, not both"
                     )
-                    self.say((*path, "source"), f"cameras.{camera}.source: {what}")
+                    self.report((*path, "source"), f"cameras.{camera}.source: {what}")
                 cameras[camera] = settings
         return cameras
 
@@ -414,7 +414,7 @@ class _Reader(TableReader):
         # All files are needed.
         for key in ("ca", "certificate", "private_key"):
             if not getattr(tls, key):
-                self.say(
+                self.report(
                     ("bus", "tls"),
                     f"bus.tls: {key} is missing; ca, certificate and private_key go together",
                 )
@@ -422,19 +422,19 @@ class _Reader(TableReader):
             what = (
                 "access is missing: a daemon that is the meeting point has to know who may do what"
             )
-            self.say(("bus", "tls"), f"bus.tls: {what}")
+            self.report(("bus", "tls"), f"bus.tls: {what}")
 
         # All endpoints have to use TLS.
         for key in ("listen", "connect"):
             for index, endpoint in enumerate(getattr(bus, key)):
                 if is_endpoint(endpoint) and not endpoint.startswith("tls/"):
-                    self.say(
+                    self.report(
                         ("bus", key, index),
                         f"bus.{key}: {endpoint!r} is not a tls/ endpoint, but [bus.tls] is set",
                     )
 
 
-def _from(folder: Path, config: Config) -> Config:
+def _with_absolute_paths(folder: Path, config: Config) -> Config:
     """Return the configuration with absolute paths, environment variables filled in.
 
     folder: the folder to which relative paths are relative.

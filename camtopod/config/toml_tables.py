@@ -91,7 +91,7 @@ class TableReader:
         # It has to be a table.
         data = parent.get(path[-1], {})
         if not isinstance(data, dict):
-            self.say(path, f"{title}: expected a table [{title}]")
+            self.report(path, f"{title}: expected a table [{title}]")
             return None if any(field.required for field in msgspec.structs.fields(kind)) else kind()
 
         # Convert each key.
@@ -99,7 +99,7 @@ class TableReader:
         values: dict[str, Any] = {}
         for key, value in data.items():
             if key not in fields:
-                self.say(
+                self.report(
                     (*path, key),
                     f"{title}.{key}: no such key{self._hint(key, list(fields), path[0])}",
                 )
@@ -111,7 +111,7 @@ class TableReader:
         # Look for required keys.
         for field in fields.values():
             if field.required and field.name not in data and self._missing_matters:
-                self.say(path, f"{title}: {field.name} is missing")
+                self.report(path, f"{title}: {field.name} is missing")
             if field.required and field.name not in values:
                 return None
         return kind(**values)
@@ -131,7 +131,7 @@ class TableReader:
                         f"{title}: {endpoint!r} is not an endpoint;"
                         f" write it like {DEFAULT_ENDPOINT!r}"
                     )
-                    self.say((*path, index), what)
+                    self.report((*path, index), what)
             return tuple(value)
 
         # All other types.
@@ -139,7 +139,7 @@ class TableReader:
             converted = msgspec.convert(value, field.type)
             _check_number(converted, field.default)
         except ValueError as error:
-            self.say(
+            self.report(
                 path,
                 f"{title}: "
                 f"{_in_words(field) if 'matching regex' in str(error) else _sentence(str(error))}",
@@ -147,7 +147,7 @@ class TableReader:
             return None
         return converted
 
-    def say(self, path: toml_lines.Path, what: str) -> None:
+    def report(self, path: toml_lines.Path, what: str) -> None:
         """Report a mistake at ``path``, or at the nearest table around it that has a line."""
         while path and path not in self._lines:
             path = path[:-1]

@@ -21,33 +21,33 @@ PREFIX = "camtopod"
 """Default first level of the state topics."""
 STATE_CHARACTERS_MAX = 255
 """Longest state that Home Assistant accepts."""
-NOBODY = "leaves"
+LEAVES_SITE = "leaves"
 """State in place of a camera if the object probably leaves the site."""
 
 Messages = dict[str, str]
 """Payload by topic."""
 
 
-class Said(Struct, frozen=True):
+class GrabberStatus(Struct, frozen=True):
     """Status that a camera's grabber publishes in ``status/{camera}``."""
 
     state: str = ""
     reason: str = ""
 
 
-class Counted(Struct, frozen=True):
+class CameraFigures(Struct, frozen=True):
     """A camera in the daemon's status."""
 
     events: int = 0
     alive: bool = False
 
 
-class SiteSaid(Struct, frozen=True):
+class DaemonStatus(Struct, frozen=True):
     """Status that the daemon publishes in ``status/daemon``."""
 
     state: str = ""
     reason: str = ""
-    cameras: dict[CameraId, Counted] = {}
+    cameras: dict[CameraId, CameraFigures] = {}
 
 
 class Entity(Struct, frozen=True):
@@ -98,7 +98,7 @@ class Topics(Struct, frozen=True):
         """Availability of the daemon."""
         return f"{self.prefix}/{self.site}/daemon/availability"
 
-    def of(self, camera: str, topic: str) -> str:
+    def topic_of(self, camera: str, topic: str) -> str:
         """Return a topic of a camera, or of the site for ""."""
         device = f"camera/{camera}" if camera else "daemon"
         return f"{self.prefix}/{self.site}/{device}/{topic}"
@@ -112,7 +112,9 @@ def discovery(topics: Topics, cameras: Iterable[str]) -> Messages:
     return messages
 
 
-def site_state(topics: Topics, alive: bool, said: SiteSaid, topology: Topology | None) -> Messages:
+def site_state(
+    topics: Topics, alive: bool, said: DaemonStatus, topology: Topology | None
+) -> Messages:
     """Return the messages with the state of the site.
 
     alive: True if the daemon is running.
@@ -132,20 +134,20 @@ def site_state(topics: Topics, alive: bool, said: SiteSaid, topology: Topology |
     }
     return {
         topics.daemon: "online" if alive else "offline",
-        topics.of("", "state"): _json(state),
-        topics.of("", "alarm"): _json(_alarm(alarms[-1]) if alarms else {"alarm": "none"}),
+        topics.topic_of("", "state"): _json(state),
+        topics.topic_of("", "alarm"): _json(_alarm(alarms[-1]) if alarms else {"alarm": "none"}),
     }
 
 
 def camera_state(
-    topics: Topics, camera: str, counted: Counted, said: Said | None, zones: int
+    topics: Topics, camera: str, counted: CameraFigures, said: GrabberStatus | None, zones: int
 ) -> Messages:
     """Return the messages with the state of a camera.
 
     said: status of the camera's grabber; None if its events come from another program.
     """
     online = counted.alive and (said is None or said.state == "running")
-    told = said or Said()
+    told = said or GrabberStatus()
     state = {
         "online": "ON" if online else "OFF",
         "state": told.state,
@@ -153,7 +155,7 @@ def camera_state(
         "events": counted.events,
         "zones": zones,
     }
-    return {topics.of(camera, "state"): _json(state)}
+    return {topics.topic_of(camera, "state"): _json(state)}
 
 
 def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
@@ -161,7 +163,7 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
 
     ``from`` and ``until`` are the times by which 10 and 90 percent of the objects have arrived.
     """
-    shares = {NOBODY: prediction.leave}
+    shares = {LEAVES_SITE: prediction.leave}
     for one in prediction.next_:
         shares[one.camera] = shares.get(one.camera, 0.0) + one.probability
 
@@ -177,12 +179,12 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
         "from": None if place is None else _iso(prediction.t + place.q10),
         "until": None if place is None else _iso(prediction.t + place.q90),
     }
-    return {topics.of(prediction.camera, "prediction"): _json(state)}
+    return {topics.topic_of(prediction.camera, "prediction"): _json(state)}
 
 
 def _announced(topics: Topics, camera: str, entity: Entity) -> tuple[str, str]:
     """Return topic and payload of the discovery message of an entity."""
-    state = topics.of(camera, entity.topic)
+    state = topics.topic_of(camera, entity.topic)
     available = [topics.bridge] if entity.field == "problem" else [topics.bridge, topics.daemon]
     config = {
         "name": entity.name,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         KeysError,
         check_cameras,
         check_hosts,
-        day,
+        date_text,
         write_public,
     )
     from camtopod.keys.rules import PREFIX, STATUS
@@ -34,7 +34,7 @@ __all__ = [
     "KeysError",
     "check_cameras",
     "check_hosts",
-    "day",
+    "date_text",
     "rules",
     "write_public",
 ]
@@ -51,7 +51,7 @@ __getattr__ = lazy_getattr(
         "STATUS": "rules",
         "check_cameras": "authority",
         "check_hosts": "authority",
-        "day": "authority",
+        "date_text": "authority",
         "write_public": "authority",
     },
 )

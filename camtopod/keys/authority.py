@@ -89,7 +89,7 @@ class Authority:
             ) from None
 
     @classmethod
-    def make(cls, folder: Path, site: str, now: float, days: int, replace: bool) -> Authority:
+    def create(cls, folder: Path, site: str, now: float, days: int, replace: bool) -> Authority:
         """Make a new authority; refuse to replace an existing one unless ``replace``.
 
         If it is replaced, its certificates become worthless.
@@ -201,7 +201,7 @@ class Authority:
             one.certificate for one in self.issued if (one.certificate.role, one.of) == (role, name)
         ]
         several = list(cameras) or (before[-1].cameras if before else [])
-        self._withdraw(role, name)
+        self._mark_revoked(role, name)
         camera = name if role == "camera" and not several else ""
         certificate = Certificate(common_name, role, expires, camera, several)
         self._keep([*self.issued, Issued(certificate, name)])
@@ -216,7 +216,7 @@ class Authority:
             issued for issued in self.issued if (issued.certificate.role, issued.of) == (role, name)
         ]
         if any(issued.valid for issued in old) and not replace:
-            until = day(next(issued.certificate.expires for issued in old if issued.valid))
+            until = date_text(next(issued.certificate.expires for issued in old if issued.valid))
             raise KeysError(
                 f"{role} {name} has a certificate (until {until}); --replace makes a new one and"
                 f" revokes it"
@@ -243,10 +243,10 @@ class Authority:
 
         It takes effect when the daemon has the new access list.
         """
-        self.must_have(role, name)
-        self._withdraw(role, name)
+        self.require_certificate(role, name)
+        self._mark_revoked(role, name)
 
-    def must_have(self, role: Role, name: str) -> None:
+    def require_certificate(self, role: Role, name: str) -> None:
         """Raise `KeysError` if ``name`` has no certificate to `revoke`."""
         if not any(
             issued.valid and (issued.certificate.role, issued.of) == (role, name)
@@ -254,7 +254,7 @@ class Authority:
         ):
             raise KeysError(f"{role} {name} has no certificate; `camtopod keys list` shows who has")
 
-    def _withdraw(self, role: Role, name: str) -> None:
+    def _mark_revoked(self, role: Role, name: str) -> None:
         theirs = (role, name)
         self._keep(
             [
@@ -342,7 +342,7 @@ def check_hosts(hosts: Sequence[str]) -> None:
             raise KeysError(f"{host!r} is neither a host name nor an address")
 
 
-def day(seconds: float) -> str:
+def date_text(seconds: float) -> str:
     """Return the date of a time (seconds since 1970), UTC."""
     return f"{datetime.datetime.fromtimestamp(seconds, datetime.UTC):%Y-%m-%d}"
 

@@ -65,7 +65,7 @@ _LIMITS = (
     ("query", "**", QUERY_BYTES_MAX),
 )
 """Kind of message, key, and largest size in bytes."""
-MARKS = {"background": _LIMITS[0], "data_low": _LIMITS[1], "data_high": _LIMITS[2]}
+PRIORITY_LIMITS = {"background": _LIMITS[0], "data_low": _LIMITS[1], "data_high": _LIMITS[2]}
 """Priority given to messages that exceed a limit -> that limit; see `priorities`."""
 ANSWERS = "interactive_low"
 """Priority of readers' queries, and so of the answers."""
@@ -142,7 +142,7 @@ def mutual_tls(ca: str, certificate: str, private_key: str) -> Settings:
     }
 
 
-def sizes(site: str, pull_events_max: int) -> Settings:
+def size_limits(site: str, pull_events_max: int) -> Settings:
     """Return settings that drop messages that are too large where they come in.
 
     Topologies only go out, so they are not limited here.
@@ -164,11 +164,11 @@ def sizes(site: str, pull_events_max: int) -> Settings:
 def priorities(site: str) -> Settings:
     """Return settings for the priorities that the meeting point gives to others' messages.
 
-    Messages that `sizes` will drop get one priority for each limit. zenoh logs such a change of
-    priority, which tells the exceeded limit; when it drops a message, it logs neither the key nor
-    the reason. Answers cannot be marked so, but an answer that is too large for a spool is too
-    large for the meeting point to receive. Attachments do not count here, as they do in `sizes`;
-    those of events have some tens of bytes.
+    Messages that `size_limits` will drop get one priority for each limit. zenoh logs such a change
+    of priority, which tells the exceeded limit; when it drops a message, it logs neither the key
+    nor the reason. Answers cannot be marked so, but an answer that is too large for a spool is too
+    large for the meeting point to receive. Attachments do not count here, as they do in
+    `size_limits`; those of events have some tens of bytes.
 
     Queries of readers, and so the answers, get a priority of their own, which has its own queue on
     every link: in the queue of publications, an answer to a reader that has stopped reading would
@@ -183,7 +183,7 @@ def priorities(site: str) -> Settings:
             "payload_size": f"{size + 1}..",
             "overwrite": {"priority": priority},
         }
-        for priority, (message, key, size) in MARKS.items()
+        for priority, (message, key, size) in PRIORITY_LIMITS.items()
     ]
 
     # Keep readers' queries apart from publications.
@@ -205,7 +205,7 @@ def spool_bytes_max(pull_events_max: int) -> int:
     return max(RECEIVED_BYTES_MIN, pull_events_max * SPOOLED_BYTES_MAX)
 
 
-def quiet(mode: str) -> Settings:
+def session_settings(mode: str) -> Settings:
     """Return settings without discovery and shared memory, and with short waits to reconnect."""
     return {
         "mode": mode,
@@ -228,9 +228,9 @@ def router_json5(
     It is started in a folder with the daemon's certificate and key.
     """
     # Collect the settings.
-    settings = quiet("router") | {"listen/endpoints": listen}
+    settings = session_settings("router") | {"listen/endpoints": listen}
     settings |= mutual_tls("ca.pem", "certificate.pem", "private.key") | access_control(access)
-    settings |= sizes(access.site, pull_events_max) | priorities(access.site)
+    settings |= size_limits(access.site, pull_events_max) | priorities(access.site)
     settings |= {"transport/link/rx/max_message_size": message_bytes_max}
 
     # Nest them by the parts of their paths.
@@ -247,7 +247,7 @@ def router_json5(
     )
 
 
-def expiring(access: Access, now: float) -> list[tuple[Certificate, float]]:
+def expiring_certificates(access: Access, now: float) -> list[tuple[Certificate, float]]:
     """Return the certificates that expire soon, each with the days left (negative: expired)."""
     left = [(certificate, certificate.expires - now) for certificate in access.certificates]
     return [

@@ -242,7 +242,7 @@ class Learner:
         return {
             **self._intake.counts,
             "surplus": self._intake.surplus,
-            "held": self._intake.held,
+            "held": self._intake.held_count,
             "learned": self._learned,
             "window": len(self._window),
             "cameras": len(self._window.cameras),
@@ -281,7 +281,7 @@ class Learner:
             self._scorer.watch(batch)
         self._window.append(batch)
         window_us = microseconds(self.settings.window_hours * 3600.0)
-        self._window.forget(until_us - window_us)
+        self._window.forget_old(until_us - window_us)
         if left := cameras_to_retire(self._intake, self._window, until_us, window_us):
             self._leave(left)
         self._look_for_moves()
@@ -291,7 +291,7 @@ class Learner:
 
     def _take(self, until_us: int) -> list[tuple[int, Event]]:
         """The events up to ``until_us``, in canonical order."""
-        return self._intake.take(until_us)
+        return self._intake.take_until(until_us)
 
     def _leave(self, names: Set[str]) -> None:
         """Forget cameras, but for what gives their zones their numbers back, and that they fell
@@ -313,7 +313,7 @@ class Learner:
         kept = number != FORGOTTEN
         self._intake.forget(names)
         self._scorer.forget(names)
-        self._keeper.keep(kept)
+        self._keeper.keep_cameras(kept)
         stay = np.flatnonzero(kept[: len(self._maps)])
         self._maps, self._zoned = [self._maps[k] for k in stay], [self._zoned[k] for k in stay]
         self._gone, self._looked = [self._gone[k] for k in stay], [self._looked[k] for k in stay]
@@ -456,7 +456,7 @@ class Learner:
             if event.boot is None:
                 continue
             publisher = self._publishers.setdefault(event.camera, Publisher(event.boot))
-            if publisher.note(event.boot) and publisher.returns == RETURNS_MIN:
+            if publisher.note_boot(event.boot) and publisher.returns == RETURNS_MIN:
                 self._doubled.append(event.camera)
 
     def _refresh_zones(self) -> None:
@@ -485,7 +485,7 @@ class Learner:
 
     def _corrected(self, scene: Scene) -> Scene:
         """Estimate the clock offsets, and return the scene with its times corrected by them."""
-        self._keeper.look(scene, len(self._window.cameras), self._learned)
+        self._keeper.update(scene, len(self._window.cameras), self._learned)
         offset = self._keeper.clocks.offset
         return label_events(self._window, self._maps, offset) if offset.any() else scene
 

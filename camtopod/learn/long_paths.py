@@ -104,7 +104,7 @@ def find_long_paths(
     order = cache_friendly_order(source, target, min(half.at_once for half in halves))
     for k in range(0, len(order), ROWS_AT_ONCE):
         some = order[k : k + ROWS_AT_ONCE]
-        counts = [half.of(source[some], target[some]) for half in halves]
+        counts = [half.correlograms_of(source[some], target[some]) for half in halves]
         nats[some], seconds[some] = clearest_peaks(counts, lag_max, longest)
     false = len(pairs) * max(longest, 1.0) / BIN_SECONDS * np.exp(-nats)
 

@@ -8,15 +8,15 @@ by what has been seen), `hazards`, `contexts`, `speed` and `time_windows` (what 
 
 from __future__ import annotations
 
-from camtopod.predict.contexts import Surroundings
+from camtopod.predict.contexts import ContextMultipliers
 from camtopod.predict.hand_over import seen_now
 from camtopod.predict.hazards import Hazards
 from camtopod.predict.predictor import Predictor, PredictorState
 
 __all__ = [
+    "ContextMultipliers",
     "Hazards",
     "Predictor",
     "PredictorState",
-    "Surroundings",
     "seen_now",
 ]

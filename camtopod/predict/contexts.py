@@ -20,7 +20,7 @@ Key = tuple[int | None, int | None, str | None]
 """A context of a zone: zone of entry, block and camera before; None where any."""
 
 
-class Surroundings:
+class ContextMultipliers:
     """Contexts by zone index (the order of ``topology.zones``).
 
     There are thousands, so their counts are kept in columns.

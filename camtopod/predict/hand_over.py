@@ -84,20 +84,20 @@ class HandOver:
         return sorted(found, key=lambda one: (-one.probability, one.camera, one.track))
 
 
-def look(in_view: Iterable[InView], following: Iterable[NextCamera]) -> list[Look]:
+def cameras_to_watch(in_view: Iterable[InView], following: Iterable[NextCamera]) -> list[Look]:
     """Return the cameras by the probability that they see the object now or are the next to see it.
 
     The latter counts only if no camera sees it now. Views are taken as independent of each other.
     """
     # Cameras that see the object now.
-    now = added_up((one.camera, one.probability) for one in in_view)
+    now = sum_by_camera((one.camera, one.probability) for one in in_view)
     unseen = 1.0
     for probability in now.values():
         unseen *= 1.0 - min(probability, 1.0)
 
     # Cameras where it appears next, if none sees it now.
     following_unseen = ((one.camera, unseen * one.probability) for one in following)
-    seen = added_up([*now.items(), *following_unseen])
+    seen = sum_by_camera([*now.items(), *following_unseen])
     looks = [Look(camera, min(p, 1.0)) for camera, p in seen.items() if p >= PROBABILITY_MIN]
     return sorted(looks, key=lambda one: (-one.probability, one.camera))
 
@@ -107,12 +107,12 @@ def seen_now(in_view: Iterable[InView]) -> list[Look]:
 
     The probabilities of a camera's open passages are added.
     """
-    now = added_up((one.camera, one.probability) for one in in_view)
+    now = sum_by_camera((one.camera, one.probability) for one in in_view)
     likely = [Look(camera, min(p, 1.0)) for camera, p in now.items() if p >= SEEN_NOW_MIN]
     return sorted(likely, key=lambda one: (-one.probability, one.camera))
 
 
-def added_up(shares: Iterable[tuple[str, float]]) -> dict[str, float]:
+def sum_by_camera(shares: Iterable[tuple[str, float]]) -> dict[str, float]:
     """Return the sum of each camera's probabilities."""
     total: dict[str, float] = {}
     for camera, probability in shares:

@@ -50,7 +50,7 @@ class Outcomes(NamedTuple):
     delay: Floats
     """(targets,) seconds to add to the lags of the bins, for long paths."""
 
-    def exposed(self, exposure: Floats) -> Floats:
+    def exposure_by_target(self, exposure: Floats) -> Floats:
         """Return the exposure (targets, bins), given that (bins,) of lags counted from the exit.
 
         Transitions over a long path are always exposed.
@@ -177,7 +177,7 @@ class Hazards:
         possible: Bools = self._seen_before[zone]
         return possible
 
-    def exposed(self, stay: float) -> Floats:
+    def exposure_of_passage(self, stay: float) -> Floats:
         """Return the share (bins,) of each lag bin that lies within a passage, or after it.
 
         stay: dwell time, seconds.
@@ -185,7 +185,7 @@ class Hazards:
         begun = (self.bins.edges[1:] + stay) / self.bins.widths
         return np.where(self.past, np.minimum(np.maximum(begun, 0.0), 1.0), 1.0)
 
-    def longest_stay(self, zones: list[int]) -> float | None:
+    def longest_dwell(self, zones: list[int]) -> float | None:
         """Return the longest known dwell time that ended at one of the zones, in seconds."""
         return max((self.stay[zone][-1] for zone in zones if self.stay[zone]), default=None)
 

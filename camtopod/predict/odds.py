@@ -163,8 +163,10 @@ def find_odds(
     hazards, outcomes = site.hazards, table.outcomes
 
     # Exposure, and the lag bins of an object of this pace.
-    exposure = outcomes.exposure if query.dwell is None else hazards.exposed(query.dwell)
-    exposure = outcomes.exposed(exposure)
+    exposure = (
+        outcomes.exposure if query.dwell is None else hazards.exposure_of_passage(query.dwell)
+    )
+    exposure = outcomes.exposure_by_target(exposure)
     edges = scale_lags(hazards.bins.edges, query.slowness)
 
     # Mass of arrivals that would not be known yet.

@@ -31,13 +31,13 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Rows
-from camtopod.predict.contexts import Surroundings
-from camtopod.predict.hand_over import HandOver, look
+from camtopod.predict.contexts import ContextMultipliers
+from camtopod.predict.hand_over import HandOver, cameras_to_watch
 from camtopod.predict.hazards import Hazards
 from camtopod.predict.odds import ExitTable, Odds, Query, SeenArrivals, Site, find_odds
 from camtopod.predict.open_passages import OpenPassages, Passage
 from camtopod.predict.recent_events import Arrival, RecentEvents, moved_zones
-from camtopod.predict.speed import Pace, Paces, windows_at_pace
+from camtopod.predict.speed import Pace, PaceModel, windows_at_pace
 from camtopod.predict.time_windows import quantiles
 from camtopod.predict.zone_lookup import ZoneLookup
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
@@ -77,13 +77,13 @@ class Predictor:
 
         # What the version knows.
         self._hazards = Hazards(topology)
-        self._surroundings = Surroundings(topology)
-        self._paces = Paces(topology)
+        self._surroundings = ContextMultipliers(topology)
+        self._paces = PaceModel(topology)
         self._hand_over = HandOver(topology)
         self._lookup = ZoneLookup(self.zones)
         self._site = Site(topology, self._hazards)
         longest = {
-            camera: self._hazards.longest_stay(zones)
+            camera: self._hazards.longest_dwell(zones)
             for camera, zones in self._lookup.of_camera.items()
         }
         self._longest_stay = {camera: stay for camera, stay in longest.items() if stay}
@@ -245,7 +245,7 @@ class Predictor:
         offsets = self._site.clock_offset
         corrected = t - offsets[here.camera]
         in_view = self._hand_over.in_view(passage, corrected, self._open_passages, offsets)
-        looks = look(in_view, next_)
+        looks = cameras_to_watch(in_view, next_)
         return Prediction(
             here.camera, here.id, t, track, self.version, leave, next_, looks, in_view
         )

@@ -40,7 +40,7 @@ class Pace(NamedTuple):
     """Uncertainty of ``factor``: its 0.9 quantile over the median, log scale."""
 
 
-class Paces:
+class PaceModel:
     """The learned persistence of speed at a site; without one, windows are not adjusted."""
 
     def __init__(self, topology: Topology) -> None:

@@ -48,22 +48,22 @@ from camtopod.serve.bus import (
 )
 from camtopod.serve.ingest import Puller, Receiver
 from camtopod.serve.learner_process import (
+    LearnerFeeder,
     LearnerProcess,
-    Learning,
     Recovered,
     newest_topology,
     recent_events,
     recover,
-    told_by,
+    shard_update_of,
 )
 from camtopod.serve.live_predictions import Live
 from camtopod.serve.runtime import Heartbeat, Progress, changed_settings
 from camtopod.serve.runtime import clock as clocks
-from camtopod.serve.shards import Share, Whole
-from camtopod.serve.storage import Journal, Newest, StateError, Version, head_of
+from camtopod.serve.shards import ShardMembership, WholeSite
+from camtopod.serve.storage import CurrentVersion, Journal, StateError, Version, head_of
 
 if TYPE_CHECKING:
-    from camtopod.serve.shards import Sharing
+    from camtopod.serve.shards import ShardExchange
 
 log = logging.getLogger(__name__)
 
@@ -91,8 +91,8 @@ class Daemon:
         shard: tuple[int, int] | None = None,
     ) -> None:
         self._config, self._clock, self._steady = config, clock, clocks.steady_clock_for(clock)
-        self._share = Whole() if shard is None else Share(config.shards, shard)
-        self._sharing: Sharing | None = None
+        self._share = WholeSite() if shard is None else ShardMembership(config.shards, shard)
+        self._sharing: ShardExchange | None = None
         self._given_bus = bus
         self._bus: Bus | None = bus
         self._stopping, self._failed = threading.Event(), threading.Event()
@@ -102,7 +102,7 @@ class Daemon:
         """True when `start` has succeeded."""
         self.progress = Progress()
         """Progress of the daemon's loops and, before they run, of the start."""
-        self.newest: Newest | None = None
+        self.newest: CurrentVersion | None = None
         """The newest version, as published."""
 
     @property
@@ -151,8 +151,8 @@ class Daemon:
                 self._process = process = LearnerProcess()
                 if self._bus is None:
                     self._bus = (
-                        open_daemon_session(config, isinstance(share, Share))
-                        if share.first
+                        open_daemon_session(config, isinstance(share, ShardMembership))
+                        if share.is_first
                         else dial(config)
                     )
                 name = config.site.name
@@ -169,8 +169,8 @@ class Daemon:
                     return False
                 self._build(self._bus, recovered, process, directory)
                 self._rivals = OtherDaemons(self._bus, self._name(), share.shard)
-                self._rivals.refuse(config.bus.connect_seconds, cancelled)
-                self._serve(self._bus)
+                self._rivals.require_none(config.bus.connect_seconds, cancelled)
+                self._join_bus(self._bus)
             except sqlite3.Error as error:
                 raise StateError(
                     f"cannot read the journal in {directory}: {error}; it is left as it is"
@@ -178,36 +178,46 @@ class Daemon:
             undo.pop_all()
 
         # Publish the newest version again, and start the threads.
-        if self.newest is not None and self._share.first:
-            self._bus.put("topology", self.newest.raw, "topology")
+        if self.newest is not None and self._share.is_first:
+            self._bus.publish("topology", self.newest.raw, "topology")
         health, limits, stall = config.health, config.limits, config.health.stall_seconds
-        self._run("receive", lambda mark: self._receiver.work(self._stopping, mark.beat), stall)
+        self._start_thread(
+            "receive", lambda mark: self._receiver.work(self._stopping, mark.beat), stall
+        )
         # No limit for "listen": when it stalls, so does "receive".
-        self._run("listen", lambda mark: self._receiver.listen(), float("inf"))
-        self._run("store", lambda mark: self._receiver.store(self._stopping, mark.beat), stall)
-        self._run(
+        self._start_thread("listen", lambda mark: self._receiver.listen(), float("inf"))
+        self._start_thread(
+            "store", lambda mark: self._receiver.store(self._stopping, mark.beat), stall
+        )
+        self._start_thread(
             "learn",
             lambda mark: self._learning.work(self._stopping, mark.beat),
             health.learn_seconds,
         )
-        self._run(
+        self._start_thread(
             "pull",
             lambda mark: self._puller.work(self._stopping, mark),
             limits.pull_seconds + stall,
         )
-        self._run("status", self._tell_status, limits.status_seconds + stall)
-        if self._given_bus is None and self._share.first and config.listens:
+        self._start_thread("status", self._publish_status, limits.status_seconds + stall)
+        if self._given_bus is None and self._share.is_first and config.listens:
             self_check = SelfCheck(config, self._bus.endpoint, self._rivals.name)
-            self._run(
+            self._start_thread(
                 "bus",
                 lambda mark: self_check.work(self._stopping, mark),
                 self_check.look_seconds_max + stall,
             )
         if (sharing := self._sharing) is not None:
-            self._run("follow", lambda mark: sharing.follow(self._stopping, mark.beat), stall)
-            self._run("tell", lambda mark: sharing.tell(self._stopping, mark.beat), stall)
-            self._run("hear", lambda mark: sharing.hearing.work(self._stopping, mark.beat), stall)
-        self.progress.forget("start")
+            self._start_thread(
+                "follow", lambda mark: sharing.follow(self._stopping, mark.beat), stall
+            )
+            self._start_thread(
+                "tell", lambda mark: sharing.publish_progress(self._stopping, mark.beat), stall
+            )
+            self._start_thread(
+                "hear", lambda mark: sharing.hearing.work(self._stopping, mark.beat), stall
+            )
+        self.progress.unwatch("start")
         self.started = True
         log.info(
             "site %s, epoch %s: ready at %s", self._config.site.name, self.epoch, self._bus.endpoint
@@ -277,10 +287,10 @@ class Daemon:
         limits, waiting = changed_settings(self._config, config)
         self._config = msgspec.structs.replace(self._config, limits=limits)
         stall = self._config.health.stall_seconds
-        self.progress.allow("pull", limits.pull_seconds + stall)
-        self.progress.allow("status", limits.status_seconds + stall)
-        self._receiver.use(limits)
-        self._puller.use(limits)
+        self.progress.set_limit("pull", limits.pull_seconds + stall)
+        self.progress.set_limit("status", limits.status_seconds + stall)
+        self._receiver.set_limits(limits)
+        self._puller.set_limits(limits)
         return waiting
 
     def status(self) -> dict[str, Any]:
@@ -289,12 +299,17 @@ class Daemon:
         receiver, learning, head = self._receiver, self._learning, self.newest and self.newest.head
         reason = self._reason or self._rivals.reason or "; ".join(self.failing())
         now, cameras = self._steady(), receiver.cameras
-        reason = reason or receiver.duplicates.reason or cameras.wild(now) or cameras.doubled(now)
+        reason = (
+            reason
+            or receiver.duplicates.reason
+            or cameras.fast_clocks_reason(now)
+            or cameras.double_publishers_reason(now)
+        )
         return {
             "state": "degraded" if reason else "running",
             "reason": redact(reason),
             "site": self._config.site.name,
-            **({"shard": self._share.name} if isinstance(self._share, Share) else {}),
+            **({"shard": self._share.name} if isinstance(self._share, ShardMembership) else {}),
             "epoch": self.epoch if head is None else head.epoch,
             "version": 0 if head is None else head.version,
             "t": self._clock(),
@@ -339,8 +354,8 @@ class Daemon:
             or ("" if self._sharing is None else self._sharing.reason)
             or hanging
         )
-        reason = reason or receiver.cameras.reason(watermark, self._clock())
-        return reason or receiver.crowded or self._learning.crowded
+        reason = reason or receiver.cameras.clock_reason(watermark, self._clock())
+        return reason or receiver.refused_reason or self._learning.refused_reason
 
     def __enter__(self) -> Daemon:
         self.start()
@@ -366,7 +381,7 @@ class Daemon:
         self._journal.set_meta("epoch", epoch)
         return epoch
 
-    def _correct(self, to: float) -> tuple[str, str]:
+    def _begin_corrected_epoch(self, to: float) -> tuple[str, str]:
         """Begin an epoch as event time goes back to ``to`` (Unix seconds).
 
         Return the epoch that ends, and the one that begins.
@@ -383,10 +398,10 @@ class Daemon:
         # Predictions, from the newest version until there is another.
         self._live = Live(self._publish_prediction, share.owns)
         if (
-            isinstance(share, Whole)
+            isinstance(share, WholeSite)
             and (topology := newest_topology(self._journal, process)) is not None
         ):
-            self.newest = Newest(head_of(topology), codec.to_pack(topology))
+            self.newest = CurrentVersion(head_of(topology), codec.to_msgpack(topology))
             self._live.use(topology)
 
         # Event time as the learner knows it; the newest events may be newer than the snapshot.
@@ -412,10 +427,10 @@ class Daemon:
             daemon=self._name(),
             learned_time=learned_time,
             boxes=certificate_by_camera(self._config),
-            corrected=self._correct,
+            corrected=self._begin_corrected_epoch,
         )
         storing = self._receiver.storing
-        self._learning = Learning(
+        self._learning = LearnerFeeder(
             recovered,
             process,
             self._journal,
@@ -428,19 +443,19 @@ class Daemon:
         )
 
         # The exchange with other shards.
-        if isinstance(share, Share):
+        if isinstance(share, ShardMembership):
             # Imported here, as it loads the libraries for learning, which take much memory.
-            from camtopod.serve.shards import Sharing
+            from camtopod.serve.shards import ShardExchange
 
-            self._sharing = Sharing(
+            self._sharing = ShardExchange(
                 self._config,
                 share,
                 directory,
                 bus,
                 self._learning,
-                told_by(process),
+                shard_update_of(process),
                 self._clock,
-                self._use,
+                self._use_site_topology,
             )
 
         # What predictions remember, and pulling.
@@ -449,21 +464,25 @@ class Daemon:
         self._puller = Puller(
             bus,
             limits,
-            receiver.streams.wanted,
-            receiver.on_pulled,
+            receiver.streams.next_to_pull,
+            receiver.on_answer,
             receiver.gap,
             receiver.rejects,
             self._name(),
         )
 
-    def _serve(self, bus: Bus) -> None:
+    def _join_bus(self, bus: Bus) -> None:
         """Answer queries and subscribe to events; then other programs may see the daemon."""
-        if self._share.first:
-            bus.answer("topology", lambda key, parameters: self._version(parameters), "topology")
-        bus.answer("predict/*", self._live.answer, "prediction")
-        bus.answer(self._share.status_key, lambda key, parameters: self.status(), "status")
+        if self._share.is_first:
+            bus.answer_queries(
+                "topology", lambda key, parameters: self._version(parameters), "topology"
+            )
+        bus.answer_queries("predict/*", self._live.answer, "prediction")
+        bus.answer_queries(self._share.status_key, lambda key, parameters: self.status(), "status")
         if self._sharing is None:
-            self._receiver.ear = bus.listen("event/*", self._config.limits.inbox_events_max)
+            self._receiver.ear = bus.open_subscription(
+                "event/*", self._config.limits.inbox_events_max
+            )
             bus.watch_alive("grabber", self._on_alive)
         else:
             self._sharing.serve(self._receiver.on_event, self._on_alive)
@@ -527,13 +546,13 @@ class Daemon:
         """Publish a version that is stored: to all programs or, of a shard, to the other shards."""
         (self._announce if self._sharing is None else self._sharing.publish)(version)
 
-    def _use(self, newest: Version | Topology) -> None:
+    def _use_site_topology(self, newest: Version | Topology) -> None:
         """Use the topology of the whole site, if this daemon is a shard."""
         self._live.prepare(newest.packed if isinstance(newest, Version) else newest)
         if isinstance(newest, Version):
             self._announce(newest)
         else:
-            self.newest = Newest(head_of(newest), newest)
+            self.newest = CurrentVersion(head_of(newest), newest)
             self._live.use(newest)
 
     def _announce(self, version: Version) -> None:
@@ -557,15 +576,17 @@ class Daemon:
         )
 
     def _publish_prediction(self, prediction: Prediction) -> None:
-        self.bus.put(f"prediction/{prediction.camera}", prediction, "prediction")
+        self.bus.publish(f"prediction/{prediction.camera}", prediction, "prediction")
 
-    def _tell_status(self, mark: Heartbeat) -> None:
+    def _publish_status(self, mark: Heartbeat) -> None:
         """Publish the status at intervals until the daemon stops."""
         while not self._stopping.wait(self._config.limits.status_seconds):
-            self.bus.put(self._share.status_key, self.status(), "status")
+            self.bus.publish(self._share.status_key, self.status(), "status")
             mark.beat()
 
-    def _run(self, name: str, work: Callable[[Heartbeat], None], seconds_max: float) -> None:
+    def _start_thread(
+        self, name: str, work: Callable[[Heartbeat], None], seconds_max: float
+    ) -> None:
         """Run a loop in a thread; it has to beat at least every ``seconds_max``."""
         mark = self.progress.watch(name, seconds_max)
 

@@ -150,7 +150,7 @@ def asked_exit(camera: str, parameters: dict[str, str], as_of: float) -> tuple[E
     try:
         asked |= {name: float(parameters[name]) for name in ("t", "x", "y") if name in parameters}
         now = float(parameters["now"]) if "now" in parameters else None
-        return codec.event_from_pack(codec.to_pack(asked)), now
+        return codec.event_from_msgpack(codec.to_msgpack(asked)), now
     except codec.Rejected as error:
         raise QueryError(str(error)) from None
     except ValueError:

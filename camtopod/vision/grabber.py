@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 from typing import Literal
 
 from camtopod.records import Event
-from camtopod.vision.pipeline import Watcher
+from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source import Complaints, LiveSource, RecordedSource, kind_of
+from camtopod.vision.source import FfmpegLog, LiveSource, RecordedSource, kind_of
 
 State = Literal["connecting", "running", "stalled", "ended"]
 
@@ -45,7 +45,7 @@ class Grabber:
         speed: float = 1.0,
         wall_clock: Callable[[], float],
         settings: VisionSettings | None = None,
-        complaints: Complaints | None = None,
+        complaints: FfmpegLog | None = None,
     ) -> None:
         settings = settings or VisionSettings()
         self.camera = camera
@@ -55,7 +55,7 @@ class Grabber:
             self._source = RecordedSource(path, settings, start, speed if realtime else None)
         else:
             self._source = LiveSource(source, settings, wall_clock, complaints)
-        self._watcher = Watcher(camera, settings)
+        self._watcher = ViewPipeline(camera, settings)
         self._analysis_seconds = 0.0
         self._last_t: float | None = None
 
@@ -76,7 +76,7 @@ class Grabber:
 
             if frame is not None:
                 began = time.thread_time()
-                events = self._watcher.see(frame.t, frame.luma)
+                events = self._watcher.process(frame.t, frame.luma)
                 self._analysis_seconds += time.thread_time() - began
                 self._last_t = frame.t
 

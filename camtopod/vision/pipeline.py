@@ -5,7 +5,7 @@ from __future__ import annotations
 from camtopod.records import Event
 from camtopod.vision.detect import Luma, MotionDetector, find_blobs, shrunk
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track import Crossings, Track, Tracker, went_somewhere
+from camtopod.vision.track import Crossings, Track, Tracker, has_moved
 
 GHOST_SECONDS = 3.0
 """An object that has not moved for this long is tested for being a ghost.
@@ -20,7 +20,7 @@ BOOTSTRAP_FRAMES_KEPT = 100
 """Number of frames that may wait for the first background."""
 
 
-class Watcher:
+class ViewPipeline:
     """Turns one view's frames into events. Deterministic: equal frames and times, equal events."""
 
     def __init__(self, camera: str, settings: VisionSettings) -> None:
@@ -34,14 +34,14 @@ class Watcher:
         self.analysed = 0
         self.ghosts = 0
 
-    def see(self, t: float, frame: Luma) -> list[Event]:
+    def process(self, t: float, frame: Luma) -> list[Event]:
         """Process the frame (H, W) captured at ``t`` (seconds) and return the events now certain.
 
         Times must increase. The frames of the first seconds wait until there is a background, then
         all of them are analysed.
         """
         self.analysed += 1
-        small = self._motion.clean(shrunk(frame, self._settings.working_width))
+        small = self._motion.filter_noise(shrunk(frame, self._settings.working_width))
         if self._tracker is not None and self._motion.ready:
             return self._step(t, small)
         self._waiting.append((t, small))
@@ -78,7 +78,7 @@ class Watcher:
         self._t = t
 
         # Moving pixels against the background.
-        motion = self._motion.look(frame, dt)
+        motion = self._motion.detect(frame, dt)
         if motion is None:  # the whole scene has changed: bootstrap again
             return []
         if self._motion.disturbed:  # a flash, or the first frames of a changed scene
@@ -126,7 +126,7 @@ class Watcher:
         events = self._bootstrap() if self._waiting else []
         if self._tracker is not None and self._crossings is not None and self._t is not None:
             events += [
-                self._crossings.exit(x) for x in self._tracker.finish(self._t) if went_somewhere(x)
+                self._crossings.exit(x) for x in self._tracker.finish(self._t) if has_moved(x)
             ]
         return events
 

@@ -39,9 +39,9 @@ from camtopod.records import CAMERA_PATTERN, Topology
 from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import Beat, Clock, Progress
 from camtopod.web.feed import Feed
-from camtopod.web.outbox import Hub
+from camtopod.web.outbox import PageQueues
 from camtopod.web.pictures import picture_of
-from camtopod.web.version_cache import Past
+from camtopod.web.version_cache import VersionCache
 from camtopod.web.version_diff import changes
 
 log = logging.getLogger(__name__)
@@ -59,9 +59,9 @@ GRACE_SECONDS = 1.0
 """Time for which a waiting connection is not closed: a request under way arrives within it."""
 REQUEST_SECONDS = 10.0
 """Time after which a connection without a complete request is closed."""
-TAKE_SECONDS = 30.0
+SEND_TIMEOUT_SECONDS = 30.0
 """Time after which a client that accepts no data is disconnected."""
-SAY_SECONDS = 60.0
+LOG_SECONDS = 60.0
 """Shortest interval between two equal log messages about clients."""
 CLOSE_SECONDS = 2
 """Time that open responses have to end when the server stops."""
@@ -150,10 +150,12 @@ def _is_address(text: str) -> bool:
     return True
 
 
-class Site:
+class Routes:
     """Handlers of the routes."""
 
-    def __init__(self, feed: Feed, past: Past, hub: Hub, pictures: Path | None) -> None:
+    def __init__(
+        self, feed: Feed, past: VersionCache, hub: PageQueues, pictures: Path | None
+    ) -> None:
         self._feed, self._past, self._hub, self._pictures = feed, past, hub, pictures
 
     def map(self, request: Request) -> Response:
@@ -274,7 +276,7 @@ class _Seldom(logging.Filter):
         """Return True if the message is to be logged."""
         now = time.monotonic()
         said, meanwhile = self._said.get(record.msg, (-math.inf, 0))
-        if now - said < SAY_SECONDS:
+        if now - said < LOG_SECONDS:
             self._said[record.msg] = said, meanwhile + 1
             return False
         self._said[record.msg] = now, 0
@@ -365,7 +367,7 @@ class _Connection(H11Protocol):
     def _watch_taking(self) -> None:
         """Start the deadline for the client to accept data."""
         self._unsent = self.transport.get_write_buffer_size()
-        self._set_timer(TAKE_SECONDS, self._look_at_taking)
+        self._set_timer(SEND_TIMEOUT_SECONDS, self._look_at_taking)
 
     def _look_at_taking(self) -> None:
         """Continue if the client has accepted data, else disconnect it."""
@@ -380,7 +382,7 @@ class _Connection(H11Protocol):
         self._timer = None if seconds is None else self.loop.call_later(seconds, then)
 
 
-def application(site: Site, names: Collection[str], any_address: bool, beat: Beat) -> Starlette:
+def application(site: Routes, names: Collection[str], any_address: bool, beat: Beat) -> Starlette:
     """Return the web application, which accepts only ``names``, and addresses if ``any_address``.
 
     beat: called regularly as long as the application's event loop makes progress.
@@ -449,10 +451,10 @@ def serving(
         marks.watch(name, stall_seconds) for name in ("page", "versions", "messages")
     )
     stop = threading.Event()
-    hub = Hub()
+    hub = PageQueues()
     feed = Feed(bus, hub, clock, status_seconds)
     config = uvicorn.Config(
-        application(Site(feed, Past(bus), hub, pictures), names, any_address, page.beat),
+        application(Routes(feed, VersionCache(bus), hub, pictures), names, any_address, page.beat),
         log_config=None,
         log_level="warning",
         access_log=False,

@@ -13,7 +13,7 @@ from camtopod.learn import Settings
 from camtopod.learn.links import MONTE_CARLO_SEED, mahalanobis, monte_carlo
 from camtopod.records import Link, Model, Pair, Topology, Zone, ZoneModel
 from camtopod.topology import LagBins, smooth
-from camtopod.web.map_data import doubt, in_words, nearness
+from camtopod.web.map_data import in_words, nearness, why_provisional
 
 CURVE_SHARE_MIN = 0.004
 """Share of its peak below which the fitted curve is not drawn."""
@@ -23,7 +23,7 @@ COMMON_SHARE = 0.8
 _Item = TypeVar("_Item")
 
 
-class Stories:
+class Explanations:
     """Details of one version, indexed once for repeated queries."""
 
     def __init__(self, topology: Topology) -> None:
@@ -84,7 +84,7 @@ class Stories:
         return {
             "cameras": [first, second],
             "relation": pair and pair.relation,
-            "provisional": doubt(pair, transitions, best),
+            "provisional": why_provisional(pair, transitions, best),
             "why": why_pair(pair),
             "links": [brief(link) for link in links],
             "weak": [brief(link) for link in weak],

@@ -23,9 +23,9 @@ from camtopod.predict import seen_now
 from camtopod.records import CAMERA_PATTERN, Event, Look, NextCamera, Prediction, Topology
 from camtopod.serve.bus import Bus, TopologySubscriber
 from camtopod.serve.runtime import Beat, Clock, no_beat
-from camtopod.web.explanations import Stories
+from camtopod.web.explanations import Explanations
 from camtopod.web.map_data import Map, change, draw
-from camtopod.web.outbox import Hub
+from camtopod.web.outbox import PageQueues
 
 log = logging.getLogger(__name__)
 
@@ -85,7 +85,7 @@ class Feed:
     status_seconds: interval in which the daemon publishes its status.
     """
 
-    def __init__(self, bus: Bus, hub: Hub, clock: Clock, status_seconds: float) -> None:
+    def __init__(self, bus: Bus, hub: PageQueues, clock: Clock, status_seconds: float) -> None:
         self._bus, self._hub, self._clock = bus, hub, clock
         self._silent_seconds = SILENT_STATUSES * status_seconds
         self._inbox: queue.Queue[tuple[str, bytes]] = queue.Queue(INBOX_MAX)
@@ -100,7 +100,7 @@ class Feed:
         self._second, self._this_second = 0, 0
         self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
         self._view = TopologySubscriber(bus)
-        self.stories: Stories | None = None
+        self.stories: Explanations | None = None
         """Details of the newest version."""
         self.map: Map | None = None
         self.map_json = b"null"
@@ -114,21 +114,21 @@ class Feed:
         while not stop.wait(_TICK_SECONDS):
             beat()
             if (newest := self._view.update()) is not None:
-                self.use(newest)
+                self.show(newest)
 
-    def use(self, topology: Topology) -> None:
+    def show(self, topology: Topology) -> None:
         """Show a version from now on."""
         before = self.map
         drawn = draw(topology, before)
-        self.stories, self.map, self.map_json = Stories(topology), drawn, codec.to_json(drawn)
+        self.stories, self.map, self.map_json = Explanations(topology), drawn, codec.to_json(drawn)
         if before is not None and before.epoch == drawn.epoch:
-            self._hub.tell("map", codec.to_json(change(before, drawn)))
+            self._hub.send("map", codec.to_json(change(before, drawn)))
         else:
-            self._hub.tell("resync", b"{}")
+            self._hub.send("resync", b"{}")
 
     def messages(self, stop: threading.Event, beat: Beat = no_beat) -> None:
         """Process queued messages, and notice when the daemon falls silent, until ``stop``."""
-        for key, payload in self._bus.ask("status/*"):
+        for key, payload in self._bus.query("status/*"):
             self._on_status(key.removeprefix("status/"), payload)
         while not stop.is_set():
             beat()
@@ -240,7 +240,7 @@ class Feed:
     def _tell_health(self, name: str, status: dict[str, Any]) -> None:
         """Send a camera's health to all pages."""
         row = _row(name, self._word(name, status), None)
-        self._hub.tell("health", msgspec.json.encode({**row, "at": self._clock()}))
+        self._hub.send("health", msgspec.json.encode({**row, "at": self._clock()}))
 
     def _word(self, name: str, status: dict[str, Any] | None) -> dict[str, Any] | None:
         """Return a camera's status, with the state ``silent`` if it has stopped publishing."""
@@ -265,7 +265,7 @@ class Feed:
         content = codec.to_json(shown(prediction))
         with self._mutex:
             self._predictions.append(content)
-        self._hub.tell("prediction", content, passing=True)
+        self._hub.send("prediction", content, passing=True)
 
     def _on_event(self, name: str, payload: bytes) -> None:
         """Forward an event, without its track, to the pages that watch its camera."""
@@ -274,7 +274,7 @@ class Feed:
         except codec.Rejected:
             return
         shown = Event(event.camera, event.kind, event.t, event.x, event.y)
-        self._hub.tell("event", codec.to_json(shown), camera=name, passing=True)
+        self._hub.send("event", codec.to_json(shown), camera=name, passing=True)
 
     def _look(self) -> None:
         """Notice when the daemon becomes live or silent, and which cameras have fallen silent."""
@@ -313,7 +313,7 @@ class Feed:
                 )
             self._live = {**self._live, "live": not reason, "reason": reason}
             told = msgspec.json.encode(self._live)
-        self._hub.tell("live", told)
+        self._hub.send("live", told)
 
     def _look_at_cameras(self, now: float) -> None:
         """Mark and report cameras whose grabbers have stopped publishing."""

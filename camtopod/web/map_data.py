@@ -36,7 +36,7 @@ class MapCamera(Struct, frozen=True):
     exits: int
 
 
-class Way(Struct, frozen=True, rename={"from_": "from"}):
+class Direction(Struct, frozen=True, rename={"from_": "from"}):
     """One direction of an edge; times (seconds) are those of its main link."""
 
     from_: str
@@ -56,7 +56,7 @@ class MapEdge(Struct, frozen=True):
     provisional: str
     """Why the edge is provisional; "" if it is settled."""
     transitions: float
-    ways: list[Way]
+    ways: list[Direction]
 
 
 class Map(Struct, frozen=True):
@@ -181,7 +181,7 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
         pair = pairs.get(key)
         result[key] = MapEdge(
             pair.relation if pair else overlapped,
-            doubt(pair, transitions, best.get(key)),
+            why_provisional(pair, transitions, best.get(key)),
             _digits(transitions, 2),
             [_way(edge) for edge in there],
         )
@@ -193,7 +193,7 @@ def nearness(link: Link) -> tuple[float, float]:
     return (math.inf if link.lacks is None else link.lacks.seconds), link.q_value
 
 
-def doubt(pair: Pair | None, transitions: float, best: Link | None) -> str:
+def why_provisional(pair: Pair | None, transitions: float, best: Link | None) -> str:
     """Return why an edge is provisional, in words; "" if it is settled.
 
     best: the link that is nearest to publication.
@@ -285,10 +285,10 @@ def _key(a: str, b: str) -> str:
     return " ".join(sorted((a, b)))
 
 
-def _way(edge: Edge) -> Way:
+def _way(edge: Edge) -> Direction:
     t = edge.transit
     mode, q10, q50, q90 = (_digits(value, 3) for value in (t.mode, t.q10, t.q50, t.q90))
-    return Way(
+    return Direction(
         edge.from_,
         edge.to,
         mode,

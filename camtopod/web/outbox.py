@@ -21,7 +21,7 @@ RESYNC = b"event: resync\ndata: {}\n\n"
 """Message that tells a page to fetch everything anew."""
 
 
-class Mailbox:
+class PageQueue:
     """Queue of one page. Create it and take from it in the event loop's thread.
 
     camera: the camera whose events the page shows, if any.
@@ -90,29 +90,29 @@ class Mailbox:
             self._loop.call_soon_threadsafe(self._something.set)
 
 
-class Hub:
+class PageQueues:
     """Queues of all open pages."""
 
     def __init__(self) -> None:
         self._mutex = threading.Lock()
-        self._boxes: set[Mailbox] = set()
+        self._boxes: set[PageQueue] = set()
         self._closed = False
 
-    def open(self, camera: str | None) -> Mailbox | None:
+    def open(self, camera: str | None) -> PageQueue | None:
         """Return a queue for a new page; None if there are `PAGES_MAX` already, or when closing."""
         with self._mutex:
             if self._closed or len(self._boxes) >= PAGES_MAX:
                 return None
-            box = Mailbox(camera)
+            box = PageQueue(camera)
             self._boxes.add(box)
             return box
 
-    def leave(self, box: Mailbox) -> None:
+    def leave(self, box: PageQueue) -> None:
         """Remove the queue of a page that has gone."""
         with self._mutex:
             self._boxes.discard(box)
 
-    def tell(
+    def send(
         self, name: str, content: bytes, camera: str | None = None, passing: bool = False
     ) -> None:
         """Send a server-sent event to all pages, or to those that show ``camera``.

@@ -1,4 +1,5 @@
-"""Camera pictures: files CAMERA.jpg or CAMERA.png in a folder, from `keep` or from the operator.
+"""Camera pictures: files CAMERA.jpg or CAMERA.png in a folder, from `store_picture` or from the
+operator.
 
 They show the site and perhaps people. They are therefore never sent over the bus, and not readable
 by every user of the machine.
@@ -26,19 +27,19 @@ def picture_of(folder: Path | None, camera: str) -> Path | None:
     )
 
 
-def kept_at(folder: Path, camera: str) -> Path:
-    """Return the path where `keep` stores a camera's picture."""
+def stored_path(folder: Path, camera: str) -> Path:
+    """Return the path where `store_picture` stores a camera's picture."""
     return folder / f"{camera}.jpg"
 
 
-def make(folder: Path) -> None:
+def make_folder(folder: Path) -> None:
     """Create the folder if it does not exist. Raises `OSError`."""
     folder.mkdir(mode=_FOLDER_MODE, parents=True, exist_ok=True)
 
 
-def keep(folder: Path, camera: str, jpeg: bytes) -> None:
+def store_picture(folder: Path, camera: str, jpeg: bytes) -> None:
     """Store a camera's picture, readable by the folder's owner and group.
 
     Replaces an earlier one. Raises `OSError`.
     """
-    secret_files.write(kept_at(folder, camera), jpeg, _FILE_MODE)
+    secret_files.write(stored_path(folder, camera), jpeg, _FILE_MODE)

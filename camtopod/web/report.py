@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from camtopod.records import Link, Topology
-from camtopod.web.explanations import Stories
+from camtopod.web.explanations import Explanations
 from camtopod.web.map_data import draw
 from camtopod.web.pictures import TYPES, picture_of
 from camtopod.web.version_diff import changes, summary
@@ -44,7 +44,7 @@ def gather(
     files = {
         camera: path for camera in cameras if (path := picture_of(pictures, camera)) is not None
     }
-    stories = Stories(topology)
+    stories = Explanations(topology)
     versions = [*older, topology]
     compared = versions[-COMPARED_MAX:]
     links = _told(topology)

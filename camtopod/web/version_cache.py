@@ -16,7 +16,7 @@ SUMMARIES_MAX = 1_000
 """Summaries that are kept."""
 
 
-class Past:
+class VersionCache:
     """Older versions of a site. Thread-safe; queries to the daemon are made one after the other."""
 
     def __init__(self, bus: Bus) -> None:
@@ -69,11 +69,11 @@ class Past:
     def _ask(self, key: tuple[str, int]) -> Topology | None:
         """Query the daemon for a version; None if there is no valid answer."""
         try:
-            answers = self._bus.ask("topology", {"epoch": key[0], "version": key[1]}, one=True)
+            answers = self._bus.query("topology", {"epoch": key[0], "version": key[1]}, one=True)
         except QueryError:
             return None
         try:
-            found = codec.read_topology(answers[0][1], pack=True) if answers else None
+            found = codec.decode_topology(answers[0][1], pack=True) if answers else None
         except codec.Rejected:
             return None
         return found if found is not None and (found.epoch, found.version) == key else None

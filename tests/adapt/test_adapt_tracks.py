@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camtopod.adapt import tracks
-from camtopod.adapt.box_linking import Joiner
+from camtopod.adapt.box_linking import BoxLinker
 from camtopod.client import TrackEvents
 from camtopod.records import Event
 
@@ -218,7 +218,7 @@ def test_frames_that_make_no_sense_are_said() -> None:
 
 
 def test_boxes_are_joined_to_the_nearest_whatever_their_order() -> None:
-    joiner = Joiner()
+    joiner = BoxLinker()
     found: dict[str, set[int | None]] = {"left": set(), "right": set()}
     for n in range(20):
         places = {
@@ -235,13 +235,13 @@ def test_boxes_are_joined_to_the_nearest_whatever_their_order() -> None:
 
 
 def test_a_track_goes_on_in_one_box_only() -> None:
-    joiner = Joiner()
+    joiner = BoxLinker()
     assert joiner.ids([(0, 0, 40, 100)], 0.0) == [1]
     assert joiner.ids([(9, 0, 49, 100), (2, 0, 42, 100)], 0.1) == [2, 1]
 
 
 def test_a_box_far_away_or_long_after_is_another() -> None:
-    joiner = Joiner()
+    joiner = BoxLinker()
     assert joiner.ids([(0, 0, 40, 100)], 0.0) == [1]
     assert joiner.ids([(200, 0, 240, 100)], 0.1) == [2]
     assert joiner.ids([(0, 0, 40, 100)], 1.9) == [1]

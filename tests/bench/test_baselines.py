@@ -15,7 +15,7 @@ from bench.baselines.crossings import NARROW, WIDE, Crossings, candidates, cross
 from bench.baselines.findings import Findings, Ranked, at, rank, tune
 from bench.baselines.hawkes import hawkes
 from bench.baselines.information import information
-from bench.baselines.told import told, told_score, transit_error
+from bench.baselines.told import oracle_predictions, oracle_score, transit_error
 from bench.baselines.transfer import by_delay, transfer
 from bench.baselines.zoning import methods
 from bench.support.measure import by_range
@@ -332,7 +332,9 @@ def told_case() -> tuple[list[Event], Truth]:
 def test_the_told_chain_counts_with_a_part_of_a_count_for_everything() -> None:
     events, truth = told_case()
     cut = len(events) - 2
-    here, elsewhere = told(events, truth, cut, [event.camera for event in events], 0.5)
+    here, elsewhere = oracle_predictions(
+        events, truth, cut, [event.camera for event in events], 0.5
+    )
     assert here.leave == pytest.approx((1 + 0.5) / (4 + 1.0))
     assert [(c.camera, c.probability) for c in here.next_] == [("b", pytest.approx(3.5 / 5.0))]
     assert elsewhere.leave == here.leave  # nothing was ever seen to leave b: as all together
@@ -355,9 +357,9 @@ def test_the_told_chain_is_smoothed_as_suits_it_best() -> None:
         truth = Truth(TRUTH_SCHEMA, ["a"], [], [], [], {}, who, number, [-1] * len(events))
         states = [person % 20 for person in who]
         expected = score_predictions(
-            told(events, truth, 40, states, best), events[40:], tail_of(truth, 40)
+            oracle_predictions(events, truth, 40, states, best), events[40:], tail_of(truth, 40)
         )
-        assert told_score(events, truth, 40, states) == expected
+        assert oracle_score(events, truth, 40, states) == expected
 
 
 def tail_of(truth: Truth, cut: int) -> Truth:

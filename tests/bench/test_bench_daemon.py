@@ -12,7 +12,7 @@ from serving import wait_for
 
 from bench import ingest, latency, memory, router
 from bench.support import ratios
-from bench.support.site import most_at_once, resident, traffic
+from bench.support.site import peak_memory, resident, traffic
 
 SMALL = ["--cameras", "4", "--learned", "400", "--rounds", "1"]
 
@@ -75,7 +75,7 @@ def test_the_most_at_one_moment_counts_files_once() -> None:
     ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
-        with most_at_once(process.pid) as most:
+        with peak_memory(process.pid) as most:
             for answer in (b"has it\n", b"has it no more\n"):
                 process.stdin.write(b"\n")
                 process.stdin.flush()

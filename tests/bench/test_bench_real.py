@@ -11,13 +11,13 @@ from synthetic_walks import WALKS, a_recording
 from bench import real
 from bench.support.real_figures import (
     LEAVE,
-    ToldChain,
+    Oracle,
     calibration_error,
     hand_over_figure,
     link_figures,
     look_figures,
+    oracle_odds,
     prediction_figures,
-    told_odds,
     who_figures,
 )
 from bench.support.recordings import Recording, load, tellable
@@ -88,7 +88,7 @@ def test_who_is_told_identities_knows_who_leaves_and_when_they_come(recording: R
     events = {str(e.track) + e.kind: e for e in recording.events if e.t >= recording.cut}
     exits = [event for event in events.values() if event.kind == "exit"][:40]
     entries = [event for event in events.values() if event.kind == "entry"]
-    odds = told_odds(recording, exits, entries, {})
+    odds = oracle_odds(recording, exits, entries, {})
     for row, event in enumerate(exits):
         best = entries[int(odds[row].argmax())]
         if str(event.track).startswith("d"):
@@ -99,7 +99,7 @@ def test_who_is_told_identities_knows_who_leaves_and_when_they_come(recording: R
 
 
 def test_a_chain_that_is_told_falls_back() -> None:
-    chain = ToldChain(["a", "b", LEAVE])
+    chain = Oracle(["a", "b", LEAVE])
     for _ in range(8):
         chain.learn("a/1", "a", "b", 5.0)
     chain.learn("a/2", "a", LEAVE, float("nan"))

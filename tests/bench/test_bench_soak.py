@@ -6,7 +6,15 @@ from collections import Counter
 
 import pytest
 
-from bench.soak import BESIDE_BYTES, GROWTH_MAX, Day, grown, main, miscounted, outside
+from bench.soak import (
+    BESIDE_BYTES,
+    GROWTH_MAX,
+    Day,
+    bound_violations,
+    growth_violations,
+    main,
+    miscounted,
+)
 
 MEGABYTE = 2**20
 
@@ -44,14 +52,14 @@ def on_the_disk(journal: list[int]) -> list[Day]:
 def test_memory_is_held_against_the_second_day(
     what: str, sizes: list[int], said: list[str]
 ) -> None:
-    found = list(grown(days(sizes)))
+    found = list(growth_violations(days(sizes)))
     assert len(found) == len(said), what
     assert all(end in one for one, end in zip(found, said, strict=True))
 
 
 def test_the_disk_is_held_against_the_fifth_day() -> None:
-    assert list(grown(on_the_disk([10, 20, 30, 40, 100, 104, 105]))) == []
-    assert list(grown(on_the_disk([10, 20, 30, 40, 100, 106, 100]))) == [
+    assert list(growth_violations(on_the_disk([10, 20, 30, 40, 100, 104, 105]))) == []
+    assert list(growth_violations(on_the_disk([10, 20, 30, 40, 100, 106, 100]))) == [
         "journal has grown by more than 5%"
     ]
     assert GROWTH_MAX == 0.05
@@ -60,13 +68,13 @@ def test_the_disk_is_held_against_the_fifth_day() -> None:
 def test_the_disk_is_held_against_its_bound_on_every_day() -> None:
     bounds = {"journal": 10 * MEGABYTE}
     beside = BESIDE_BYTES["journal"] // MEGABYTE
-    assert list(outside(on_the_disk([1, 9, 10, 10 + beside]), bounds)) == []
-    [said] = outside(on_the_disk([1, 9, 11 + beside, 10]), bounds)
+    assert list(bound_violations(on_the_disk([1, 9, 10, 10 + beside]), bounds)) == []
+    [said] = bound_violations(on_the_disk([1, 9, 11 + beside, 10]), bounds)
     assert (
         said
         == f"journal has {(11 + beside) * MEGABYTE} bytes on day 3; its bound is {10 * MEGABYTE}"
     )
-    [said] = outside(on_the_disk([1, 7, 7, 7]), bounds)
+    [said] = bound_violations(on_the_disk([1, 7, 7, 7]), bounds)
     assert said == "journal has never come near its bound, so the bound is not tested"
 
 

@@ -276,7 +276,7 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
             daemon.start()
         return really_drained(publisher, serving.WAIT_SECONDS if looks >= 4 else seconds, most)
 
-    monkeypatch.setattr(Publisher, "drained", drained)
+    monkeypatch.setattr(Publisher, "wait_acknowledged", drained)
     with contextlib.ExitStack() as stack:
         meeting = stack.enter_context(buses.open_daemon_session(small_config(tmp_path)))
         daemon = Daemon(small_config(tmp_path / "daemon"), meeting)

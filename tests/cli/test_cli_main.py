@@ -195,9 +195,13 @@ def test_a_package_that_is_missing_is_named(
     monkeypatch.setitem(main.COMMANDS, "probe", ("camtopod.cli.none_such", ""))
     assert main.main(["probe"]) == 1
     monkeypatch.setitem(sys.modules, "zenoh", None)
+    packages = ("camtopod.serve", "camtopod.cli.commands")
     for module in list(sys.modules):
-        if module.startswith(("camtopod.serve", "camtopod.cli.commands")):
+        if module.startswith(packages):
             monkeypatch.delitem(sys.modules, module)
+    for package in packages:  # imported again, they would stay in their parents
+        parent, _, name = package.rpartition(".")
+        monkeypatch.setattr(sys.modules[parent], name, None)
     assert main.main(["run"]) == 1
     assert "run needs the package 'zenoh', which is not installed" in capsys.readouterr().err
 

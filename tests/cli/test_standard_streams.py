@@ -24,7 +24,7 @@ from camtopod.cli.terminal.standard_streams import NonBlockingStream
 from camtopod.config.settings import BusSettings
 from camtopod.serve.bus import session as buses
 
-END_SECONDS = 5.0
+END_SECONDS = 30.0
 
 
 @pytest.fixture

@@ -96,7 +96,7 @@ def full_of_it() -> tuple[SiteState, Topology]:
     board.on_status("status/daemon", msgspec.msgpack.encode({**status, "cameras": cameras}))
     onward = [NextCamera(said, said, 0.5, 1.0, 2.0, 3.0)]
     board.on_prediction(
-        "prediction/cam1", codec.to_pack(Prediction(said, said, 1.0, said, 1, 0.5, onward))
+        "prediction/cam1", codec.to_msgpack(Prediction(said, said, 1.0, said, 1, 0.5, onward))
     )
     link = Link(said, said, "unseen", 0.5, 3.0, Transit(1, 1, 1, 1, 1, 1), 0.0, 0.1)
     alarms = [Alarm(1, 1.0, said, said, said)]

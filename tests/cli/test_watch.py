@@ -120,7 +120,7 @@ def full(cameras: int, steady: Steady | None = None) -> SiteState:
     ]
     for k in range(3):
         said = Prediction("lobby", f"lobby/{k}", NOW - 3.0 + k, "17", 9, 0.2, following)
-        board.on_prediction("prediction/lobby", codec.to_pack(said))
+        board.on_prediction("prediction/lobby", codec.to_msgpack(said))
     return board
 
 

@@ -19,7 +19,7 @@ from serving import T0, all_out, camtopod, closing_event, numbered, small_config
 from camtopod.cli import exits
 from camtopod.cli.main import main
 from camtopod.export import homeassistant
-from camtopod.export.homeassistant import Counted, Said, SiteSaid, Topics
+from camtopod.export.homeassistant import CameraFigures, DaemonStatus, GrabberStatus, Topics
 from camtopod.records import TOPOLOGY_SCHEMA, Alarm, NextCamera, Prediction, SelfScore, Topology
 from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
@@ -54,9 +54,9 @@ def test_every_entity_finds_its_figure() -> None:
     """Its topic is published and has the field that its template takes."""
     cameras = ["lobby", "north.gate", "a_b", "a.b"]
     announced = decoded(homeassistant.discovery(TOPICS, cameras))
-    states = homeassistant.site_state(TOPICS, True, SiteSaid("running"), TOPOLOGY)
+    states = homeassistant.site_state(TOPICS, True, DaemonStatus("running"), TOPOLOGY)
     for camera in cameras:
-        states |= homeassistant.camera_state(TOPICS, camera, Counted(), None, 3)
+        states |= homeassistant.camera_state(TOPICS, camera, CameraFigures(), None, 3)
         states |= homeassistant.prediction_state(
             TOPICS, msgspec.structs.replace(to_hall(1.0), camera=camera)
         )
@@ -87,7 +87,7 @@ def test_every_entity_finds_its_figure() -> None:
 
 def test_the_states() -> None:
     published = decoded(
-        homeassistant.site_state(TOPICS, True, SiteSaid("degraded", "disk full"), TOPOLOGY)
+        homeassistant.site_state(TOPICS, True, DaemonStatus("degraded", "disk full"), TOPOLOGY)
     )
     state = published["camtopod/hq/daemon/state"]
     assert (state["problem"], state["reason"], state["version"], state["score"]) == (
@@ -98,7 +98,7 @@ def test_the_states() -> None:
     )
     assert published["camtopod/hq/daemon/alarm"]["alarm"] == "link_closed lobby/1->hall/2"
     assert published["camtopod/hq/daemon/alarm"]["at"] == "2023-11-14T22:13:20+00:00"
-    nothing = decoded(homeassistant.site_state(TOPICS, False, SiteSaid("running"), None))
+    nothing = decoded(homeassistant.site_state(TOPICS, False, DaemonStatus("running"), None))
     assert nothing["camtopod/hq/daemon/state"]["problem"] == "ON"
     assert nothing["camtopod/hq/daemon/state"]["version"] is None
     assert nothing["camtopod/hq/daemon/availability"] == "offline"
@@ -108,15 +108,15 @@ def test_the_states() -> None:
 @pytest.mark.parametrize(
     ("alive", "said", "online"),
     [
-        (True, Said("running"), "ON"),
+        (True, GrabberStatus("running"), "ON"),
         (True, None, "ON"),  # another program's camera, which says nothing
-        (True, Said("stalled", "no frame"), "OFF"),
-        (False, Said("running"), "OFF"),  # what it said before it was killed
+        (True, GrabberStatus("stalled", "no frame"), "OFF"),
+        (False, GrabberStatus("running"), "OFF"),  # what it said before it was killed
     ],
 )
-def test_when_a_camera_is_online(alive: bool, said: Said | None, online: str) -> None:
+def test_when_a_camera_is_online(alive: bool, said: GrabberStatus | None, online: str) -> None:
     [state] = decoded(
-        homeassistant.camera_state(TOPICS, "lobby", Counted(5, alive), said, 2)
+        homeassistant.camera_state(TOPICS, "lobby", CameraFigures(5, alive), said, 2)
     ).values()
     assert (state["online"], state["events"], state["zones"]) == (online, 5, 2)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 import time
 
-from camtopod.codec import to_pack
+from camtopod.codec import to_msgpack
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus.session import dial
@@ -24,7 +24,7 @@ def flood(endpoint: str, camera: str, per_second: int, seconds: float) -> int:
         while (elapsed := time.monotonic() - began) < seconds:
             for count in range(count + 1, int(elapsed * per_second) + 1):  # noqa: B020
                 event = Event(camera, "entry", time.time(), 0.5, 0.5, str(count), "wild", count)
-                bus.publish_raw(f"event/{camera}", to_pack(event), "event")
+                bus.publish_raw(f"event/{camera}", to_msgpack(event), "event")
             time.sleep(_STEP_SECONDS)
     return count
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from camtopod.codec import to_json, to_pack
+from camtopod.codec import to_json, to_msgpack
 from camtopod.records import Event
 
 WILD = (
@@ -61,9 +61,9 @@ def seeds(camera: str, boot: str = "b1") -> list[bytes]:
     }
     return [
         *map(to_json, events),
-        *map(to_pack, events),
+        *map(to_msgpack, events),
         to_json(more),
-        to_pack(more),
+        to_msgpack(more),
         msgspec.msgpack.encode([more]),
     ]
 

@@ -200,7 +200,7 @@ class Site:
         """Return all events in the journal, without boot and seq, except the closing ones."""
         journal = Journal(self.directory / "state")
         events = [
-            codec.event_from_pack(entry.raw)
+            codec.event_from_msgpack(entry.raw)
             for _, entry in journal.entries()
             if entry and entry.kind == "event"
         ]
@@ -329,7 +329,7 @@ def _key(event: Event) -> tuple[str, float, str, str]:
 
 
 MakeSite = Callable[..., Site]
-"""The fixture ``make_site``; takes the arguments of `Site` after the directory."""
+"""The fixture ``make_site``; takes the arguments of `Routes` after the directory."""
 
 
 def check(site: Site) -> None:

@@ -35,7 +35,7 @@ from camtopod.serve.daemon import Daemon
 from camtopod.vision.grabber import Grabber
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source import live
-from camtopod.vision.source.ffmpeg_log import Complaints, listening, reason_in
+from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log, reason_in
 
 FILM_SECONDS = 14.0
 SPEED = 3.0
@@ -386,8 +386,8 @@ def test_reasons_are_recognised_and_nothing_else_is_said(capfd: pytest.CaptureFi
         "",
     ]
     assert reason_in(said[0] + said[1] + said[4]) == words[1], "the last that is known"
-    assert Complaints().take() == ""
-    with listening() as complaints:
+    assert FfmpegLog().take() == ""
+    with captured_log() as complaints:
         assert complaints.take() == ""
         os.write(1, said[0])
         assert complaints.take() == words[0]
@@ -406,5 +406,5 @@ def test_nobody_left_to_complain_is_no_reason_to_wait() -> None:
     os.set_blocking(heard, False)
     os.write(written, b"Connection refused\n")
     os.close(written)
-    assert Complaints(heard).take() == "nothing listens at this address and port"
+    assert FfmpegLog(heard).take() == "nothing listens at this address and port"
     os.close(heard)

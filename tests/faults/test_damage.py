@@ -91,7 +91,9 @@ def installation(quick_path: Path) -> Iterator[Installation]:
         events = spool.append(
             [Event(camera, "entry", 60.0 * number + n) for n in range(chance.randint(1, 6))]
         )
-        entries = [Entry("event", camera, one.boot, one.seq, codec.to_pack(one)) for one in events]
+        entries = [
+            Entry("event", camera, one.boot, one.seq, codec.to_msgpack(one)) for one in events
+        ]
         versions = (
             [StoredVersion(EPOCH, number, f"sha256:{number}", chance.randbytes(600))]
             if number % 5 == 0

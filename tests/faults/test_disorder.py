@@ -15,7 +15,7 @@ from serving import numbered
 from sizes import size
 from traffic import crossings, last_event
 
-from camtopod.codec import to_pack
+from camtopod.codec import to_msgpack
 from camtopod.config.settings import Limits
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -101,7 +101,7 @@ def received(
     stopping.set()  # one round at a time
     for start in range(0, len(arrivals), ROUND_EVENTS):
         for event in arrivals[start : start + ROUND_EVENTS]:
-            receiver.on_event(f"event/{event.camera}", to_pack(event))
+            receiver.on_event(f"event/{event.camera}", to_msgpack(event))
         receiver.work(stopping)
         receiver.store(stopping)
     return made, learner, shelf, line

@@ -219,7 +219,7 @@ def puppet(cleanup: contextlib.ExitStack) -> Puppet:
 
 
 def client(endpoint: str, mode: str = "client") -> dict[str, Any]:
-    return rules.quiet(mode) | {
+    return rules.session_settings(mode) | {
         "connect/endpoints": [endpoint],
         "listen/endpoints": [],
         "connect/timeout_ms": 500,
@@ -667,7 +667,8 @@ def test_without_limits_the_same_arrives(cleanup: contextlib.ExitStack) -> None:
         endpoint = bus.endpoint  # free again in a moment
     unlimited, flooder = puppet(cleanup), puppet(cleanup)
     assert unlimited.open(
-        **rules.quiet("router"), **{"listen/endpoints": [endpoint], "connect/endpoints": []}
+        **rules.session_settings("router"),
+        **{"listen/endpoints": [endpoint], "connect/endpoints": []},
     )
     unlimited.do("subscribe", key="**")
     assert flooder.open(**client(endpoint))

@@ -17,7 +17,7 @@ from serving import T0, all_out, closing_event, numbered, small_config, wait_for
 from sizes import size
 
 from camtopod import codec
-from camtopod.codec import EVENT_BYTES_MAX, T_MAX, T_MIN, Rejected, to_pack
+from camtopod.codec import EVENT_BYTES_MAX, T_MAX, T_MIN, Rejected, to_msgpack
 from camtopod.codec import event_from_bytes as decode
 from camtopod.config.settings import SiteSettings
 from camtopod.records import Ack, Event
@@ -56,7 +56,7 @@ def fuzz(count: int, seed: int) -> Counter[str]:
         assert event.boot is None or len(event.boot) <= 64
         assert event.seq is None or 0 <= event.seq < 2**63
         assert event.clock_sd is None or 0 <= event.clock_sd <= 1e6
-        assert decode(to_pack(event)) == event
+        assert decode(to_msgpack(event)) == event
     return outcome
 
 
@@ -156,7 +156,7 @@ class Poisoner:
 
     def acks(self, count: int, chance: random.Random) -> int:
         """Publish damaged messages that are no acknowledgements; return their number."""
-        good = [to_pack(Ack("lobby", "b1", seq)) for seq in (0, 50, 2**40)]
+        good = [to_msgpack(Ack("lobby", "b1", seq)) for seq in (0, 50, 2**40)]
         sent = 0
         while sent < count:
             raw = mutant(chance, good)
@@ -176,7 +176,7 @@ class Poisoner:
 
         def answer(key: str, parameters: dict[str, str]) -> msgspec.Raw:
             self.answers += 1
-            return msgspec.Raw(mutant(chance, [to_pack(batch)])[:-1] + b"\xc1")
+            return msgspec.Raw(mutant(chance, [to_msgpack(batch)])[:-1] + b"\xc1")
 
         for number in range(cameras):
             self.bus.answer(f"spool/junk{number}", answer, "spool")

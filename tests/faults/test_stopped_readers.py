@@ -119,7 +119,7 @@ class Walks:
             camera = SENDERS[number % len(SENDERS)]
             self._seqs[camera] += 1
             event = Event(camera, "exit", time.time(), 0.5, 0.5, boot="b", seq=self._seqs[camera])
-            event = codec.event_from_pack(codec.to_pack(event))
+            event = codec.event_from_msgpack(codec.to_msgpack(event))
             with self._mutex:
                 now = time.monotonic()
                 self._put[camera, event.t] = self._unacknowledged[camera, self._seqs[camera]] = now

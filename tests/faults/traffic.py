@@ -18,7 +18,7 @@ from pathlib import Path
 
 import msgspec
 
-from camtopod.codec import to_pack
+from camtopod.codec import to_msgpack
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus.session import BusError, dial
@@ -94,7 +94,7 @@ def publish(
         for seq, event in enumerate(due if publisher is None else (), start=done + 1):
             bus.publish_raw(
                 f"event/{camera}",
-                to_pack(msgspec.structs.replace(event, boot="none", seq=seq)),
+                to_msgpack(msgspec.structs.replace(event, boot="none", seq=seq)),
                 "event",
             )
         done += len(due)

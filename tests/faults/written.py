@@ -156,14 +156,14 @@ class WrittenSpool:
 
     def last(self) -> int:
         row = self.spool._db.execute("SELECT raw FROM event ORDER BY id DESC LIMIT 1").fetchone()
-        return 0 if row is None else int(codec.event_from_pack(row[0]).t) // 10
+        return 0 if row is None else int(codec.event_from_msgpack(row[0]).t) // 10
 
     def missing(self, start: int, stop: int) -> list[int]:
         looked_at = min(self.events_max - 100, 2000)
         rows = self.spool._db.execute(
             "SELECT raw FROM event ORDER BY id DESC LIMIT ?", (looked_at,)
         )
-        times = {codec.event_from_pack(raw).t for (raw,) in rows}
+        times = {codec.event_from_msgpack(raw).t for (raw,) in rows}
         first = max(
             start, int(min(times, default=0.0)) // 10 + 1 if len(times) >= looked_at else start
         )

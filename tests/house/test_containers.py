@@ -171,7 +171,7 @@ def test_images_are_pinned() -> None:
 
 def test_a_router_looks_for_nobody(tmp_path: Path) -> None:
     """Like the daemon's own session and the router with certificates."""
-    quiet = rules.quiet("router")
+    quiet = rules.session_settings("router")
     for name, config in routers(tmp_path).items():
         for path in (
             "mode",

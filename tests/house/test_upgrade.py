@@ -95,7 +95,7 @@ class OldBatch(msgspec.Struct):
 
 def test_its_grabbers_talk_to_this_daemon(tmp_path: Path) -> None:
     events = [Event("a", "entry", T0 + n, boot="old", seq=n) for n in range(1, 6)]
-    spool = {event.seq or 0: codec.to_pack(event) for event in events}
+    spool = {event.seq or 0: codec.to_msgpack(event) for event in events}
     acks: list[OldAck] = []
 
     def answer(key: str, parameters: dict[str, str]) -> OldBatch:

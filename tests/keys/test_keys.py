@@ -418,8 +418,8 @@ def test_the_largest_valid_event_fits_everywhere() -> None:
     event = Event(
         "c" * 64, "entry", 1.7e9 + 0.123456, 0.1, 0.2, wide * 128, wide * 64, 2**63 - 1, 0.3
     )
-    size = len(codec.to_pack(event))
-    assert codec.event_from_pack(codec.to_pack(event)) == event
+    size = len(codec.to_msgpack(event))
+    assert codec.event_from_msgpack(codec.to_msgpack(event)) == event
     assert size + 64 < rules.SPOOLED_BYTES_MAX, "with what a spool's answer adds"
     assert codec.EVENT_BYTES_MAX < rules.EVENT_BYTES_MAX, "so that there is something to count"
     assert rules.spool_bytes_max(Limits().pull_events_max) < 2 * 1024 * 1024
@@ -429,7 +429,7 @@ def test_what_expires_is_known_in_advance(authority: Authority) -> None:
     def names(days: float) -> list[str]:
         return [
             certificate.name
-            for certificate, _ in rules.expiring(authority.access, NOW + days * DAY)
+            for certificate, _ in rules.expiring_certificates(authority.access, NOW + days * DAY)
         ]
 
     assert names(0) == ["reader:wall"]  # its 30 days are fewer than the warning's 60
@@ -515,7 +515,7 @@ def test_secrets_that_others_can_read_are_warned_of(
     path.write_text('[cameras.a]\nsource = "rtsp://h/x"\n')
     main.main(["check", str(path)])
     assert "holds a secret" not in capsys.readouterr().err
-    assert secret_files.exposed([tmp_path / "none"]) == []
+    assert secret_files.find_exposed([tmp_path / "none"]) == []
 
 
 def test_a_camera_s_process_leaves_warnings_to_the_one_above(

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from paths import ROOT
+from paths import ROOT, SUPPORT
 
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
@@ -106,7 +106,7 @@ def took(name: str, scale: float) -> dict[str, float]:
         capture_output=True,
         check=True,
         cwd=ROOT,
-        env={"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+        env={"PYTHONPATH": f"{ROOT}:{SUPPORT}", "OMP_NUM_THREADS": "1"},
     )
     return msgspec.json.decode(found.stdout, type=dict[str, float])
 

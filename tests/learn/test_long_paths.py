@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from synthetic_events import learned_from
 
 from camtopod.client.gate import Gate
-from camtopod.codec import read_topology, to_json
+from camtopod.codec import decode_topology, to_json
 from camtopod.learn.long_paths import LongPath, delayed, find_long_paths
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Link, Topology
-from camtopod.web.explanations import Stories
+from camtopod.web.explanations import Explanations
 
 T0 = 1e6
 WALKS = 700
@@ -118,13 +118,13 @@ def test_who_arrives_in_time_is_probably_the_one_who_left(far_and_near: Topology
 
 
 def test_a_version_says_by_how_much_its_lags_are_delayed(far_and_near: Topology) -> None:
-    assert read_topology(to_json(far_and_near)) == far_and_near
+    assert decode_topology(to_json(far_and_near)) == far_and_near
     link = between(far_and_near)["a/1", "b/1"]
     assert link.histogram is not None
     assert link.histogram.delay == pytest.approx(300.0, abs=10.0)
     near = between(far_and_near)["b/1", "c/1"]
     assert b"delay" not in to_json(near), "as versions were before there were long ways"
-    story = Stories(far_and_near).link("a/1", "b/1", link.relation)
+    story = Explanations(far_and_near).link("a/1", "b/1", link.relation)
     assert story is not None
     chart = story["chart"]
     assert np.median(chart["samples"]) == pytest.approx(300.0, abs=5.0)

@@ -15,10 +15,10 @@ from bench.support.measure import (
     TRAIN_SHARE,
     Record,
     baselines,
-    by_their_clocks,
     measure,
     network_figures,
     serve,
+    with_camera_clocks,
 )
 from bench.support.table import mean_and_error, tables
 from camtopod.learn.learner import Learner
@@ -205,11 +205,15 @@ def test_transit_times_are_held_against_those_by_the_cameras_own_clocks() -> Non
 
     events, truth = simulate(SimSettings(cameras=4, hours=0.3, clock_sd=20.0))
     assert network_figures(topology_of(truth), truth, events)["median_error"] > 0.1
-    assert network_figures(topology_of(by_their_clocks(truth)), truth, events)["median_error"] == 0
+    assert (
+        network_figures(topology_of(with_camera_clocks(truth)), truth, events)["median_error"] == 0
+    )
     link = next(link for link in truth.links if link.relation == "unseen")
     offset = [truth.clock_offsets[zone.split("/")[0]] for zone in (link.from_, link.to)]
     shifted = next(
-        one for one in by_their_clocks(truth).links if (one.from_, one.to) == (link.from_, link.to)
+        one
+        for one in with_camera_clocks(truth).links
+        if (one.from_, one.to) == (link.from_, link.to)
     )
     assert shifted.transit.q50 == pytest.approx(link.transit.q50 + offset[1] - offset[0])
     assert shifted.transit.sd == link.transit.sd

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.predict.contexts import Surroundings
+from camtopod.predict.contexts import ContextMultipliers
 from camtopod.predict.hazards import Outcomes
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
@@ -84,7 +84,7 @@ def test_multipliers_equal_their_slow_twin(
             steps.append(
                 (n, {2: to_b, 3: to_c}, min(sure, 1.0) if key[2] and sure is not None else 1.0)
             )
-    surroundings = Surroundings(topology_with(rows))
+    surroundings = ContextMultipliers(topology_with(rows))
     fast, leaving = surroundings.multipliers(
         0,
         outcomes([b, c], leave),
@@ -105,7 +105,7 @@ def test_multipliers_equal_their_slow_twin(
 
 @pytest.mark.parametrize("contexts", [None, [], [Context("b/1", 30.0, {"c/1": 30.0}, block=5)]])
 def test_a_zone_without_contexts_knows_nothing_more(contexts: list[Context] | None) -> None:
-    likelier, leave = Surroundings(topology_with(contexts)).multipliers(
+    likelier, leave = ContextMultipliers(topology_with(contexts)).multipliers(
         0, outcomes([0.4, 0.4], 0.2), 5, 1, "c", 1.0
     )
     assert likelier.tolist() == [1.0, 1.0]
@@ -114,7 +114,9 @@ def test_a_zone_without_contexts_knows_nothing_more(contexts: list[Context] | No
 
 def test_without_a_model_too() -> None:
     plain = Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 0, "", [], [], [], [])
-    likelier, _ = Surroundings(plain).multipliers(0, outcomes([0.4, 0.4], 0.2), 5, 1, "c", 1.0)
+    likelier, _ = ContextMultipliers(plain).multipliers(
+        0, outcomes([0.4, 0.4], 0.2), 5, 1, "c", 1.0
+    )
     assert likelier.tolist() == [1.0, 1.0]
 
 
@@ -123,7 +125,7 @@ def test_a_context_never_seen_says_nothing_and_a_rare_one_little() -> None:
         Context("a/1", 0.5, {"b/1": 0.5}, block=7),
         Context("a/1", 500.0, {"b/1": 500.0}, block=8),
     ]
-    known = Surroundings(topology_with(rows))
+    known = ContextMultipliers(topology_with(rows))
     never, rare, often = (
         known.multipliers(0, outcomes([0.4, 0.4], 0.2), block, None, None, 0.0)[0][0]
         for block in (6, 7, 8)

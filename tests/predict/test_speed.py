@@ -12,7 +12,7 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic.speed import usual_dwell_times
 from camtopod.predict.predictor import Predictor
-from camtopod.predict.speed import Paces, windows_at_pace
+from camtopod.predict.speed import PaceModel, windows_at_pace
 from camtopod.records import Camera, Model, Pace, Topology, Way, Zone
 from camtopod.sim.scoring import next_entries
 from camtopod.sim.simulation import SimSettings, simulate
@@ -20,10 +20,10 @@ from camtopod.sim.simulation import SimSettings, simulate
 ZONES = [Zone("a/1", "a", 9, 9), Zone("a/2", "a", 9, 9)]
 
 
-def paces(pace: Pace | None) -> Paces:
+def paces(pace: Pace | None) -> PaceModel:
     model = Model(4.0, 0.1, -20.0, 120.0, [], [], pace=pace)
     cameras = [Camera("a", ["a/1", "a/2"])]
-    return Paces(
+    return PaceModel(
         Topology(
             "camtopod/topology/1", "s", "e", 1, 0.0, 9, "", cameras, ZONES, [], [], model=model
         )
@@ -31,7 +31,7 @@ def paces(pace: Pace | None) -> Paces:
 
 
 def window(
-    site: Paces,
+    site: PaceModel,
     entry: int | None,
     exit_: int,
     dwell: float | None,

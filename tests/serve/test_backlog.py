@@ -12,7 +12,12 @@ from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.ingest.backlog import HOLD_SECONDS_MAX, SETTLE_SECONDS, STUCK_SECONDS, Merge
+from camtopod.serve.ingest.backlog import (
+    HOLD_SECONDS_MAX,
+    SETTLE_SECONDS,
+    STALLED_SECONDS,
+    BacklogMerger,
+)
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
@@ -25,7 +30,9 @@ def at(camera: str, *times: float) -> list[Received]:
     ]
 
 
-def release(merge: Merge, ready: list[Received], now: float, most: int = 100) -> list[Received]:
+def release(
+    merge: BacklogMerger, ready: list[Received], now: float, most: int = 100
+) -> list[Received]:
     return merge.release(ready, now, lambda: most)
 
 
@@ -34,7 +41,7 @@ def times(released: list[Received]) -> list[float]:
 
 
 def test_live_events_go_straight_through() -> None:
-    merge = Merge(100)
+    merge = BacklogMerger(100)
     assert release(merge, at("a", 5.0, 4.0), 0.0) == at("a", 5.0, 4.0)
     merge.answered("a", [5.5], False, 0.0)
     assert release(merge, at("a", 5.5), 0.0) == at("a", 5.5), (
@@ -43,7 +50,7 @@ def test_live_events_go_straight_through() -> None:
 
 
 def test_backlogs_are_merged_by_time() -> None:
-    merge = Merge(100)
+    merge = BacklogMerger(100)
     release(merge, at("a", 1.0), 0.0)
     merge.answered("a", [10.0, 30.0], False, 0.0)
     assert release(merge, at("a", 10.0, 30.0), 0.0) == []
@@ -57,17 +64,17 @@ def test_backlogs_are_merged_by_time() -> None:
 
 
 def test_who_has_more_is_waited_for_unless_it_is_stuck() -> None:
-    merge = Merge(100)
+    merge = BacklogMerger(100)
     merge.answered("a", [10.0, 30.0], True, 0.0)
     merge.answered("b", [5.0, 20.0], True, 0.0)
     assert release(merge, at("a", 10.0, 30.0) + at("b", 5.0, 20.0), 0.0) == [], "others may come"
     assert times(release(merge, [], SETTLE_SECONDS)) == [5.0, 10.0, 20.0]
-    assert release(merge, [], STUCK_SECONDS + SETTLE_SECONDS - 0.1) == []
-    assert times(release(merge, [], STUCK_SECONDS + SETTLE_SECONDS)) == [30.0]
+    assert release(merge, [], STALLED_SECONDS + SETTLE_SECONDS - 0.1) == []
+    assert times(release(merge, [], STALLED_SECONDS + SETTLE_SECONDS)) == [30.0]
 
 
 def test_a_backlog_that_is_late_anyway_is_not_waited_for() -> None:
-    merge = Merge(100)
+    merge = BacklogMerger(100)
     release(merge, at("a", 100.0), 0.0)
     merge.answered("b", [5.0, 20.0], True, 0.0)
     assert release(merge, at("b", 5.0, 20.0) + at("a", 101.0), 0.0) == at("b", 5.0, 20.0) + at(
@@ -76,7 +83,7 @@ def test_a_backlog_that_is_late_anyway_is_not_waited_for() -> None:
 
 
 def test_nobody_waits_for_ever_nor_does_too_much() -> None:
-    merge = Merge(3)
+    merge = BacklogMerger(3)
     merge.answered("a", [10.0, 30.0], True, 0.0)
     merge.answered("b", [10.0, 40.0], True, 0.0)
     release(merge, at("b", 40.0, 41.0, 42.0), 0.0)
@@ -91,7 +98,7 @@ def test_nobody_waits_for_ever_nor_does_too_much() -> None:
 
 
 def test_no_more_than_may_is_released_at_a_time() -> None:
-    merge = Merge(100)
+    merge = BacklogMerger(100)
     merge.answered("a", [10.0, 30.0], False, 0.0)
     release(merge, at("a", *range(10, 31)), 0.0)
     out = [one for _ in range(5) for one in release(merge, [], 9.0, 5)]
@@ -100,16 +107,16 @@ def test_no_more_than_may_is_released_at_a_time() -> None:
 
 
 def test_small_backlogs_that_keep_coming_hold_nothing_up_for_long() -> None:
-    merge = Merge(100)
-    for now in range(int(STUCK_SECONDS)):
+    merge = BacklogMerger(100)
+    for now in range(int(STALLED_SECONDS)):
         merge.answered("a", [10.0 * now, 10.0 * now + 9], False, float(now))
         assert release(merge, at("a", 10.0 * now), float(now)) == []
-    merge.answered("a", [100.0, 109.0], False, STUCK_SECONDS)
-    assert len(release(merge, [], STUCK_SECONDS)) == STUCK_SECONDS
+    merge.answered("a", [100.0, 109.0], False, STALLED_SECONDS)
+    assert len(release(merge, [], STALLED_SECONDS)) == STALLED_SECONDS
 
 
 def test_what_has_no_time_keeps_its_place() -> None:
-    merge = Merge(100)
+    merge = BacklogMerger(100)
     merge.answered("a", [10.0, 30.0], False, 0.0)
     refused = Received(Entry("refused", "a", "b", 11, b""))
     earlier = at("a", 9.0)

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 from serving import T0, small_config, wait_for
 
-from camtopod.codec import event_from_bytes, to_pack
+from camtopod.codec import event_from_bytes, to_msgpack
 from camtopod.config.settings import Limits
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -22,7 +22,6 @@ from camtopod.serve.bus.session import BusError
 from camtopod.serve.bus.single_daemon import NAMED_MAX, OtherDaemons
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest.camera_registry import (
-    BELIEVED_SECONDS,
     DOUBLED_SECONDS,
     EARLY_SECONDS_MAX,
     FLOOD_SECONDS_KEPT,
@@ -30,7 +29,8 @@ from camtopod.serve.ingest.camera_registry import (
     LEADS_SECONDS,
     REFUSED_SECONDS,
     REWIND_SECONDS,
-    Cameras,
+    TRUSTED_SECONDS,
+    CameraRegistry,
     Received,
 )
 from camtopod.serve.ingest.inbox import Inbox, Message
@@ -50,8 +50,8 @@ def received(event: Event) -> Received:
     return Received(Entry("event", event.camera, None, None, b""), event)
 
 
-def admitted(*names: str, **limits: float) -> Cameras:
-    cameras = Cameras(Limits(**limits))  # type: ignore[arg-type]
+def admitted(*names: str, **limits: float) -> CameraRegistry:
+    cameras = CameraRegistry(Limits(**limits))  # type: ignore[arg-type]
     for name in names:
         assert cameras.admit(name, 0.0)
     return cameras
@@ -63,16 +63,16 @@ def admitted(*names: str, **limits: float) -> Cameras:
 def test_an_event_that_is_early_waits_and_so_does_what_its_camera_sends_after_it() -> None:
     cameras = admitted("a", "b")
     early, behind, other = received(at("a", T0 + 50)), received(at("a", T0)), received(at("b", T0))
-    assert cameras.in_time([early, behind, other], T0, 100.0) == [other]
+    assert cameras.release_due([early, behind, other], T0, 100.0) == [other]
     assert cameras.waiting == 2
-    assert cameras.in_time([], T0 + 48, 148.9) == []
-    assert cameras.in_time([received(at("b", T0 + 49))], T0 + 49, 149.0) == [
+    assert cameras.release_due([], T0 + 48, 148.9) == []
+    assert cameras.release_due([received(at("b", T0 + 49))], T0 + 49, 149.0) == [
         early,
         behind,
         received(at("b", T0 + 49)),
     ]
     assert cameras.waiting == 0
-    assert cameras.in_time([received(at("a", T0 + 51))], T0 + 50, 150.0) == [
+    assert cameras.release_due([received(at("a", T0 + 51))], T0 + 50, 150.0) == [
         received(at("a", T0 + 50 + EARLY_SECONDS_MAX))
     ]
 
@@ -80,16 +80,16 @@ def test_an_event_that_is_early_waits_and_so_does_what_its_camera_sends_after_it
 def test_an_early_event_waits_by_the_clock_that_does_not_step() -> None:
     cameras = admitted("a")
     early = received(at("a", T0 + 30))
-    assert cameras.in_time([early], T0, 0.0) == []
-    assert cameras.in_time([], T0 - 86_400, 28.0) == []
-    assert cameras.in_time([], T0 - 86_400, 29.0) == [early], (
+    assert cameras.release_due([early], T0, 0.0) == []
+    assert cameras.release_due([], T0 - 86_400, 28.0) == []
+    assert cameras.release_due([], T0 - 86_400, 29.0) == [early], (
         "although the clock was set back by a day"
     )
 
 
 def test_no_more_wait_than_may() -> None:
     cameras = admitted("a", held_events_max=2)
-    cameras.in_time([received(at("a", T0 + 30 + n)) for n in range(2)], T0, 0.0)
+    cameras.release_due([received(at("a", T0 + 30 + n)) for n in range(2)], T0, 0.0)
     assert cameras.full("a")
 
 
@@ -118,7 +118,7 @@ def test_two_cameras_are_too_few_to_doubt_the_clock() -> None:
 @pytest.mark.parametrize("boxes", [{}, dict.fromkeys(("yard", "gate", "shed"), "nvr")])
 def test_the_cameras_of_one_box_have_one_vote_and_the_box_is_named(boxes: dict[str, str]) -> None:
     good, wild = ["hall", "lobby", "stairs"], ["gate", "shed", "yard"]
-    cameras = Cameras(Limits(), boxes=boxes)
+    cameras = CameraRegistry(Limits(), boxes=boxes)
     for name in [*good, *wild]:
         cameras.admit(name, 0.0)
     assert not any(cameras.is_future(at(name, T0), T0, 0.0, True, name) for name in good)
@@ -150,7 +150,7 @@ def test_a_camera_that_two_programs_publish_is_named_for_a_while() -> None:
 
 
 def test_as_far_as_the_clock_is_before_what_was_stored_last_it_is_behind() -> None:
-    cameras = Cameras(Limits(), behind=7200.0)
+    cameras = CameraRegistry(Limits(), behind=7200.0)
     cameras.admit("a", 0.0)
     assert not cameras.is_future(at("a", T0 + 7000), T0, 0.0, True)
     assert cameras.clock_behind == 7000.0
@@ -171,15 +171,15 @@ def test_event_time_that_is_ahead_is_taken_back_when_that_has_lasted() -> None:
 
 def test_event_time_is_not_taken_back_to_a_clock_that_may_be_wrong() -> None:
     cameras = admitted("a")
-    cameras.in_time([], T0 + DAY, 0.0)
-    cameras.in_time([], T0 + 1, 1.0)  # set back by a day
-    for now in (2.0, 1.0 + BELIEVED_SECONDS):
+    cameras.release_due([], T0 + DAY, 0.0)
+    cameras.release_due([], T0 + 1, 1.0)  # set back by a day
+    for now in (2.0, 1.0 + TRUSTED_SECONDS):
         assert cameras.rewind_to(T0 + DAY, T0 + now, now) is None, "no camera says which is right"
     cameras.is_future(at("a", T0 + 700), T0 + 700, 700.0, True)
     assert cameras.rewind_to(T0 + DAY, T0 + 700, 700.0) is None
-    for now in (1000.0, 700.0 + BELIEVED_SECONDS):
+    for now in (1000.0, 700.0 + TRUSTED_SECONDS):
         cameras.is_future(at("a", T0 + now), T0 + now, now, True)
-    assert cameras.rewind_to(T0 + DAY, T0 + 1300, 700.0 + BELIEVED_SECONDS) == T0 + 1300
+    assert cameras.rewind_to(T0 + DAY, T0 + 1300, 700.0 + TRUSTED_SECONDS) == T0 + 1300
 
 
 def test_a_clock_that_was_set_back_is_noticed_however_few_the_cameras_are() -> None:
@@ -245,10 +245,10 @@ def test_a_jump_forward_is_believed_when_it_has_lasted() -> None:
     cameras = admitted("a", "b", "c")
     for name in "abc":
         cameras.is_future(at(name, T0), T0, 0.0, True)
-    for now in (1.0, BELIEVED_SECONDS):
+    for now in (1.0, TRUSTED_SECONDS):
         assert cameras.is_future(at("a", T0 + DAY), T0 + DAY + now, now, True)
-    lasted = BELIEVED_SECONDS + 1.0
-    assert cameras.in_time([], T0 + DAY + lasted, lasted) == []
+    lasted = TRUSTED_SECONDS + 1.0
+    assert cameras.release_due([], T0 + DAY + lasted, lasted) == []
     assert (cameras.clock_ahead, cameras.clock_behind) == (0.0, 0.0), "although no event came"
     assert not cameras.is_future(at("a", T0 + DAY + lasted), T0 + DAY + lasted, lasted, True)
 
@@ -256,11 +256,11 @@ def test_a_jump_forward_is_believed_when_it_has_lasted() -> None:
 def test_each_jump_forward_has_to_last_by_itself() -> None:
     cameras = admitted("a")
     for now, step in ((0.0, 0.0), (1.0, 100.0), (500.0, 300.0), (601.0, 300.0)):
-        cameras.in_time([], T0 + step + now, now)
+        cameras.release_due([], T0 + step + now, now)
     assert cameras.clock_ahead == 200.0
-    cameras.in_time([], T0 + 150.0 + 700.0, 700.0)
+    cameras.release_due([], T0 + 150.0 + 700.0, 700.0)
     assert cameras.clock_ahead == 50.0, "what is set back is the newest"
-    cameras.in_time([], T0 + 150.0 + 1100.0, 1100.0)
+    cameras.release_due([], T0 + 150.0 + 1100.0, 1100.0)
     assert cameras.clock_ahead == 0.0
 
 
@@ -280,16 +280,16 @@ def test_cameras_with_clocks_of_their_own_notice_nothing_of_a_jump_forward() -> 
         for name in "abc":
             event = at(name, T0 + now)
             assert not cameras.is_future(event, T0 + now + step, now, True)
-            assert cameras.in_time([received(event)], T0 + now + step, now) == [received(event)]
+            assert cameras.release_due([received(event)], T0 + now + step, now) == [received(event)]
 
 
 def test_an_event_a_little_ahead_of_a_clock_that_jumped_forward_waits() -> None:
     cameras = admitted("a")
-    assert cameras.in_time([], T0, 0.0) == []
+    assert cameras.release_due([], T0, 0.0) == []
     jumped = received(at("a", T0 + 31))
-    assert cameras.in_time([jumped], T0 + 31, 1.0) == []
-    assert cameras.in_time([], T0 + 59, 29.0) == []
-    assert cameras.in_time([], T0 + 60, 30.0) == [jumped]
+    assert cameras.release_due([jumped], T0 + 31, 1.0) == []
+    assert cameras.release_due([], T0 + 59, 29.0) == []
+    assert cameras.release_due([], T0 + 60, 30.0) == [jumped]
 
 
 def test_why_what_comes_is_not_learned() -> None:
@@ -297,11 +297,11 @@ def test_why_what_comes_is_not_learned() -> None:
     assert cameras.reason(0.0, T0) == cameras.reason(T0 + 60, T0) == ""
     assert "event time is 3600 s ahead of this machine's clock" in cameras.reason(T0 + 3600, T0)
     for now, step in ((0.0, 0.0), (1.0, 30.0)):
-        cameras.in_time([], T0 + step + now, now)
+        cameras.release_due([], T0 + step + now, now)
     assert cameras.reason(T0, T0 + 31) == "", "nothing is set aside"
-    cameras.in_time([], T0 + DAY + 2, 2.0)
+    cameras.release_due([], T0 + DAY + 2, 2.0)
     assert f"was set forward by {DAY:.0f} s" in cameras.reason(T0, T0 + DAY)
-    cameras.in_time([], T0 + 3, 3.0)
+    cameras.release_due([], T0 + 3, 3.0)
     assert cameras.reason(T0, T0 + 3) == ""
     cameras.is_future(at("a", T0 + 4), T0 - 3596, 4.0, True)
     assert cameras.reason(T0 + 4, T0 - 3596) == "", "it is known that the clock is behind"
@@ -382,7 +382,7 @@ def test_setting_the_clock_forward_does_not_move_event_time(tmp_path: Path) -> N
             one.advance for one in receiver._queue.take(10, 0.0, 0.0) if one.advance is not None
         ]
 
-    receiver._round([Message("a", to_pack(at("a", T0)))])
+    receiver._round([Message("a", to_msgpack(at("a", T0)))])
     receiver.on_deadline(T0 + 5.0)
     step = 3600.0
     assert advances() == []
@@ -418,7 +418,7 @@ def test_learning_goes_on_after_a_jump_forward_and_a_replay_learns_the_same(tmp_
         steady, step = float(second), DAY if 300 <= second < 420 else 0.0
         camera = "abc"[second % 3]
         event = Event(camera, "entry", T0 + steady + step, 0.5, 0.5, boot="boot", seq=second // 3)
-        receiver._round([Message(camera, to_pack(event))])
+        receiver._round([Message(camera, to_msgpack(event))])
         assert receiver._store(receiver._queue.take(1000, 0.0, 0.0), threading.Event())
     assert (receiver.counts["stored"], receiver.counts["future"]) == (780, 120)
     statistics = live.statistics()
@@ -472,7 +472,7 @@ def test_a_camera_whose_grabber_was_seen_takes_the_place_of_a_name_that_merely_s
     assert not cameras.admit("other", 1.0, grabbers)
     assert cameras.admit("new", 1.0, grabbers)
     assert ("one" in cameras, "good" in cameras) == (False, True)
-    cameras.in_time([received(at("two", T0 + 50))], T0, 1.0)
+    cameras.release_due([received(at("two", T0 + 50))], T0, 1.0)
     assert cameras.admit("newer", 2.0, grabbers)
     assert ("two" in cameras, "busy" in cameras) == (True, False), (
         "of one something waits for its time"

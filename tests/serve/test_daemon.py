@@ -448,7 +448,7 @@ def test_event_time_that_a_wrong_clock_took_along_comes_back(
     ]
     journal = Journal(site.directory / "state")
     entries = [
-        Entry("event", e.camera, e.boot, e.seq, codec.to_pack(e))
+        Entry("event", e.camera, e.boot, e.seq, codec.to_msgpack(e))
         for e in [*sorted_by_time(good), *ahead]
     ]
     journal.commit(entries, now=NOW)
@@ -758,7 +758,7 @@ class Answering:
         answer = self._versions.pop(0)
         if self._versions:
             self.on_daemon("daemon", True)
-        return [(key, codec.to_pack(answer))]
+        return [(key, codec.to_msgpack(answer))]
 
 
 @pytest.mark.parametrize("epoch", ["~ later", "! earlier, by a clock that is behind"])

@@ -19,20 +19,20 @@ from serving import T0, wait_for
 from test_recovery import EVENTS, SETTINGS, Installation, uninterrupted
 
 from camtopod import codec
-from camtopod.codec import to_pack
+from camtopod.codec import to_msgpack
 from camtopod.records import Event
 from camtopod.serve.learner_process import feeder, recovery
 from camtopod.serve.learner_process.messages import (
     Answer,
     Begin,
-    Made,
-    Portion,
+    LearnBatch,
+    LearnProgress,
+    NewVersion,
     Question,
+    ShardScope,
+    ShardUpdate,
     Show,
     Shown,
-    Taught,
-    Teach,
-    Told,
 )
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.sharding.assignment import Sharding
@@ -42,7 +42,7 @@ FAULTY = "learners.faulty"
 
 def begun(program: str = PROGRAM) -> LearnerProcess:
     process = LearnerProcess(program)
-    assert isinstance(process.ask(Begin(SETTINGS, "s", "E", {}, False)), Taught)
+    assert isinstance(process.ask(Begin(SETTINGS, "s", "E", {}, False)), LearnProgress)
     return process
 
 
@@ -54,7 +54,7 @@ def process() -> Iterator[LearnerProcess]:
 
 
 def event(track: str) -> bytes:
-    return to_pack(Event("a", "entry", T0, 0.5, 0.5, track))
+    return to_msgpack(Event("a", "entry", T0, 0.5, 0.5, track))
 
 
 def alive(pid: int) -> bool:
@@ -68,7 +68,7 @@ def alive(pid: int) -> bool:
 def test_how_much_is_taught_at_a_time_changes_nothing(
     most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(feeder, "LESSONS_MAX", most)
+    monkeypatch.setattr(feeder, "INPUTS_MAX", most)
     monkeypatch.setattr(feeder, "GATHER_SECONDS", 0.0)
     with contextlib.closing(Installation(tmp_path)) as one:
         for first in range(0, len(EVENTS), 50):
@@ -83,7 +83,7 @@ def test_what_is_more_than_is_kept_in_memory_is_learned_from_the_journal(
 ) -> None:
     """Events arrive while the learner works, and are read from the queue or from the journal."""
     monkeypatch.setattr(feeder, "QUEUED_EVENTS_MAX", queued)
-    monkeypatch.setattr(feeder, "LESSONS_MAX", 8)
+    monkeypatch.setattr(feeder, "INPUTS_MAX", 8)
     monkeypatch.setattr(feeder, "GATHER_SECONDS", 0.0)
     waiting, stop, came = (
         iter([EVENTS[first : first + 11] for first in range(0, len(EVENTS), 11)]),
@@ -114,7 +114,7 @@ def test_what_the_terminal_and_systemd_tell_the_group_is_not_for_it(
 ) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(process.pid, number)
-    assert isinstance(process.ask(Teach(0, [event("1")])), Taught)
+    assert isinstance(process.ask(LearnBatch(0, [event("1")])), LearnProgress)
 
 
 def test_the_signals_of_whoever_starts_it_stay_as_they_were(process: LearnerProcess) -> None:
@@ -124,16 +124,18 @@ def test_the_signals_of_whoever_starts_it_stay_as_they_were(process: LearnerProc
 def test_what_is_printed_there_is_no_answer(
     process: LearnerProcess, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    answer = process.ask(Teach(0, [event("prints")]))
-    assert isinstance(answer, Taught)
+    answer = process.ask(LearnBatch(0, [event("prints")]))
+    assert isinstance(answer, LearnProgress)
     assert answer.position == 1
 
 
 def test_what_cannot_be_read_teaches_nothing_and_is_counted(process: LearnerProcess) -> None:
     answer = process.ask(
-        Teach(0, [b"{}", None, T0, event("1"), b'{"camera":"a","kind":"exit","t":1700000000.0}'])
+        LearnBatch(
+            0, [b"{}", None, T0, event("1"), b'{"camera":"a","kind":"exit","t":1700000000.0}']
+        )
     )
-    assert isinstance(answer, Taught)
+    assert isinstance(answer, LearnProgress)
     assert (answer.position, answer.unreadable) == (5, 1)
     assert answer.statistics["accepted"] == 2
 
@@ -141,7 +143,7 @@ def test_what_cannot_be_read_teaches_nothing_and_is_counted(process: LearnerProc
 def all_said(process: LearnerProcess, question: Question) -> list[Answer]:
     process.send(question)
     said: list[Answer] = []
-    while not (said and isinstance(said[-1], Taught)):
+    while not (said and isinstance(said[-1], LearnProgress)):
         if (answer := process.receive(1.0)) is not None:
             said.append(answer)
     return said
@@ -150,15 +152,15 @@ def all_said(process: LearnerProcess, question: Question) -> list[Answer]:
 def test_of_what_was_stored_before_a_shard_tells_the_newest_alone() -> None:
     """Relearning a long journal makes thousands of versions, each with its parts."""
     portion, lessons = (
-        Portion(Sharding(districts=2), (0, 1)),
-        Teach(0, [to_pack(one) for one in EVENTS]),
+        ShardScope(Sharding(districts=2), (0, 1)),
+        LearnBatch(0, [to_msgpack(one) for one in EVENTS]),
     )
-    made: list[Made] = []
+    made: list[NewVersion] = []
     for _ in range(2):
         stored = {one.version: one.digest for one in made[:-1]}
         with contextlib.closing(LearnerProcess()) as process:
             process.ask(Begin(SETTINGS, "s", "E", stored, False, portion))
-            again = [one for one in all_said(process, lessons) if isinstance(one, Made)]
+            again = [one for one in all_said(process, lessons) if isinstance(one, NewVersion)]
             shown = process.ask(Show())
         assert isinstance(shown, Shown)
         assert not made or [one.digest for one in again] == [made[-1].digest]
@@ -166,7 +168,9 @@ def test_of_what_was_stored_before_a_shard_tells_the_newest_alone() -> None:
     assert len(made) > 3
     assert again[0].told is not None
     assert shown.told is not None
-    told, newest = (codec.read(Told, packed, pack=True) for packed in (again[0].told, shown.told))
+    told, newest = (
+        codec.read(ShardUpdate, packed, pack=True) for packed in (again[0].told, shown.told)
+    )
     assert told.parts == newest.parts
     assert len(told.parts) == 2
 
@@ -176,16 +180,16 @@ def test_it_gives_way(process: LearnerProcess) -> None:
 
 
 def test_killed_while_it_had_nothing_to_do_is_nobodys_fault(process: LearnerProcess) -> None:
-    assert isinstance(process.ask(Teach(0, [event("1")])), Taught)
+    assert isinstance(process.ask(LearnBatch(0, [event("1")])), LearnProgress)
     os.kill(process.pid, signal.SIGKILL)
     with pytest.raises(LearnerEnded) as ended:
-        process.ask(Teach(1, [event("2")]))
+        process.ask(LearnBatch(1, [event("2")]))
     assert (ended.value.status, ended.value.at) == (-signal.SIGKILL, 0)
 
 
 def test_a_question_that_takes_too_long_ends_it(process: LearnerProcess) -> None:
     with pytest.raises(LearnerEnded) as ended:
-        process.ask(Teach(0, [event("1"), event("lasts")]), seconds_max=0.3)
+        process.ask(LearnBatch(0, [event("1"), event("lasts")]), seconds_max=0.3)
     assert ended.value.at == 2
 
 
@@ -199,7 +203,7 @@ def test_an_endless_step_holds_up_no_stop_and_loses_nothing(
         one.learning.feed(one.store([msgspec.structs.replace(EVENTS[100], track="lasts")]))
         working = threading.Thread(target=one.learning.work, args=(stop,))
         working.start()
-        wait_for(lambda: one.process.got_on(), "the step to begin")
+        wait_for(lambda: one.process.has_progressed(), "the step to begin")
         stop.set()
         began = time.monotonic()
         working.join()
@@ -215,8 +219,8 @@ def test_an_endless_step_holds_up_no_stop_and_loses_nothing(
 
 def test_told_to_hurry_it_answers_after_the_entry_it_is_at(process: LearnerProcess) -> None:
     process.hurry()
-    answer = process.ask(Teach(7, [event(str(number)) for number in range(50)]))
-    assert isinstance(answer, Taught)
+    answer = process.ask(LearnBatch(7, [event(str(number)) for number in range(50)]))
+    assert isinstance(answer, LearnProgress)
     assert (answer.position, answer.statistics["accepted"]) == (8, 1)
 
 
@@ -225,8 +229,8 @@ def test_it_ends_with_the_daemon_even_in_the_middle_of_a_step(busy: bool) -> Non
     script = (
         "import test_learner_process as t, sys, time\n"
         "process = t.begun(t.FAULTY)\n"
-        f"if {busy}: process.send(t.Teach(0, [t.event('lasts')]))\n"
-        f"while process.got_on() != {busy}: time.sleep(0.01)\n"
+        f"if {busy}: process.send(t.LearnBatch(0, [t.event('lasts')]))\n"
+        f"while process.has_progressed() != {busy}: time.sleep(0.01)\n"
         "print(process.pid, flush=True)\n"
         "time.sleep(1000)\n"
     )

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 from serving import closing_event, numbered, walkers
 
-from camtopod.codec import to_pack
+from camtopod.codec import to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Prediction, Topology
@@ -29,7 +29,7 @@ def learned() -> Topology:
     return learner.topology
 
 
-@pytest.mark.parametrize("as_sent", [lambda topology: topology, to_pack])
+@pytest.mark.parametrize("as_sent", [lambda topology: topology, to_msgpack])
 def test_exits_are_predicted_by_the_version_in_use(
     learned: Topology, as_sent: Callable[[Topology], Topology | bytes]
 ) -> None:

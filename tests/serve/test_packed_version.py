@@ -7,11 +7,11 @@ import sys
 import pytest
 from serving import closing_event, numbered, walkers
 
-from camtopod.codec import to_pack
+from camtopod.codec import to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Topology
-from camtopod.serve.storage.packed_version import Newest, head_of
+from camtopod.serve.storage.packed_version import CurrentVersion, head_of
 
 EVENTS = [*numbered(walkers(60)), closing_event()]
 
@@ -26,7 +26,7 @@ def learned() -> Topology:
 
 
 def test_the_head_of_what_is_packed_is_that_of_the_whole(learned: Topology) -> None:
-    head = head_of(to_pack(learned))
+    head = head_of(to_msgpack(learned))
     assert head == head_of(learned)
     assert (head.digest, head.zones, head.links) == (
         learned.digest,
@@ -38,10 +38,13 @@ def test_the_head_of_what_is_packed_is_that_of_the_whole(learned: Topology) -> N
 
 
 def test_what_is_held_packed_comes_out_as_it_went_in(learned: Topology) -> None:
-    packed = to_pack(learned)
-    for newest in (Newest(head_of(learned), packed), Newest(head_of(learned), learned)):
+    packed = to_msgpack(learned)
+    for newest in (
+        CurrentVersion(head_of(learned), packed),
+        CurrentVersion(head_of(learned), learned),
+    ):
         assert newest.topology == learned
-        assert to_pack(newest.raw) == packed
+        assert to_msgpack(newest.raw) == packed
 
 
 def test_a_predictor_holds_no_topology(learned: Topology) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from serving import T0, closing_event, numbered, walkers
 
-from camtopod.codec import Rejected, to_pack
+from camtopod.codec import Rejected, to_msgpack
 from camtopod.config.settings import Limits
 from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event, Prediction
@@ -71,7 +71,7 @@ class Bench:
 
     def hear(self, *events: Event) -> None:
         for event in events:
-            self.receiver.on_event(f"event/{event.camera}", to_pack(event))
+            self.receiver.on_event(f"event/{event.camera}", to_msgpack(event))
 
     def round(self) -> None:
         self.receiver._round(self.receiver._take())
@@ -119,7 +119,7 @@ class Mouth:
         return (
             None
             if events is None
-            else [(f"event/{event.camera}", to_pack(event)) for event in events]
+            else [(f"event/{event.camera}", to_msgpack(event)) for event in events]
         )
 
     def close(self) -> None:
@@ -409,10 +409,10 @@ def test_an_answer_that_begins_beyond_all_measure_is_counted_as_far_as_counts_go
         bench.hear(*events(1, 1, boot=boot))
         bench.round()
         batch = SpoolBatch("lobby", boot, 2**63 - 1, 0, False, [])
-        assert bench.receiver.on_pulled(SpoolAnswer(batch, 2))
+        assert bench.receiver.on_answer(SpoolAnswer(batch, 2))
         bench.round()
     assert bench.receiver.streams.lost > 2**62
-    assert to_pack(bench.receiver.streams.lost)
+    assert to_msgpack(bench.receiver.streams.lost)
 
 
 def test_what_another_shards_camera_sent_unheard_is_not_lost(tmp_path: Path) -> None:
@@ -420,7 +420,7 @@ def test_what_another_shards_camera_sent_unheard_is_not_lost(tmp_path: Path) -> 
     for camera in ("own", "guest"):
         bench.hear(*events(1, 1, camera))
         bench.round()
-        assert bench.receiver.on_pulled(
+        assert bench.receiver.on_answer(
             SpoolAnswer(SpoolBatch(camera, "b", 800, 799, False, []), 2)
         )
         bench.round()
@@ -548,6 +548,6 @@ def test_what_waits_is_no_larger_than_an_event_may_be(bench: Bench) -> None:
 )
 def test_an_answer_that_is_none_to_the_question_is_rejected(batch: SpoolBatch, what: str) -> None:
     with pytest.raises(Rejected, match=what):
-        read_batch(to_pack(batch), "lobby", 2)
+        read_batch(to_msgpack(batch), "lobby", 2)
     good = SpoolBatch("lobby", "b", 1, 0, True, [(1, b""), (2, b"")])
-    assert read_batch(to_pack(good), "lobby", 2) == good
+    assert read_batch(to_msgpack(good), "lobby", 2) == good

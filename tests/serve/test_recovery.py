@@ -16,13 +16,13 @@ import msgspec
 import pytest
 from serving import closing_event, numbered, small_config, walkers
 
-from camtopod.codec import to_pack
+from camtopod.codec import to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.learner_process import recovery
-from camtopod.serve.learner_process.feeder import Learning
+from camtopod.serve.learner_process.feeder import LearnerFeeder
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import recover
 from camtopod.serve.runtime.progress import no_beat
@@ -60,7 +60,7 @@ class Installation:
         self._epochs = iter("EFGHIJ"[len(self.journal.meta("epochs") or "") :])
         recovered = recover(self.journal, self.process, settings, "s", self.new_epoch)
         self.started_at = recovered.position
-        self.learning = Learning(
+        self.learning = LearnerFeeder(
             recovered,
             self.process,
             self.journal,
@@ -81,7 +81,7 @@ class Installation:
     def store(self, events: list[Event]) -> list[Received]:
         """Store events in the journal, as the receiver does."""
         received = [
-            Received(Entry("event", e.camera, e.boot, e.seq, to_pack(e)), e) for e in events
+            Received(Entry("event", e.camera, e.boot, e.seq, to_msgpack(e)), e) for e in events
         ]
         self.journal.commit([one.entry for one in received])
         return received

@@ -25,7 +25,7 @@ def test_in_order_is_ready_at_once_and_a_repetition_is_a_duplicate() -> None:
     assert order.offer(KEY, 2, 2, 0.0) == ("ready", [2])
     assert order.offer(KEY, 2, 2, 0.0) == ("duplicate", [])
     assert order.offer(KEY, 1, 1, 0.0) == ("duplicate", [])
-    assert order.wanted("lobby") == ("b1", 3)
+    assert order.next_to_pull("lobby") == ("b1", 3)
 
 
 def test_a_stream_may_count_from_zero() -> None:
@@ -77,10 +77,10 @@ def test_an_answer_to_another_question_does_not_end_the_waiting() -> None:
 def test_what_the_spool_no_longer_has_is_lost() -> None:
     order = streams(stored={KEY: 3})
     order.offer(KEY, 6, 6, 0.0)
-    assert order.begins_at(KEY, 6, 0.0) == [6]
+    assert order.skip_before(KEY, 6, 0.0) == [6]
     assert order.lost == 2
-    assert order.begins_at(KEY, 2, 0.0) == []
-    assert order.begins_at(("new", "b9"), 500, 0.0) == []
+    assert order.skip_before(KEY, 2, 0.0) == []
+    assert order.skip_before(("new", "b9"), 500, 0.0) == []
     assert order.lost == 2, "a stream never seen before has lost nothing here"
     assert order.offer(("new", "b9"), 500, 500, 0.0) == ("ready", [500])
 
@@ -90,7 +90,7 @@ def test_of_a_camera_that_is_another_daemons_nothing_is_lost() -> None:
     order, key = streams(), ("other's", "b1")
     assert order.offer(key, 1, 1, 0.0) == ("ready", [1])
     assert order.offer(key, 900, 900, 9000.0) == ("held", [])
-    assert order.begins_at(key, 890, 9000.0) == []
+    assert order.skip_before(key, 890, 9000.0) == []
     assert order.give_up(9006.0, 5.0, has_spool=set()) == [900]
     assert order.lost == 0
 
@@ -100,7 +100,7 @@ def test_limits() -> None:
     order.offer(KEY, 1, 1, 0.0)
     assert [order.offer(KEY, seq, seq, 0.0)[0] for seq in (3, 4, 5)] == ["held", "held", "dropped"]
     assert order.offer(("other", "b1"), 1, 1, 0.0) == ("refused", [])
-    assert order.begins_at(("other", "b1"), 7, 0.0) == []
+    assert order.skip_before(("other", "b1"), 7, 0.0) == []
     assert len(order) == 1
 
 
@@ -130,10 +130,10 @@ def test_losses_with_pulls_lose_nothing(data: st.DataObject) -> None:
         if data.draw(st.booleans()):
             out += one.offer(KEY, spooled, spooled, 0.0)[1]
         if data.draw(st.integers(0, 3)) == 0:
-            _, start = one.wanted("lobby") or ("", 0)
+            _, start = one.next_to_pull("lobby") or ("", 0)
             for seq in range(max(start, 1), spooled + 1):
                 out += one.offer(KEY, seq, seq, 0.0)[1]
-    _, start = one.wanted("lobby") or ("", 0)
+    _, start = one.next_to_pull("lobby") or ("", 0)
     for seq in range(max(start, 1), spooled + 1):
         out += one.offer(KEY, seq, seq, 0.0)[1]
     assert out == list(range(1, total + 1))
@@ -170,7 +170,7 @@ def test_a_gap_is_skipped_to_where_the_spool_goes_on() -> None:
     assert order.offer(KEY, 6, 6, 0.0) == ("dropped", [])
     order.answered(KEY, 5, [6, 7], more=False)
     assert order.give_up(100.0, 5.0, has_spool={"lobby"}) == []
-    assert order.wanted("lobby") == ("b1", 6)
+    assert order.next_to_pull("lobby") == ("b1", 6)
     order.answered(KEY, 2, [2, 3], more=True)  # not as far as the gap
     assert order.give_up(200.0, 5.0, has_spool={"lobby"}) == []
 
@@ -201,7 +201,7 @@ def test_of_many_boots_those_heard_last_are_followed() -> None:
         assert order.offer(("lobby", f"b{night}"), 1, night, 0.0) == ("ready", [night])
         assert order.offer(("hall", "b1"), night, night, 0.0)[0] == "ready"
     assert len(order) == 4
-    assert order.wanted("lobby") == ("b999", 2)
+    assert order.next_to_pull("lobby") == ("b999", 2)
     assert len(order.forgotten()) == 997
     assert order.forgotten() == []
     for boot in ("b997", "b998", "b999"):
@@ -218,19 +218,19 @@ def test_what_is_held_is_counted_by_camera() -> None:
         "dropped",
     ]
     assert order.offer(("hall", "b1"), 5, 5, 0.0)[0] == "held"
-    order.begins_at(("lobby", "b0"), 5, 0.0)
+    order.skip_before(("lobby", "b0"), 5, 0.0)
     assert order.offer(("lobby", "b3"), 5, 5, 0.0)[0] == "held"
 
 
 def test_of_very_many_cameras_those_heard_last_are_followed() -> None:
     """Names invented long ago keep no camera out."""
     order = streams(streams_max=3, stored={(f"name{n}", "b1"): 7 for n in range(10)})
-    assert order.wanted("name9") == ("b1", 8)
-    assert order.wanted("name0") is None
+    assert order.next_to_pull("name9") == ("b1", 8)
+    assert order.next_to_pull("name0") is None
     assert order.offer(KEY, 1, 1, 0.0) == ("ready", [1])
     assert len(order) == 3
     assert ("name7", "b1") in order.forgotten()
     assert order.offer(("name8", "b1"), 9, 9, 0.0)[0] == "held"
     assert order.offer(("x", "b1"), 1, 1, 0.0) == ("ready", [1])
     assert order.offer(("y", "b1"), 1, 1, 0.0) == ("ready", [1])
-    assert order.wanted("name8") == ("b1", 8), "a gap is not forgotten"
+    assert order.next_to_pull("name8") == ("b1", 8), "a gap is not forgotten"

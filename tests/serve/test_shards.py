@@ -27,14 +27,14 @@ from camtopod.serve.bus.session import Bus, BusError, QueryError, dial
 from camtopod.serve.bus.single_daemon import OtherDaemons
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.learner_process.messages import Told
+from camtopod.serve.learner_process.messages import ShardUpdate
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.shards import site_merger as mergers
-from camtopod.serve.shards.membership import Share
-from camtopod.serve.shards.shard_exchange import Sharing
-from camtopod.serve.shards.site_merger import Merger
-from camtopod.serve.shards.subscriptions import SMALL_CAMERAS_MAX, Hearing
+from camtopod.serve.shards.membership import ShardMembership
+from camtopod.serve.shards.shard_exchange import ShardExchange
+from camtopod.serve.shards.site_merger import SiteMerger
+from camtopod.serve.shards.subscriptions import SMALL_CAMERAS_MAX, Subscriptions
 from camtopod.serve.storage.packed_version import Version
 from camtopod.sharding.assignment import Sharding
 from camtopod.sharding.shard_learner import ShardLearner
@@ -75,9 +75,9 @@ def shards_of(count: int) -> list[ShardLearner]:
     return [ShardLearner(SETTINGS, SHARDING, (number, count), "hq", "e") for number in range(count)]
 
 
-def told(learner: ShardLearner) -> Told:
+def told(learner: ShardLearner) -> ShardUpdate:
     """Return a part as a newly started daemon publishes it."""
-    return Told(*learner.shard, learner.reached(), learner.newest_parts())
+    return ShardUpdate(*learner.shard, learner.reached(), learner.newest_parts())
 
 
 class Course(NamedTuple):
@@ -85,13 +85,13 @@ class Course(NamedTuple):
 
     versions: list[Topology]
     """Of the first of them; if it is alone, the site's."""
-    steps: list[list[Told]]
+    steps: list[list[ShardUpdate]]
     """Whenever somebody made a version: what each of them says then."""
-    rest: list[Told]
+    rest: list[ShardUpdate]
     """And at the end."""
-    early: Told
+    early: ShardUpdate
     """Who made the first version, as if it had just started."""
-    after: dict[int, list[Told]]
+    after: dict[int, list[ShardUpdate]]
     """Each of them as if it had just started, after so many events."""
 
 
@@ -107,9 +107,9 @@ def course(count: int, districts: int = SHARDING.districts) -> Course:
     ]
     versions, steps, early, after = (
         list[Topology](),
-        list[list[Told]](),
-        list[Told](),
-        dict[int, list[Told]](),
+        list[list[ShardUpdate]](),
+        list[ShardUpdate](),
+        dict[int, list[ShardUpdate]](),
     )
     for number, event in enumerate(EVENTS, 1):
         for learner in learners:
@@ -117,14 +117,17 @@ def course(count: int, districts: int = SHARDING.districts) -> Course:
         made = [learner.updates() for learner in learners]
         if any(made):
             steps.append(
-                [Told(*learner.shard, learner.reached(), learner.parts()) for learner in learners]
+                [
+                    ShardUpdate(*learner.shard, learner.reached(), learner.parts())
+                    for learner in learners
+                ]
             )
         if not early:
             early = [told(learner) for learner, its in zip(learners, made, strict=True) if its]
         versions += made[0]
         if number in (THIRD, HALF, 2 * THIRD, len(EVENTS)):
             after[number] = [told(learner) for learner in learners]
-    rest = [Told(*learner.shard, learner.reached(), learner.parts()) for learner in learners]
+    rest = [ShardUpdate(*learner.shard, learner.reached(), learner.parts()) for learner in learners]
     return Course(versions, steps, rest, early[0], after)
 
 
@@ -139,7 +142,7 @@ class Site:
 
     def __init__(self, folder: Path, shards: int, sharding: Sharding = SHARDING) -> None:
         self.versions: list[Version] = []
-        self.merger = Merger(
+        self.merger = SiteMerger(
             folder,
             KeepSettings(),
             SETTINGS,
@@ -161,8 +164,8 @@ class Site:
         self.thread.join()
         self.merger.close()
 
-    def say(self, one: Told) -> None:
-        self.merger.on_part(f"part/{one.shard}", codec.to_pack(one))
+    def say(self, one: ShardUpdate) -> None:
+        self.merger.on_update(f"part/{one.shard}", codec.to_msgpack(one))
 
 
 def content(topology: Topology) -> object:
@@ -304,7 +307,7 @@ def test_who_gets_on_is_waited_for(
     monkeypatch.setattr(mergers, "time", SimpleNamespace(monotonic=lambda: now[0]))
     late = [pair[1] for pair in said]
     with contextlib.closing(
-        Merger(tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 2, lambda: NOON, made.append)
+        SiteMerger(tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 2, lambda: NOON, made.append)
     ) as merger:
         for first, second in zip([*(pair[0] for pair in said), None], [None, *late], strict=True):
             for one in (first, second):
@@ -318,7 +321,7 @@ def test_who_gets_on_is_waited_for(
     ]
 
 
-def one_round(merger: Merger) -> None:
+def one_round(merger: SiteMerger) -> None:
     stopping = threading.Event()
     merger.work(stopping, stopping.set)
 
@@ -368,7 +371,7 @@ def test_of_what_waits_too_long_the_newest_is_kept(
     monkeypatch.setattr(mergers, "INBOX_MAX", 1)
     [newest], made = course(1).after[len(EVENTS)], list[Version]()
     with contextlib.closing(
-        Merger(tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 1, lambda: NOON, made.append)
+        SiteMerger(tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 1, lambda: NOON, made.append)
     ) as merger:
         merger.tell(newest)
         merger.tell(course(1).early)
@@ -382,7 +385,7 @@ def test_too_much_at_a_time_costs_versions_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: list[Topology]
 ) -> None:
     monkeypatch.setattr(mergers, "INBOX_MAX", 2)
-    merger = Merger(
+    merger = SiteMerger(
         tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 2, lambda: NOON, lambda version: None
     )
     for step in [*course(2).steps, course(2).rest]:
@@ -406,10 +409,10 @@ def test_too_much_at_a_time_costs_versions_and_nothing_else(
 
 def test_nonsense_changes_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with Site(tmp_path, 2) as site:
-        for one in (Told(2, 3, 5.0), Told(0, 3, 5.0)):
+        for one in (ShardUpdate(2, 3, 5.0), ShardUpdate(0, 3, 5.0)):
             site.say(one)
-        site.merger.on_part("part/1", codec.to_pack(Told(0, 2, 5.0)))
-        site.merger.on_part("part/1", b"rubbish")
+        site.merger.on_update("part/1", codec.to_msgpack(ShardUpdate(0, 2, 5.0)))
+        site.merger.on_update("part/1", b"rubbish")
         assert site.merger.topology is None
     assert [record.levelname for record in caplog.records if record.levelno > logging.INFO] == [
         "ERROR"
@@ -418,7 +421,7 @@ def test_nonsense_changes_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixtu
 
 def test_what_a_shard_hears() -> None:
     sharding = Sharding(districts=8, guest_turns=6, turn_hours=1.0)
-    share = Share(sharding, (1, 4))
+    share = ShardMembership(sharding, (1, 4))
     cameras = [f"cam{number}" for number in range(300)]
     own = {camera for camera in cameras if share.owns(camera)}
     assert 40 < len(own) < 110
@@ -437,15 +440,15 @@ def test_what_a_shard_hears() -> None:
 
 
 def test_each_camera_is_owned_once() -> None:
-    shares = [Share(SHARDING, (number, 3)) for number in range(3)]
+    shares = [ShardMembership(SHARDING, (number, 3)) for number in range(3)]
     for number in range(50):
         assert sum(share.owns(f"cam{number}") for share in shares) == 1
 
 
 def test_subscriptions_follow_turns_and_neighbours() -> None:
     bus, now, said = FakeBus(), [NOON], list[tuple[str, bool]]()
-    share = Share(Sharding(districts=16, guest_turns=12), (0, 16))
-    hearing = Hearing(
+    share = ShardMembership(Sharding(districts=16, guest_turns=12), (0, 16))
+    hearing = Subscriptions(
         bus,
         share,
         lambda: now[0],
@@ -454,7 +457,7 @@ def test_subscriptions_follow_turns_and_neighbours() -> None:
         10_000,
     )
     few = [f"c{number}" for number in range(SMALL_CAMERAS_MAX)]
-    hearing.know(few)
+    hearing.add_cameras(few)
     hearing.look()
     assert hearing.heard == set(few)  # a small site
     for number in range(500):
@@ -498,8 +501,8 @@ def test_shards_of_one_site_are_no_rivals() -> None:
 def test_what_is_told_travels() -> None:
     one = course(2).after[len(EVENTS)][0]
     assert one.parts
-    assert msgspec.msgpack.decode(codec.to_pack(one), type=Told) == one
-    assert codec.read(Told, codec.to_pack(one), pack=True) == one
+    assert msgspec.msgpack.decode(codec.to_msgpack(one), type=ShardUpdate) == one
+    assert codec.read(ShardUpdate, codec.to_msgpack(one), pack=True) == one
     assert isinstance(EVENTS[0], Event)
 
 
@@ -601,7 +604,10 @@ def test_a_shard_that_was_away_goes_on(tmp_path: Path) -> None:
     """Its cameras' events wait for it in the spool; the other's do not wait."""
     events = a_day()
     half = len(events) // 2
-    config, other = shared_config(tmp_path / "state"), Share(Sharding(districts=4), (1, 2))
+    config, other = (
+        shared_config(tmp_path / "state"),
+        ShardMembership(Sharding(districts=4), (1, 2)),
+    )
     mine = [event for event in events[half:] if not other.owns(event.camera)]
     with Daemon(config, shard=(0, 2)) as first:
         at = shared_config(tmp_path / "state", first.endpoint)
@@ -659,10 +665,10 @@ def test_what_a_shard_of_many_cameras_has_learned_is_not_too_large(
 def test_a_refusal_in_a_shards_place_ends_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def refuse(sharing: Sharing) -> Told:
+    def refuse(sharing: ShardExchange) -> ShardUpdate:
         raise QueryError("not now")
 
-    monkeypatch.setattr(Sharing, "_answer", refuse)
+    monkeypatch.setattr(ShardExchange, "_answer", refuse)
     with Daemon(shared_config(tmp_path / "state"), shard=(0, 2)) as first:
         wait_for(lambda: caplog.text.count("it is repeated: not now") > 1, "it to ask again")
         assert first.failing() == []

@@ -47,7 +47,7 @@ def test_the_spool_counts_each_camera_without_gaps(spool: Spool) -> None:
         ("lobby", "boot-1", 2),
     ]
     batch = spool.batch("lobby", "boot-1", 0, 10)
-    assert [codec.event_from_pack(raw) for _, raw in batch.events] == [out[0], out[2]]
+    assert [codec.event_from_msgpack(raw) for _, raw in batch.events] == [out[0], out[2]]
     assert (batch.boot, batch.first, batch.more, batch.dropped) == ("boot-1", 1, False, 0)
 
 
@@ -340,7 +340,7 @@ def test_other_events_after_an_append_that_raised_get_numbers_of_their_own(spool
     assert [one.seq for one in spool.append([event(3), event(4)])] == [2, 3]
     assert [one.seq for one in spool.append([event(5, "hall")])] == [2]
     assert [
-        codec.event_from_pack(raw).t for _, raw in spool.batch("lobby", None, 0, 10).events
+        codec.event_from_msgpack(raw).t for _, raw in spool.batch("lobby", None, 0, 10).events
     ] == [1, 3, 4]
     assert len(spool) == 5
 
@@ -372,13 +372,13 @@ INSERT INTO count VALUES ('lobby', 9);
 
 def test_a_spool_of_the_first_format_goes_on(tmp_path: Path) -> None:
     events = [Event("lobby", "entry", float(n), boot="old", seq=n) for n in (7, 8, 9)]
-    rows = [(e.camera, e.boot, e.seq, codec.to_pack(e)) for e in events]
+    rows = [(e.camera, e.boot, e.seq, codec.to_msgpack(e)) for e in events]
     with contextlib.closing(sqlite3.connect(tmp_path / "spool.db")) as connection, connection:
         connection.executescript(FORMAT_1)
         connection.executemany("INSERT INTO event VALUES (NULL, ?, ?, ?, ?)", rows)
     spool = Spool(tmp_path / "spool.db", "new", events_max=10)
     assert [
-        codec.event_from_pack(raw) for _, raw in spool.batch("lobby", "old", 0, 10).events
+        codec.event_from_msgpack(raw) for _, raw in spool.batch("lobby", "old", 0, 10).events
     ] == events
     assert [(one.boot, one.seq) for one in spool.append([event(10)])] == [("new", 1)]
     spool.close()
@@ -538,7 +538,7 @@ def test_damage_in_a_spool_too_large_to_be_scanned_is_found_out_at_the_next_star
     spool.close()
     path = tmp_path / "spool.db"
     content = bytearray(path.read_bytes())
-    begin = content.index(codec.to_pack(event(450).t)) // 4096 * 4096
+    begin = content.index(codec.to_msgpack(event(450).t)) // 4096 * 4096
     content[begin : begin + 4096] = b"\xaa" * 4096
     path.write_bytes(content)
     unsuspecting = Spool(path, "boot-2", events_max=1000)

@@ -36,9 +36,9 @@ class OneBus:
         wanted = (parameters or {}).get("version", max(self.kept, default=0))
         if wanted not in self.kept:
             raise QueryError("not kept")
-        return [(key, codec.to_pack(self.kept[wanted]))]
+        return [(key, codec.to_msgpack(self.kept[wanted]))]
 
     def put(self, key: str, noun: object) -> None:
         pattern = key.split("/")[0] + "/*"
         for receive in [*self.subscribed.get(key, []), *self.subscribed.get(pattern, [])]:
-            receive(key, codec.to_pack(noun))
+            receive(key, codec.to_msgpack(noun))

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from camtopod.records import Event
-from camtopod.vision.pipeline import Watcher
+from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
 
 FPS = 7.0
@@ -83,7 +83,7 @@ class Scene:
 
     def events(self, seconds: float, settings: VisionSettings | None = None) -> list[Event]:
         """Return the events of a watcher in the first ``seconds``."""
-        watcher = Watcher("cam", settings or VisionSettings())
+        watcher = ViewPipeline("cam", settings or VisionSettings())
         events = []
         for k in range(round(seconds * FPS)):
             events += watcher.see(k / FPS, self.picture(k / FPS))

@@ -18,12 +18,12 @@ from camtopod.codec import (
     T_MAX,
     T_MIN,
     Rejected,
+    decode_topology,
     event_from_json,
-    event_from_pack,
+    event_from_msgpack,
     read,
-    read_topology,
     to_json,
-    to_pack,
+    to_msgpack,
 )
 from camtopod.learn.learner import Learner
 from camtopod.records import (
@@ -62,7 +62,7 @@ def reason(**change: object) -> str:
     with pytest.raises(Rejected) as caught:
         event_from_json(msgspec.json.encode(fields))
     with pytest.raises(Rejected) as packed:
-        event_from_pack(msgspec.msgpack.encode(fields))
+        event_from_msgpack(msgspec.msgpack.encode(fields))
     assert caught.value.reason == packed.value.reason
     return caught.value.reason
 
@@ -80,7 +80,7 @@ def test_events_come_back(
     event = msgspec.structs.replace(event, x=x, y=y, boot=boot, seq=seq)
     assert event_from_json(to_json(event)) == event
     assert event_from_json(to_json(event).decode()) == event
-    assert event_from_pack(to_pack(event)) == event
+    assert event_from_msgpack(to_msgpack(event)) == event
     assert b"\n" not in to_json(event)
 
 
@@ -137,7 +137,7 @@ def test_what_does_not_fit_has_a_reason(change: dict[str, object], expected: str
 def test_numbers_are_finite(name: str, value: float) -> None:
     """MessagePack can encode nan, and bounds let nan through."""
     with pytest.raises(Rejected) as caught:
-        event_from_pack(msgspec.msgpack.encode(GOOD | {name: value}))
+        event_from_msgpack(msgspec.msgpack.encode(GOOD | {name: value}))
     assert caught.value.reason == "bad-value"
     assert name in str(caught.value)
 
@@ -176,7 +176,7 @@ def test_what_is_nested_without_end_is_too_deep(pack: bool, start: bytes, openin
     assert caught.value.reason == "too-deep"
 
 
-@pytest.mark.parametrize("decode", [event_from_json, event_from_pack])
+@pytest.mark.parametrize("decode", [event_from_json, event_from_msgpack])
 def test_how_deep_an_event_may_be_nested_is_up_to_python(decode: Callable[[bytes], Event]) -> None:
     """It is 1,000 levels in 3.11, and in 3.13 more than the longest event has room for."""
     levels = 2000
@@ -194,7 +194,7 @@ def test_how_deep_an_event_may_be_nested_is_up_to_python(decode: Callable[[bytes
 @example(b"\x9f" * 4000)
 @given(st.binary(max_size=200))
 def test_any_bytes(raw: bytes) -> None:
-    for decode in (event_from_json, event_from_pack):
+    for decode in (event_from_json, event_from_msgpack):
         try:
             assert isinstance(decode(raw), Event)
         except Rejected as error:
@@ -210,7 +210,7 @@ def test_any_text(text: str) -> None:
 
 @given(EVENTS, st.data())
 def test_damaged_events(event: Event, data: st.DataObject) -> None:
-    for encode, decode in ((to_json, event_from_json), (to_pack, event_from_pack)):
+    for encode, decode in ((to_json, event_from_json), (to_msgpack, event_from_msgpack)):
         raw = bytearray(encode(event))
         raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
         try:
@@ -227,8 +227,8 @@ def test_other_nouns() -> None:
     )
     assert b'"next":[{"camera":"b"' in to_json(prediction)
     assert read(Prediction, to_json(prediction)) == prediction
-    assert read(Prediction, to_pack(prediction), pack=True) == prediction
-    assert read(Ack, to_pack(Ack("a", "b", 7)), pack=True) == Ack("a", "b", 7)
+    assert read(Prediction, to_msgpack(prediction), pack=True) == prediction
+    assert read(Ack, to_msgpack(Ack("a", "b", 7)), pack=True) == Ack("a", "b", 7)
     with pytest.raises(Rejected, match="Expected"):
         read(Ack, b'{"camera":5}')
     with pytest.raises(Rejected) as caught:
@@ -238,8 +238,8 @@ def test_other_nouns() -> None:
 
 def test_every_name_in_a_topology_stands_for_something() -> None:
     site = synthetic_topology(4)
-    assert read_topology(to_json(site)) == site
-    assert read_topology(to_pack(site), pack=True) == site
+    assert decode_topology(to_json(site)) == site
+    assert decode_topology(to_msgpack(site), pack=True) == site
     zone = site.zones[0]
     strange = [replace(site.links[0], to="cellar/1")]
     for changed, said in (
@@ -259,7 +259,7 @@ def test_every_name_in_a_topology_stands_for_something() -> None:
         ),
     ):
         with pytest.raises(Rejected, match=said) as caught:
-            read_topology(to_json(changed))
+            decode_topology(to_json(changed))
         assert caught.value.reason == "unknown-name"
 
 
@@ -279,7 +279,7 @@ def test_every_zone_that_prediction_looks_up_is_there() -> None:
         pace=Pace(0.1, 0.1, 0.1, [Way(here, here, 3.0)]),
     )
     raw = to_json(replace(site, model=whole)).partition(b'"model":')
-    assert read_topology(b"".join(raw)).model == whole
+    assert decode_topology(b"".join(raw)).model == whole
     name = f'"{here}"'.encode()
     assert raw[2].count(name) == 10
     for nth in range(10):
@@ -288,7 +288,7 @@ def test_every_zone_that_prediction_looks_up_is_there() -> None:
             name.join(raw[2].split(name)[nth + 1 :]),
         )
         with pytest.raises(Rejected, match=r"no zone 'cellar/1' in it - at `\$\.model\.") as caught:
-            read_topology(b"".join((*raw[:2], before, b'"cellar/1"', after)))
+            decode_topology(b"".join((*raw[:2], before, b'"cellar/1"', after)))
         assert caught.value.reason == "unknown-name"
 
 
@@ -296,8 +296,8 @@ def test_a_topology_in_messagepack_is_the_same_and_a_damaged_one_is_rejected() -
     learner = Learner()
     for event in [*walkers(40), closing_event()]:
         learner.receive(event)
-    packed = to_pack(learner.topology)
-    assert to_pack(read(Topology, packed, pack=True)) == packed
+    packed = to_msgpack(learner.topology)
+    assert to_msgpack(read(Topology, packed, pack=True)) == packed
     assert read(Topology, packed, pack=True) == learner.topology
     for spoiled in (packed[:-1], packed[: len(packed) // 2], packed.replace(b"zones", b"zonen")):
         with pytest.raises(Rejected):

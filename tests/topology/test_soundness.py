@@ -17,7 +17,7 @@ from synthetic_topology import synthetic_topology
 
 from camtopod.cli.commands import export, report
 from camtopod.cli.main import main
-from camtopod.codec import Rejected, read_topology, to_json
+from camtopod.codec import Rejected, decode_topology, to_json
 from camtopod.export import FORMATS
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -144,7 +144,7 @@ def test_what_cannot_be_is_refused_by_every_command(
     source.write_bytes(WRONG[why])
     events.write_bytes(to_json(Event(FIRST, "exit", 1_700_000_000.0, 0.5, 0.5)) + b"\n")
     with pytest.raises(Rejected):
-        read_topology(WRONG[why])
+        decode_topology(WRONG[why])
     for command in (
         ["report", str(source), "--out", str(tmp_path / "out")],
         ["predict", str(source), str(events)],
@@ -229,7 +229,7 @@ def test_too_little_memory_is_said(
 def test_what_the_learner_makes_is_sound(settings: SimSettings) -> None:
     topology = learned(settings)
     assert list(problems(topology)) == []
-    assert read_topology(to_json(topology)) == topology
+    assert decode_topology(to_json(topology)) == topology
     use(topology)
 
 
@@ -288,7 +288,7 @@ def test_what_is_believed_can_be_used() -> None:
     for _ in range(400):
         raw = changed(chance.choice(sites), chance.choice(ODD))
         try:
-            topology = read_topology(raw)
+            topology = decode_topology(raw)
         except Rejected:
             continue
         believed += 1
@@ -306,7 +306,7 @@ def test_where_nobody_goes_anywhere_they_leave() -> None:
         for outcome in row["next_"]:
             outcome["hazard"] = {"first": 0, "mass": []}
     content["model"]["contexts"] = []
-    use(read_topology(json.dumps(content).encode()))
+    use(decode_topology(json.dumps(content).encode()))
 
 
 @pytest.mark.parametrize("odd", ["\x1b[2J", "\x00", "\ufffe", "\u202e", "\ud800", "<&\"'>"])

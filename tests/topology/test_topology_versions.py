@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from camtopod.codec import read, to_json, to_pack
+from camtopod.codec import read, to_json, to_msgpack
 from camtopod.records import (
     DELTA_SCHEMA,
     TOPOLOGY_SCHEMA,
@@ -101,7 +101,7 @@ def topologies(draw: st.DrawFn, version: int = 1) -> Topology:
 def test_old_and_delta_are_new(old: Topology, new: Topology) -> None:
     delta = make_delta(old, new)
     assert apply_delta(old, delta) == new
-    for pack, encode in ((False, to_json), (True, to_pack)):  # and after a way over the bus
+    for pack, encode in ((False, to_json), (True, to_msgpack)):  # and after a way over the bus
         received = read(Delta, encode(delta), pack)
         assert received == delta
         assert apply_delta(read(Topology, encode(old), pack), received) == new

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from camtopod.vision.source.ffmpeg_log import LEVEL_VARIABLE, LEVEL_WARNINGS, listening
+from camtopod.vision.source.ffmpeg_log import LEVEL_VARIABLE, LEVEL_WARNINGS, captured_log
 
 PRINTS_AS_C_DOES = """
 import ctypes, sys
@@ -31,7 +31,7 @@ def said(text: str) -> None:
 def test_a_reason_is_heard_and_standard_output_is_itself_again(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    with listening() as complaints:
+    with captured_log() as complaints:
         said("[rtsp] method DESCRIBE failed: 401 Unauthorized\n")
         assert "user name or password" in complaints.take()
     said("data\n")
@@ -52,10 +52,10 @@ def test_the_level_ends_with_the_block_and_a_user_s_own_stays(
 ) -> None:
     """Otherwise a process started afterwards would be silent, too."""
     monkeypatch.delenv(LEVEL_VARIABLE, raising=False)
-    with listening():
+    with captured_log():
         assert os.environ[LEVEL_VARIABLE] == LEVEL_WARNINGS
     assert LEVEL_VARIABLE not in os.environ
 
     monkeypatch.setenv(LEVEL_VARIABLE, "56")
-    with listening():
+    with captured_log():
         assert os.environ[LEVEL_VARIABLE] == "56"

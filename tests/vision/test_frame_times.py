@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camtopod.vision.source.capture import Cadence
+from camtopod.vision.source.capture import FrameSelector
 from camtopod.vision.source.frame_times import StampClock
 from camtopod.vision.source.source_url import kind_of, percent_encoded
 
@@ -79,13 +79,13 @@ def test_never_later_than_the_arrival() -> None:
     ],
 )
 def test_cadence_is_the_nearest_even_one(fps: float, wanted: float, taken: float) -> None:
-    cadence = Cadence(wanted)
+    cadence = FrameSelector(wanted)
     count = sum(cadence.wants(k / fps) for k in range(round(20 * fps)))
     assert count / 20 == pytest.approx(taken, rel=0.05)
 
 
 def test_cadence_goes_on_when_the_stamps_go_back() -> None:
-    cadence = Cadence(7.0)
+    cadence = FrameSelector(7.0)
     assert sum(cadence.wants(100.0 + k / 7) for k in range(70)) == 70
     assert sum(cadence.wants(k / 7) for k in range(70)) == 70
 

@@ -7,7 +7,7 @@ import pytest
 from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Place, Scene, line
 
 from camtopod.records import Event
-from camtopod.vision.pipeline import Watcher
+from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
 
 
@@ -40,7 +40,7 @@ def test_one_passage_is_an_entry_and_an_exit_with_capture_times() -> None:
 
 def test_an_entry_is_reported_soon_after_it_happened() -> None:
     scene = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0))])
-    watcher = Watcher("cam", VisionSettings())
+    watcher = ViewPipeline("cam", VisionSettings())
     for k in range(round(12 * FPS)):
         if watcher.see(k / FPS, scene.picture(k / FPS)):
             assert k / FPS < 5.0 + 1.5
@@ -148,7 +148,7 @@ def test_another_picture_altogether_is_learned_anew() -> None:
         Scene([]),
         Scene([Person(line(22.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=235)], rng=other),
     )
-    watcher, events = Watcher("cam", VisionSettings()), []
+    watcher, events = ViewPipeline("cam", VisionSettings()), []
     for k in range(round(34 * FPS)):
         t = k / FPS
         events += watcher.see(t, first.picture(t) if t < 10 else second.picture(t))
@@ -159,7 +159,7 @@ def test_another_picture_altogether_is_learned_anew() -> None:
 
 def test_a_gap_in_the_stream_makes_no_events() -> None:
     scene = Scene([Person(lambda t: (0.5, 0.7) if t > 20 else None)])
-    watcher, events = Watcher("cam", VisionSettings()), []
+    watcher, events = ViewPipeline("cam", VisionSettings()), []
     for k in range(round(60 * FPS)):
         t = k / FPS
         if not 15 < t < 30:  # meanwhile somebody came and stands there
@@ -191,7 +191,7 @@ def test_same_frames_same_events_and_numbers_live_in_the_instance() -> None:
 
 
 def test_large_pictures_are_scaled_down() -> None:
-    watcher = Watcher("cam", VisionSettings(working_width=96))
+    watcher = ViewPipeline("cam", VisionSettings(working_width=96))
     scene, events = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), tall=0.3)]), []
     for k in range(round(18 * FPS)):
         events += watcher.see(k / FPS, scene.picture(k / FPS).repeat(2, axis=0).repeat(2, axis=1))
@@ -204,7 +204,7 @@ def test_a_camera_that_shakes_by_a_pixel_sees_nothing_in_an_empty_scene_and_peop
 ):
     walker = Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=20)
     for people, expected in (([], []), ([walker], [("entry", "left"), ("exit", "right")])):
-        scene, watcher, events = Scene(people), Watcher("cam", VisionSettings()), []
+        scene, watcher, events = Scene(people), ViewPipeline("cam", VisionSettings()), []
         rng = np.random.default_rng(4)
         for k in range(round(18 * FPS)):
             picture = np.roll(scene.picture(k / FPS), rng.integers(-1, 2, 2), axis=(0, 1))
@@ -228,7 +228,7 @@ def test_whatever_the_pictures_events_are_well_formed(seed: int) -> None:
         )
 
     scene = Scene([wild(int(own)) for own in rng.integers(0, 1000, 6)])
-    watcher, events, t = Watcher("cam", VisionSettings()), [], 0.0
+    watcher, events, t = ViewPipeline("cam", VisionSettings()), [], 0.0
     for _ in range(400):
         t += float(
             rng.choice(

@@ -11,16 +11,16 @@ import pytest
 from synthetic_topology import BINS, SHARE, made_link, synthetic_topology
 
 from camtopod.records import Lacks, Link, Pair, Topology
-from camtopod.web.explanations import Stories, why, why_pair
+from camtopod.web.explanations import Explanations, why, why_pair
 from camtopod.web.version_diff import Change, changes, summary
 
 SITE = synthetic_topology(12)
 LINK = next(link for link in SITE.links if link.relation == "unseen")
-STORIES = Stories(SITE)
+STORIES = Explanations(SITE)
 
 
 def told(link: Link, topology: Topology = SITE) -> dict[str, Any]:
-    story = Stories(topology).link(link.from_, link.to, link.relation)
+    story = Explanations(topology).link(link.from_, link.to, link.relation)
     assert story is not None
     return story
 
@@ -100,7 +100,7 @@ def test_what_is_not_there_is_none() -> None:
 def test_a_topology_without_a_model_is_told_without_background() -> None:
     bare = msgspec.structs.replace(SITE, model=None)
     assert (told(LINK, bare)["background"], told(LINK, bare)["chart"]) == (None, None)
-    camera = Stories(bare).camera("cam0001")
+    camera = Explanations(bare).camera("cam0001")
     assert camera is not None
     assert camera["zones"][0]["arrival_rate"] is None
 

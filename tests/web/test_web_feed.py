@@ -16,13 +16,13 @@ from camtopod.records import Event, InView, Look, NextCamera, Prediction
 from camtopod.serve.bus.session import Bus
 from camtopod.web import feed, outbox
 from camtopod.web.feed import Feed
-from camtopod.web.outbox import BYTES_MAX, MESSAGES_MAX, PASSING_MAX, RESYNC, Hub, Mailbox
+from camtopod.web.outbox import BYTES_MAX, MESSAGES_MAX, PASSING_MAX, RESYNC, PageQueue, PageQueues
 
 SITE = synthetic_topology(12)
 NEWER = msgspec.structs.replace(SITE, version=2, links=SITE.links[1:])
 
 
-class Heard(Hub):
+class Heard(PageQueues):
     """A hub that stores messages."""
 
     def __init__(self) -> None:
@@ -253,7 +253,7 @@ def test_a_status_of_odd_types_ends_nothing() -> None:
 
 def test_a_page_that_lags_gets_less_and_then_starts_anew() -> None:
     async def lag() -> tuple[bytes | None, int]:
-        box = Mailbox(None)
+        box = PageQueue(None)
         for _ in range(PASSING_MAX + 5):
             box.put(b"passing.", passing=True)
         left_out = box.left_out
@@ -270,7 +270,7 @@ def test_a_page_that_lags_gets_less_and_then_starts_anew() -> None:
 
 def test_versions_of_a_large_site_do_not_heap_up_for_a_page_that_lags() -> None:
     async def lag() -> list[bytes | None]:
-        box = Mailbox(None)
+        box = PageQueue(None)
         version = bytes(BYTES_MAX // 3)
         for _ in range(5):
             box.put(version, passing=False)
@@ -288,7 +288,7 @@ def test_versions_of_a_large_site_do_not_heap_up_for_a_page_that_lags() -> None:
 
 def test_messages_come_in_order_from_any_thread_to_those_they_are_for() -> None:
     async def listen() -> list[bytes | None]:
-        hub = Hub()
+        hub = PageQueues()
         plain, watching = hub.open(None), hub.open("a")
         assert plain is not None
         assert watching is not None
@@ -313,10 +313,10 @@ def test_messages_come_in_order_from_any_thread_to_those_they_are_for() -> None:
 
 
 def test_so_many_pages_and_no_more() -> None:
-    async def fill() -> list[Mailbox | None]:
-        hub = Hub()
+    async def fill() -> list[PageQueue | None]:
+        hub = PageQueues()
         boxes = [hub.open(None) for _ in range(outbox.PAGES_MAX + 1)]
-        hub.leave(cast(Mailbox, boxes[0]))
+        hub.leave(cast(PageQueue, boxes[0]))
         return [*boxes, hub.open(None)]
 
     boxes = asyncio.run(fill())

@@ -10,7 +10,15 @@ from synthetic_topology import made_link, synthetic_topology
 
 from camtopod.records import Lacks, Link, Pair, Topology
 from camtopod.web.layout import Place, places
-from camtopod.web.map_data import Map, MapCamera, MapChange, change, doubt, draw, map_edges
+from camtopod.web.map_data import (
+    Map,
+    MapCamera,
+    MapChange,
+    change,
+    draw,
+    map_edges,
+    why_provisional,
+)
 
 SETTLED = Pair(("a", "b"), "overlapped", "overlapped", "overlapped")
 
@@ -57,7 +65,7 @@ def test_a_pair_is_an_edge_with_both_ways() -> None:
     ],
 )
 def test_provisional_says_why(pair: Pair | None, transitions: float, word: str) -> None:
-    said = doubt(pair, transitions, made_link("a/1", "b/1", 10.0, transitions))
+    said = why_provisional(pair, transitions, made_link("a/1", "b/1", 10.0, transitions))
     assert word in said
     assert bool(said) is bool(word)
 
@@ -65,10 +73,12 @@ def test_provisional_says_why(pair: Pair | None, transitions: float, word: str) 
 def test_weak_evidence_is_told_by_its_own_figure() -> None:
     link = made_link("a/1", "b/1", 10.0, 50.0)
     assert (
-        doubt(None, 50.0, replace(link, q_value=0.03))
+        why_provisional(None, 50.0, replace(link, q_value=0.03))
         == "not published: it may be spurious (q = 0.03)"
     )
-    assert "not all rules for publishing" in doubt(None, 50.0, replace(link, q_value=1e-6))
+    assert "not all rules for publishing" in why_provisional(
+        None, 50.0, replace(link, q_value=1e-6)
+    )
 
 
 @pytest.mark.parametrize(
@@ -84,7 +94,7 @@ def test_what_a_link_lacks_is_said(passages: float, seconds: float, said: str) -
     link = replace(
         made_link("a/1", "b/1", 10.0, 50.0), q_value=0.03, lacks=Lacks(passages, seconds)
     )
-    assert doubt(None, 50.0, link) == f"not published yet: it lacks {said}"
+    assert why_provisional(None, 50.0, link) == f"not published yet: it lacks {said}"
 
 
 def test_of_several_links_the_nearest_to_being_published_speaks_for_the_pair() -> None:

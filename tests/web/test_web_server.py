@@ -322,7 +322,7 @@ def test_a_request_has_to_come_in_time(
 def test_a_client_that_takes_nothing_is_disconnected(
     server: Server, crowd: Callable[[int], list[socket.socket]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(app, "TAKE_SECONDS", 0.5)
+    monkeypatch.setattr(app, "SEND_TIMEOUT_SECONDS", 0.5)
     (greedy,) = crowd(1)
     ask = b"GET /static/map.js HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
     greedy.settimeout(5)

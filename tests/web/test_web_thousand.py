@@ -55,7 +55,7 @@ def without_a_path() -> Topology:
 
 def publish(daemon: Daemon, topology: Topology) -> None:
     """Store a version and publish its delta, as if the learner had made it."""
-    delta = codec.to_pack(make_delta(SITE, topology))
+    delta = codec.to_msgpack(make_delta(SITE, topology))
     daemon._on_version(Version.of(topology, delta))
 
 

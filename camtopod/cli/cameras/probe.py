@@ -20,7 +20,7 @@ from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
 from camtopod.visible import visible
 from camtopod.vision import VisionSettings
-from camtopod.vision.source import LOOK_SECONDS, Probe, Question
+from camtopod.vision.source import PROBE_SECONDS, Probe, ProbeRequest
 from camtopod.web import pictures
 
 PROGRAM = "camtopod.vision.source.probe"
@@ -47,7 +47,7 @@ def probe_all(
         remember(source)
     if folder is not None:
         with _writing(folder):
-            pictures.make(folder)
+            pictures.make_folder(folder)
 
     # Probe all, and handle each result as soon as it is known.
     with ThreadPoolExecutor(PROCESSES_MAX) as pool:
@@ -60,7 +60,7 @@ def probe_all(
             camera, seen = looks[look], look.result()
             if folder is not None and seen.picture:
                 with _writing(folder):
-                    pictures.keep(folder, camera, seen.picture)
+                    pictures.store_picture(folder, camera, seen.picture)
             found[camera] = msgspec.structs.replace(seen, picture=b"")
             on_probe(camera, found[camera])
     return {camera: found[camera] for camera in sources}
@@ -80,12 +80,15 @@ def _writing(folder: Path) -> Iterator[None]:
 def _probe(source: str, settings: VisionSettings, picture: bool) -> Probe:
     """Probe one source in a process, which gets it through a pipe: command lines are public."""
     seconds = (
-        settings.open_timeout_seconds + settings.read_timeout_seconds + LOOK_SECONDS + START_SECONDS
+        settings.open_timeout_seconds
+        + settings.read_timeout_seconds
+        + PROBE_SECONDS
+        + START_SECONDS
     )
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-m", PROGRAM],
-            input=msgspec.json.encode(Question(source, settings, picture)),
+            input=msgspec.json.encode(ProbeRequest(source, settings, picture)),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,  # libraries write there, perhaps with the password
             env={
@@ -114,7 +117,7 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
         nonlocal status
         status = max(status, exits.INPUT if probe.problem else exits.DONE)
         where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
-        print(visible(redact(f"{where}: {'; '.join(probe.words)}")), file=sys.stderr, flush=True)
+        print(visible(redact(f"{where}: {'; '.join(probe.lines)}")), file=sys.stderr, flush=True)
 
     # Read the sources, then open cameras and bus.
     sources = {}
@@ -135,7 +138,7 @@ def _bus(config: Config) -> tuple[str, str]:
     try:
         with dial(config.certified(camera)) as bus:
             # A camera's certificate does not allow to see whether a daemon is there.
-            if not bus.present("daemon") and not config.bus.tls.ca:
+            if not bus.list_alive("daemon") and not config.bus.tls.ca:
                 return (
                     f"connected to {bus.endpoint}, but no daemon of site {bus.site} is there: "
                     f"start it with `camtopod run`",

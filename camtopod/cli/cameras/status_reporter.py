@@ -60,8 +60,12 @@ class StatusReporter:
                 try:
                     if camera not in buses:
                         buses[camera] = bus = dial(self._config.certified(camera))
-                        bus.answer(f"status/{camera}", lambda key, _: self._of(key), "status")
-                    buses[camera].put(f"status/{camera}", self._of(f"status/{camera}"), "status")
+                        bus.answer_queries(
+                            f"status/{camera}", lambda key, _: self._of(key), "status"
+                        )
+                    buses[camera].publish(
+                        f"status/{camera}", self._of(f"status/{camera}"), "status"
+                    )
                 except OSError as error:
                     # No bus, as the cameras' own processes report, or no readable key.
                     log.debug("the status of camera %s cannot be published: %s", camera, error)

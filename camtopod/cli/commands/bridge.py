@@ -55,8 +55,8 @@ class HomeAssistantState:
         self._topics, self._cameras_max = topics, cameras_max
         self._mutex = threading.Lock()
         self._daemons: set[str] = set()
-        self._site = homeassistant.SiteSaid()
-        self._said: dict[str, homeassistant.Said] = {}
+        self._site = homeassistant.DaemonStatus()
+        self._said: dict[str, homeassistant.GrabberStatus] = {}
         self._predictions: dict[str, Prediction] = {}
         self._cameras: list[str] = []
         self._discovery = homeassistant.discovery(topics, [])
@@ -65,7 +65,7 @@ class HomeAssistantState:
         bus.subscribe("status/*", self._on_status)
         bus.subscribe("prediction/*", self._on_prediction)
         with contextlib.suppress(QueryError):
-            for key, payload in bus.ask("status/*"):
+            for key, payload in bus.query("status/*"):
                 self._on_status(key, payload)
 
     def messages(self) -> homeassistant.Messages:
@@ -96,7 +96,7 @@ class HomeAssistantState:
         # Messages of the site, then of each camera.
         messages = self._discovery | homeassistant.site_state(topics, alive, site, topology)
         for camera in cameras:
-            counted = site.cameras.get(camera, homeassistant.Counted())
+            counted = site.cameras.get(camera, homeassistant.CameraFigures())
             messages |= homeassistant.camera_state(
                 topics, camera, counted, said.get(camera), zones.get(camera, 0)
             )
@@ -112,9 +112,11 @@ class HomeAssistantState:
         camera = key.removeprefix("status/")
         with contextlib.suppress(codec.Rejected):
             if camera == "daemon":
-                self._site = codec.read(homeassistant.SiteSaid, payload, pack=True)
+                self._site = codec.read(homeassistant.DaemonStatus, payload, pack=True)
             else:
-                self._keep(self._said, camera, codec.read(homeassistant.Said, payload, pack=True))
+                self._keep(
+                    self._said, camera, codec.read(homeassistant.GrabberStatus, payload, pack=True)
+                )
 
     def _on_prediction(self, key: str, payload: bytes) -> None:
         camera = key.removeprefix("prediction/")

@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
 
     # Warn of files and a bus that are open to others.
-    warnings = secret_files.exposed(loaded.secrets(path))
+    warnings = secret_files.find_exposed(loaded.secrets(path))
     warnings += [] if (open_to := access.openness_warning(loaded)) is None else [open_to]
     for warning in warnings:
         print(f"{path}: warning: {warning}", file=sys.stderr)

@@ -151,7 +151,7 @@ def _configuration(config: Config, path: Path | None) -> Iterator[str]:
                 yield f"{name}.{field.name} = {json.dumps(_clean(value))}"
     for file in config.secrets(path or Path()):
         yield f"holds a secret: {file} ({_mode(file)})"
-    yield from secret_files.exposed(config.secrets(path or Path()))
+    yield from secret_files.find_exposed(config.secrets(path or Path()))
     if (open_to := access.openness_warning(config)) is not None:
         yield open_to
 
@@ -216,8 +216,9 @@ def _bus(config: Config) -> Iterator[str]:
     with bus:
         yield f"{bus.endpoint} is reached after {time.monotonic() - began:.2f} s, site {bus.site}"
         for role in ("daemon", "grabber"):
-            yield f"{role}s there: {', '.join(sorted(bus.present(role))) or f'none seen{hidden}'}"
-        statuses = {key.removeprefix("status/"): _status(raw) for key, raw in bus.ask("status/*")}
+            names = ", ".join(sorted(bus.list_alive(role)))
+            yield f"{role}s there: {names or f'none seen{hidden}'}"
+        statuses = {key.removeprefix("status/"): _status(raw) for key, raw in bus.query("status/*")}
     for name, status in sorted(statuses.items()):
         refusals = {key: status.pop(key) for key in _REFUSALS if key in status}
         yield f"{name}: {json.dumps(_clean(status))}"

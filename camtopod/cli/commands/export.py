@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 
 from camtopod.cli import exits
 from camtopod.cli.events import open_input
-from camtopod.codec import Rejected, read_topology
+from camtopod.codec import Rejected, decode_topology
 from camtopod.export import FORMATS, camera_numbers
 from camtopod.records import Topology
 
@@ -68,7 +68,7 @@ def load(path: str) -> Topology:
         try:
             if path != "-" and os.fstat(file.fileno()).st_size > TOPOLOGY_BYTES_MAX:
                 raise Rejected("too-long", TOO_LONG)
-            return read_topology(_content(file))
+            return decode_topology(_content(file))
         except OSError as error:
             raise exits.InputError(f"cannot read {path}: {error.strerror}") from None
         except Rejected as error:

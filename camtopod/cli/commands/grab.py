@@ -35,7 +35,7 @@ from camtopod.cli.exits import CommandError
 from camtopod.config import RESERVED, CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.runtime import clock, systemd
-from camtopod.vision.source import AGAIN, ffmpeg_log, kind_of
+from camtopod.vision.source import RETRY_SEPARATOR, ffmpeg_log, kind_of
 
 if TYPE_CHECKING:
     from camtopod.serve.bus import Bus
@@ -165,7 +165,7 @@ def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> in
     with contextlib.ExitStack() as stack:
         # Save standard output: from here on FFmpeg's messages arrive on it.
         output = stack.enter_context(os.fdopen(os.dup(1), "wb")) if args.out == "-" else None
-        heard = stack.enter_context(ffmpeg_log.listening())
+        heard = stack.enter_context(ffmpeg_log.captured_log())
         from camtopod.vision import Grabber
 
         # Open the camera.
@@ -260,7 +260,7 @@ class _Said:
     def tell(self) -> None:
         """Log state and reason if they are new."""
         camera, state, reason = self._grabber.camera, self._grabber.state, self._grabber.reason
-        cause = reason.partition(AGAIN)[0]  # without the time of the next attempt
+        cause = reason.partition(RETRY_SEPARATOR)[0]  # without the time of the next attempt
         if state != self._state:
             self._state = state
             self._reasons.clear()
@@ -367,7 +367,7 @@ def _drain(
     """
     looked_after = args.beat_fd is not None or systemd.SOCKET_VARIABLE in os.environ
     deadline = time.monotonic() + DRAIN_SECONDS
-    while not told.stop.is_set() and not publisher.drained(_DRAIN_LOOK_SECONDS):
+    while not told.stop.is_set() and not publisher.wait_acknowledged(_DRAIN_LOOK_SECONDS):
         if not looked_after and time.monotonic() >= deadline:
             return
         publisher.retry()
@@ -407,7 +407,7 @@ class _Connection:
                 bus.close()
                 return
             self._publisher.attach(bus, [self._grabber.camera])
-            bus.answer(
+            bus.answer_queries(
                 f"status/{self._grabber.camera}", lambda key, parameters: self.status(), "status"
             )
             if not self._config.bus.tls.ca:  # a camera's certificate does not allow this
@@ -478,7 +478,7 @@ class _Connection:
     def tell_status(self) -> None:
         """Publish the status if there is a connection."""
         if self._bus is not None:
-            self._bus.put(f"status/{self._grabber.camera}", self.status(), "status")
+            self._bus.publish(f"status/{self._grabber.camera}", self.status(), "status")
 
     def close(self) -> None:
         """Close the bus, now or as soon as it is connected."""

@@ -291,7 +291,7 @@ def _wait(
         progress.show(
             "%d events published, %d not yet stored", publisher.published, publisher.unacknowledged
         )
-        if publisher.drained(_TICK_SECONDS, most):
+        if publisher.wait_acknowledged(_TICK_SECONDS, most):
             return
         publisher.retry()
         now = publisher.unacknowledged

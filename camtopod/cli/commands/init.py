@@ -103,7 +103,9 @@ def run(args: argparse.Namespace) -> int:
     if not args.out.parent.is_dir():
         raise CommandError(f"cannot write {args.out}: {args.out.parent} is no directory")
     kept = (
-        [] if args.pictures is None else [pictures.kept_at(args.pictures, name) for name in cameras]
+        []
+        if args.pictures is None
+        else [pictures.stored_path(args.pictures, name) for name in cameras]
     )
     there = [path for path in (args.out, *secrets.values(), *kept) if path.exists()]
     if there and not args.force:
@@ -118,10 +120,10 @@ def run(args: argparse.Namespace) -> int:
     probes = probe_all(
         cameras,
         settings.vision,
-        lambda name, probe: _say(f"  {name:<{width}}  {visible('; '.join(probe.words))}"),
+        lambda name, probe: _say(f"  {name:<{width}}  {visible('; '.join(probe.lines))}"),
         args.pictures,
     )
-    words = {name: [visible(word) for word in probe.words] for name, probe in probes.items()}
+    words = {name: [visible(word) for word in probe.lines] for name, probe in probes.items()}
 
     # Write the configuration and the secrets.
     text = configuration_text(settings, cameras, words, secrets.keys(), handed)

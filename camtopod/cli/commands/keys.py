@@ -21,7 +21,7 @@ from camtopod.keys import (
     KeysError,
     check_cameras,
     check_hosts,
-    day,
+    date_text,
     rules,
     write_public,
 )
@@ -144,7 +144,9 @@ def _run(args: argparse.Namespace, config: Config) -> int:
             raise KeysError(
                 "the daemon's certificate cannot outlive the authority: give fewer --days"
             )
-        authority = Authority.make(folder, config.site.name, now, args.authority_days, args.replace)
+        authority = Authority.create(
+            folder, config.site.name, now, args.authority_days, args.replace
+        )
         _say(
             f"created an authority for site {authority.site} in {folder / 'authority'}: "
             f"its private key need never leave this folder"
@@ -168,7 +170,7 @@ def _run(args: argparse.Namespace, config: Config) -> int:
             raise KeysError("--for needs exactly one NAME: the program that publishes the events")
     for name in names:
         if what == "revoke":
-            authority.must_have(args.role, name)
+            authority.require_certificate(args.role, name)
         else:
             authority.next_name(_ROLES[what], name, args.days, args.replace)
 
@@ -198,8 +200,8 @@ def _give(
     who = name if role == "daemon" else f"{role} {name}"
     expires = authority.issued[-1].certificate.expires
     _say(
-        f"{who}: {folder}, valid until {day(expires)}; copy this folder to the machine that uses "
-        f"it (camtopod.toml in it is an example)"
+        f"{who}: {folder}, valid until {date_text(expires)}; copy this folder to the machine that "
+        f"uses it (camtopod.toml in it is an example)"
     )
     if role == "daemon":
         where = ", ".join(host for host in authority.hosts if host not in LOCAL_HOSTS)
@@ -265,7 +267,9 @@ def _toml_key(name: str) -> str:
 
 def _list(authority: Authority, now: float) -> int:
     """Print all certificates, with a warning for those that expire soon."""
-    ending = {certificate.name for certificate, _ in rules.expiring(authority.access, now)}
+    ending = {
+        certificate.name for certificate, _ in rules.expiring_certificates(authority.access, now)
+    }
     print(f"{'name':<20} {'role':<7} {'certificate':<24} {'until':<10} {'days':>6}")
     for issued in authority.issued:
         certificate = issued.certificate
@@ -275,11 +279,11 @@ def _list(authority: Authority, now: float) -> int:
             remark = "EXPIRED" if days < 0 else "EXPIRES SOON"
             _say(
                 f"warning: {certificate.role} {issued.of}: {remark.lower()}, "
-                f"{day(certificate.expires)}; renew it with --replace"
+                f"{date_text(certificate.expires)}; renew it with --replace"
             )
         line = (
             f"{issued.of:<20} {certificate.role:<7} {certificate.name:<24} "
-            f"{day(certificate.expires):<10} {days:>6.0f}"
+            f"{date_text(certificate.expires):<10} {days:>6.0f}"
         )
         several = f"for {', '.join(certificate.cameras)}" if certificate.cameras else ""
         print(" ".join(filter(None, (line, several, remark))))

@@ -12,7 +12,7 @@ from camtopod.cli.commands.export import TOO_LONG, TOPOLOGY_BYTES_MAX, load
 from camtopod.cli.events import numbered
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal import Progress
-from camtopod.codec import Rejected, read_topology
+from camtopod.codec import Rejected, decode_topology
 from camtopod.records import Topology
 from camtopod.web import gather, page
 
@@ -85,7 +85,7 @@ def _older(path: Path, topology: Topology) -> list[Topology]:
             try:
                 if len(line) > TOPOLOGY_BYTES_MAX:
                     raise Rejected("too-long", TOO_LONG)
-                one = read_topology(line)
+                one = decode_topology(line)
             except Rejected as error:
                 raise InputError(f"{path}, line {number} is not a topology: {error}") from None
             if one.epoch == topology.epoch and one.version < topology.version:

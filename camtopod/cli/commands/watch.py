@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         bus.subscribe("status/*", board.on_status)
         bus.subscribe("prediction/*", board.on_prediction)
         topology = TopologySubscriber(bus)
-        for key, payload in bus.ask("status/*"):
+        for key, payload in bus.query("status/*"):
             board.on_status(key, payload)
 
         def look() -> SiteView:

@@ -44,7 +44,7 @@ def broker_of(args: argparse.Namespace, url: str, prefix: str = "") -> mqtt.Brok
             password = secret_files.read(args.password_file)
         except OSError as error:
             raise InputError(f"cannot read {args.password_file}: {error.strerror}") from None
-        for sentence in secret_files.exposed([args.password_file]):
+        for sentence in secret_files.find_exposed([args.password_file]):
             log.warning("%s", sentence)
     try:
         return mqtt.broker(url, password, args.ca, prefix)

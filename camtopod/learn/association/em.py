@@ -187,7 +187,7 @@ class Em:
         seen = self._count(np.ones(part.stop - part.start) for part in self.parts)
         near = slice(None) if self.near is None else self.near
         null_model = NullRates(left.t[near], left.zone[near], came.t, came.zone, self.zones)
-        rates = null_model.of(c.source, c.target)
+        rates = null_model.rates_of(c.source, c.target)
         first = initial_hazards(
             seen, rates, self.exposure, c.source, self.bins, noise_sd, START_FLOOR
         )

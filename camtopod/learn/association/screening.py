@@ -376,7 +376,7 @@ def excess_by_source(ends: ScreenInput, zone: int) -> Floats:
     # Compare those with enough candidates with the null model, thinned like the arrivals.
     counts = seen.reshape(zones, bins.size)
     some = np.flatnonzero(counts.sum(axis=1) >= SEEN_MIN)
-    rate = ends.chance.of(some, np.full(len(some), zone)) * (len(mine) / max(len(every), 1))
+    rate = ends.chance.rates_of(some, np.full(len(some), zone)) * (len(mine) / max(len(every), 1))
     usual = rate[:, None] * ends.exposure[some] * bins.widths
     result = np.full(zones, -np.inf)
     result[some] = _above(counts[some], usual, bins)
@@ -448,7 +448,7 @@ def _likely(ends: ScreenInput, zone: int, sources: Longs, mine: Rows) -> Part:
     # Initial hazards (sources, bins): the excess over the null model.
     size = len(sources) * bins.size
     exposed = ends.exposure[sources] * bins.widths
-    usual = ends.chance.of(sources, np.full(len(sources), zone))[:, None] * exposed
+    usual = ends.chance.rates_of(sources, np.full(len(sources), zone))[:, None] * exposed
     seen = np.bincount(cell, minlength=size).reshape(-1, bins.size).astype(float)
     hazard = np.maximum(
         excess_over_null(seen, usual, bins, NOISE_SD), START_FLOOR * seen

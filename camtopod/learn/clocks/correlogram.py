@@ -128,7 +128,7 @@ class ByDifference:
             self._cells[begun[0] : begun[0] + len(leaving)] = pair * (2 * LAGS + 1) + lag
         self._cells.sort()
 
-    def of(self, source: Ints, target: Ints) -> Counts:
+    def correlograms_of(self, source: Ints, target: Ints) -> Counts:
         """Return the correlograms (P, 2 LAGS + 1), from lag -LAGS to LAGS.
 
         source, target (P,): labels of the departures and of the arrivals.
@@ -157,7 +157,7 @@ class ByTransform:
         # Transforms by (side, label), those used last at the end.
         self._spectra: dict[tuple[int, int], Spectra] = {}
 
-    def of(self, source: Ints, target: Ints) -> Counts:
+    def correlograms_of(self, source: Ints, target: Ints) -> Counts:
         """Return the correlograms, as `ByDifference.of` does."""
         product = np.empty((len(source), BLOCK + 1), np.complex64)
         for row, u, v in zip(product, source.tolist(), target.tolist(), strict=True):

@@ -151,14 +151,14 @@ class ClockTracker:
         """Continue from a saved state."""
         self.clocks, self._looked = Clocks(state.offset, state.sd, state.identified), state.looked
 
-    def keep(self, kept: Bools) -> None:
+    def keep_cameras(self, kept: Bools) -> None:
         """Forget all cameras but those of the mask ``kept`` (cameras,), and renumber these."""
         offset, sd, identified = self.clocks
         # Cameras added since the last estimate are not among them.
         known = kept[: len(offset)]
         self.clocks = Clocks(offset[known], sd[known], identified[known])
 
-    def look(self, scene: Scene, cameras: int, learned: int) -> bool:
+    def update(self, scene: Scene, cameras: int, learned: int) -> bool:
         """Estimate the clocks again if there are new cameras or enough new events.
 
         scene: the events with uncorrected times.
@@ -257,7 +257,7 @@ def find_differences(
         )
 
         # Their two-way paths.
-        for k, way in find_two_way_paths(seen.of(u, v), seen.of(v, u)):
+        for k, way in find_two_way_paths(seen.correlograms_of(u, v), seen.correlograms_of(v, u)):
             if way.spread > SPREAD_SHARE_MAX * max(abs(way.transit), SHORT_SECONDS / BIN_SECONDS):
                 continue
             # If objects turn around at both zones, one walk from u to v also looks like one from v
@@ -287,7 +287,8 @@ def _promising(
     for k in range(0, len(a), ROWS_AT_ONCE):
         some = order[k : k + ROWS_AT_ONCE]
         peak[some] = np.minimum(
-            highest_peaks(seen.of(a[some], b[some])), highest_peaks(seen.of(b[some], a[some]))
+            highest_peaks(seen.correlograms_of(a[some], b[some])),
+            highest_peaks(seen.correlograms_of(b[some], a[some])),
         )
 
     # The best ones within the limit.

@@ -66,7 +66,7 @@ class ContextCounts(NamedTuple):
     moved: Singles
     """(contexts, columns) certain transitions; `Contexts._columns` gives the columns."""
 
-    def of(
+    def cells_of(
         self, departure: NDArray[np.intp], target: Longs, responsibility: Singles
     ) -> tuple[Longs, Singles]:
         """Return the cells in ``moved`` of some candidates (m,), and their own contributions there.
@@ -86,9 +86,9 @@ class ContextCounts(NamedTuple):
     ) -> Singles:
         """Return the leave-one-out probabilities of some candidates (m,) at this level.
 
-        departure (m,): row of the departure.
-        cell, own (m,): results of `of`; ``cell`` is the index in ``moved``, ``own`` is left out.
-        share (m,): probability at the level before, to which this one backs off.
+        departure (m,): row of the departure. cell, own (m,): results of `cells_of`; ``cell`` is the
+        index in ``moved``, ``own`` is left out. share (m,): probability at the level before, to
+        which this one backs off.
         """
         here = self.moved.take(cell)
         here -= own

@@ -93,7 +93,7 @@ class EntryKernels:
         )
         for rows, some, seen in self._counts(np.ones(len(self.rows))):
             source = self.source[rows]
-            chance = rates.of(source, self.target[rows])
+            chance = rates.rates_of(source, self.target[rows])
             first = initial_hazards(
                 seen, chance, self.exposure, source, self._bins, noise_sd, START_FLOOR
             )

@@ -92,7 +92,7 @@ class NullRates:
             rate = self._around / self._seconds
             self._table = (self._left.astype(float) @ rate.T) / self._number[:, None]
 
-    def of(
+    def rates_of(
         self, source: NDArray[np.signedinteger[Any]], target: NDArray[np.signedinteger[Any]]
     ) -> Floats:
         """Return the rate of arrivals (P,), 1/s, at ``target`` around departures of ``source``.

@@ -96,7 +96,7 @@ class ReceivedNumbers:
 class ReorderBuffer:
     """Accepts events in any order and returns them ordered by time.
 
-    lateness_seconds, clocks_apart_seconds: see `EventTime`.
+    lateness_seconds, clocks_apart_seconds: see `IdleEventTime`.
     cameras_max: events of further cameras are refused.
     tick_seconds: length of a tick of event time.
     """
@@ -129,7 +129,7 @@ class ReorderBuffer:
 
     @property
     def newest_us(self) -> int | None:
-        """Time of the newest event, see `EventTime`."""
+        """Time of the newest event, see `IdleEventTime`."""
         return self.time.newest_us
 
     @property
@@ -238,7 +238,7 @@ class ReorderBuffer:
                 del known[name]
         self.time.forget(names)
 
-    def take(self, until_us: int) -> list[tuple[int, Event]]:
+    def take_until(self, until_us: int) -> list[tuple[int, Event]]:
         """Remove and return the held events with time <= ``until_us``.
 
         They come as (microseconds, event) in canonical order.
@@ -280,7 +280,7 @@ class ReorderBuffer:
         return self._oldest_us
 
     @property
-    def held(self) -> int:
+    def held_count(self) -> int:
         """Number of held events."""
         return sum(map(len, self._held.values()))
 

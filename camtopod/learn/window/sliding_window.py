@@ -113,7 +113,7 @@ class Window:
         self._open = {(camera, track): row for camera, track, row in by_row if row >= self.base}
         self._columns = dict(state.columns)
         self._start, self._stop = 0, len(state.columns["t"])
-        self._count(slice(0, self._stop), 1)
+        self._update_sums(slice(0, self._stop), 1)
         self.seen = list(state.seen)
 
     def column(self, name: str) -> NDArray[Any]:
@@ -128,7 +128,7 @@ class Window:
         """Add events (microseconds, event) in order; none may be older than those already here."""
         # Compute the columns of the new rows.
         n = len(batch)
-        self._room(n)
+        self._make_room(n)
         rows = slice(self._stop, self._stop + n)
         camera = [self._camera(event.camera) for _, event in batch]
         first = self.base + len(self)
@@ -145,9 +145,9 @@ class Window:
         for name, values in fresh.items():
             self._columns[name][rows] = values
         self._stop += n
-        self._count(rows, 1)
+        self._update_sums(rows, 1)
 
-    def forget(self, before_us: int) -> int:
+    def forget_old(self, before_us: int) -> int:
         """Remove events older than ``before_us`` or beyond the window's size; return their number.
 
         If a camera floods the window, its own oldest events are removed first, not those of all.
@@ -161,7 +161,7 @@ class Window:
     def _forget_oldest(self, drop: int) -> None:
         """Remove the oldest ``drop`` rows."""
         if drop > 0:
-            self._count(slice(self._start, self._start + drop), -1)
+            self._update_sums(slice(self._start, self._start + drop), -1)
             self._start += drop
             self.base += drop
             gone = [
@@ -226,7 +226,7 @@ class Window:
     def _drop(self, gone: NDArray[np.bool_]) -> int:
         """Remove the rows of the mask ``gone`` (n,), of any age; return their number."""
         drop = int(gone.sum())
-        self._count(np.flatnonzero(gone) + self._start, -1)
+        self._update_sums(np.flatnonzero(gone) + self._start, -1)
 
         # Renumber passages: absolute row of each remaining row after the removal.
         number = np.where(gone, NO_MATE, self.base + drop + np.cumsum(~gone) - 1)
@@ -290,7 +290,7 @@ class Window:
             del self._open[next(iter(self._open))]
         return NO_MATE
 
-    def _count(self, rows: slice | NDArray[np.intp], sign: int) -> None:
+    def _update_sums(self, rows: slice | NDArray[np.intp], sign: int) -> None:
         """Add rows to the sums of their cameras (``sign`` +1) or subtract them (-1)."""
         # Find the cell of each event, and the events of each camera.
         camera, entry = self._columns["camera"][rows], self._columns["entry"][rows]
@@ -312,7 +312,7 @@ class Window:
             came = int(entry[here].sum()) - int(entry[placed].sum())
             self.unplaced[index] += sign * np.array([came, len(here) - len(placed) - came])
 
-    def _room(self, n: int) -> None:
+    def _make_room(self, n: int) -> None:
         """Make room for ``n`` more rows at the end, in larger columns if needed."""
         size = len(self._columns["t"])
         if self._stop + n <= size:

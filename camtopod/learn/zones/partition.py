@@ -130,7 +130,7 @@ def partition(
     # Improve the partition so far.
     one = np.zeros(len(cells.index), dtype=np.intp)
     if held is not None and held.max() >= 0 and count.sum() >= EVENTS_MIN:
-        labels = _Partition(cells, held, rates, held=True).settle()
+        labels = _Partition(cells, held, rates, held=True).improve()
         return labels if labels.max() >= 0 else one
     if count.sum() < EVENTS_MIN:
         return one
@@ -138,7 +138,7 @@ def partition(
     # Start from nothing: density floor, DaSpec, moves.
     dense = dense_cells(count, rates, FLOOR_PROBABILITY)
     groups = daspec_groups(dense if dense.any() else count.astype(np.float64))
-    labels = _Partition(cells, groups[cells.index], rates).settle()
+    labels = _Partition(cells, groups[cells.index], rates).improve()
     return labels if labels.max() >= 0 else one
 
 
@@ -194,20 +194,20 @@ class _Partition:
         self.as_clutter = np.bincount(self.labels + 1, self.weighed, len(self.zones) + 1)[1:]
         self.clutter = self.total - float(self.zones[:, 0].sum())
 
-    def settle(self) -> Labels:
+    def improve(self) -> Labels:
         """Move until no move improves the partition, at most `_ROUNDS_MAX` rounds; return it."""
         for _ in range(_ROUNDS_MAX):
             self._merge()
             self._drop()
             if self._assign():
                 self._assign()
-            if not self._split() and not self._found():
+            if not self._split() and not self._find_among_clutter():
                 return self.labels
         self._merge()
         self._drop()
         return self.labels
 
-    def _found(self) -> bool:
+    def _find_among_clutter(self) -> bool:
         """Make zones of groups that DaSpec finds among the clutter; return True if there are any.
 
         Such zones exist where DaSpec had joined a zone with a bigger one, whose Gaussian then did
@@ -267,7 +267,7 @@ class _Partition:
             a, b = np.nonzero(zones[:, None] < zones)
             two = np.stack((a, b))
             sides = self.zones[two, 0], self.mean[:, two], self.scatter[:, two]
-            gain, clear = self._apart(
+            gain, clear = self._two_zones_gain(
                 *sides, self.zones.T[:, two].sum(axis=1), slice(None), -self.hold_gain
             )
 
@@ -350,7 +350,7 @@ class _Partition:
         scale = (self.clutter + 1) / max(float(self.density @ free), 1.0)
         return np.maximum(n, 1e-9), np.maximum(expected, self.density.min()) * scale
 
-    def _apart(
+    def _two_zones_gain(
         self,
         n: Floats,
         mean: Floats,
@@ -517,7 +517,7 @@ class _Partition:
         np.subtract(both[:, None, of], sides[:, 0], out=sides[:, 1])
 
         # The gain of every cut, and the best one of each zone and direction.
-        gain, clear = self._apart(sides[0], *moments(sides), both, of, self.hold_gain)
+        gain, clear = self._two_zones_gain(sides[0], *moments(sides), both, of, self.hold_gain)
         best = np.maximum.reduceat(gain, end - size - np.arange(len(which)), axis=1).T
 
         # Of the zones with a promising cut, the best cut that makes two zones.
@@ -545,7 +545,7 @@ class _Partition:
         best (directions,): largest gain of the cuts across each direction.
         order (directions, cells): cells of the zone along each direction.
         sides (6, 2, directions, cuts): sums on both sides of each cut.
-        gain, clear (directions, cuts): as returned by `_apart`.
+        gain, clear (directions, cuts): as returned by `_two_zones_gain`.
         """
         inside = np.zeros(len(self.labels), dtype=np.bool_)
         inside[order[0]] = True

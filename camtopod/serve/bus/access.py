@@ -34,7 +34,7 @@ def settings(
     access: the access list to enforce, in a router only.
     shared: as in `camtopod.serve.bus.session.meet`.
     """
-    values = rules.quiet(mode)
+    values = rules.session_settings(mode)
     tls = config.bus.tls
     if tls.ca:
         values |= rules.mutual_tls(tls.ca, tls.certificate, tls.private_key)
@@ -43,9 +43,9 @@ def settings(
         # Without other shards it receives no topology and no parts of one: nothing large.
         if not shared:
             largest = min(largest, rules.spool_bytes_max(config.limits.pull_events_max))
-        values |= rules.sizes(config.site.name, config.limits.pull_events_max) | rules.priorities(
-            config.site.name
-        )
+        values |= rules.size_limits(
+            config.site.name, config.limits.pull_events_max
+        ) | rules.priorities(config.site.name)
         if access is not None:
             values |= rules.access_control(access)
     values["transport/link/rx/max_message_size"] = largest
@@ -72,7 +72,7 @@ def read_access(config: Config, clock: Clock) -> rules.Access | None:
         raise AccessError(f"{path} is for site {access.site}, but this is site {config.site.name}")
 
     # Warn of certificates that end.
-    for certificate, days in rules.expiring(access, clock()):
+    for certificate, days in rules.expiring_certificates(access, clock()):
         when = f"expires in {days:.0f} days" if days > 0 else f"expired {-days:.0f} days ago"
         log.warning(
             "the certificate of %s %s: make another with `camtopod keys`", certificate.name, when
@@ -158,7 +158,7 @@ class ConnectionWatch:
         self.strangers = 0
         """Connections whose certificate is of the site's authority, but not on the access list."""
 
-    def came(self, name: str | None, address: str) -> None:
+    def on_connection(self, name: str | None, address: str) -> None:
         """Take note of a new connection. Called from a thread of the bus."""
         if self._known is None or name in self._known:
             return

@@ -62,8 +62,10 @@ When a key is declared, access control decides in advance about all kinds of mes
 logs a line for each. A message on that key is then logged again, without the certificate's name.
 """
 _MARKED = re.compile(r"Overwriting QoS for .*priority: (\w+)")
-_LIMITS = {priority.replace("_", ""): limit for priority, limit in rules.MARKS.items()}
-"""Size limits of `rules.MARKS`, by the priority's name as zenoh writes it, in lower case."""
+_LIMITS = {priority.replace("_", ""): limit for priority, limit in rules.PRIORITY_LIMITS.items()}
+"""Size limits of `rules.PRIORITY_LIMITS`, by the priority's name as zenoh writes it, in lower
+case.
+"""
 NAMES_MAX = 10_000
 """Most sessions whose certificate is remembered; beyond it all are forgotten."""
 _LINK = re.compile(r"zenoh_link_tls\S*: (.*)")
@@ -89,11 +91,11 @@ class Refusals:
         # By session: name of its certificate, or else its address.
         self._names: dict[str, str] = {}
 
-    def came(self, session: str, name: str | None, address: str) -> None:
+    def on_session(self, session: str, name: str | None, address: str) -> None:
         """Remember the certificate or address of a new session. Called from a thread of the bus."""
         self._remember(session, name or address)
 
-    def hear(self, line: str) -> None:
+    def read_line(self, line: str) -> None:
         """Evaluate a line of zenoh's log."""
         line = _COLOUR.sub("", line).strip()
 
@@ -244,5 +246,5 @@ def _hear_all(reading: int) -> None:
     with os.fdopen(reading, "rb") as lines:
         while piece := lines.readline(LINE_BYTES_MAX):
             if begins and (_RECEIVED not in piece or _TOO_LARGE in piece):
-                refusals.hear(piece.decode("utf-8", "replace"))
+                refusals.read_line(piece.decode("utf-8", "replace"))
             begins = piece.endswith(b"\n")

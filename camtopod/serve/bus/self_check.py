@@ -50,7 +50,7 @@ class SelfCheck:
             while not stopping.wait(CHECK_SECONDS):
                 if session is None and (session := self._dial()) is not None:
                     stack.callback(session.close)
-                seen = session is not None and self._name in session.present(ROLE)
+                seen = session is not None and self._name in session.list_alive(ROLE)
                 self._reached = self._reached or seen
                 if seen or not self._reached:
                     mark.beat()

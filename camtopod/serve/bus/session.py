@@ -94,7 +94,7 @@ class Subscription:
         self._subscriber, self._messages, self._skipped = subscriber, subscriber.handler, len(above)
         self._closing = threading.Lock()
 
-    def take(self, wait: bool = True) -> list[Heard] | None:
+    def receive(self, wait: bool = True) -> list[Heard] | None:
         """Return received messages; None when the subscription is closed and everything was taken.
 
         wait: True waits for the next message and returns it alone; False returns all messages that
@@ -134,8 +134,8 @@ class Subscription:
 class Bus:
     """One session on the bus of one site.
 
-    Do not call it from its own callbacks, except `put` (a query there waits for itself). Close it
-    at the end: a process with callbacks and an open session does not exit.
+    Do not call it from its own callbacks, except `publish` (a query there waits for itself). Close
+    it at the end: a process with callbacks and an open session does not exit.
     """
 
     def __init__(
@@ -154,9 +154,9 @@ class Bus:
         # By thread: (since when on the monotonic clock, key) of its publication under way.
         self._putting: dict[int, tuple[float, str]] = {}
 
-    def put(self, key: str, noun: Any, schema: str) -> None:
+    def publish(self, key: str, noun: Any, schema: str) -> None:
         """Publish a struct as MessagePack, without confirmation (see `camtopod.serve.outbox`)."""
-        self.publish_raw(key, codec.to_pack(noun), schema)
+        self.publish_raw(key, codec.to_msgpack(noun), schema)
 
     def publish_raw(
         self, key: str, payload: bytes, schema: str, attachment: bytes | None = None
@@ -223,7 +223,7 @@ class Bus:
 
         return end
 
-    def listen(self, key: str, most: int) -> Subscription:
+    def open_subscription(self, key: str, most: int) -> Subscription:
         """Subscribe to ``key`` (may contain ``*``) and return an `HeartbeatReceiver` for one thread
         to read.
 
@@ -237,7 +237,7 @@ class Bus:
         self._ears.append(ear)
         return ear
 
-    def answer(self, key: str, answer: Answer, schema: str) -> None:
+    def answer_queries(self, key: str, answer: Answer, schema: str) -> None:
         """Answer queries on ``key`` (may contain ``*``) by calling ``answer``.
 
         In MessagePack, or in JSON if the query has the parameter format=application/json.
@@ -261,13 +261,13 @@ class Bus:
 
                 # Encode and send it.
                 as_json = parameters.get("format") == JSON
-                payload = codec.to_json(noun) if as_json else codec.to_pack(noun)
+                payload = codec.to_json(noun) if as_json else codec.to_msgpack(noun)
                 self._mind_size(self._below(asked), payload)
                 query.reply(asked, payload, encoding=JSON if as_json else _PACK.format(schema))
 
         self._declared.append(self._session.declare_queryable(self._full(key), reply))
 
-    def ask(
+    def query(
         self,
         key: str,
         parameters: Mapping[str, object] | None = None,
@@ -316,12 +316,12 @@ class Bus:
             raise QueryError(refusal)
         return answers
 
-    def appear(self, role: str, name: str) -> None:
+    def announce(self, role: str, name: str) -> None:
         """Declare ``alive/{role}/{name}``, which vanishes with this session."""
         token = self._session.liveliness().declare_token(self._full(f"alive/{role}/{name}"))
         self._declared.append(token)
 
-    def present(self, role: str) -> list[str]:
+    def list_alive(self, role: str) -> list[str]:
         """Return the names of the programs of a role that are on the bus.
 
         Names that do not match `CAMERA_PATTERN` are left out.
@@ -339,7 +339,7 @@ class Bus:
     def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
         """Call ``on_change(name, alive)`` for programs of a role: those present, and each change.
 
-        Names as in `present`.
+        Names as in `list_alive`.
         """
 
         def change(sample: zenoh.Sample) -> None:
@@ -359,8 +359,8 @@ class Bus:
             if event.kind == zenoh.SampleKind.PUT:
                 sockets.close_without_waiting()
                 link = event.link
-                refusals.refusals.came(str(link.zid), link.auth_identifier, link.dst)
-                doorkeeper.came(link.auth_identifier, link.dst)
+                refusals.refusals.on_session(str(link.zid), link.auth_identifier, link.dst)
+                doorkeeper.on_connection(link.auth_identifier, link.dst)
 
         self._doorkeeper = doorkeeper
         self._declared.append(self._session.info.declare_link_events_listener(change, history=True))

@@ -20,7 +20,7 @@ from camtopod.serve.bus.session import Bus, BusError
 log = logging.getLogger(__name__)
 
 ROLE = "daemon"
-"""Role under which daemons appear on the bus, see `Bus.appear`."""
+"""Role under which daemons appear on the bus, see `Bus.announce`."""
 _LOOK_SECONDS = 0.1
 """Time between two looks for other daemons at the start, in seconds."""
 NAMED_MAX = 20
@@ -40,10 +40,10 @@ class OtherDaemons:
         """The name under which the other daemons see this one."""
         self._there: set[str] = set()
 
-    def refuse(self, seconds: float, cancelled: threading.Event) -> None:
+    def require_none(self, seconds: float, cancelled: threading.Event) -> None:
         """Raise `BusError` if there is another daemon, and it does not leave within ``seconds``."""
         deadline = time.monotonic() + seconds
-        while others := {name for name in self._bus.present(ROLE) if self._is_rival(name)}:
+        while others := {name for name in self._bus.list_alive(ROLE) if self._is_rival(name)}:
             if time.monotonic() >= deadline:
                 raise BusError(
                     f"another daemon ({', '.join(sorted(others))}) serves site {self._bus.site} "
@@ -55,7 +55,7 @@ class OtherDaemons:
     def appear(self) -> None:
         """Appear as a daemon of the site, and watch for others."""
         self._bus.watch_alive(ROLE, self._on_change)
-        self._bus.appear(ROLE, self.name)
+        self._bus.announce(ROLE, self.name)
 
     @property
     def reason(self) -> str:

@@ -138,11 +138,11 @@ class TopologySubscriber:
 
         # Query and decode.
         try:
-            answers = self._bus.ask("topology", one=True)
+            answers = self._bus.query("topology", one=True)
         except QueryError:  # nothing learned yet
             answers = []
         try:
-            newest = codec.read_topology(answers[0][1], pack=True) if answers else None
+            newest = codec.decode_topology(answers[0][1], pack=True) if answers else None
         except codec.Rejected as error:
             log.warning("malformed topology, querying it again: %s", error)
             newest = None

@@ -28,8 +28,8 @@ class Counts(Struct):
 class Acks:
     """The acknowledgements of all streams.
 
-    `again`, `duplicate` and `forget` are called from one thread at a time, `note` and `put` from
-    another.
+    One thread calls `duplicate` and `forget`, another `note_stored` and `publish`; `repeat` may be
+    called from any thread.
 
     stored: the highest stored seq of each stream, as of `Journal.streams`.
     owns: the cameras whose events this daemon acknowledges.
@@ -54,7 +54,7 @@ class Acks:
         self._forgotten: collections.deque[Key] = collections.deque()
         self._next = 0.0
 
-    def note(self, ready: Iterable[Received]) -> None:
+    def note_stored(self, ready: Iterable[Received]) -> None:
         """Note that these are stored."""
         for received in ready:
             entry, event, late = received.entry, received.event, False
@@ -81,7 +81,7 @@ class Acks:
             else:
                 counts.accepted += 1
 
-    def again(self, key: Key) -> None:
+    def repeat(self, key: Key) -> None:
         """Acknowledge a stream again, as the ack may have been lost. Any thread."""
         self._again.add(key)
 
@@ -94,7 +94,7 @@ class Acks:
         """Drop streams that are no longer followed."""
         self._forgotten.extend(keys)
 
-    def put(self, now: float, interval: float, beat: Beat) -> None:
+    def publish(self, now: float, interval: float, beat: Beat) -> None:
         """Publish the acks of the streams that have advanced, at most once in ``interval`` seconds.
 
         now (seconds): of a clock that never steps.
@@ -112,7 +112,7 @@ class Acks:
             camera, boot = key
             if self._owns(camera):
                 ack = Ack(camera, boot, self.stored[key], self._daemon, **asdict(self._of(key)))
-                self._bus.put(f"ack/{camera}", ack, "ack")
+                self._bus.publish(f"ack/{camera}", ack, "ack")
                 beat()
         self._dirty.clear()
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from camtopod import codec
 from camtopod.records import CAMERA_CHARACTERS_MAX, Event
-from camtopod.serve.ingest.camera_registry import Cameras, Received
+from camtopod.serve.ingest.camera_registry import CameraRegistry, Received
 from camtopod.serve.ingest.inbox import Message
 from camtopod.serve.outbox import SpoolBatch
 from camtopod.serve.runtime import Rejects
@@ -62,7 +62,11 @@ class Admission:
     """
 
     def __init__(
-        self, cameras: Cameras, with_spool: Set[str], rejects: Rejects, counts: dict[str, int]
+        self,
+        cameras: CameraRegistry,
+        with_spool: Set[str],
+        rejects: Rejects,
+        counts: dict[str, int],
     ) -> None:
         self._cameras, self._with_spool = cameras, with_spool
         self._rejects, self._counts = rejects, counts
@@ -114,7 +118,7 @@ class Admission:
 
     def _admit_camera(self, camera: str, now: float, raw: bytes) -> bool:
         """Return True if the camera is registered; else count a reject."""
-        admitted = self._cameras.admit(camera, now, self._with_spool)
+        admitted = self._cameras.register(camera, now, self._with_spool)
         if not admitted:
             self._rejects.add(
                 "too-many-cameras", f"event/{camera}", "limits.cameras_max is reached", raw

@@ -22,7 +22,7 @@ BACKLOG_SECONDS = 2.0
 """A spool's answer that spans more event time than this is a backlog."""
 SETTLE_SECONDS = 1.5
 """Time to wait for other cameras, after the first answer with a backlog and after the last."""
-STUCK_SECONDS = 5.0
+STALLED_SECONDS = 5.0
 """Time after which a camera that has more events, but does not deliver them, is not waited for.
 
 If no camera has more, it is the longest wait for other cameras.
@@ -45,7 +45,7 @@ class _Backlog(Struct):
     answered: float = -math.inf
 
 
-class Merge:
+class BacklogMerger:
     """Merges backlogs; at most ``events_max`` events of one camera wait.
 
     ``now`` is of a clock that never steps.
@@ -58,12 +58,12 @@ class Merge:
         self._began: float | None = None
         self._settled = 0.0
 
-    def answered(self, camera: str, times: Sequence[float], more: bool, now: float) -> None:
+    def note_answer(self, camera: str, times: Sequence[float], more: bool, now: float) -> None:
         """Note that a spool has delivered events of these times, and whether it has ``more``."""
         backlog = self._backlogs.get(camera)
         if times and max(times) > self._released and max(times) - min(times) > BACKLOG_SECONDS:
             self._began = now if self._began is None else self._began
-            self._settled = min(now + SETTLE_SECONDS, self._began + STUCK_SECONDS)
+            self._settled = min(now + SETTLE_SECONDS, self._began + STALLED_SECONDS)
             backlog = self._backlogs.setdefault(camera, _Backlog())
         if backlog is not None:
             backlog.more, backlog.answered = more, now
@@ -73,7 +73,7 @@ class Merge:
         """Take event time back to ``to`` (Unix seconds)."""
         self._released = min(self._released, to)
 
-    def full(self, camera: str) -> bool:
+    def is_full(self, camera: str) -> bool:
         """Return True if no more events of a camera can wait."""
         backlog = self._backlogs.get(camera)
         return backlog is not None and len(backlog.waiting) >= self._events_max
@@ -126,9 +126,9 @@ class Merge:
         come = [
             one.reached
             for one in self._backlogs.values()
-            if one.more and now - one.answered < STUCK_SECONDS
+            if one.more and now - one.answered < STALLED_SECONDS
         ]
-        if come or any(map(self.full, self._backlogs)):
+        if come or any(map(self.is_full, self._backlogs)):
             return min(come, default=math.inf)
         return math.inf if now >= self._settled else -math.inf
 

@@ -54,12 +54,12 @@ LOOK_SECONDS = 1.0
 """Interval of checks whether this machine's clock is slow."""
 STEP_SECONDS_MIN = 5.0
 """Smallest change against the steady clock that counts as a step of this machine's clock."""
-BELIEVED_SECONDS = 600.0
+TRUSTED_SECONDS = 600.0
 """Time that a step forward has to last, by the steady clock, until it is trusted."""
 REWIND_SECONDS = 10.0
 """Event time that has been ahead for this long is taken back.
 
-If this machine's clock was set back it is `BELIEVED_SECONDS`, as that step may have been wrong.
+If this machine's clock was set back it is `TRUSTED_SECONDS`, as that step may have been wrong.
 """
 DOUBLED_SECONDS = 600.0
 """How long the status mentions a camera that two programs were seen to publish."""
@@ -88,7 +88,7 @@ class Received(Struct, frozen=True, gc=False):
     rewind: Rewind | None = None
 
 
-class Camera(Struct):
+class CameraState(Struct):
     """State of one camera; ``heard`` and ``doubled`` are times of the steady clock.
 
     heard: when something of the camera was last received.
@@ -115,7 +115,7 @@ class Camera(Struct):
     waiting: collections.deque[tuple[float, Received]] = field(default_factory=collections.deque)
 
 
-class Cameras:
+class CameraRegistry:
     """All cameras, at most ``limits.cameras_max``.
 
     In all methods ``now`` is the time of a clock that never steps, and ``wall`` is this machine's
@@ -130,7 +130,7 @@ class Cameras:
     ) -> None:
         self.limits = limits
         self._boxes = boxes or {}
-        self._cameras: dict[str, Camera] = {}
+        self._cameras: dict[str, CameraState] = {}
         self._waiting: set[str] = set()
         self._refused: dict[str, float] = {}  # when each was refused last
         self._full_until = -math.inf  # until then no camera can be replaced for its silence
@@ -150,13 +150,13 @@ class Cameras:
     def __contains__(self, name: object) -> bool:
         return name in self._cameras
 
-    def admit(self, name: str, now: float, with_publisher: Set[str] = frozenset()) -> bool:
+    def register(self, name: str, now: float, with_publisher: Set[str] = frozenset()) -> bool:
         """Register a camera that has sent something; return False if there is no room for it.
 
         with_publisher: cameras whose publisher has been seen alive.
         """
         if name not in self._cameras and len(self._cameras) >= self.limits.cameras_max:
-            other = self._gives_way(now, with_publisher, name in with_publisher)
+            other = self._find_replaceable(now, with_publisher, name in with_publisher)
             if other is None:
                 self._refused.pop(name, None)  # the one refused last comes last
                 self._refused[name] = now
@@ -164,10 +164,12 @@ class Cameras:
                     del self._refused[next(iter(self._refused))]
                 return False
             del self._cameras[other]
-        (self._cameras.get(name) or self._place(name)).heard = now
+        (self._cameras.get(name) or self._state_of(name)).heard = now
         return True
 
-    def _gives_way(self, now: float, with_publisher: Set[str], preferred: bool) -> str | None:
+    def _find_replaceable(
+        self, now: float, with_publisher: Set[str], preferred: bool
+    ) -> str | None:
         """Return the camera to be replaced by another; None if there is none.
 
         preferred: the other camera has a publisher, so it may replace one without.
@@ -185,7 +187,7 @@ class Cameras:
             return None
         return min(may)[-1]
 
-    def crowded(self, now: float, with_publisher: Set[str] = frozenset()) -> str:
+    def refused_reason(self, now: float, with_publisher: Set[str] = frozenset()) -> str:
         """Return which cameras are refused, as there are too many, and what to do; else "".
 
         Any thread.
@@ -228,24 +230,24 @@ class Cameras:
 
         # A published event tells about the clock and the publisher of its camera.
         if fresh:
-            camera = self._cameras.get(event.camera) or self._place(event.camera)
+            camera = self._cameras.get(event.camera) or self._state_of(event.camera)
             camera.lead, camera.lead_at = event.t - wall, now
             camera.box = self._boxes.get(event.camera, box)
-            if event.boot is not None and camera.publisher.note(event.boot):
+            if event.boot is not None and camera.publisher.note_boot(event.boot):
                 camera.doubled = now
 
         # Check this machine's clock from time to time.
         if now >= self._next_look:
             self._next_look = now + LOOK_SECONDS
-            self._look(now)
+            self._check_clock(now)
         return event.t - wall > self.clock_behind + self.limits.future_seconds_max
 
-    def note(self, event: Event) -> bool:
+    def count_event(self, event: Event) -> bool:
         """Count an event that is about to be stored; return False if its camera floods.
 
         An event of a flood is not counted.
         """
-        camera = self._cameras.get(event.camera) or self._place(event.camera)
+        camera = self._cameras.get(event.camera) or self._state_of(event.camera)
         t, seconds = event.t, camera.seconds
         second = int(t)
         count = seconds.get(second, 0)
@@ -259,13 +261,14 @@ class Cameras:
         camera.events += 1
         return True
 
-    def full(self, name: str) -> bool:
+    def is_full(self, name: str) -> bool:
         """Return True if no more events of this camera can wait for their time."""
         return (
-            name in self._waiting and len(self._place(name).waiting) >= self.limits.held_events_max
+            name in self._waiting
+            and len(self._state_of(name).waiting) >= self.limits.held_events_max
         )
 
-    def in_time(self, ready: list[Received], wall: float, now: float) -> list[Received]:
+    def release_due(self, ready: list[Received], wall: float, now: float) -> list[Received]:
         """Return the events whose time has come, of these and of those that wait.
 
         Events of one camera stay in order.
@@ -277,7 +280,7 @@ class Cameras:
             name, event = received.entry.camera, received.event
             early = 0.0 if event is None else event.t - wall - EARLY_SECONDS_MAX
             if early > 0.0 or name in self._waiting:
-                self._place(name).waiting.append((now + early, received))
+                self._state_of(name).waiting.append((now + early, received))
                 self._waiting.add(name)
             else:
                 due.append(received)
@@ -305,7 +308,7 @@ class Cameras:
             if one.events
         }
 
-    def reason(self, watermark: float, wall: float) -> str:
+    def clock_reason(self, watermark: float, wall: float) -> str:
         """Return why events are not learned because of clocks, and what to do; else "". Any thread.
 
         watermark (Unix seconds): the learner's; older events are not learned.
@@ -314,7 +317,7 @@ class Cameras:
             return (
                 f"this machine's clock was set forward by {self.clock_ahead:.0f} s: events stamped"
                 f" by such a clock are stored but not learned until the clock has stayed so for"
-                f" {BELIEVED_SECONDS:g} s; if it is right now, restart the daemon, which then"
+                f" {TRUSTED_SECONDS:g} s; if it is right now, restart the daemon, which then"
                 " trusts it at once"
             )
         ahead = watermark - wall - self.clock_behind
@@ -327,7 +330,7 @@ class Cameras:
             )
         return ""
 
-    def wild(self, now: float) -> str:
+    def fast_clocks_reason(self, now: float) -> str:
         """Return which cameras' clocks are too fast for their events to be learned, by box.
 
         "" if none are. Any thread.
@@ -344,7 +347,7 @@ class Cameras:
             for (box, ahead), names in boxes.items()
         )
 
-    def doubled(self, now: float) -> str:
+    def double_publishers_reason(self, now: float) -> str:
         """Return which cameras two programs publish at the same time, and what to do; else "".
 
         Any thread.
@@ -377,16 +380,16 @@ class Cameras:
 
     @property
     def _rewind_seconds(self) -> float:
-        return BELIEVED_SECONDS if self._set_back > 0.0 else REWIND_SECONDS
+        return TRUSTED_SECONDS if self._set_back > 0.0 else REWIND_SECONDS
 
-    def _place(self, name: str) -> Camera:
+    def _state_of(self, name: str) -> CameraState:
         """Return the state of a camera.
 
         It is made anew if the camera was replaced while one of its events was still under way.
         """
         camera = self._cameras.get(name)
         if camera is None:
-            camera = self._cameras[name] = Camera(-math.inf)
+            camera = self._cameras[name] = CameraState(-math.inf)
         return camera
 
     def _leads(self, now: float) -> list[float]:
@@ -400,7 +403,7 @@ class Cameras:
                 boxes.setdefault(camera.box, []).append(camera.lead)
         return [statistics.median_low(leads) for leads in boxes.values()]
 
-    def _look(self, now: float) -> None:
+    def _check_clock(self, now: float) -> None:
         """Check whether this machine's clock is slow.
 
         Events stamped by a clock whose step was undone do not count.
@@ -428,7 +431,7 @@ class Cameras:
             self._go_back(-step, now)
 
         # Trust steps forward that have lasted.
-        lasted = [seconds for since, seconds in self._doubted if now - since >= BELIEVED_SECONDS]
+        lasted = [seconds for since, seconds in self._doubted if now - since >= TRUSTED_SECONDS]
         if lasted:
             del self._doubted[: len(lasted)]
             log.warning(
@@ -442,7 +445,7 @@ class Cameras:
             for camera in self._cameras.values():
                 camera.lead -= step
             self._next_look = -math.inf
-            self._look(now)
+            self._check_clock(now)
 
     def _go_forward(self, step: float, now: float) -> None:
         """Note a step forward, trusted as far as it undoes a step back or cameras were ahead."""
@@ -455,7 +458,7 @@ class Cameras:
                 "this machine's clock was set forward by %.0f s: it is trusted after %g s without"
                 " another jump",
                 doubted,
-                BELIEVED_SECONDS,
+                TRUSTED_SECONDS,
             )
 
     def _go_back(self, step: float, now: float) -> None:

@@ -30,7 +30,7 @@ NAMED_MAX = 1_000
 """Most streams that are named in the log, each once."""
 
 
-class Duplicates:
+class DuplicateChecker:
     """Compares duplicates with the journal; `note` is called in one thread, `compare` in another.
 
     steady: a clock that never steps.
@@ -62,7 +62,7 @@ class Duplicates:
             if entry.seq > stored.get((entry.camera, entry.boot), -1):
                 self._waiting.append(entry)
                 continue
-            before = self._journal.numbered(entry.camera, entry.boot, entry.seq)
+            before = self._journal.find_entry(entry.camera, entry.boot, entry.seq)
             if before is not None and before.kind != "refused" and not _same(before.raw, entry.raw):
                 self._say(entry)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 
-class EventTime:
+class IdleEventTime:
     """Event time that follows the clock once events in step with it have stopped.
 
     It does so only while the learner waits for a deadline, and by the steady clock: a step of this
@@ -33,7 +33,7 @@ class EventTime:
         """Forget what was in step, as event time has gone back."""
         self._live = None
 
-    def went_on(self, now: float, settle_seconds: float) -> float | None:
+    def advance_to(self, now: float, settle_seconds: float) -> float | None:
         """Return the event time to advance to, ``settle_seconds`` behind the clock, or None."""
         if self._live is None or self.deadline is None:
             return None

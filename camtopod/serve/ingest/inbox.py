@@ -14,7 +14,7 @@ from operator import itemgetter
 
 from msgspec import Struct
 
-STRANGERS = ""
+UNKNOWN_CAMERAS = ""
 """Name of the queue of unknown cameras; no camera has this name."""
 
 
@@ -73,7 +73,7 @@ class Inbox:
         name = message.camera
         queue = self._queues.get(name)
         if queue is None and not self._known(name):
-            name, queue = STRANGERS, self._queues.get(STRANGERS)
+            name, queue = UNKNOWN_CAMERAS, self._queues.get(UNKNOWN_CAMERAS)
 
         # Make room if another queue is longer.
         length = 0 if queue is None else len(queue)
@@ -94,13 +94,13 @@ class Inbox:
         self._arrived += 1
         self._waiting += 1
 
-    def poke(self) -> None:
+    def wake(self) -> None:
         """Let `wait` return."""
         with self._changed:
             self._changed.notify()
 
     def wait(self, seconds: float) -> None:
-        """Wait until a message comes or `poke` is called, at most ``seconds``."""
+        """Wait until a message comes or `wake` is called, at most ``seconds``."""
         with self._changed:
             if not self._waiting:
                 self._changed.wait(seconds)

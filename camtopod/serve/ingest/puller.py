@@ -73,7 +73,7 @@ class Puller:
         if alive:
             self._poke.set()
 
-    def use(self, limits: Limits) -> None:
+    def set_limits(self, limits: Limits) -> None:
         """Use other limits from now on. Any thread."""
         self._limits = limits
 
@@ -122,7 +122,7 @@ class Puller:
         most = self._limits.pull_events_max
         given: dict[str, object] = {"from": start, "max": most, "daemon": self._daemon}
         try:
-            answers = self._bus.ask(f"spool/{camera}", given | ({"boot": boot} if boot else {}))
+            answers = self._bus.query(f"spool/{camera}", given | ({"boot": boot} if boot else {}))
         except QueryError as error:
             self._rejects.add("spool-refuses", f"spool/{camera}", str(error))
             return None

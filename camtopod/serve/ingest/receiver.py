@@ -51,11 +51,11 @@ from camtopod.event_time import EventTime as LearnedTime
 from camtopod.serve.bus import Bus, Heard, Subscription
 from camtopod.serve.ingest.acks import Acks
 from camtopod.serve.ingest.admission import SpoolAnswer, read_message
-from camtopod.serve.ingest.camera_registry import Cameras, Received
-from camtopod.serve.ingest.duplicates import Duplicates
+from camtopod.serve.ingest.camera_registry import CameraRegistry, Received
+from camtopod.serve.ingest.duplicates import DuplicateChecker
 from camtopod.serve.ingest.inbox import Inbox, Message
 from camtopod.serve.ingest.stages import Round, Stages
-from camtopod.serve.ingest.store_queue import Handover
+from camtopod.serve.ingest.store_queue import StoreQueue
 from camtopod.serve.runtime import Beat, Clock, no_beat, owns_every_camera, steady_clock_for
 from camtopod.serve.storage import Journal, JournalWriter, Version, rewind
 
@@ -88,7 +88,7 @@ class Receiver:
     """Takes events from the bus into the journal.
 
     Give it the subscription as ``ear``, or messages with `on_event`, and spools' answers with
-    `on_pulled`. Run `work`, `store` and, if there is an ear, `listen`, each in a thread.
+    `on_answer`. Run `work`, `store` and, if there is an ear, `listen`, each in a thread.
 
     learn: takes stored entries, in journal order. It must not block.
     room: returns how many entries ``learn`` takes now.
@@ -99,7 +99,7 @@ class Receiver:
     owns: the cameras whose events this daemon acknowledges.
     daemon: name of this daemon.
     learned_time: event time as the learner has it after the entries stored so far.
-    boxes: certificates of cameras; see `Cameras`.
+    boxes: certificates of cameras; see `CameraRegistry`.
     corrected: begins a new epoch, as event time is taken back to the given Unix seconds; returns
         the epoch that ends and the one that begins.
     """
@@ -127,12 +127,12 @@ class Receiver:
         self._learned_time, self._corrected = learned_time or LearnedTime(0.0), corrected
 
         # Collaborators along the path, up to the journal.
-        stored, usual = journal.streams(), journal.usual_stamp()
-        self.cameras = Cameras(limits, 0.0 if usual is None else usual - clock(), boxes)
-        self.duplicates = Duplicates(journal, self._steady)
+        stored, usual = journal.streams(), journal.median_stored_time()
+        self.cameras = CameraRegistry(limits, 0.0 if usual is None else usual - clock(), boxes)
+        self.duplicates = DuplicateChecker(journal, self._steady)
         self._acks = Acks(bus, stored, owns, daemon, self._learned_time)
         self._stages = Stages(self.cameras, self.duplicates, self._acks, limits, self._room, owns)
-        self._queue = Handover()
+        self._queue = StoreQueue()
         self.storing = JournalWriter(journal, clock, self._steady, publish)
         self._beat: Beat = no_beat
 
@@ -159,7 +159,7 @@ class Receiver:
         # Admit the cameras that the journal has, those received from last first.
         known = dict.fromkeys(camera for camera, _ in reversed(stored))
         for camera in list(known)[: limits.cameras_max]:
-            self.cameras.admit(camera, self._steady())
+            self.cameras.register(camera, self._steady())
 
     def on_event(self, key: str, payload: bytes) -> None:
         """Take a publication on ``event/{camera}``. Any thread; never blocks.
@@ -168,36 +168,36 @@ class Receiver:
         """
         self._inbox.put(read_message(key, payload))
 
-    def on_pulled(self, answer: SpoolAnswer) -> bool:
+    def on_answer(self, answer: SpoolAnswer) -> bool:
         """Take the answer of a spool; return False if there is no room for it now. Any thread."""
         camera = answer.batch.camera
-        if self.merge.full(camera):
+        if self.merge.is_full(camera):
             return False
         of_camera = sum(other.batch.camera == camera for other in self._answers.copy())
         if len(self._answers) >= _ANSWERS_MAX or of_camera >= _CAMERA_ANSWERS_MAX:
             return False
         self._answers.append(answer)
-        self._inbox.poke()
+        self._inbox.wake()
         return True
 
     def on_alive(self, camera: str) -> None:
         """Note that a camera's publisher has appeared, and repeat its acks. Any thread."""
         self.with_spool.add(camera)
         for boot in self.streams.boots(camera):
-            self._acks.again((camera, boot))
+            self._acks.repeat((camera, boot))
 
     def on_deadline(self, deadline: float | None) -> None:
         """Set the event time at which the learner wants to know that time has passed."""
         self._stages.idle_time.deadline = deadline
 
-    def use(self, limits: Limits) -> None:
+    def set_limits(self, limits: Limits) -> None:
         """Use other limits from now on, except for sizes of what exists already. Any thread."""
         self._limits = self.cameras.limits = limits
 
     @property
-    def crowded(self) -> str:
+    def refused_reason(self) -> str:
         """Which cameras are refused, as there are too many, and what to do; else "". Any thread."""
-        return self.cameras.crowded(self._steady(), self.with_spool)
+        return self.cameras.refused_reason(self._steady(), self.with_spool)
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -218,14 +218,14 @@ class Receiver:
         if (ear := self.ear) is None:
             return
         try:
-            while (heard := ear.take()) is not None:
+            while (heard := ear.receive()) is not None:
                 # The usual case: a message comes alone, and none waits before it.
                 if len(heard) == 1 and not self._inbox:
                     with self._try_turn() as has_turn:
                         if has_turn:
                             self._round([read_message(*heard[0])], ear)
                     if has_turn:
-                        heard = ear.take(wait=False)
+                        heard = ear.receive(wait=False)
                 self._note_heard(heard)
 
                 # Otherwise order the messages that wait, while there is room.
@@ -233,23 +233,23 @@ class Receiver:
                 while has_turn and self._inbox:
                     with self._try_turn() as has_turn:
                         if has_turn:
-                            self._round(self._take(), ear)
+                            self._round(self._take_messages(), ear)
                     if has_turn:
-                        self._note_heard(ear.take(wait=False))
+                        self._note_heard(ear.receive(wait=False))
                 if self._inbox:
-                    self._inbox.poke()
+                    self._inbox.wake()
         finally:
             ear.close()
             self._listened.set()
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Move messages along the path until ``stopping``, and then those still in the inbox."""
-        self._queue.begin()
+        self._queue.open()
         try:
             while not stopping.is_set():
                 self._wait()
                 with self._turn:
-                    self._round(self._take())
+                    self._round(self._take_messages())
                     self._take_event_time_back()
                 beat()
 
@@ -258,9 +258,9 @@ class Receiver:
                 self.ear.close()
                 self._listened.wait(_CLOSING_SECONDS)
             with self._turn:
-                self._round(self._take())
+                self._round(self._take_messages())
         finally:
-            self._queue.end()
+            self._queue.close()
 
     def store(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Store what is in the queue until `work` has ended.
@@ -270,13 +270,13 @@ class Receiver:
         """
         self._beat = beat
         stored = True
-        while stored and not self._queue.over:
+        while stored and not self._queue.is_finished:
             stored = self._store_waiting(stopping)
             beat()
 
         # After a failure even stored entries may be gone; the next start acknowledges the rest.
         if stored:
-            self._acks.put(math.inf, 0.0, beat)
+            self._acks.publish(math.inf, 0.0, beat)
 
     @contextlib.contextmanager
     def _try_turn(self) -> Iterator[bool]:
@@ -304,7 +304,7 @@ class Receiver:
         elif not self._answers:
             self._inbox.wait(_TICK_SECONDS)
 
-    def _take(self) -> list[Message | SpoolAnswer]:
+    def _take_messages(self) -> list[Message | SpoolAnswer]:
         """Return waiting messages, about one transaction's worth; none if there is no room.
 
         Answers come first, but the inbox always gives up to `_QUANTUM_EVENTS`.
@@ -358,7 +358,7 @@ class Receiver:
             ready = stage(ready, this_round)
 
         # Drop the acks of streams that are no longer followed; let the puller fill gaps.
-        self._acks.forget(stages.streams.forgotten())
+        self._acks.forget(stages.streams.take_dropped())
         if stages.streams.gaps:
             self.gap.set()
 
@@ -380,7 +380,7 @@ class Receiver:
             self._see(ready[first : first + _PREDICTED_EVENTS], most - spent)
             spent += time.monotonic() - began
             if this_round.ear is not None:
-                self._note_heard(this_round.ear.take(wait=False))
+                self._note_heard(this_round.ear.receive(wait=False))
         return ready
 
     def _hand_over(self, ready: list[Received], this_round: Round) -> list[Received]:
@@ -427,9 +427,9 @@ class Receiver:
         ready = self._queue.take(limits.commit_events_max, _TICK_SECONDS, limits.commit_seconds)
         if not self._store(ready, stopping):
             return False
-        self._acks.put(time.monotonic(), limits.ack_seconds, self._beat)
+        self._acks.publish(time.monotonic(), limits.ack_seconds, self._beat)
         self.duplicates.compare(self._acks.stored)
-        self.storing.forget_old()
+        self.storing.prune()
         return True
 
     def _store(self, ready: list[Received], stopping: threading.Event) -> bool:
@@ -437,7 +437,7 @@ class Receiver:
         if not self.storing.store([received.entry for received in ready], stopping, self._beat):
             return False
         if ready:
-            self._acks.note(ready)
+            self._acks.note_stored(ready)
             self.counts["stored"] += sum(received.event is not None for received in ready)
             self._learn(ready)
         self._queue.done()

@@ -27,7 +27,7 @@ A spool may claim any number, but a status holds no larger one.
 """
 
 Verdict = Literal["ready", "duplicate", "held", "dropped", "refused", "jump"]
-"""What `Streams.offer` makes of an event."""
+"""What `Streams.add` makes of an event."""
 Key = tuple[str, str]
 """A stream: (camera, boot)."""
 T = TypeVar("T")
@@ -89,10 +89,10 @@ class Streams(Generic[T]):
         self.unknown = 0
         """Number of events dropped that waited behind a gap but are not in their spool."""
         for key, seq in stored.items():
-            if self._room_for(key):
+            if self._make_room(key):
                 self._add(key, _Stream(seq + 1, {}))
 
-    def offer(self, key: Key, seq: int, item: T, now: float) -> tuple[Verdict, list[T]]:
+    def add(self, key: Key, seq: int, item: T, now: float) -> tuple[Verdict, list[T]]:
         """Take one event of stream ``key``; return its verdict and what is ready now, in order.
 
         held: it waits behind a gap.
@@ -101,7 +101,7 @@ class Streams(Generic[T]):
         jump: its seq is too far ahead to be true.
         """
         # A new stream begins with its first seq; it may have to replace another.
-        stream = self._heard(key)
+        stream = self._touch(key)
         if stream is None:
             return "refused", []
         if stream.next is None and seq in FIRST_SEQS:
@@ -130,14 +130,14 @@ class Streams(Generic[T]):
         self._hold(key, stream, seq, item)
         return "held", []
 
-    def begins_at(self, key: Key, first: int, now: float) -> list[T]:
+    def skip_before(self, key: Key, first: int, now: float) -> list[T]:
         """Return what becomes ready as the spool has nothing below ``first``: the rest is lost."""
-        stream = self._heard(key)
+        stream = self._touch(key)
         if stream is None or (stream.next is not None and stream.next >= first):
             return []
         return self._skip_to(key, stream, first, now)
 
-    def answered(
+    def note_answer(
         self, key: Key, asked_from: int, seqs: Sequence[int], more: bool, knows: bool = True
     ) -> None:
         """Note the ``seqs`` (rising) that a spool has from ``asked_from`` on, and perhaps ``more``.
@@ -160,7 +160,7 @@ class Streams(Generic[T]):
         # It has none: drop held events that it lacks for the second time.
         if following is None and knows:
             for seq in stream.unknown & stream.held.keys():
-                self._let_go(key, stream, seq)
+                self._unhold(key, stream, seq)
                 self.unknown += 1
             stream.unknown = frozenset(stream.held)
             if not stream.held:
@@ -170,7 +170,7 @@ class Streams(Generic[T]):
         # It has later ones: the gap cannot be filled.
         stream.lacks_next, stream.goes_on = True, following
 
-    def give_up(self, now: float, gap_seconds: float, has_spool: set[str]) -> list[T]:
+    def give_up_gaps(self, now: float, gap_seconds: float, has_spool: set[str]) -> list[T]:
         """Return what becomes ready as gaps older than ``gap_seconds`` cannot be filled.
 
         has_spool: cameras with a spool; their gaps wait until the spool has said that it lacks the
@@ -187,7 +187,7 @@ class Streams(Generic[T]):
                 )
         return ready
 
-    def wanted(self, camera: str) -> tuple[str, int] | None:
+    def next_to_pull(self, camera: str) -> tuple[str, int] | None:
         """Return (boot, lowest seq not ready yet) of a camera's newest stream, to be pulled.
 
         Any thread.
@@ -200,7 +200,7 @@ class Streams(Generic[T]):
         """Return the boots of a camera that are followed. Any thread."""
         return list(self._boots.get(camera, ()))
 
-    def forgotten(self) -> list[Key]:
+    def take_dropped(self) -> list[Key]:
         """Return the streams that were dropped since the last call."""
         keys, self._forgotten = self._forgotten, []
         return [key for key in keys if key not in self._streams]
@@ -213,11 +213,11 @@ class Streams(Generic[T]):
     def __len__(self) -> int:
         return len(self._streams)
 
-    def _heard(self, key: Key) -> _Stream | None:
+    def _touch(self, key: Key) -> _Stream | None:
         """Return the stream, now the one received from last; None if there is no room for it."""
         stream = self._streams.pop(key, None)
         if stream is None:
-            if not self._room_for(key):
+            if not self._make_room(key):
                 return None
             stream = _Stream(None, {})
         elif next(reversed(self._boots[key[0]])) == key[1]:  # the usual case
@@ -232,7 +232,7 @@ class Streams(Generic[T]):
         boots.pop(key[1], None)
         boots[key[1]] = None
 
-    def _room_for(self, key: Key) -> bool:
+    def _make_room(self, key: Key) -> bool:
         """Make room for a stream by dropping the complete one not received from for longest.
 
         It is one of the same camera if that has too many, else any. Return False if there is none.
@@ -255,7 +255,7 @@ class Streams(Generic[T]):
         stream.held[seq] = item
         self._held[key[0]] += 1
 
-    def _let_go(self, key: Key, stream: _Stream, seq: int) -> T:
+    def _unhold(self, key: Key, stream: _Stream, seq: int) -> T:
         """Return an event that was held, and hold it no longer."""
         self._held[key[0]] -= 1
         if not self._held[key[0]]:
@@ -265,7 +265,7 @@ class Streams(Generic[T]):
     def _skip_to(self, key: Key, stream: _Stream, seq: int, now: float) -> list[T]:
         """Give up what is missing below ``seq``; events held below it become ready."""
         early = sorted(held for held in stream.held if held < seq)
-        ready = [self._let_go(key, stream, held) for held in early]
+        ready = [self._unhold(key, stream, held) for held in early]
         if (stream.next is not None or ready) and self._owns(key[0]):
             self.lost = min(self.lost + max(0, seq - (stream.next or 0) - len(ready)), COUNT_MAX)
         stream.next = seq
@@ -276,7 +276,7 @@ class Streams(Generic[T]):
         ready: list[T] = []
         assert stream.next is not None
         while stream.next in stream.held:
-            ready.append(self._let_go(key, stream, stream.next))
+            ready.append(self._unhold(key, stream, stream.next))
             stream.next += 1
         stream.lacks_next, stream.goes_on = False, None
         if stream.held:

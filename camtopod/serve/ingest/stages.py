@@ -2,7 +2,7 @@
 
 `Receiver._round` walks them; the head of its module lists them. A stage takes the entries that are
 ready and returns those that go on. Entries that wait in a stage are kept by its collaborator:
-`Streams`, `Cameras` or `Merge`.
+`Streams`, `CameraRegistry` or `BacklogMerger`.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from camtopod.config import Limits
 from camtopod.serve.bus import Subscription
 from camtopod.serve.ingest.acks import Acks
 from camtopod.serve.ingest.admission import Admission, SpoolAnswer
-from camtopod.serve.ingest.backlog import Merge
-from camtopod.serve.ingest.camera_registry import Cameras, Received
-from camtopod.serve.ingest.duplicates import Duplicates
-from camtopod.serve.ingest.idle_time import EventTime
+from camtopod.serve.ingest.backlog import BacklogMerger
+from camtopod.serve.ingest.camera_registry import CameraRegistry, Received
+from camtopod.serve.ingest.duplicates import DuplicateChecker
+from camtopod.serve.ingest.idle_time import IdleEventTime
 from camtopod.serve.ingest.inbox import Message
 from camtopod.serve.ingest.sequencing import Streams
 from camtopod.serve.outbox import SpoolBatch
@@ -57,8 +57,8 @@ class Stages:
 
     def __init__(
         self,
-        cameras: Cameras,
-        duplicates: Duplicates,
+        cameras: CameraRegistry,
+        duplicates: DuplicateChecker,
         acks: Acks,
         limits: Limits,
         room: Callable[[], int],
@@ -77,8 +77,8 @@ class Stages:
         self.streams: Streams[Received] = Streams(
             acks.stored, limits.held_events_max, limits.streams_max, BOOTS_MAX, owns
         )
-        self.merge = Merge(limits.held_events_max)
-        self.idle_time = EventTime()
+        self.merge = BacklogMerger(limits.held_events_max)
+        self.idle_time = IdleEventTime()
 
     def enter(self, message: Message | SpoolAnswer, this_round: Round) -> list[Received]:
         """Decode, admit and sequence the events of a message; return those that are ready by it."""
@@ -90,11 +90,11 @@ class Stages:
     def give_up_gaps(self, ready: list[Received], this_round: Round) -> list[Received]:
         """Add the events behind gaps that cannot be filled any more."""
         patience = this_round.limits.gap_seconds
-        return ready + self.streams.give_up(time.monotonic(), patience, self.with_spool)
+        return ready + self.streams.give_up_gaps(time.monotonic(), patience, self.with_spool)
 
     def hold_back(self, ready: list[Received], this_round: Round) -> list[Received]:
         """Return the events whose time has come, of these and of those held back before."""
-        return self._cameras.in_time(ready, this_round.wall, this_round.now)
+        return self._cameras.release_due(ready, this_round.wall, this_round.now)
 
     def merge_backlogs(self, ready: list[Received], this_round: Round) -> list[Received]:
         """Return the events before which no others are expected from spools with a backlog."""
@@ -104,7 +104,7 @@ class Stages:
         """Replace what a camera sends beyond what a view can show; only its number is stored."""
         kept = []
         for received in ready:
-            if received.event is not None and not self._cameras.note(received.event):
+            if received.event is not None and not self._cameras.count_event(received.event):
                 self.counts["flood"] += 1
                 entry = received.entry
                 if entry.seq is None:
@@ -115,7 +115,7 @@ class Stages:
 
     def advance_idle_time(self, ready: list[Received], this_round: Round) -> list[Received]:
         """Add an entry that advances event time, if no events come and the learner waits for it."""
-        advanced = self.idle_time.went_on(this_round.now, this_round.limits.settle_seconds)
+        advanced = self.idle_time.advance_to(this_round.now, this_round.limits.settle_seconds)
         if advanced is None:
             return ready
         entry = Entry("advance", "", None, None, repr(advanced).encode())
@@ -131,18 +131,18 @@ class Stages:
         batch = answer.batch
         key = (batch.camera, batch.boot)
         self._notice_loss(batch)
-        ready = self.streams.begins_at(key, batch.first, time.monotonic())
+        ready = self.streams.skip_before(key, batch.first, time.monotonic())
         for received in opened.entries:
             ready += self._sequence(received)
 
         # Note how far the backlog has come, and which events of a gap the spool lacks.
-        self.merge.answered(batch.camera, opened.times, batch.more, time.monotonic())
+        self.merge.note_answer(batch.camera, opened.times, batch.more, time.monotonic())
         seqs = [seq for seq, _ in batch.events]
-        self.streams.answered(key, answer.asked_from, seqs, batch.more, knows=batch.first > 0)
+        self.streams.note_answer(key, answer.asked_from, seqs, batch.more, knows=batch.first > 0)
 
         # Repeat the ack if the spool still has events that are stored, as it was lost.
         if batch.first <= self._acks.stored.get(key, -1) != batch.acked:
-            self._acks.again(key)
+            self._acks.repeat(key)
         return ready
 
     def _sequence(self, received: Received) -> list[Received]:
@@ -150,14 +150,14 @@ class Stages:
         # Drop it if its camera has too many events waiting in a later stage.
         entry = received.entry
         camera, boot, seq = entry.camera, entry.boot, entry.seq
-        if self._cameras.full(camera) or self.merge.full(camera):
+        if self._cameras.is_full(camera) or self.merge.is_full(camera):
             self.counts["held_full"] += 1
             return []
         if boot is None or seq is None:
             return [received]  # without a number, it is ready at once
 
         # Offer it to its stream, and count it if it is not taken.
-        verdict, ready = self.streams.offer((camera, boot), seq, received, time.monotonic())
+        verdict, ready = self.streams.add((camera, boot), seq, received, time.monotonic())
         if verdict == "duplicate":
             self.counts["duplicate"] += 1
             self._duplicates.note(entry)

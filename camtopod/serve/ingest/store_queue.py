@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from camtopod.serve.ingest.camera_registry import Received
 
 
-class Handover:
-    """A queue; `put` and `end` are called from one thread, `take` and `done` from another."""
+class StoreQueue:
+    """A queue; `put` and `close` are called from one thread, `take` and `done` from another."""
 
     def __init__(self) -> None:
         self._ready: collections.deque[Received] = collections.deque()
@@ -28,11 +28,11 @@ class Handover:
         return len(self._ready) + self._taken
 
     @property
-    def over(self) -> bool:
+    def is_finished(self) -> bool:
         """True if nothing is there and nothing will come."""
         return self._ended and not self._ready
 
-    def begin(self) -> None:
+    def open(self) -> None:
         """Open the queue."""
         self._ended = False
 
@@ -42,7 +42,7 @@ class Handover:
             self._ready.extend(ready)
             self._changed.notify_all()
 
-    def end(self) -> None:
+    def close(self) -> None:
         """Close the queue: nothing more will come."""
         with self._changed:
             self._ended = True

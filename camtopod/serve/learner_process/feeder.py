@@ -17,19 +17,19 @@ from collections.abc import Callable
 
 from camtopod.serve.ingest import Received
 from camtopod.serve.learner_process.messages import (
-    LESSONS_MAX,
+    INPUTS_MAX,
     OUT_OF_MEMORY,
     Answer,
-    Lesson,
-    Made,
+    Input,
+    LearnBatch,
+    LearnProgress,
     NewEpoch,
-    Otherwise,
+    NewVersion,
     Question,
     Refresh,
     Save,
     Saved,
-    Taught,
-    Teach,
+    VersionMismatch,
 )
 from camtopod.serve.learner_process.process import LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import Recovered, note_failure
@@ -56,7 +56,7 @@ _PROGRESS_ENTRIES = 200_000
 """Number of replayed entries between two log lines."""
 
 
-class Learning:
+class LearnerFeeder:
     """Feeds the learner of ``process``; nothing else may ask that process.
 
     The thread of `work` calls:
@@ -96,7 +96,7 @@ class Learning:
         self._busy = False  # True while the process owes an answer
 
         # Entries in memory.
-        self._queue: queue.SimpleQueue[list[Lesson]] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[list[Input]] = queue.SimpleQueue()
         self._queued = 0
         self._behind = True  # True while entries after the queue have to be read from the journal
         self._mutex = threading.Lock()
@@ -140,7 +140,7 @@ class Learning:
         return max(0, self._replay_until - self.position)
 
     @property
-    def crowded(self) -> str:
+    def refused_reason(self) -> str:
         """Why some cameras are stored but not learned, and what to do; else "". Any thread."""
         if time.monotonic() - self._refused_at > REFUSED_SECONDS:
             return ""
@@ -159,9 +159,9 @@ class Learning:
             self._learn(Refresh(self.position), stopping, beat)
             while not stopping.is_set():
                 if self._queued == 0 and self._behind:
-                    self._catch_up(stopping, beat)
+                    self._learn_from_journal(stopping, beat)
                 else:
-                    self._go_on(stopping, beat)
+                    self._learn_from_queue(stopping, beat)
         except LearnerEnded as ended:
             if stopping.is_set():
                 return
@@ -195,19 +195,19 @@ class Learning:
         assert isinstance(saved, Saved)
         return Snapshot(self.position, self.epoch, saved.state)
 
-    def _catch_up(self, stopping: threading.Event, beat: Beat) -> None:
+    def _learn_from_journal(self, stopping: threading.Event, beat: Beat) -> None:
         """Learn what the journal has by now; meanwhile nothing is queued."""
         # Learn in batches.
         begun, until, damaged = self.position, self._stored, self.damaged
-        batch: list[Lesson] = []
+        batch: list[Input] = []
         for number, entry in self._journal.entries(after=begun, up_to=until):
             if not batch:
                 self.position = number - 1
             self.damaged += entry is None
-            batch.append(None if entry is None else self._lesson(number, entry))
-            if len(batch) >= LESSONS_MAX or number == until:
-                self._learn(Teach(self.position, batch), stopping, beat)
-                self._tell(stopping, beat)
+            batch.append(None if entry is None else self._input_of(number, entry))
+            if len(batch) >= INPUTS_MAX or number == until:
+                self._learn(LearnBatch(self.position, batch), stopping, beat)
+                self._take_snapshot(stopping, beat)
                 batch = []
             if stopping.is_set():
                 return
@@ -223,9 +223,9 @@ class Learning:
             )
         with self._mutex:
             self._behind = self.position < self._stored
-        self._tell(stopping, beat)
+        self._take_snapshot(stopping, beat)
 
-    def _go_on(self, stopping: threading.Event, beat: Beat) -> None:
+    def _learn_from_queue(self, stopping: threading.Event, beat: Beat) -> None:
         """Learn what is queued, or wait for something."""
         try:
             batch = self._queue.get(timeout=_TICK_SECONDS)
@@ -235,25 +235,25 @@ class Learning:
             return
 
         # Gather more entries, then learn them in batches.
-        if len(batch) < LESSONS_MAX:
+        if len(batch) < INPUTS_MAX:
             stopping.wait(GATHER_SECONDS)
-        while len(batch) < LESSONS_MAX and not self._queue.empty():
+        while len(batch) < INPUTS_MAX and not self._queue.empty():
             batch += self._queue.get()
 
-        for first in range(0, len(batch), LESSONS_MAX):
-            some = batch[first : first + LESSONS_MAX]
-            self._learn(Teach(self.position, some), stopping, beat)
+        for first in range(0, len(batch), INPUTS_MAX):
+            some = batch[first : first + INPUTS_MAX]
+            self._learn(LearnBatch(self.position, some), stopping, beat)
             with self._mutex:
                 self._queued -= len(some)
             beat()
             if stopping.is_set():
                 return
-        self._tell(stopping, beat)
+        self._take_snapshot(stopping, beat)
 
-    def _learn(self, task: Refresh | Teach, stopping: threading.Event, beat: Beat) -> None:
+    def _learn(self, task: Refresh | LearnBatch, stopping: threading.Event, beat: Beat) -> None:
         """Send a task to the learner and note the progress."""
         taught = self._ask(task, stopping, beat)
-        assert isinstance(taught, Taught)
+        assert isinstance(taught, LearnProgress)
 
         # Note what it says.
         if taught.statistics.get("refused", 0) > self.statistics.get("refused", 0):
@@ -274,7 +274,7 @@ class Learning:
                 taught.unreadable,
             )
 
-    def _lesson(self, number: int, entry: Entry) -> Lesson:
+    def _input_of(self, number: int, entry: Entry) -> Input:
         """Return what the learner needs of an entry.
 
         The rest is not kept: thousands of entries wait during a refit.
@@ -289,7 +289,7 @@ class Learning:
             case _:
                 return None
 
-    def _tell(self, stopping: threading.Event, beat: Beat) -> None:
+    def _take_snapshot(self, stopping: threading.Event, beat: Beat) -> None:
         """Take a snapshot between batches if one is due."""
         if self._due or self.position - self._saved >= self._snapshot_events:
             saved = self._ask(Save(), stopping, beat)
@@ -309,15 +309,15 @@ class Learning:
             answer = self._process.receive(_TICK_SECONDS)
 
             # Versions come before the last answer.
-            if isinstance(answer, Made):
-                self._take(answer)
-            elif isinstance(answer, Otherwise):
+            if isinstance(answer, NewVersion):
+                self._hand_over_version(answer)
+            elif isinstance(answer, VersionMismatch):
                 self._begin_epoch(answer.version)
             elif answer is not None:
                 self._busy = False
                 return answer
 
-            if answer is not None or self._process.got_on():
+            if answer is not None or self._process.has_progressed():
                 beat()
 
             # When stopping, let the learner finish its entry, or end it.
@@ -327,7 +327,7 @@ class Learning:
                 if time.monotonic() - told_at > FINISH_SECONDS:
                     self._process.kill()
 
-    def _take(self, made: Made) -> None:
+    def _hand_over_version(self, made: NewVersion) -> None:
         """Hand a new version over."""
         self._due = True
         self.made += 1

@@ -1,8 +1,8 @@
 """Messages between the daemon and the learner's process, over two pipes and shared memory.
 
-The daemon asks; the process answers with any number of `Made` and `Otherwise`, then with one of the
-other answers. A message is its length, and its MessagePack. Both sides are this program, so an
-invalid message is a bug.
+The daemon asks; the process answers with any number of `NewVersion` and `VersionMismatch`, then
+with one of the other answers. A message is its length, and its MessagePack. Both sides are this
+program, so an invalid message is a bug.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from camtopod.learn import Settings
 from camtopod.serve.storage import Rewind
 from camtopod.sharding import Part, Sharding
 
-LESSONS_MAX = 4_000
+INPUTS_MAX = 4_000
 """Most entries in one message: some hundred kilobytes, some hundredths of a second without a fit.
 
 Where the daemon's threads are busy, each message waits several times for the GIL, milliseconds
@@ -35,14 +35,14 @@ _LENGTH = struct.Struct("<Q")
 """The length before each message, in bytes."""
 
 
-Lesson = bytes | float | Rewind | None
+Input = bytes | float | Rewind | None
 """What the learner needs of a journal entry.
 
 It is an event as it was received, an event time to advance to, a rewind of event time, or nothing.
 """
 
 
-class Portion(Struct, frozen=True):
+class ShardScope(Struct, frozen=True):
     """The part of the site that a learner learns: shard ``shard`` = (i, n), with these settings."""
 
     sharding: Sharding
@@ -60,7 +60,7 @@ class Load(Struct, tag=True):
 
 
 class Begin(Struct, tag=True):
-    """Question: begin to learn. Answer: `Taught`.
+    """Question: begin to learn. Answer: `LearnProgress`.
 
     stored: digests of the epoch's versions that may have been published.
     load: use the state that was loaded last.
@@ -73,28 +73,28 @@ class Begin(Struct, tag=True):
     epoch: str
     stored: dict[int, str]
     load: bool
-    portion: Portion | None = None
+    portion: ShardScope | None = None
     without: list[str] = []
 
 
 class Refresh(Struct, tag=True):
-    """Question: make the epoch's first version; asked once before any `Teach`.
+    """Question: make the epoch's first version; asked once before any `LearnBatch`.
 
-    Answer: `Taught`.
+    Answer: `LearnProgress`.
     """
 
     position: int
 
 
-class Teach(Struct, tag=True):
-    """Question: learn the entries of the journal after ``position``. Answer: `Taught`."""
+class LearnBatch(Struct, tag=True):
+    """Question: learn the entries of the journal after ``position``. Answer: `LearnProgress`."""
 
     position: int
-    lessons: list[Lesson]
+    lessons: list[Input]
 
 
 class NewEpoch(Struct, tag=True):
-    """Reply of the daemon to `Otherwise`."""
+    """Reply of the daemon to `VersionMismatch`."""
 
     epoch: str
 
@@ -113,7 +113,7 @@ class Loaded(Struct, tag=True):
     settings: Settings
     site: str
     epoch: str
-    portion: Portion | None = None
+    portion: ShardScope | None = None
 
 
 class Unusable(Struct, tag=True):
@@ -123,7 +123,7 @@ class Unusable(Struct, tag=True):
     newer: bool
 
 
-class Made(Struct, tag=True):
+class NewVersion(Struct, tag=True):
     """A new version, not stored yet.
 
     content, packed: the version as JSON and as MessagePack.
@@ -140,13 +140,13 @@ class Made(Struct, tag=True):
     told: bytes | None = None
 
 
-class Otherwise(Struct, tag=True):
+class VersionMismatch(Struct, tag=True):
     """A stored version was not reproduced: its digest differs. Learning waits for a `NewEpoch`."""
 
     version: int
 
 
-class Taught(Struct, tag=True):
+class LearnProgress(Struct, tag=True):
     """Progress: everything up to ``position`` is learned, less than was asked for if time ran out.
 
     deadline: event time that the learner waits for.
@@ -181,8 +181,8 @@ class Saved(Struct, tag=True):
     state: bytes
 
 
-Question = Load | Begin | Refresh | Teach | NewEpoch | Show | Save
-Answer = Loaded | Unusable | Made | Otherwise | Taught | Shown | Saved
+Question = Load | Begin | Refresh | LearnBatch | NewEpoch | Show | Save
+Answer = Loaded | Unusable | NewVersion | VersionMismatch | LearnProgress | Shown | Saved
 
 _questions = msgspec.msgpack.Decoder(Question)
 _answers = msgspec.msgpack.Decoder(Answer)
@@ -197,13 +197,13 @@ def send(fd: int, message: Question | Answer) -> None:
             rest = rest[os.write(fd, rest) :]
 
 
-def question(fd: int) -> Question:
+def read_question(fd: int) -> Question:
     """Read a question; raise `EOFError` at the end."""
     asked: Question = _read(fd, _questions.decode)
     return asked
 
 
-def answer(fd: int) -> Answer:
+def read_answer(fd: int) -> Answer:
     """Read an answer; raise `EOFError` at the end."""
     told: Answer = _read(fd, _answers.decode)
     return told
@@ -224,7 +224,7 @@ def _exactly(fd: int, length: int) -> bytearray:
     return whole
 
 
-class Board:
+class SharedStatus:
     """Shared memory: the entry that is being learned, and a request to end soon.
 
     It can be read even after the process was killed, and costs less than a message for each entry.
@@ -267,7 +267,7 @@ class Board:
         os.close(self.fd)
 
 
-class Told(Struct):
+class ShardUpdate(Struct):
     """An update that a shard publishes on ``part/{shard}``.
 
     reached (seconds): event time up to which its updates are complete; None before the first event.

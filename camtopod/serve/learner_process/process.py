@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from camtopod.serve.learner_process import messages
-from camtopod.serve.learner_process.messages import Answer, Board, Question
+from camtopod.serve.learner_process.messages import Answer, Question, SharedStatus
 
 PROGRAM = "camtopod.serve.learner_process.worker"
 """The module that the process runs."""
@@ -61,7 +61,7 @@ class LearnerProcess:
     """
 
     def __init__(self, program: str = PROGRAM) -> None:
-        self._board = Board()
+        self._board = SharedStatus()
         self._seen = 0
 
         # Start the process.
@@ -101,7 +101,7 @@ class LearnerProcess:
         if not self._ready.poll(1000 * seconds):
             return None
         try:
-            return messages.answer(self._out.fileno())
+            return messages.read_answer(self._out.fileno())
         except EOFError:
             raise self._end() from None
 
@@ -122,7 +122,7 @@ class LearnerProcess:
         if self._process.poll() is not None:
             raise self._end()
 
-    def got_on(self) -> bool:
+    def has_progressed(self) -> bool:
         """Return True if the process is at another entry than at the last call."""
         before, self._seen = self._seen, self._board.at
         return self._seen != before

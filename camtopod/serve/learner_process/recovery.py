@@ -18,12 +18,12 @@ from camtopod.learn import Settings
 from camtopod.records import Event, Topology
 from camtopod.serve.learner_process.messages import (
     Begin,
+    LearnProgress,
     Load,
     Loaded,
-    Portion,
+    ShardScope,
     Show,
     Shown,
-    Taught,
     Unusable,
 )
 from camtopod.serve.learner_process.process import LearnerProcess
@@ -63,7 +63,7 @@ class Failure(msgspec.Struct):
     """How many of ``times`` were for lack of memory."""
 
     @property
-    def of_memory(self) -> bool:
+    def is_out_of_memory(self) -> bool:
         """True if there is too much to learn at once, not something that cannot be learned.
 
         Kills count as lack of memory: it is the system that kills.
@@ -71,7 +71,7 @@ class Failure(msgspec.Struct):
         return self.kills + self.out_of_memory > self.times - self.out_of_memory
 
     @property
-    def hopeless(self) -> bool:
+    def is_hopeless(self) -> bool:
         """True if something of what was learned has to be given up."""
         return self.times >= FAILURES_MAX or self.kills >= KILLS_MAX
 
@@ -84,7 +84,7 @@ class Recovered(NamedTuple):
 
     position: int
     epoch: str
-    taught: Taught
+    taught: LearnProgress
     left_out: dict[str, int] = {}  # noqa: RUF012 -- never changed
 
 
@@ -94,7 +94,7 @@ def recover(
     settings: Settings,
     site: str,
     new_epoch: Callable[[], str],
-    portion: Portion | None = None,
+    portion: ShardScope | None = None,
     now: float = 0.0,
 ) -> Recovered:
     """Load the learner into ``process`` and return its state. Raises `StateError`.
@@ -110,7 +110,7 @@ def recover(
         taught = process.ask(
             Begin(settings, site, epoch, journal.versions(epoch), load, portion, forgotten)
         )
-        assert isinstance(taught, Taught)
+        assert isinstance(taught, LearnProgress)
         return Recovered(position, epoch, taught, left_out)
 
     # A new state, and one whose last entries were lost after they may have been published, begin an
@@ -130,11 +130,13 @@ def recover(
     # After too many failures at one entry, leave out the events of a camera, or begin behind it.
     failure, found = read_failure(journal), _newest_state(journal, process, portion)
     beyond = 0 if found is None else found[0]
-    if failure is not None and failure.hopeless and beyond < failure.at:
+    if failure is not None and failure.is_hopeless and beyond < failure.at:
         ended, epoch = epoch, new_epoch()
-        camera = camera_to_leave_out(journal, beyond, failure.at, most=failure.of_memory)
+        camera = camera_to_leave_out(journal, beyond, failure.at, most=failure.is_out_of_memory)
         if camera is not None:
-            journal.commit([leave_out(camera, ended, epoch, forget=failure.of_memory)], now=now)
+            journal.commit(
+                [leave_out(camera, ended, epoch, forget=failure.is_out_of_memory)], now=now
+            )
             journal.set_meta("failure", codec.to_json(Failure(0, 0)).decode())
             log.error(
                 "the learner has failed %d times at entry %d of the journal and was killed there"
@@ -143,7 +145,7 @@ def recover(
                 failure.times,
                 failure.at,
                 failure.kills,
-                " as memory ran out" if failure.of_memory else "",
+                " as memory ran out" if failure.is_out_of_memory else "",
                 camera,
                 beyond,
                 epoch,
@@ -197,7 +199,7 @@ def newest_topology(journal: Journal, process: LearnerProcess) -> Topology | Non
     return None if shown.packed is None else codec.read(Topology, shown.packed, pack=True)
 
 
-def told_by(process: LearnerProcess) -> bytes | None:
+def shard_update_of(process: LearnerProcess) -> bytes | None:
     """Return the update of a shard's learner for the other shards, as MessagePack."""
     shown = process.ask(Show())
     assert isinstance(shown, Shown)
@@ -237,7 +239,7 @@ def note_failure(
 
 
 def _newest_state(
-    journal: Journal, process: LearnerProcess, portion: Portion | None
+    journal: Journal, process: LearnerProcess, portion: ShardScope | None
 ) -> tuple[int, Loaded] | None:
     """Return the newest snapshot that can be used, with its position; ``process`` has loaded it."""
     for snapshot in journal.snapshots():

@@ -33,24 +33,24 @@ from camtopod.serve.learner_process import messages
 from camtopod.serve.learner_process.messages import (
     Answer,
     Begin,
-    Board,
-    Lesson,
+    Input,
+    LearnBatch,
+    LearnProgress,
     Load,
     Loaded,
-    Made,
     NewEpoch,
-    Otherwise,
-    Portion,
+    NewVersion,
     Question,
     Refresh,
     Save,
     Saved,
+    ShardScope,
+    ShardUpdate,
+    SharedStatus,
     Show,
     Shown,
-    Taught,
-    Teach,
-    Told,
     Unusable,
+    VersionMismatch,
 )
 from camtopod.serve.runtime import memory
 from camtopod.serve.storage import Rewind
@@ -64,14 +64,18 @@ It is small enough that versions are still made on a machine with other work to 
 """
 
 
-class Pupil:
+class Worker:
     """Answers the daemon's questions.
 
     learner: the class of the learner.
     """
 
     def __init__(
-        self, asked: queue.SimpleQueue[Question], out: int, board: Board, learner: type[Learner]
+        self,
+        asked: queue.SimpleQueue[Question],
+        out: int,
+        board: SharedStatus,
+        learner: type[Learner],
     ) -> None:
         self._asked, self._out, self._board, self._kind = asked, out, board, learner
         self._loaded: LearnerState | ShardState | None = None
@@ -84,30 +88,30 @@ class Pupil:
             question = self._asked.get()
             match question:
                 case Load(state, sharded):
-                    self._tell(self._load(state, sharded))
+                    self._send(self._load(state, sharded))
                 case Begin():
                     self._begin(question)
-                    taught = self._taught(0, 0)
+                    taught = self._progress(0, 0)
                     taught.event_time = self._learner.event_time()
-                    self._tell(taught)
+                    self._send(taught)
                 case Refresh(position):
                     self._board.at = position + 1
                     self._learner.refresh()
                     self._take_versions()
                     self._board.at = 0
-                    self._tell(self._taught(position, 0))
-                case Teach(position, lessons):
-                    self._tell(self._teach(position, lessons))
+                    self._send(self._progress(position, 0))
+                case LearnBatch(position, lessons):
+                    self._send(self._learn(position, lessons))
                 case Show():
                     newest = self._learner.topology
-                    self._tell(
+                    self._send(
                         Shown(
-                            None if newest is None else codec.to_pack(newest),
-                            self._told(everything=True),
+                            None if newest is None else codec.to_msgpack(newest),
+                            self._shard_update(everything=True),
                         )
                     )
                 case Save():
-                    self._tell(Saved(self._save()))
+                    self._send(Saved(self._save()))
                 case NewEpoch():
                     raise ValueError("a new epoch was sent without a version mismatch")
 
@@ -127,7 +131,7 @@ class Pupil:
             case ShardState() as state:
                 of = state.districts[0].learner
                 return Loaded(
-                    of.settings, of.site, state.line.epoch, Portion(state.sharding, state.shard)
+                    of.settings, of.site, state.line.epoch, ShardScope(state.sharding, state.shard)
                 )
 
     def _begin(self, given: Begin) -> None:
@@ -161,7 +165,7 @@ class Pupil:
         self._newest = self._learner.topology
 
     def _new(
-        self, settings: Settings, portion: Portion | None, site: str, epoch: str
+        self, settings: Settings, portion: ShardScope | None, site: str, epoch: str
     ) -> Learner | ShardLearner:
         if portion is not None:
             return ShardLearner(settings, portion.sharding, portion.shard, site, epoch)
@@ -186,7 +190,7 @@ class Pupil:
             self._learner.begin_epoch(lesson.epoch)
             self._learner.refresh()
 
-    def _teach(self, position: int, lessons: list[Lesson]) -> Taught:
+    def _learn(self, position: int, lessons: list[Input]) -> LearnProgress:
         """Learn entries of the journal, or as many as there is time for."""
         unreadable = 0
         for lesson in lessons:
@@ -211,11 +215,11 @@ class Pupil:
             if self._board.hurry:
                 break
         self._board.at = 0
-        return self._taught(position, unreadable)
+        return self._progress(position, unreadable)
 
-    def _taught(self, position: int, unreadable: int) -> Taught:
+    def _progress(self, position: int, unreadable: int) -> LearnProgress:
         """Return the progress."""
-        taught = Taught(
+        taught = LearnProgress(
             position,
             self._learner.next_deadline(),
             self._learner.statistics(),
@@ -228,13 +232,13 @@ class Pupil:
                 self._strangers, taught.strangers = strangers, sorted(strangers)
         return taught
 
-    def _told(self, everything: bool = False) -> bytes | None:
+    def _shard_update(self, everything: bool = False) -> bytes | None:
         """Return a shard's update: its new parts or, with ``everything``, its districts' newest."""
         if not isinstance(self._learner, ShardLearner):
             return None
         made = self._learner.parts()
         parts = self._learner.newest_parts() if everything else made
-        return codec.to_pack(Told(*self._learner.shard, self._learner.reached(), parts))
+        return codec.to_msgpack(ShardUpdate(*self._learner.shard, self._learner.reached(), parts))
 
     def _take_versions(self) -> None:
         """Send the versions of a step; called before the next step.
@@ -244,9 +248,9 @@ class Pupil:
         """
         while made := self._learner.updates():
             for topology in made:
-                self._hand_out(topology)
+                self._send_version(topology)
 
-    def _hand_out(self, topology: Topology) -> None:
+    def _send_version(self, topology: Topology) -> None:
         """Send a version if it is new.
 
         A version that is already stored must be the same; one that was stored but is no longer kept
@@ -270,30 +274,30 @@ class Pupil:
             return
 
         # Send a new one.
-        delta = None if before is None else codec.to_pack(make_delta(before, topology))
-        self._tell(
-            Made(
+        delta = None if before is None else codec.to_msgpack(make_delta(before, topology))
+        self._send(
+            NewVersion(
                 topology.epoch,
                 topology.version,
                 topology.digest,
                 codec.to_json(topology),
-                codec.to_pack(topology),
+                codec.to_msgpack(topology),
                 delta,
-                self._told(everything=self._passed_over),
+                self._shard_update(everything=self._passed_over),
             )
         )
         self._passed_over = False
 
     def _begin_epoch(self, version: int) -> None:
         """Report that a version was not reproduced, and continue in the daemon's new epoch."""
-        self._tell(Otherwise(version))
+        self._send(VersionMismatch(version))
         told = self._asked.get()
         assert isinstance(told, NewEpoch)
         self._stored, self._newest_stored, self._newest = {}, 0, None
         self._learner.begin_epoch(told.epoch)
         self._learner.refresh()
 
-    def _tell(self, answer: Answer) -> None:
+    def _send(self, answer: Answer) -> None:
         messages.send(self._out, answer)
 
 
@@ -310,14 +314,14 @@ def main(learner: type[Learner] = Learner) -> None:
         """Read questions in a thread, which notices the daemon's end even during a fit."""
         try:
             while True:
-                asked.put(messages.question(0))
+                asked.put(messages.read_question(0))
         except EOFError:
             os._exit(0)
 
     # Answer until the daemon ends or memory runs out.
     threading.Thread(target=listen, name="listen", daemon=True).start()
     try:
-        Pupil(asked, out, Board(int(sys.argv[1])), learner).work()
+        Worker(asked, out, SharedStatus(int(sys.argv[1])), learner).work()
     except BrokenPipeError:  # the daemon has ended
         os._exit(0)
     except MemoryError:

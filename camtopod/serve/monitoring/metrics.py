@@ -297,7 +297,7 @@ def grabbers(bus: Bus) -> dict[str, dict[str, Any]]:
     A grabber that hangs delays the answer, by `bus.query_seconds` at most.
     """
     try:
-        answers = bus.ask("status/*")
+        answers = bus.query("status/*")
     except QueryError:
         return {}
     found: dict[str, dict[str, Any]] = {}

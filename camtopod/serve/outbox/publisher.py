@@ -100,10 +100,10 @@ class Publisher:
                 for event in numbered:
                     self._introduce(self._bus, event.camera)
                     self._bus.publish_raw(
-                        f"event/{event.camera}", codec.to_pack(event), "event", self._box
+                        f"event/{event.camera}", codec.to_msgpack(event), "event", self._box
                     )
 
-    def drained(self, seconds: float, most: int = 0) -> bool:
+    def wait_acknowledged(self, seconds: float, most: int = 0) -> bool:
         """Wait until at most ``most`` events are unacknowledged; return False after ``seconds``."""
         with self._acked:
             return self._acked.wait_for(lambda: self.unacknowledged <= most, seconds)
@@ -127,9 +127,11 @@ class Publisher:
         """Answer for a camera's spool, receive its acknowledgements, and appear on the bus."""
         if camera not in self._introduced:
             self._introduced.add(camera)
-            bus.answer(f"spool/{camera}", functools.partial(self._answer, bus.endpoint), "spool")
+            bus.answer_queries(
+                f"spool/{camera}", functools.partial(self._answer, bus.endpoint), "spool"
+            )
             bus.subscribe(f"ack/{camera}", functools.partial(self._on_ack, bus.endpoint))
-            bus.appear("grabber", camera)
+            bus.announce("grabber", camera)
 
     def _answer(self, endpoint: str, key: str, parameters: dict[str, str]) -> SpoolBatch:
         """Answer a query for events of a camera, from the seq ``from`` of the boot ``boot`` on."""

@@ -491,7 +491,7 @@ class Spool:
 
 def _row(event: Event) -> tuple[str, str | None, int | None, bytes, int]:
     """Return the row of the table ``event`` for an event."""
-    raw = codec.to_pack(event)
+    raw = codec.to_msgpack(event)
     return (
         event.camera,
         event.boot,

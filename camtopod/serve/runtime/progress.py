@@ -39,7 +39,7 @@ class Heartbeat:
         """
         self._last = max(self._last, min(since, self._monotonic()))
 
-    def silent(self) -> float:
+    def seconds_since_beat(self) -> float:
         """Return the seconds since the last beat."""
         return self._monotonic() - self._last
 
@@ -59,12 +59,12 @@ class Progress:
             self._marks[name] = mark
         return mark
 
-    def allow(self, name: str, seconds_max: float) -> None:
+    def set_limit(self, name: str, seconds_max: float) -> None:
         """Change the time limit of a loop that is watched already."""
         with self._mutex:
             self._marks[name].seconds_max = seconds_max
 
-    def forget(self, name: str) -> None:
+    def unwatch(self, name: str) -> None:
         """Stop watching a loop, which has ended as it should. May be called twice."""
         with self._mutex:
             self._marks.pop(name, None)
@@ -72,7 +72,10 @@ class Progress:
     def stalled(self) -> list[str]:
         """Return a sentence for each loop over its time limit; empty if all make progress."""
         with self._mutex:
-            silent = {name: (mark.silent(), mark.seconds_max) for name, mark in self._marks.items()}
+            silent = {
+                name: (mark.seconds_since_beat(), mark.seconds_max)
+                for name, mark in self._marks.items()
+            }
         return [
             f"{name} has made no progress for {math.floor(seconds)} s (limit: {most:g} s)"
             for name, (seconds, most) in sorted(silent.items())

@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING
 from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
-    from camtopod.serve.shards.membership import Share, Whole
-    from camtopod.serve.shards.shard_exchange import Sharing
+    from camtopod.serve.shards.membership import ShardMembership, WholeSite
+    from camtopod.serve.shards.shard_exchange import ShardExchange
 
 __all__ = [
-    "Share",
-    "Sharing",
-    "Whole",
+    "ShardExchange",
+    "ShardMembership",
+    "WholeSite",
 ]
 
 __getattr__ = lazy_getattr(
     __name__,
     {
-        "Share": "membership",
-        "Sharing": "shard_exchange",
-        "Whole": "membership",
+        "ShardMembership": "membership",
+        "ShardExchange": "shard_exchange",
+        "WholeSite": "membership",
     },
 )

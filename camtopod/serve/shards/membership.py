@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from camtopod.event_time import microseconds
 from camtopod.keys import STATUS
-from camtopod.serve.learner_process import Portion
+from camtopod.serve.learner_process import ShardScope
 from camtopod.serve.runtime import owns_every_camera
 from camtopod.sharding import Assignment, Sharding, districts_of
 
@@ -19,7 +19,7 @@ Clocks differ, and subscribing takes a moment.
 """
 
 
-class Share:
+class ShardMembership:
     """The membership of shard ``shard`` = (i, n), with i from 0 to n - 1."""
 
     def __init__(self, sharding: Sharding, shard: tuple[int, int]) -> None:
@@ -30,7 +30,7 @@ class Share:
         self._districts = frozenset(districts_of(*shard, sharding.districts))
 
     @property
-    def first(self) -> bool:
+    def is_first(self) -> bool:
         """True for shard 0.
 
         It makes the topology of the whole site and, unless there is a router, is the meeting point.
@@ -43,9 +43,9 @@ class Share:
         return "shard-{}-of-{}".format(*self.shard)
 
     @property
-    def portion(self) -> Portion:
+    def portion(self) -> ShardScope:
         """The learner's part of the site."""
-        return Portion(self.sharding, self.shard)
+        return ShardScope(self.sharding, self.shard)
 
     @property
     def name(self) -> str:
@@ -55,13 +55,13 @@ class Share:
     @property
     def status_key(self) -> str:
         """Key of the daemon's status."""
-        return STATUS if self.first else f"status/shard/{self.shard[0]}"
+        return STATUS if self.is_first else f"status/shard/{self.shard[0]}"
 
     def owns(self, camera: str) -> bool:
         """Return True if this shard stores the camera's events and answers its exits."""
         return self._dealing.district(camera) in self._districts
 
-    def hears(self, camera: str, now: float) -> bool:
+    def needs(self, camera: str, now: float) -> bool:
         """Return True if the camera's events at about ``now`` (Unix seconds) are needed.
 
         The guests of the two turns before count too: they may be neighbours that the learner has
@@ -73,7 +73,7 @@ class Share:
         return any(self._dealing.is_guest(camera, one) for one in (turn - 2, turn - 1, turn))
 
 
-class Whole:
+class WholeSite:
     """The membership of a daemon that serves the site alone."""
 
     shard = portion = None

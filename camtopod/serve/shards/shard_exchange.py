@@ -15,11 +15,11 @@ from camtopod import codec
 from camtopod.config import Config
 from camtopod.records import Topology
 from camtopod.serve.bus import ROLE, Bus, OnMessage, QueryError, TopologySubscriber
-from camtopod.serve.learner_process import Learning, Told
+from camtopod.serve.learner_process import LearnerFeeder, ShardUpdate
 from camtopod.serve.runtime import Beat, Clock, no_beat
-from camtopod.serve.shards.membership import Share
-from camtopod.serve.shards.site_merger import Merger
-from camtopod.serve.shards.subscriptions import Hearing
+from camtopod.serve.shards.membership import ShardMembership
+from camtopod.serve.shards.site_merger import SiteMerger
+from camtopod.serve.shards.subscriptions import Subscriptions
 from camtopod.serve.storage import Version
 
 log = logging.getLogger(__name__)
@@ -30,7 +30,7 @@ _FOLLOW_SECONDS = 0.1
 """Interval of checks for a new topology of the site."""
 
 
-class Sharing:
+class ShardExchange:
     """The exchange of one shard.
 
     use: called with each version of the whole site, first with the newest there is.
@@ -39,10 +39,10 @@ class Sharing:
     def __init__(
         self,
         config: Config,
-        share: Share,
+        share: ShardMembership,
         directory: Path,
         bus: Bus,
-        learning: Learning,
+        learning: LearnerFeeder,
         told: bytes | None,
         clock: Clock,
         use: Callable[[Version | Topology], None],
@@ -50,16 +50,20 @@ class Sharing:
         self._bus, self._share, self._learning, self._use = bus, share, learning, use
 
         # Continue from the learner's last update.
-        newest = Told(*share.shard, None) if told is None else codec.read(Told, told, pack=True)
+        newest = (
+            ShardUpdate(*share.shard, None)
+            if told is None
+            else codec.read(ShardUpdate, told, pack=True)
+        )
         self._parts = {part.district: part for part in newest.parts}
         self._reached, self._published = newest.reached, 0
         self._mutex = threading.Lock()
         self._came = threading.Event()
         self._clock, self._config = clock, config
-        self.merger: Merger | None = None
+        self.merger: SiteMerger | None = None
         """The merger of shard 0; None in other shards."""
         if share.shard[0] == 0:
-            self.merger = Merger(
+            self.merger = SiteMerger(
                 directory,
                 config.keep,
                 config.learn,
@@ -79,16 +83,16 @@ class Sharing:
 
     def serve(self, on_event: OnMessage, on_alive: Callable[[str, bool], None]) -> None:
         """Subscribe to events and updates, and answer queries of other shards."""
-        self.hearing = Hearing(
+        self.hearing = Subscriptions(
             self._bus, self._share, self._clock, on_event, on_alive, self._config.limits.streams_max
         )
-        self.hearing.know(self._config.cameras)
+        self.hearing.add_cameras(self._config.cameras)
         self._bus.watch_alive("grabber", self.hearing.on_alive)
-        self._bus.answer(
+        self._bus.answer_queries(
             f"part/{self._share.shard[0]}", lambda key, parameters: self._answer(), "part"
         )
         if self.merger is not None:
-            self._bus.subscribe("part/*", self.merger.on_part)
+            self._bus.subscribe("part/*", self.merger.on_update)
             self._bus.watch_alive(ROLE, lambda name, alive: self._came.set())
         else:
             self._view = TopologySubscriber(self._bus)
@@ -96,14 +100,14 @@ class Sharing:
     def publish(self, version: Version) -> None:
         """Publish a version of this shard's districts that is stored."""
         assert version.told is not None
-        told = codec.read(Told, version.told, pack=True)
+        told = codec.read(ShardUpdate, version.told, pack=True)
         with self._mutex:
             self._parts |= {part.district: part for part in told.parts}
             self._reached = told.reached
             self._published += 1
         self._bus.publish_raw(f"part/{self._share.shard[0]}", version.told, "part")
 
-    def tell(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
+    def publish_progress(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Publish this shard's progress until ``stopping``, and follow the needs of its learner.
 
         Shard 0 also queries the other shards' updates when a shard has appeared: it may have
@@ -112,15 +116,17 @@ class Sharing:
         while not stopping.wait(TELL_SECONDS):
             if self.merger is not None and self._came.is_set():
                 self._came.clear()
-                self._ask(self.merger)
+                self._query_updates(self.merger)
             self._share.strangers = self._learning.strangers
             reached = self._learning.reached
 
             # Progress may be published once all versions up to there are published.
             if self._learning.made == self._published:
                 self._reached = reached
-            self._bus.put(
-                f"part/{self._share.shard[0]}", Told(*self._share.shard, self._reached), "part"
+            self._bus.publish(
+                f"part/{self._share.shard[0]}",
+                ShardUpdate(*self._share.shard, self._reached),
+                "part",
             )
             beat()
 
@@ -140,20 +146,20 @@ class Sharing:
         if self.merger is not None:
             self.merger.close()
 
-    def _answer(self) -> Told:
+    def _answer(self) -> ShardUpdate:
         """Return an update with the newest part of each district."""
         with self._mutex:
-            return Told(
+            return ShardUpdate(
                 *self._share.shard, self._reached, [self._parts[key] for key in sorted(self._parts)]
             )
 
-    def _ask(self, merger: Merger) -> None:
+    def _query_updates(self, merger: SiteMerger) -> None:
         """Query the updates of all shards."""
         try:
-            answers = self._bus.ask("part/*")
+            answers = self._bus.query("part/*")
         except QueryError as error:  # any program may have answered
             log.warning("querying the shards' updates failed, it is repeated: %s", error)
             self._came.set()
             return
         for key, payload in answers:
-            merger.on_part(key, payload)
+            merger.on_update(key, payload)

@@ -23,7 +23,7 @@ from camtopod import codec
 from camtopod.config import KeepSettings
 from camtopod.learn import Settings
 from camtopod.records import Topology
-from camtopod.serve.learner_process import Told
+from camtopod.serve.learner_process import ShardUpdate
 from camtopod.serve.runtime import Beat, no_beat
 from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.storage import Journal, JournalWriter, Snapshot, Version
@@ -53,10 +53,10 @@ WAITING_PARTS_MAX = 10_000
 _TICK_SECONDS = 0.2
 
 
-class Merger:
+class SiteMerger:
     """Merges the updates of shards into the site's topology.
 
-    Run `work` in a thread, and pass updates to `on_part`, from any thread.
+    Run `work` in a thread, and pass updates to `on_update`, from any thread.
 
     publish: called with each version after it is stored.
     """
@@ -75,7 +75,7 @@ class Merger:
         self._journal = Journal(directory / FOLDER, keep)
         self._storing = JournalWriter(self._journal, clock, clocks.steady_clock_for(clock), publish)
         self._clock, self._shards, self._dealing = clock, shards, Assignment(sharding)
-        self._inbox: list[Told] = []
+        self._inbox: list[ShardUpdate] = []
         self._came = threading.Condition()
         self._reached: dict[int, float | None] = {}  # event time by shard
         self._line = VersionLine(settings, site, "")
@@ -100,13 +100,13 @@ class Merger:
         """Why nothing is stored at the moment; "" if it is."""
         return self._storing.reason
 
-    def on_part(self, key: str, payload: bytes) -> None:
+    def on_update(self, key: str, payload: bytes) -> None:
         """Take a publication on ``part/{shard}``, or the answer to a query for it.
 
         Invalid ones are logged and ignored.
         """
         try:
-            told = codec.read(Told, payload, pack=True)
+            told = codec.read(ShardUpdate, payload, pack=True)
         except codec.Rejected as error:
             log.error("an update on %s is invalid and is ignored: %s", key, error)
             return
@@ -127,14 +127,14 @@ class Merger:
                 told.shard,
             )
             return
-        self.tell(told)
+        self.add_update(told)
 
-    def tell(self, told: Told) -> None:
+    def add_update(self, told: ShardUpdate) -> None:
         """Take an update of a shard. Any thread; never blocks."""
         with self._came:
             self._inbox.append(told)
             if len(self._inbox) > INBOX_MAX:
-                self._inbox = _newest(self._inbox)
+                self._inbox = _newest_updates(self._inbox)
             self._came.notify_all()
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
@@ -144,8 +144,8 @@ class Merger:
                 if not self._inbox:
                     self._came.wait(_TICK_SECONDS)
                 told, self._inbox = self._inbox, []
-            self._take(told)
-            self._make(stopping, beat)
+            self._take_updates(told)
+            self._make_versions(stopping, beat)
             beat()
 
     def version(self, epoch: str, version: int) -> bytes | None:
@@ -185,7 +185,7 @@ class Merger:
             self._line.begin_epoch(epoch)
             log.info("the site's topology: epoch %s begins", epoch)
 
-    def _take(self, told: Iterable[Told]) -> None:
+    def _take_updates(self, told: Iterable[ShardUpdate]) -> None:
         """Take the parts that are new, and the progress of the shards."""
         now = time.monotonic()
         for one in told:
@@ -196,26 +196,26 @@ class Merger:
                     self._arrivals.append((now, part.topology.as_of))
             self._reached[one.shard] = one.reached
 
-    def _make(self, stopping: threading.Event, beat: Beat) -> None:
+    def _make_versions(self, stopping: threading.Event, beat: Beat) -> None:
         """Make, store and publish the versions that are due."""
         # Make them.
         before = self._line.topology
         self._line.refresh()
-        self._line.reach(self._until(time.monotonic()))
+        self._line.reach(self._waited_for_until(time.monotonic()))
         made = self._line.updates()
 
         # Store them, with the state after the last one.
         for topology in made:
-            delta = None if before is None else codec.to_pack(make_delta(before, topology))
+            delta = None if before is None else codec.to_msgpack(make_delta(before, topology))
             self._storing.on_version(Version.of(topology, delta))
             before = topology
         if made:
             state = msgspec.msgpack.encode(self._line.save())
             self._storing.on_snapshot(Snapshot(made[-1].version, made[-1].epoch, state))
         self._storing.store([], stopping, beat)  # also checks that the journal is still there
-        self._storing.forget_old()
+        self._storing.prune()
 
-    def _until(self, now: float) -> float:
+    def _waited_for_until(self, now: float) -> float:
         """Return the event time up to which no shard is waited for any more."""
         # Parts that have waited long enough.
         waited_for = -math.inf
@@ -232,11 +232,11 @@ class Merger:
         return max(waited_for, min(marks)) if len(marks) == self._shards else waited_for
 
 
-def _newest(told: Iterable[Told]) -> list[Told]:
+def _newest_updates(told: Iterable[ShardUpdate]) -> list[ShardUpdate]:
     """Return one update for each shard, with the newest part of each of its districts."""
-    shards: dict[int, Told] = {}
+    shards: dict[int, ShardUpdate] = {}
     for one in told:
-        before = shards.get(one.shard, Told(one.shard, one.shards, None))
+        before = shards.get(one.shard, ShardUpdate(one.shard, one.shards, None))
         parts = {part.district: part for part in sorted((*before.parts, *one.parts), key=age_of)}
         shards[one.shard] = msgspec.structs.replace(one, parts=list(parts.values()))
     return list(shards.values())

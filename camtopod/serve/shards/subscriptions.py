@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus, OnMessage
 from camtopod.serve.runtime import Beat, Clock, no_beat
-from camtopod.serve.shards.membership import Share
+from camtopod.serve.shards.membership import ShardMembership
 
 log = logging.getLogger(__name__)
 
@@ -25,7 +25,7 @@ _LOOK_SECONDS = 1.0
 """Interval of checks whether the subscriptions are still right."""
 
 
-class Hearing:
+class Subscriptions:
     """The subscriptions of a shard.
 
     on_heard: called as (camera, alive) when a camera that is subscribed to appears, or is no longer
@@ -35,7 +35,7 @@ class Hearing:
     def __init__(
         self,
         bus: Bus,
-        share: Share,
+        share: ShardMembership,
         clock: Clock,
         on_event: OnMessage,
         on_heard: Callable[[str, bool], None],
@@ -49,11 +49,11 @@ class Hearing:
         self._ends: dict[str, Callable[[], None]] = {}
 
     @property
-    def heard(self) -> set[str]:
+    def cameras(self) -> set[str]:
         """Cameras subscribed to."""
         return set(self._ends)
 
-    def know(self, cameras: Iterable[str]) -> None:
+    def add_cameras(self, cameras: Iterable[str]) -> None:
         """Add cameras of the site, whether or not their publishers are present."""
         for camera in cameras:
             if len(self._alive) < self._cameras_max and re.match(CAMERA_PATTERN, camera):
@@ -61,7 +61,7 @@ class Hearing:
 
     def on_alive(self, camera: str, alive: bool) -> None:
         """Take note that a publisher has appeared or vanished. Called from a thread of the bus."""
-        self.know([camera])
+        self.add_cameras([camera])
         if camera in self._alive:
             self._alive[camera] = alive
             self._changed.set()
@@ -70,16 +70,16 @@ class Hearing:
         """Keep the subscriptions up to date until ``stopping``."""
         while not stopping.is_set():
             self._changed.clear()
-            self.look()
+            self.update()
             beat()
             self._changed.wait(_LOOK_SECONDS)
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Subscribe to the cameras that are needed now, and to no others."""
         # Which cameras are needed?
         alive = self._alive.copy()
         now, few = self._clock(), len(alive) <= SMALL_CAMERAS_MAX
-        wanted = {camera for camera in alive if few or self._share.hears(camera, now)}
+        wanted = {camera for camera in alive if few or self._share.needs(camera, now)}
 
         # Change the subscriptions.
         for camera in sorted(wanted - self._ends.keys()):

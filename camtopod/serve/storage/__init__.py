@@ -21,14 +21,14 @@ from camtopod.serve.storage.corrections import (
 )
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.journal_writer import JournalWriter
-from camtopod.serve.storage.packed_version import Newest, Version, head_of
+from camtopod.serve.storage.packed_version import CurrentVersion, Version, head_of
 from camtopod.serve.storage.sqlite_file import StateError, lock_reason
 
 __all__ = [
+    "CurrentVersion",
     "Entry",
     "Journal",
     "JournalWriter",
-    "Newest",
     "Rewind",
     "Snapshot",
     "StateError",

@@ -217,7 +217,7 @@ class Journal:
                 self._followed.clear()
             self._followed.update(streams)
 
-    def usual_stamp(self) -> float | None:
+    def median_stored_time(self) -> float | None:
         """Return when the newest entries (or else versions) were stored, in Unix seconds.
 
         It is the median, as a clock may have been wrong for a few. Returns None if there are
@@ -316,7 +316,7 @@ class Journal:
             )
             return dict(self._db.execute(counted, (after, up_to)).fetchall())
 
-    def numbered(self, camera: str, boot: str, seq: int) -> Entry | None:
+    def find_entry(self, camera: str, boot: str, seq: int) -> Entry | None:
         """Return the entry with this number; None if it was deleted or is damaged.
 
         Raises `sqlite3.Error`.

@@ -49,7 +49,7 @@ class JournalWriter:
     ) -> None:
         self._journal, self._clock, self._steady, self._publish = journal, clock, steady, publish
         wall, now = clock(), steady()
-        usual = journal.usual_stamp()
+        usual = journal.median_stored_time()
         # Trusted time: (wall clock, steady clock).
         self._believed = (wall if usual is None else usual, now)
         # (offset of the wall clock from the steady clock, steady clock since when).
@@ -126,7 +126,7 @@ class JournalWriter:
         self._too_much = self._too_much or snapshot is not None
         return True
 
-    def forget_old(self) -> None:
+    def prune(self) -> None:
         """After a snapshot, delete some of what exceeds the retention, the rest in later calls."""
         if not self._too_much:
             return

@@ -41,7 +41,7 @@ class _Lists(Struct):
     score: SelfScore | None = None
 
 
-class Newest(NamedTuple):
+class CurrentVersion(NamedTuple):
     """The current version: packed, or as a `Topology` if that is in memory anyway."""
 
     head: Head
@@ -80,12 +80,12 @@ class Version(NamedTuple):
     @classmethod
     def of(cls, topology: Topology, delta: bytes | None = None) -> Version:
         """Pack a version."""
-        return cls(head_of(topology), codec.to_json(topology), codec.to_pack(topology), delta)
+        return cls(head_of(topology), codec.to_json(topology), codec.to_msgpack(topology), delta)
 
     @property
-    def newest(self) -> Newest:
+    def newest(self) -> CurrentVersion:
         """The version as it is kept once it is published."""
-        return Newest(self.head, self.packed)
+        return CurrentVersion(self.head, self.packed)
 
 
 def head_of(topology: Topology | bytes) -> Head:

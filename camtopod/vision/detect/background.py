@@ -22,8 +22,8 @@ TONE_BINS = 16
 _TONE_PIXELS_MIN = 24
 """Sampled pixels that a bin needs to take part in the tone curve."""
 SHIFT_MIN = 1.0
-"""Tone shifts (grey levels) up to this plus `NOISE_DOUBT` times the noise are ignored."""
-NOISE_DOUBT = 0.4
+"""Tone shifts (grey levels) up to this plus `SHIFT_NOISE_FACTOR` times the noise are ignored."""
+SHIFT_NOISE_FACTOR = 0.4
 """Factor of the noise in the tone shifts that are ignored: see `SHIFT_MIN`."""
 _LEVELS = np.arange(256, dtype=np.float32)
 
@@ -54,7 +54,7 @@ class Background:
             pixels that are not learned would drift with them.
         """
         shift = self._tone_shift(frame, settled)
-        doubt = SHIFT_MIN + NOISE_DOUBT * noise
+        doubt = SHIFT_MIN + SHIFT_NOISE_FACTOR * noise
         if np.abs(shift).max() <= doubt:
             return self._picture
         shift -= np.clip(shift, -doubt, doubt)

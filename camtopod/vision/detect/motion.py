@@ -78,7 +78,7 @@ class Motion:
 
 
 class MotionDetector:
-    """Motion of one view: call `bootstrap` once, then `look` and, after tracking, `learn`."""
+    """Motion of one view: call `bootstrap` once, then `detect` and, after tracking, `learn`."""
 
     def __init__(self, settings: VisionSettings) -> None:
         self._settings = settings
@@ -109,7 +109,7 @@ class MotionDetector:
         """One-sigma temporal noise of the working picture, grey levels."""
         return self._noise
 
-    def clean(self, frame: Luma) -> Luma:
+    def filter_noise(self, frame: Luma) -> Luma:
         """Measure the noise of ``frame``; return the frame, filtered if it is noisy."""
         if self._last is not None and self._last.shape == frame.shape:
             noise = temporal_noise(frame, self._last)
@@ -127,7 +127,7 @@ class MotionDetector:
         self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)
         self._changed_seconds = 0.0
 
-    def look(self, frame: Luma, dt: float) -> Motion | None:
+    def detect(self, frame: Luma, dt: float) -> Motion | None:
         """Return the motion in ``frame``, ``dt`` seconds after the last.
 
         Returns None if the whole picture has changed; the caller then forgets its objects and

@@ -9,19 +9,19 @@ capture times from presentation stamps. `ffmpeg_log` finds out why a stream cann
 from __future__ import annotations
 
 from camtopod.vision.source import ffmpeg_log
-from camtopod.vision.source.ffmpeg_log import Complaints
+from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.live import LiveSource
-from camtopod.vision.source.probe import LOOK_SECONDS, Probe, Question, decoders
+from camtopod.vision.source.probe import PROBE_SECONDS, Probe, ProbeRequest, decoders
 from camtopod.vision.source.recorded import RecordedSource
-from camtopod.vision.source.source_url import AGAIN, kind_of, percent_encoded
+from camtopod.vision.source.source_url import RETRY_SEPARATOR, kind_of, percent_encoded
 
 __all__ = [
-    "AGAIN",
-    "LOOK_SECONDS",
-    "Complaints",
+    "PROBE_SECONDS",
+    "RETRY_SEPARATOR",
+    "FfmpegLog",
     "LiveSource",
     "Probe",
-    "Question",
+    "ProbeRequest",
     "RecordedSource",
     "decoders",
     "ffmpeg_log",

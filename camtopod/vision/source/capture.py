@@ -146,7 +146,7 @@ class Capture:
         self._capture.release()
 
 
-class Cadence:
+class FrameSelector:
     """Chooses the frames to analyse, by time stamps, for a rate as near to ``fps`` as possible."""
 
     def __init__(self, fps: float) -> None:

@@ -56,13 +56,13 @@ def reason_in(said: bytes) -> str:
     return ""
 
 
-class Complaints:
-    """FFmpeg's output since the last query; empty unless created by `listening`."""
+class FfmpegLog:
+    """FFmpeg's output since the last query; empty unless created by `captured_log`."""
 
     def __init__(self, fd: int | None = None) -> None:
         self._fd = fd
 
-    def take(self) -> str:
+    def newest_reason(self) -> str:
         """Return the newest reason, or "". Never blocks."""
         if self._fd is not None:
             _flush()
@@ -101,7 +101,7 @@ def _log_level(level: str) -> Iterator[None]:
 
 
 @contextmanager
-def listening() -> Iterator[Complaints]:
+def captured_log() -> Iterator[FfmpegLog]:
     """Redirect standard output to a pipe, for FFmpeg's log, while the block runs.
 
     A program that writes data to standard output duplicates the descriptor first.
@@ -118,7 +118,7 @@ def listening() -> Iterator[Complaints]:
     os.close(written)
     try:
         with _log_level(LEVEL_WARNINGS):
-            yield Complaints(heard)
+            yield FfmpegLog(heard)
     finally:
         _flush()  # or its output would mix with what is printed next
         os.dup2(before, _STANDARD_OUTPUT)

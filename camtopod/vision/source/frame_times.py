@@ -29,7 +29,7 @@ class StampClock:
         self.resets = 0
         self.untrusted = 0
 
-    def see(self, stamp: float, arrival: float) -> None:
+    def record(self, stamp: float, arrival: float) -> None:
         """Record that a frame with presentation time ``stamp`` (seconds) arrived at ``arrival``."""
         if not math.isfinite(stamp) or stamp <= 0.0:  # the first frames of a stream have no stamp
             return
@@ -53,7 +53,7 @@ class StampClock:
     def captured(self, stamp: float, arrival: float) -> float:
         """Return a frame's capture time, or its arrival if the stamp cannot be trusted.
 
-        The frame must have been passed to `see`.
+        The frame must have been passed to `record`.
         """
         if not math.isfinite(stamp) or stamp <= 0.0 or not self._minima:
             self.untrusted += 1

@@ -15,10 +15,10 @@ from collections.abc import Callable, Iterator
 from typing import Literal
 
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.capture import Cadence, Capture, Frame
-from camtopod.vision.source.ffmpeg_log import Complaints
+from camtopod.vision.source.capture import Capture, Frame, FrameSelector
+from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.frame_times import StampClock
-from camtopod.vision.source.source_url import AGAIN
+from camtopod.vision.source.source_url import RETRY_SEPARATOR
 
 QUEUE_FRAMES = 8
 """Frames that wait for the caller; beyond it the oldest are dropped."""
@@ -45,12 +45,12 @@ class LiveSource:
         source: str,
         settings: VisionSettings,
         wall_clock: Callable[[], float],
-        complaints: Complaints | None = None,
+        complaints: FfmpegLog | None = None,
     ) -> None:
         self._source = source
         self._settings = settings
         self._wall_clock = wall_clock
-        self._complaints = complaints or Complaints()
+        self._complaints = complaints or FfmpegLog()
         self._queue: queue.Queue[Frame] = queue.Queue(QUEUE_FRAMES)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
@@ -118,7 +118,7 @@ class LiveSource:
         """Connect, read, and reconnect after a delay, until stopped."""
         wait = self._settings.backoff_min_seconds
         while not self._stop.is_set():
-            self._complaints.take()  # discard those of an earlier connection
+            self._complaints.newest_reason()  # discard those of an earlier connection
 
             # Open and read. `_called` marks the begin of each call that may block.
             self._called = time.monotonic()
@@ -128,7 +128,7 @@ class LiveSource:
                 self.connections += 1
                 reason = self._read(capture)
             else:
-                why = self._complaints.take()
+                why = self._complaints.newest_reason()
                 reason = f"the source cannot be opened{why and ': '}{why}"
 
             # Release.
@@ -142,13 +142,13 @@ class LiveSource:
             if time.monotonic() - began > HEALTHY_SECONDS:
                 wait = self._settings.backoff_min_seconds
             pause = wait * random.uniform(0.5, 1.0)
-            self.reason = f"{reason}{AGAIN}{pause:.1f} s"
+            self.reason = f"{reason}{RETRY_SEPARATOR}{pause:.1f} s"
             wait = min(2 * wait, self._settings.backoff_max_seconds)
             self._stop.wait(pause)
 
     def _read(self, capture: Capture) -> str:
         """Pass frames on until the source dies; return the reason."""
-        clock, cadence = StampClock(), Cadence(self._settings.analysed_fps)
+        clock, cadence = StampClock(), FrameSelector(self._settings.analysed_fps)
         held: list[tuple[float, float, Frame]] = []
         first: float | None = None
         while not self._stop.is_set():
@@ -172,7 +172,7 @@ class LiveSource:
             self.state, self.reason = "running", ""
 
             # Decode it if it is to be analysed.
-            clock.see(grab.stamp, arrival)
+            clock.record(grab.stamp, arrival)
             if not cadence.wants(grab.stamp if grab.stamp > 0.0 else arrival):
                 continue
             luma = capture.retrieve()

@@ -4,7 +4,8 @@ Runs as a process of its own,
 
     python -m camtopod.vision.source.probe
 
-which reads a `Question` from standard input and writes a `Probe` to standard output, both as JSON.
+which reads a `ProbeRequest` from standard input and writes a `Probe` to standard output, both as
+JSON.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from msgspec import Struct
 
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import Capture
-from camtopod.vision.source.ffmpeg_log import Complaints, listening
+from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
 from camtopod.vision.source.recorded import RecordedSource
 from camtopod.vision.source.source_url import kind_of
 
-LOOK_SECONDS = 2.0
+PROBE_SECONDS = 2.0
 """Time for which frames are counted, from the first one on."""
 FILE_FRAMES = 50
 """Number of frames read of a file."""
@@ -52,7 +53,7 @@ _CODECS = {
 """Name of a codec by its four-character code."""
 
 
-class Question(Struct):
+class ProbeRequest(Struct):
     """What to probe: a source, with the grabber's settings."""
 
     source: str
@@ -76,7 +77,7 @@ class Probe(Struct):
     """The last frame as JPEG; empty unless requested."""
 
     @property
-    def words(self) -> list[str]:
+    def lines(self) -> list[str]:
         """The result for people, a line each.
 
         First ``H.264, 1920x1080, 25 frames a second``, say, or the problem; then the remarks.
@@ -86,7 +87,7 @@ class Probe(Struct):
 
 
 def probe(
-    source: str, settings: VisionSettings, complaints: Complaints, picture: bool = False
+    source: str, settings: VisionSettings, complaints: FfmpegLog, picture: bool = False
 ) -> Probe:
     """Open the source and count its frames.
 
@@ -103,7 +104,7 @@ def probe(
     capture = Capture(path, settings, colour=picture)
     try:
         if not capture.is_open:
-            why = _of_device(source) if kind == "device" else complaints.take()
+            why = _of_device(source) if kind == "device" else complaints.newest_reason()
             return Probe(f"cannot be opened{why and ': '}{why}")
         seen = _watched(capture, live=kind != "file")
         return (
@@ -121,7 +122,7 @@ def _watched(capture: Capture, live: bool) -> Probe:
     arrivals: list[float] = []
     contrast = 0.0
     while (
-        arrivals[-1] - arrivals[0] < LOOK_SECONDS
+        arrivals[-1] - arrivals[0] < PROBE_SECONDS
         if live and arrivals
         else len(arrivals) < FILE_FRAMES
     ):
@@ -186,7 +187,7 @@ def decoders() -> list[str]:
 
 
 if __name__ == "__main__":
-    asked = msgspec.json.decode(sys.stdin.buffer.read(), type=Question)
-    with listening() as heard:
+    asked = msgspec.json.decode(sys.stdin.buffer.read(), type=ProbeRequest)
+    with captured_log() as heard:
         answer = probe(asked.source, asked.settings, heard, asked.picture)
     sys.stdout.buffer.write(msgspec.json.encode(answer))

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.capture import Cadence, Capture, Frame
+from camtopod.vision.source.capture import Capture, Frame, FrameSelector
 from camtopod.vision.source.errors import SourceError
 
 FPS_UNKNOWN = 25.0
@@ -55,7 +55,7 @@ class RecordedSource:
 
         Raises `SourceError` if the file holds no frame.
         """
-        cadence = Cadence(self._settings.analysed_fps)
+        cadence = FrameSelector(self._settings.analysed_fps)
         began = time.monotonic()
         position = 0.0
         while self._capture is not None:

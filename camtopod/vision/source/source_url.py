@@ -6,7 +6,7 @@ import re
 from typing import Literal
 from urllib.parse import quote
 
-AGAIN = "; trying again in "
+RETRY_SEPARATOR = "; trying again in "
 """Separates the reason why a source gives no frames from the seconds until it is reopened."""
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+)(:\d+)?(?=[/?]|$)")

@@ -8,7 +8,7 @@ from the border.
 
 from __future__ import annotations
 
-from camtopod.vision.track.crossings import Crossings, went_somewhere
+from camtopod.vision.track.crossings import Crossings, has_moved
 from camtopod.vision.track.track import Track
 from camtopod.vision.track.tracker import Tracker
 
@@ -16,5 +16,5 @@ __all__ = [
     "Crossings",
     "Track",
     "Tracker",
-    "went_somewhere",
+    "has_moved",
 ]

@@ -97,14 +97,14 @@ class Crossings:
                 track.entered = True
                 events.append(self._event("entry", track, track.first, list(track.history)))
             elif not track.beside_others:
-                self.doors.learn(*track.first.foot)
+                self.doors.record_unexplained(*track.first.foot)
 
         # Exits; tracks that vanish in mid-view may be evidence of a door, too.
-        events += [self.exit(track) for track in changes.left if went_somewhere(track)]
+        events += [self.exit(track) for track in changes.left if has_moved(track)]
         for track in changes.vanished:
             self._forget(track)
             if not (track.covered or track.interrupted):
-                self.doors.learn(*track.last.foot)
+                self.doors.record_unexplained(*track.last.foot)
 
         # Cells that people walk through are evidence against doors.
         for track in active:
@@ -120,7 +120,7 @@ class Crossings:
     def _forget(self, track: Track) -> None:
         """Count the cells that the track walked through, except where it began and ended."""
         ends = {self.doors.cell(*track.first.foot), self.doors.cell(*track.last.foot)}
-        self.doors.walked(self._walks.pop(track.number, set()) - ends)
+        self.doors.record_walk(self._walks.pop(track.number, set()) - ends)
 
     def _event(self, kind: Kind, track: Track, at: Sighting, around: list[Sighting]) -> Event:
         """Return an event at a sighting.
@@ -143,7 +143,7 @@ class Crossings:
         )
 
 
-def went_somewhere(track: Track) -> bool:
+def has_moved(track: Track) -> bool:
     """Return True if the object has moved enough to have left."""
     return track.reach >= EXIT_HEIGHTS_MIN * track.height
 

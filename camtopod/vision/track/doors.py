@@ -36,11 +36,11 @@ class Doors:
         column = int(x / self._size[0] * GRID_COLUMNS)
         return min(max(row, 0), GRID_ROWS - 1), min(max(column, 0), GRID_COLUMNS - 1)
 
-    def learn(self, x: float, y: float) -> None:
+    def record_unexplained(self, x: float, y: float) -> None:
         """Record that a track began or ended at this foot point in mid-view without explanation."""
         self._unexplained.append((x, y))
 
-    def walked(self, feet: set[tuple[int, int]]) -> None:
+    def record_walk(self, feet: set[tuple[int, int]]) -> None:
         """Record that an object crossed these cells without beginning or ending there.
 
         feet: cells as returned by `cell`.

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from synthetic_events import learned_from, passage
 
-from camtopod.codec import read_topology, to_json
+from camtopod.codec import decode_topology, to_json
 from camtopod.learn.next_camera import overlapping_views
 from camtopod.learn.next_camera.overlapping_views import Views, find_overlapping
-from camtopod.predict.hand_over import HandOver, look
+from camtopod.predict.hand_over import HandOver, cameras_to_watch
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, InView, NextCamera, Prediction, Topology
 from camtopod.sharding.parts import part_of
@@ -121,7 +121,7 @@ def test_without_passages_nothing_overlaps() -> None:
 
 def test_who_leaves_a_view_is_looked_for_where_another_sees_it() -> None:
     topology, right, sure = learned_from(walkers(1, 200)), [], []
-    for exit_, told in predictions(read_topology(to_json(topology)), walkers(2, 100)):
+    for exit_, told in predictions(decode_topology(to_json(topology)), walkers(2, 100)):
         if exit_.camera != "a":
             assert told.look is None is told.in_view, "no view overlaps"
             continue
@@ -169,9 +169,9 @@ def test_where_nobody_sees_an_object_the_next_camera_counts() -> None:
         NextCamera("b", "b/1", 0.2, 1.0, 2.0, 3.0),
     ]
     in_view = [InView("b", "1", 0.0, 0.5), InView("d", "2", 0.0, 0.2)]
-    said = {one.camera: one.probability for one in look(in_view, following)}
+    said = {one.camera: one.probability for one in cameras_to_watch(in_view, following)}
     assert said == pytest.approx({"b": 0.5 + 0.4 * 0.2, "c": 0.4 * 0.6, "d": 0.2})
-    assert [one.camera for one in look([], following)] == ["c", "b"]
+    assert [one.camera for one in cameras_to_watch([], following)] == ["c", "b"]
 
 
 def test_a_topology_without_overlaps_says_nothing() -> None:
