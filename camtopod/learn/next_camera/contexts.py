@@ -156,7 +156,7 @@ class Contexts:
         for part in slices_by_arrival(c.arrival):
             departure, target = c.departure[part].astype(np.intp), column.take(c.pair[part])
             for level in levels:
-                cell, own = level.of(departure, target, responsibility[part])
+                cell, own = level.cells_of(departure, target, responsibility[part])
                 np.add.at(level.moved.ravel(), cell, own)
         return levels, leave
 
@@ -179,7 +179,7 @@ class Contexts:
             target, here = column.take(pair), without.take(pair)
             for level in levels:
                 here = level.judged(
-                    departure, *level.of(departure, target, responsibility[part]), here
+                    departure, *level.cells_of(departure, target, responsibility[part]), here
                 )
             after[part] = here
         return after

@@ -77,7 +77,7 @@ class WholeSite:
     """The membership of a daemon that serves the site alone."""
 
     shard = portion = None
-    first, folder, status_key = True, "", STATUS
+    is_first, folder, status_key = True, "", STATUS
 
     def owns(self, camera: str) -> bool:
         """Return True: it owns every camera."""
