@@ -1,18 +1,17 @@
-"""The learner: events and time go in, versions of the topology come out. Deterministic, whatever
-the order of arrival.
+"""The learner: takes entry and exit events, makes versions of the camera network topology.
 
-Theory of operation. `receive` puts an event into the reorder buffer. Event time is cut into ticks
-of ``version_seconds``; when the watermark passes a tick, everything up to it moves into the window,
-what is too old is taken back out, and if enough has changed the zones, the joint fit and the links
-are refreshed and a version is made. What a version says therefore depends on the events up to its
-tick and on nothing else: not on how they were ordered within the lateness, nor on how fast or when
-the program ran.
+`Learner.receive` puts an event into the reorder buffer. Event time is cut into ticks of
+``version_seconds``. When the watermark passes a tick, the events up to it move from the buffer into
+the sliding window, events that are too old leave the window, and if enough events are new, a
+version is made: the zones are learned again, `refit` estimates links and the prediction model, and
+`assemble` builds the `Topology`. So a version depends only on the events up to its tick, not on the
+order in which they were received (within the lateness), nor on when or how fast the program runs.
 
-Of a recording often the last version alone is wanted. With ``only_last`` the events are followed as
-usual, but the zones alone are learned again when a version is due; `flush` makes the one version.
-It is not the one that the versions on the way lead to: it has the number 1, looks at every zone of
-a large site at once instead of at a part in each fit, and says nothing of what would have been said
-between versions (its own marks, clocks that changed).
+From a recording, often only the last version is wanted. With ``only_last``, no version is made
+before `Learner.flush`; only the zones are learned again at each tick where one would be due. The
+single version has number 1. It differs from the last version of a usual run: on a large site, all
+zones are screened for links at once instead of a part in each fit, and scores of past predictions
+and alarms of changed clocks are missing, as both come from earlier versions.
 """
 
 from __future__ import annotations
@@ -48,21 +47,27 @@ from camtopod.records import Event, Topology
 from camtopod.topology import with_digest
 
 REFIT_EVENTS_MIN = 10
-"""No new version for fewer new events, unless they have waited ``refit_hours``."""
+"""Least new events for a new version, unless the last version is older than ``refit_hours``."""
 GONE_ZONES_MAX = 32
-"""Vanished zones of a camera whose places are remembered, so that one that returns has its number
-back.
+"""Largest number of vanished zones that are remembered for each camera.
+
+A zone that returns to its place gets its number back.
 """
 MOVE_EVENTS = 25
-"""After so many events of a camera it is asked again whether it has been turned."""
+"""New events of a camera after which it is tested again for having been turned."""
 ZONES_REFRESH_SHARE = 0.1
-"""A camera's zones are learned again when this share of its events is new."""
+"""Share of a camera's events in the window that must be new for its zones to be learned again."""
 STEPS = ("zones", "clocks", *refits.STEPS)
-"""What a version takes, in this order."""
+"""Names of the steps that make a version, in order."""
 
 
 class Learner:
-    """The whole chain of the thesis, incremental over a sliding window of event time."""
+    """Learns a topology from events, version by version, over a sliding window of event time.
+
+    settings: None for the defaults.
+    site, epoch: written into each version.
+    only_last: make one version only, in `flush`.
+    """
 
     def __init__(
         self,
@@ -74,12 +79,18 @@ class Learner:
         self.settings = settings or Settings()
         self.site, self.epoch = site, epoch
         self.only_last = only_last
-        """Whether only `flush` makes a version."""
+        """True if only `flush` makes a version."""
         self.topology: Topology | None = None
+        """The newest version; None before the first one of the epoch."""
         self.on_step: Callable[[str], None] = lambda step: None
-        """Called with each of `STEPS` as it begins: what the one before took is free again."""
+        """Called with the name of each of `STEPS` as the step begins.
+
+        The memory of the step before is free again at that moment.
+        """
         self.bins = lag_bins(self.settings)
+        """Bins of the lags between views."""
         self.stay_bins = dwell_bins(self.settings)
+        """Bins of the dwell times in one view."""
         self._intake = ReorderBuffer(
             self.settings.lateness_seconds,
             self.settings.cameras_max,
@@ -91,52 +102,62 @@ class Learner:
             self.settings.window_events,
             self.settings.window_camera_events,
         )
-        self._followed: dict[
-            int, FollowedSources
-        ] = {}  # zones screened in as sources of each, by `place`
-        self._keeper = ClockTracker()
+        self._clock_tracker = ClockTracker()
         self._alarms = AlarmLog()
         self._scorer = Scorer()
+        # Zones of departure that screening follows, by `place` of the zone of arrival.
+        self._followed: dict[int, FollowedSources] = {}
+
+        # By index of the camera in the window: its zones, its zones that have vanished (latest
+        # first), and its number of positioned events (`Window.seen`) when its zones were last
+        # learned and when it was last tested for having been turned.
         self._maps: list[ZoneMap] = []
-        self._zoned: list[int] = []  # events of the camera when its zones were last learned
-        self._gone: list[
-            tuple[ZoneShape, ...]
-        ] = []  # zones that have vanished, latest first, for when they come back
-        self._looked: list[
-            int
-        ] = []  # events of the camera when it was last asked whether it has been turned
-        self._left: dict[str, RetiredCamera] = {}  # the one that left last comes last
-        self._moved: list[
-            tuple[int, float, Move]
-        ] = []  # cameras turned since the last version, and since when
+        self._vanished_zones: list[tuple[ZoneShape, ...]] = []
+        self._zoned_at: list[int] = []
+        self._move_tested_at: list[int] = []
+
+        # By name of the camera: zones of retired cameras (the one retired last is last), and the
+        # boot ids of each camera's publishers.
+        self._retired: dict[str, RetiredCamera] = {}
         self._publishers: dict[str, Publisher] = {}
-        self._doubled: list[str] = []  # cameras found to have two publishers since the last version
+
+        # Since the last version: cameras that were turned (index, time in seconds, move), and
+        # cameras that two programs publish.
+        self._moved: list[tuple[int, float, Move]] = []
+        self._doubled: list[str] = []
+
+        # Progress: length of a tick, the last processed tick and the tick of the newest version
+        # (microseconds); events learned so far, and those learned since the newest version.
         self._tick_us = microseconds(self.settings.version_seconds)
-        self._done_us: int | None = None  # the last tick worked off
-        self._fitted_us: int | None = None  # the tick of the newest version
+        self._done_us: int | None = None
+        self._fitted_us: int | None = None
         self._learned = 0
         self._since_fit = 0
         self._updates: list[Topology] = []
 
     def receive(self, event: Event) -> str:
-        """Take one event: ``accepted``, ``duplicate``, ``late`` or ``refused``."""
+        """Receive one event, process the ticks that it completes, and return the verdict.
+
+        The verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many cameras).
+        """
         if (
             not self._intake.has_room_for(event.camera)
-            and (other := camera_to_replace(self._intake, self._window)) is not None
+            and (replaced := camera_to_replace(self._intake, self._window)) is not None
         ):
-            self._leave({other})
+            self._retire({replaced})
         verdict = self._intake.receive(event)
-        self._work()
+        self._process_ticks()
         return verdict
 
     def advance(self, now: float) -> None:
-        """Event time has come to ``now`` (seconds) although no event says so."""
+        """Advance event time to ``now`` (seconds) without an event, and process passed ticks."""
         self._intake.advance(microseconds(now))
-        self._work()
+        self._process_ticks()
 
     def flush(self) -> None:
-        """The end of a recording: learn what is still held, whatever the watermark says, and make a
-        last version.
+        """End a recording: learn the held events without waiting for the watermark, make a version.
+
+        No version is made if no event is new since the last one.
         """
         newest = self._intake.newest_us
         if newest is None:
@@ -147,15 +168,15 @@ class Learner:
             self._refit(newest)
 
     def updates(self) -> list[Topology]:
-        """Versions made since the last call, oldest first."""
+        """Return the versions made since the last call, oldest first."""
         made, self._updates = self._updates, []
         return made
 
     def save(self) -> LearnerState:
-        """Everything `load` needs to go on from here. Updates that have not been asked for are not
-        in it.
-        """
-        places = zip(self._maps, self._zoned, self._gone, self._looked, strict=True)
+        """Return the state from which `load` continues, without versions not fetched yet."""
+        cameras = zip(
+            self._maps, self._zoned_at, self._vanished_zones, self._move_tested_at, strict=True
+        )
         return LearnerState(
             self.settings,
             self.site,
@@ -163,10 +184,10 @@ class Learner:
             self.topology,
             self._intake.save(),
             self._window.save(),
-            self._keeper.save(),
+            self._clock_tracker.save(),
             self._alarms.save(),
             self._scorer.save(),
-            [CameraState(*place) for place in places],
+            [CameraState(*camera) for camera in cameras],
             self._moved,
             self._done_us,
             self._fitted_us,
@@ -175,50 +196,58 @@ class Learner:
             self._followed,
             self._publishers,
             self._doubled,
-            self._left,
+            self._retired,
         )
 
     def load(self, state: LearnerState) -> None:
-        """Go on from there; this learner must be new. With the same settings, site and epoch the
-        versions to come are those that the saved one would have made.
+        """Continue from a saved state; this learner must be new.
+
+        With the same settings, site and epoch, later versions are those that the saved learner
+        would have made.
         """
         self.topology = state.topology
         self._intake.load(state.intake)
         self._window.load(state.window)
-        self._keeper.load(state.clocks)
+        self._clock_tracker.load(state.clocks)
         self._alarms.load(state.alarms)
         self._scorer.load(state.scorer, state.topology)
         self._maps = [camera.zones for camera in state.cameras]
-        self._zoned = [camera.zoned for camera in state.cameras]
-        self._gone = [camera.gone for camera in state.cameras]
-        self._looked = [camera.looked for camera in state.cameras]
+        self._zoned_at = [camera.zoned for camera in state.cameras]
+        self._vanished_zones = [camera.gone for camera in state.cameras]
+        self._move_tested_at = [camera.looked for camera in state.cameras]
         self._moved, self._done_us, self._fitted_us = state.moved, state.done_us, state.fitted_us
         self._learned, self._since_fit = state.learned, state.since_fit
         self._publishers, self._doubled = state.publishers, state.doubled
-        self._followed, self._left = state.followed, state.left
+        self._followed, self._retired = state.followed, state.left
 
     def forget(self, names: Set[str]) -> None:
-        """Forget cameras as if they had never been heard, but for their events that wait for the
-        watermark; what was learned of others through them stays. The next version is without them.
+        """Forget cameras and their events; the next version is without them.
+
+        Their events that still wait for the watermark are kept, and so is what their events have
+        taught about other cameras.
         """
         self._forget(names)
         self._alarms.forget(names)
-        for name in names & self._left.keys():
-            del self._left[name]
+        for name in names & self._retired.keys():
+            del self._retired[name]
 
     def begin_epoch(self, epoch: str) -> None:
-        """What is known stays; versions count from 1 again."""
+        """Begin an epoch: the learned state stays, versions count from 1 again."""
         self.epoch, self.topology, self._fitted_us = epoch, None, None
         self._alarms.newest = []
 
     def refresh(self) -> None:
-        """Make the first version of the epoch of what is known already, if anything is."""
+        """Make the first version of the epoch from the present window; do nothing if it is empty.
+
+        If the epoch has a version already, do nothing either.
+        """
         if self.topology is None and self._done_us is not None and len(self._window):
             self._refit(self._done_us)
 
     def next_deadline(self) -> float | None:
-        """Event time (seconds) to which `advance` would have to go for something to happen; None:
-        nothing waits.
+        """Return the event time (seconds) at which the tick of the oldest held event is processed.
+
+        None if no event is held.
         """
         oldest = self._intake.oldest_held_us
         if oldest is None:
@@ -227,17 +256,17 @@ class Learner:
         return (tick + self._intake.lateness_us + 1) / MICROSECONDS
 
     def event_time(self) -> EventTimeState:
-        """How far event time has come."""
+        """Return the state of event time and watermark."""
         return self._intake.time.save()
 
     def predictor(self) -> Predictor:
-        """Prediction over the newest version. Raises RuntimeError before the first."""
+        """Return a predictor with the newest version; raise RuntimeError before the first."""
         if self.topology is None:
             raise RuntimeError("no version has been learned yet")
         return Predictor(self.topology)
 
     def statistics(self) -> dict[str, int | float]:
-        """Counts and sizes, for people and for health checks."""
+        """Return counts and sizes by name, for people and for health checks."""
         watermark = self._intake.watermark_us
         return {
             **self._intake.counts,
@@ -250,14 +279,13 @@ class Learner:
             "version": 0 if self.topology is None else self.topology.version,
         }
 
-    def _work(self) -> None:
-        """Work off every tick the watermark has passed that has something to do."""
+    def _process_ticks(self) -> None:
+        """Learn every tick with events that the watermark has passed; make the versions due."""
         watermark = self._intake.watermark_us
         if watermark is None:
             return
-        reached = (
-            (watermark - 1) // self._tick_us * self._tick_us
-        )  # an event at the watermark may still come
+        # An event at the watermark may still be received.
+        reached = (watermark - 1) // self._tick_us * self._tick_us
         if self._done_us is not None and reached <= self._done_us:
             return
         while (oldest := self._intake.oldest_held_us) is not None:
@@ -265,7 +293,7 @@ class Learner:
             if tick > reached:
                 break
             self._learn(tick)
-            if not self._due(tick):
+            if not self._is_version_due(tick):
                 continue
             if self.only_last:
                 self._refresh_zones()
@@ -275,93 +303,120 @@ class Learner:
         self._done_us = reached
 
     def _learn(self, until_us: int) -> None:
-        """Move the events up to ``until_us`` into the window and forget what is too old."""
+        """Move the held events up to ``until_us`` into the window, and remove old ones from it."""
+        # Predict the next camera of some exits, to be scored once the outcome is known.
         batch = self._take(until_us)
         if not self.only_last:
             self._scorer.watch(batch)
+
+        # Move the window.
         self._window.append(batch)
         window_us = microseconds(self.settings.window_hours * 3600.0)
         self._window.forget_old(until_us - window_us)
-        if left := cameras_to_retire(self._intake, self._window, until_us, window_us):
-            self._leave(left)
-        self._look_for_moves()
-        self._look_for_doubles(batch)
+
+        # Retire silent cameras; find turned cameras and those that two programs publish.
+        if silent := cameras_to_retire(self._intake, self._window, until_us, window_us):
+            self._retire(silent)
+        self._find_moved_cameras()
+        self._find_doubled_cameras(batch)
         self._learned += len(batch)
         self._since_fit += len(batch)
 
     def _take(self, until_us: int) -> list[tuple[int, Event]]:
-        """The events up to ``until_us``, in canonical order."""
+        """Return the held events up to ``until_us`` in canonical order; they are held no more.
+
+        A `District` leaves out events that are of no use to it.
+        """
         return self._intake.take_until(until_us)
 
-    def _leave(self, names: Set[str]) -> None:
-        """Forget cameras, but for what gives their zones their numbers back, and that they fell
-        silent.
+    def _retire(self, names: Set[str]) -> None:
+        """Forget cameras that no longer report, but remember their zones and their silence.
+
+        Their zones get their numbers back, and `AlarmLog` reports their return, if they report
+        again.
         """
-        for name, zones, gone in zip(self._window.cameras, self._maps, self._gone, strict=False):
+        # Remember the zones.
+        for name, zone_map, vanished in zip(
+            self._window.cameras, self._maps, self._vanished_zones, strict=False
+        ):
             if name in names:
-                self._left[name] = RetiredCamera(
-                    (zones.zones + gone)[:GONE_ZONES_MAX], zones.next_number
+                self._retired[name] = RetiredCamera(
+                    (zone_map.zones + vanished)[:GONE_ZONES_MAX], zone_map.next_number
                 )
+
+        # Forget the rest, and the cameras retired first if there are too many.
         self._forget(names)
-        while len(self._left) > LEFT_CAMERAS_MAX:
-            first = next(iter(self._left))
-            del self._left[first]
+        while len(self._retired) > LEFT_CAMERAS_MAX:
+            first = next(iter(self._retired))
+            del self._retired[first]
             self._alarms.forget({first})
 
     def _forget(self, names: Set[str]) -> None:
+        """Forget cameras in every part of the learner that numbers or names cameras."""
         number = self._window.forget_cameras(names)
         kept = number != FORGOTTEN
         self._intake.forget(names)
         self._scorer.forget(names)
-        self._keeper.keep_cameras(kept)
-        stay = np.flatnonzero(kept[: len(self._maps)])
-        self._maps, self._zoned = [self._maps[k] for k in stay], [self._zoned[k] for k in stay]
-        self._gone, self._looked = [self._gone[k] for k in stay], [self._looked[k] for k in stay]
+        self._clock_tracker.keep_cameras(kept)
+
+        # Renumber the other cameras.
+        others = np.flatnonzero(kept[: len(self._maps)])
+        self._maps = [self._maps[k] for k in others]
+        self._zoned_at = [self._zoned_at[k] for k in others]
+        self._vanished_zones = [self._vanished_zones[k] for k in others]
+        self._move_tested_at = [self._move_tested_at[k] for k in others]
         self._moved = [
             (int(number[camera]), since, move)
             for camera, since, move in self._moved
             if kept[camera]
         ]
         self._publishers = {
-            name: one for name, one in self._publishers.items() if name not in names
+            name: publisher for name, publisher in self._publishers.items() if name not in names
         }
         self._doubled = [name for name in self._doubled if name not in names]
         self._followed = renumber_followed(self._followed, number)
 
-    def _due(self, tick_us: int) -> bool:
-        """Whether enough has changed for a new version."""
+    def _is_version_due(self, tick_us: int) -> bool:
+        """Return True if a new version is due at a tick.
+
+        It is with the first events; with enough new events; with a camera that was turned or has
+        two publishers; or, given any new event, ``refit_hours`` after the last version.
+        """
         if self._since_fit == 0:
             return False
-        if self._fitted_us is None or self._since_fit >= self._enough():
+        if self._fitted_us is None or self._since_fit >= self._events_for_version():
             return True
         if (self._moved or self._doubled) and not self.only_last:
             return True
         return tick_us - self._fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
 
-    def _enough(self) -> float:
-        """New events that make a new version due."""
+    def _events_for_version(self) -> float:
+        """Return the number of new events that make a new version due."""
         return max(REFIT_EVENTS_MIN, self.settings.refit_share * len(self._window))
 
     def _refit(self, tick_us: int) -> None:
-        """Make one version as of ``tick_us``: refresh the zones, refit, publish."""
+        """Make a version as of ``tick_us``: refresh the zones, estimate the clocks, refit."""
         self.on_step("zones")
         self._refresh_zones()
         self.on_step("clocks")
         scene = self._to_fit(self._corrected(label_events(self._window, self._maps)))
 
+        # Fit, and score earlier predictions by the fit.
         known = Known(self._followed, self._learned, self.only_last, self._scorer.waiting)
-        clocks = self._keeper.clocks
+        clocks = self._clock_tracker.clocks
         found = refit(scene, self._window, clocks, known, self.settings, self.on_step)
         self._followed = found.followed
         self._scorer.mark(found.happened)
 
+        # Make the version, and predict with it from here on.
         self.topology = self._version_of(found, tick_us)
-        self._scorer.use(self.topology, self._enough())
+        self._scorer.use(self.topology, self._events_for_version())
         self._updates.append(self.topology)
         self._fitted_us, self._since_fit = tick_us, 0
 
     def _version_of(self, found: Refit, tick_us: int) -> Topology:
-        """Return the next version: what a refit has found, and what has happened since the last."""
+        """Return the version that follows from a refit, with site, number, alarms and score."""
+        # The records of links and zones.
         cameras, scene, bins = self._window.cameras, found.scene, self.bins
         between = link_records(cameras, scene, found.published, bins)
         visible = link_records(cameras, scene, found.visible, self.stay_bins, "visible")
@@ -371,11 +426,12 @@ class Learner:
             self._window,
             scene,
             found.model,
-            self._keeper.clocks,
+            self._clock_tracker.clocks,
             links=between + visible,
             weak_links=weak,
         )
 
+        # Alarms, and the fields that the learner adds.
         version = 1 if self.topology is None else self.topology.version + 1
         now = tick_us / MICROSECONDS
         self._report(found, topology, version, now)
@@ -394,6 +450,7 @@ class Learner:
 
     def _report(self, found: Refit, topology: Topology, version: int, now: float) -> None:
         """Raise an alarm for each change that this version is the first to show."""
+        # Changes of links, zones, cameras and clocks.
         cameras, scene = self._window.cameras, found.scene
         ids = [zone_id(cameras, zone) for zone in scene.zones]
         if self.only_last:  # no earlier version has published the links that have closed
@@ -411,6 +468,7 @@ class Learner:
         )
         self._alarms.clocks(version, now, topology.cameras)
 
+        # Cameras that were turned, and those that two programs publish.
         for camera, since, move in self._moved:
             detail = (
                 f"{move.outside:.2f} of {move.events} events outside its zones since {since:.0f}"
@@ -425,33 +483,45 @@ class Learner:
             self._alarms.add(version, now, "camera_doubled", name, detail)
         self._moved, self._doubled = [], []
 
-    def _look_for_moves(self) -> None:
-        """What a camera saw before it was turned is forgotten, and its zones get new numbers."""
+    def _find_moved_cameras(self) -> None:
+        """Test cameras with enough new events for having been turned.
+
+        The events of a turned camera from before the move are forgotten, and its zones get new
+        numbers.
+        """
         window = self._window
-        due = [
+        to_test = [
             camera
             for camera in range(len(self._maps))
-            if window.seen[camera] - self._looked[camera] >= MOVE_EVENTS
+            if window.seen[camera] - self._move_tested_at[camera] >= MOVE_EVENTS
         ]
-        rows_of_camera = window.rows_of_cameras() if due else []
-        for camera in due:
-            seen = self._looked[camera] = window.seen[camera]
+        rows_of_camera = window.rows_of_cameras() if to_test else []
+        for camera in to_test:
+            # Test the grid cells of the camera's events.
+            events = self._move_tested_at[camera] = window.seen[camera]
             rows = rows_of_camera[camera]
             rows = rows[window.column("px")[rows] >= 0]
             px, py = (window.column(name)[rows].astype(np.int64) for name in ("px", "py"))
             move = find_move(cells_of(px, py), self._maps[camera].cells)
+
+            # Learn the zones of the new view from the events since the move.
             if move:
                 since = float(window.column("t")[rows[move.first]] / MICROSECONDS)
                 window.forget_camera(camera, window.base + int(rows[move.first]))
                 self._maps[camera] = find_zones(
                     window.cell_sums(camera), (), self._maps[camera].next_number
                 )
-                self._zoned[camera], self._gone[camera] = seen, ()
+                self._zoned_at[camera], self._vanished_zones[camera] = events, ()
                 self._moved.append((camera, since, move))
                 rows_of_camera = window.rows_of_cameras()
 
-    def _look_for_doubles(self, batch: list[tuple[int, Event]]) -> None:
-        """Cameras that two programs publish at the same time are said once for each two."""
+    def _find_doubled_cameras(self, batch: list[tuple[int, Event]]) -> None:
+        """Find cameras that two programs publish at the same time.
+
+        Each pair of programs is reported once.
+
+        batch (microseconds, event): new events in order of time.
+        """
         for _, event in batch:
             if event.boot is None:
                 continue
@@ -460,41 +530,42 @@ class Learner:
                 self._doubled.append(event.camera)
 
     def _refresh_zones(self) -> None:
-        """Learn the zones of every camera again whose events have changed enough."""
+        """Learn the zones of new cameras, and again those of cameras with enough new events."""
         for camera in range(len(self._window.cameras)):
-            seen = self._window.seen[camera]
+            events = self._window.seen[camera]
+
+            # A new camera, or a retired one that reports again.
             if camera == len(self._maps):
-                left = self._left.pop(self._window.cameras[camera], RetiredCamera())
+                retired = self._retired.pop(self._window.cameras[camera], RetiredCamera())
                 self._maps.append(
-                    find_zones(self._window.cell_sums(camera), left.zones, left.next_number)
+                    find_zones(self._window.cell_sums(camera), retired.zones, retired.next_number)
                 )
-                self._zoned.append(seen)
-                self._looked.append(seen)
-                self._gone.append(_vanished(left.zones, self._maps[camera]))
-            elif seen - self._zoned[
-                camera
-            ] >= ZONES_REFRESH_SHARE * self._window.count_with_position(camera):
-                old = self._maps[camera]
-                known = old.zones + self._gone[camera]
-                new = refresh_zones(self._window.cell_sums(camera), old, self._gone[camera])
-                self._maps[camera], self._zoned[camera], self._gone[camera] = (
-                    new,
-                    seen,
-                    _vanished(known, new),
-                )
+                self._zoned_at.append(events)
+                self._move_tested_at.append(events)
+                self._vanished_zones.append(_vanished(retired.zones, self._maps[camera]))
+                continue
+
+            # A known camera.
+            new_events = events - self._zoned_at[camera]
+            if new_events >= ZONES_REFRESH_SHARE * self._window.count_with_position(camera):
+                old, vanished = self._maps[camera], self._vanished_zones[camera]
+                new = refresh_zones(self._window.cell_sums(camera), old, vanished)
+                self._maps[camera] = new
+                self._zoned_at[camera] = events
+                self._vanished_zones[camera] = _vanished(old.zones + vanished, new)
 
     def _corrected(self, scene: Scene) -> Scene:
         """Estimate the clock offsets, and return the scene with its times corrected by them."""
-        self._keeper.update(scene, len(self._window.cameras), self._learned)
-        offset = self._keeper.clocks.offset
+        self._clock_tracker.update(scene, len(self._window.cameras), self._learned)
+        offset = self._clock_tracker.clocks.offset
         return label_events(self._window, self._maps, offset) if offset.any() else scene
 
     def _to_fit(self, scene: Scene) -> Scene:
-        """Return the part of the scene that is fitted. A `District` leaves cameras out."""
+        """Return the part of the scene that is fitted; a `District` leaves cameras out."""
         return scene
 
 
 def _vanished(known: tuple[ZoneShape, ...], now: ZoneMap) -> tuple[ZoneShape, ...]:
-    """The zones that are not in the map now."""
+    """Return the known zones that are not in the present map, `GONE_ZONES_MAX` at most."""
     numbers = {zone.number for zone in now.zones}
     return tuple(zone for zone in known if zone.number not in numbers)[:GONE_ZONES_MAX]
