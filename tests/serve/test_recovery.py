@@ -100,7 +100,7 @@ class Installation:
                 stop.set()
 
         self.learning.work(stop, beat)
-        self.learning._tell(stop, no_beat)
+        self.learning._take_snapshot(stop, no_beat)
         for head, content, *_ in self._versions:
             stored = StoredVersion(head.epoch, head.version, head.digest, content)
             self.journal.commit([], [stored])
