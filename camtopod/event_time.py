@@ -50,7 +50,7 @@ class CameraDelay(Struct):
 
 
 class EventTimeState(Struct):
-    """The saved state of an `IdleEventTime`."""
+    """The saved state of an `EventTime`."""
 
     newest_us: int | None = None
     second_us: int | None = None

@@ -1,17 +1,17 @@
-"""Limits on the work of one fit.
+"""Limits on the memory and time of one fit.
 
-They are counts, not times: the same events give the same version on any machine, however fast it
-is.
+Limits are counts, not times, so that the same events give the same version on a machine of any
+speed.
 
-Theory of operation. Nearly all memory and time of a fit go into pairs of a departure and an arrival
-within the range of lags, and into tables with a row for each pair of zones. The number of events in
-a window is limited, but the number of pairs grows with the square of the traffic: 30,000 departures
-and as many arrivals within five minutes are 900 million pairs. So each stage first counts its
-pairs, which is cheap because times are sorted, and then takes at most a fixed number of them.
-Beyond the limit it leaves out the arrivals with the most departures in reach (`arrivals_within`).
-They carry the least information, as each of them may have come from anywhere, and they come from
-the times and places where a camera floods. Arrivals at other times are unaffected, and so is every
-site that stays below the limits: a hundred cameras with ordinary traffic need a tenth of each.
+Nearly all memory and time of a fit go into *event pairs* (a departure and an arrival within the
+range of lags) and into tables with a row for each pair of zones. The number of events in a window
+is limited, but the number of event pairs grows with the square of the traffic: 30,000 departures
+and as many arrivals within five minutes are 900 million pairs. So each stage of a fit first counts
+its event pairs, which is cheap because times are sorted, and then uses at most a fixed number.
+Beyond the limit it leaves out the arrivals with the most departures in reach (`arrivals_within`):
+they carry the least information, as each may be of any of these departures, and they come from
+times and places where a camera floods the site with events. Arrivals at other times are unaffected,
+and so is every site below the limits: a hundred cameras with ordinary traffic need a tenth of each.
 """
 
 from __future__ import annotations
@@ -21,35 +21,41 @@ from numpy.typing import NDArray
 
 Counts = NDArray[np.intp]
 
-LOOKED_PER_EVENT_MAX = 400
-"""Pairs counted when the sources of one zone are screened, for each event of the window."""
+ZONE_SCREEN_PAIRS_PER_EVENT_MAX = 400
+"""Event pairs counted when one zone of arrival is screened, per event of the window."""
 WEIGHED_MAX = 64_000_000
-"""Pairs, along the followed pairs of zones, that screening weighs in one fit."""
+"""Event pairs that screening weighs in one fit, over all followed pairs of zones."""
 WEIGHED_AT_ONCE = 8_000_000
-"""Pairs of one zone of arrival that screening weighs together, at 50 bytes each."""
+"""Event pairs of one zone of arrival that screening weighs together, at 50 bytes each."""
 JUDGED_MAX = 6_000_000
-"""Pairs that the cross-validation of the found links uses in one fit."""
+"""Event pairs from which cross-validation estimates the evidence for links in one fit."""
 FOLLOWED_MAX = 5_000_000
-"""Candidates that the fit for prediction follows (`next_camera.fit`)."""
+"""Event pairs that the fit for prediction uses as candidates (`next_camera.fit`)."""
 ZONES_PER_CAMERA_MAX = 32
-"""Zones of one camera, those with the most events."""
+"""Zones of one camera; of more, those with the most events count."""
 ZONE_PAIRS_MAX, ZONE_PAIRS_PER_CAMERA_MAX = 20_000, 250
-"""Pairs of zones that are followed on a site, and for each camera; the larger limit counts."""
+"""Pairs of zones that screening follows on a site: in all, or for each camera if that is more."""
 ENTRY_PAIRS_MAX, ENTRY_PAIRS_PER_CAMERA_MAX = 20_000, 600
-"""Pairs of a zone of entry and a zone of the next appearance (`entry_kernels`) on a site, and for
-each camera; the larger limit counts.
+"""Entry kernels of a site (`next_camera.entry_kernels`): in all, or for each camera if that is
+more.
+
+An entry kernel belongs to a pair of a zone of entry and a zone of the next appearance.
 """
 CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX = 8_000_000, 40_000
-"""Cells of a table with a row for each context of a departure (`next_camera.contexts`) on a site,
-and for each camera; the larger limit counts.
+"""Cells of a table of transitions by context (`next_camera.contexts`): in all, or for each camera
+of the site if that is more.
+
+The table has a row for each context of a departure and a column for each next zone.
 """
 
 
 def arrivals_within(reach: Counts, most: int) -> NDArray[np.bool_]:
-    """Return which arrivals to keep so that their pairs are at most ``most``, as a mask (n,).
+    """Return a mask (n,) of arrivals to keep, so that they have at most ``most`` event pairs.
 
-    The arrivals with the fewest departures in ``reach`` (n,) are kept; of those with equally many,
-    the newest.
+    reach (n,): number of departures in reach of each arrival, its event pairs.
+
+    The arrivals with the fewest departures in reach are kept; of those with equally many, the
+    newest.
     """
     kept = np.ones(len(reach), np.bool_)
     if int(reach.sum()) > most:
@@ -59,12 +65,13 @@ def arrivals_within(reach: Counts, most: int) -> NDArray[np.bool_]:
 
 
 def fair_share(wanted: Counts, most: int) -> int:
-    """Return the largest share of each that keeps the sum of all within ``most``.
+    """Return the limit for each of n users of a budget that keeps their sum within ``most``.
 
-    Those that want less than the share, by ``wanted`` (n,), leave the rest of it to the others.
+    wanted (n,): amount that each user wants. A user that wants less than the limit leaves the rest
+        of its share to the others.
     """
     order = np.sort(wanted)
-    others = np.arange(len(order))[::-1]  # number of those that want more
+    others = np.arange(len(order))[::-1]  # number of users that want more
     too_much = np.flatnonzero(np.cumsum(order) + order * others > most)
     if len(too_much) == 0:
         return most
@@ -78,10 +85,10 @@ def zone_pairs_max(cameras: int) -> int:
 
 
 def entry_pairs_max(cameras: int) -> int:
-    """Return the largest number of pairs of an entry zone and a next zone on such a site."""
+    """Return the largest number of entry kernels on a site of ``cameras``."""
     return max(ENTRY_PAIRS_MAX, ENTRY_PAIRS_PER_CAMERA_MAX * cameras)
 
 
 def context_cells_max(cameras: int) -> int:
-    """Return the largest number of cells of a context table on such a site."""
+    """Return the largest number of cells of a context table on a site of ``cameras``."""
     return max(CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX * cameras)

@@ -1,8 +1,10 @@
-"""One estimate of the topology from one window: the chain of the thesis, step by step.
+"""Estimate links, changes and the prediction model from the events of one window.
 
-`refit` is a pure function. Events that are labelled with their zones go in; links, changes and the
-prediction model come out, and nothing is kept. `Learner` decides when to call it and turns what it
-finds into versions. The steps, with the thesis's section:
+`refit` is a pure function: it takes events labelled with their zones (a `Scene`) and returns a
+`Refit`. `Learner` decides when to call it and makes a version of the result. Links are of two
+kinds, each in a `LinkTable`: *visible* links lead *through* the view of one camera (from zone of
+entry to zone of exit, with dwell times), the others lead *between* two views (from zone of
+departure to zone of arrival, with transit times). The steps, with the thesis's section:
 
 1. visible links and usual dwell times: passages through one view (4.1)
 2. silent cameras, and views that overlap (4.5)
@@ -71,16 +73,17 @@ from camtopod.records import Model
 from camtopod.topology import LagBins, offset_bins
 
 STEPS = ("candidates", "joint fit", "evidence", "changes", "prediction", "topology")
-"""Names of the steps that take long, in this order, as `refit` reports them."""
+"""Names of the long steps, in order, which `refit` reports as they begin."""
 
 
 class Known(NamedTuple):
-    """What earlier refits and the stream of events have found.
+    """Input of a refit beside the window.
 
-    followed: the zones screened in as sources of each zone, by `place`; empty on a small site.
+    followed: on a large site, the zones of departure that screening follows for each zone of
+        arrival (`CandidateScreen`), by `place` of the zone of arrival; empty on a small site.
     learned: number of events learned so far.
-    everywhere: screen every zone now, because no later refit will do so.
-    exits: earlier exits whose outcome is asked, oldest first.
+    everywhere: True to screen all zones of arrival now, because there is no later refit.
+    exits: predicted exits whose outcome is to be estimated, oldest first.
     """
 
     followed: Mapping[int, FollowedSources]
@@ -90,17 +93,21 @@ class Known(NamedTuple):
 
 
 class Refit(NamedTuple):
-    """What one refit finds.
+    """Result of a refit.
 
-    scene: the labelled events, with usual dwell times where none was seen.
-    published, visible, weak: links between views, links through one view, and links that are likely
-        and not yet certain.
-    lacks: what each weak link still lacks.
-    found: significant links between views, whether or not they are open at present.
-    changes, silences: links that opened or closed, and gaps in each camera's events.
-    model: what prediction needs beside the links.
-    followed: as `Known.followed`, for the next refit.
-    happened: outcomes of the first of `Known.exits`; None for an exit that is not in the window.
+    scene: the labelled events; departures of unknown passages have an estimated time of entry.
+    published: links between views that meet the rule for publishing.
+    visible: links through one view that meet the rule.
+    weak: links between views that are likely but do not meet the rule.
+    lacks: passages and time that each weak link lacks until it is published.
+    found: links between views that are significant over the whole window, those that have closed
+        since included.
+    changes: links that opened, closed or changed their share.
+    silences: intervals without events, one item per camera.
+    model: the part of the topology, beside the links, that prediction reads.
+    followed: `Known.followed` for the next refit.
+    happened: outcomes of the first exits of `Known.exits`, as far as they are known already; None
+        for an exit that is not in the window.
     """
 
     scene: Scene
@@ -119,17 +126,17 @@ class Refit(NamedTuple):
 class Associated(NamedTuple):
     """The result of steps 3 to 6.
 
-    between: every pair of zones with expected transitions, with its evidence in nats.
-    changes: links that opened or closed.
-    late: the departures with the delayed copies of long paths.
-    likely: the candidates that are worth following for prediction.
-    evidence (pairs,): evidence of the candidates' pairs of zones, nats.
-    followed: as `Known.followed`.
+    between: every pair of zones with expected transitions, with its held-out evidence.
+    changes: links that opened, closed or changed their share.
+    delayed: the departures, with delayed copies for long paths.
+    likely: the candidates that the fit for prediction uses.
+    evidence (pairs,): held-out evidence of the pairs of zones of the joint fit, nats.
+    followed: `Known.followed` for the next refit.
     """
 
     between: LinkTable
     changes: list[Change]
-    late: Delayed
+    delayed: Delayed
     likely: Candidates
     evidence: Floats
     followed: dict[int, FollowedSources]
@@ -138,9 +145,8 @@ class Associated(NamedTuple):
 class Predicted(NamedTuple):
     """The result of step 7.
 
-    likely: every pair of zones by the fit for prediction, weak ones included.
-    model: what prediction needs beside the links.
-    happened: outcomes of earlier exits.
+    likely: every pair of zones with expected transitions in the fit for prediction.
+    model, happened: as in `Refit`.
     """
 
     likely: LinkTable
@@ -159,7 +165,7 @@ def dwell_bins(settings: Settings) -> LagBins:
 
 
 def nothing(settings: Settings, zones: int) -> LinkTable:
-    """Return a table of no links."""
+    """Return a link table without rows."""
     return tabulate(concatenate_transitions([]), np.zeros((zones, 1)), lag_bins(settings), zones)
 
 
@@ -175,11 +181,13 @@ def refit(
 
     scene: the window's events labelled with their zones, in corrected time.
     clocks: the clock offsets with which the times were corrected.
-    on_step: called with each of `STEPS` as it begins; what the step before needed is free again.
+    known: results of earlier refits, and exits whose outcome is to be estimated.
+    on_step: called with the name of each of `STEPS` as the step begins; the memory of the step
+        before is free again at that moment.
     """
     bins, zones = lag_bins(settings), len(scene.zones)
 
-    # 1. Visible links, and the usual dwell time where a passage's own is not known.
+    # 1. Visible links, and the usual dwell time for passages of unknown dwell time.
     transitions = visible_transitions(scene, dwell_bins(settings), settings.candidates_max)
     entries = scene.entries.astype(float)[:, None]
     through = tabulate(transitions, entries, dwell_bins(settings), zones)
@@ -196,9 +204,13 @@ def refit(
         found = associate(scene, silences, overlapping, window, known, settings, on_step)
         on_step("prediction")
         predicted = predict_next(scene, window, clocks, found, overlapping, known, settings)
-        every, changes, followed = found.between, found.changes, found.followed
+        all_pairs, changes, followed = found.between, found.changes, found.followed
     else:
-        every, changes, followed = nothing(settings, zones), list[Change](), dict(known.followed)
+        all_pairs, changes, followed = (
+            nothing(settings, zones),
+            list[Change](),
+            dict(known.followed),
+        )
         model = build_model(
             window.cameras, scene, None, bins, window, [], settings.correct_clocks, overlapping
         )
@@ -207,15 +219,15 @@ def refit(
     # 8. The links to publish, as they are at present.
     on_step("topology")
     share_min = settings.publish_probability_min
-    between = present(every, changes, zones, share_min)
-    likely = present(predicted.likely, changes, zones, share_min)
+    between = present(all_pairs, changes, zones, share_min)
+    likely_pairs = present(predicted.likely, changes, zones, share_min)
     camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
     certain = without_missed_detections(
         between, through, significant(between, settings), camera_of, settings
     )
     published = with_monte_carlo_variance(between.rows(np.flatnonzero(certain)), bins)
     visible = through.rows(np.flatnonzero(significant(through, settings)))
-    weak = select_weak_links(likely, published, zones)
+    weak = select_weak_links(likely_pairs, published, zones)
     observed = scene.last - seconds[0]
     return Refit(
         scene=scene,
@@ -223,7 +235,7 @@ def refit(
         visible=with_monte_carlo_variance(visible, dwell_bins(settings)),
         weak=weak,
         lacks=shortfall_of(weak, between, len(published.source), zones, observed, settings),
-        found=every.rows(np.flatnonzero(significant(every, settings))),
+        found=all_pairs.rows(np.flatnonzero(significant(all_pairs, settings))),
         changes=changes,
         silences=silences,
         model=predicted.model,
@@ -241,22 +253,24 @@ def associate(
     settings: Settings,
     on_step: Callable[[str], None],
 ) -> Associated:
-    """Estimate which arrivals belong to which departures, and what that says of pairs of zones.
+    """Do steps 3 to 6: find the candidates, fit them jointly, test pairs of zones and changes.
 
-    The candidates take most of a refit's memory. They end with this function, but for the likely
-    ones, which prediction follows.
+    The candidates take most of a refit's memory. It is free again when this function returns, but
+    for the likely candidates, which the fit for prediction uses.
     """
     bins, arrivals, cameras = lag_bins(settings), scene.arrivals, len(window.cameras)
 
     # 3. Candidates: departures, and delayed copies for long paths, within the range of the lags.
     on_step("candidates")
     view = np.array([zone.camera for zone in scene.zones], np.int32)
-    late = with_long_paths(scene.departures, arrivals, view, cameras, bins, settings.candidates_max)
-    places = [place(camera, scene.zones[zone].number) for camera, zone in late.places()]
+    delayed = with_long_paths(
+        scene.departures, arrivals, view, cameras, bins, settings.candidates_max
+    )
+    places = [place(camera, scene.zones[zone].number) for camera, zone in delayed.places()]
     screen = CandidateScreen()
     screen.followed = dict(known.followed)
     candidates = screen.find(
-        late.departures,
+        delayed.departures,
         arrivals,
         bins,
         np.array(places),
@@ -265,70 +279,78 @@ def associate(
         settings.candidates_max,
         everywhere=known.everywhere,
     )
-    candidates = late.among(candidates, arrivals)
+    candidates = delayed.among(candidates, arrivals)
 
     # 4. to 6. Joint fit, evidence, changes.
     between, changes, evidence = judge(
-        scene, late, candidates, bool(screen.followed), silences, settings, on_step
+        scene, delayed, candidates, bool(screen.followed), silences, settings, on_step
     )
 
-    overlap = late.overlapping(overlap_table(overlapping, cameras))
-    zones = len(late.zone)
-    likely = followed_of(late.departures, arrivals, candidates, bins, zones, scene.last, overlap)
-    return Associated(between, changes, late, likely, evidence, screen.followed)
+    overlap = delayed.overlapping(overlap_table(overlapping, cameras))
+    zones = len(delayed.zone)
+    likely = followed_of(delayed.departures, arrivals, candidates, bins, zones, scene.last, overlap)
+    return Associated(between, changes, delayed, likely, evidence, screen.followed)
 
 
 def judge(
     scene: Scene,
-    late: Delayed,
+    delayed: Delayed,
     candidates: Candidates,
     screened: bool,
     silences: list[CameraSilences],
     settings: Settings,
     on_step: Callable[[str], None],
 ) -> tuple[LinkTable, list[Change], Floats]:
-    """Fit the candidates jointly; return the table of links, the changes, the evidence (pairs,).
+    """Do steps 4 to 6; return the table of pairs of zones, the changes, the evidence (pairs, nats).
 
+    delayed: the departures, with delayed copies for long paths.
+    candidates: candidates of these departures and the arrivals of ``scene``.
     screened: whether unlikely candidates have been left out.
+
+    Table and changes have the zones of ``scene``. The evidence is that of the pairs of zones of the
+    joint fit, in which delayed copies have zones of their own.
     """
     departures, arrivals, bins, zones = (
-        late.departures,
+        delayed.departures,
         scene.arrivals,
         lag_bins(settings),
-        len(late.zone),
+        len(delayed.zone),
     )
 
     # 4. The joint fit: each arrival has one cause at most, each departure one effect at most.
     on_step("joint fit")
     fit = fit_jointly(departures, arrivals, candidates, bins, zones, scene.last)
 
-    # 5. Evidence, from parts of the time that did not teach what they judge.
+    # 5. Evidence: each part of the window is judged by a fit of other parts.
     on_step("evidence")
     first = float(min(scene.departures.t[0], arrivals.t[0]))
-    every = with_unlikely(fit, departures, arrivals, bins, zones) if screened else fit
-    evidence = cross_evidence(departures, arrivals, every, bins, zones, first, scene.last)
+    full_fit = with_unlikely(fit, departures, arrivals, bins, zones) if screened else fit
+    evidence = cross_evidence(departures, arrivals, full_fit, bins, zones, first, scene.last)
     between = tabulate(
         transitions_of(fit),
         exposed_departures(departures, bins, zones, scene.last),
         bins,
         zones,
         transition_slowness(fit, departures, arrivals, zones),
-        late.seconds,
+        delayed.seconds,
     )
-    between = late.links_back(between.with_evidence(evidence, len(scene.zones) ** 2))
+    between = delayed.links_back(between.with_evidence(evidence, len(scene.zones) ** 2))
 
-    # 6. Links that have opened or closed, gaps of silent cameras apart.
+    # 6. Links that have opened or closed; departures during a camera's silence do not count.
     on_step("changes")
     certain_until = scene.last - bins.lag_max
     gaps = [silence.intervals for silence in silences]
     changes = find_changes(fit, departures, arrivals, certain_until, gaps)
-    return between, late.changes_back(changes), evidence
+    return between, delayed.changes_back(changes), evidence
 
 
 def with_unlikely(
     fit: Fit, departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int
 ) -> Fit:
-    """Return the fit with all candidates of the pairs that may be links, unlikely ones included."""
+    """Return a fit of screened candidates with all candidates of the pairs that may be links.
+
+    Screening has left out unlikely candidates; evidence from the rest alone would be biased.
+    """
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     return fit._replace(
         candidates=candidates_of_pairs(fit.candidates, pairs, departures, arrivals, bins, zones)
@@ -344,11 +366,15 @@ def predict_next(
     known: Known,
     settings: Settings,
 ) -> Predicted:
-    """Fit where objects appear next, weak evidence included; find outcomes of earlier exits."""
-    late, bins, cameras = found.late, lag_bins(settings), window.cameras
-    zones = len(late.zone)
+    """Do step 7: fit where objects appear next, make the model, estimate outcomes of exits.
+
+    found: result of steps 3 to 6.
+    """
+    # The fit for prediction, and its table of pairs of zones.
+    delayed, bins, cameras = found.delayed, lag_bins(settings), window.cameras
+    zones = len(delayed.zone)
     posterior = fit_followed(
-        late.departures,
+        delayed.departures,
         scene.arrivals,
         found.likely,
         bins,
@@ -358,13 +384,14 @@ def predict_next(
         bool(found.followed),
     )
 
-    some = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
-    left = exposed_departures(late.departures, bins, zones, scene.last)
-    likely = tabulate(some, left, bins, zones, delay=late.seconds).without_counts()
-    likely = late.links_back(likely.with_evidence(likely.ratio, len(posterior.share)))
-    posterior = late.posterior_back(posterior, len(scene.zones))
+    transitions = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
+    exposed = exposed_departures(delayed.departures, bins, zones, scene.last)
+    likely = tabulate(transitions, exposed, bins, zones, delay=delayed.seconds).without_counts()
+    likely = delayed.links_back(likely.with_evidence(likely.ratio, len(posterior.share)))
+    posterior = delayed.posterior_back(posterior, len(scene.zones))
 
-    certain_until = scene.last - bins.lag_max - float(late.seconds.max())
+    # Outcomes of the exits of which no further arrival is possible.
+    certain_until = scene.last - bins.lag_max - float(delayed.seconds.max())
     happened = outcomes_of(
         known.exits,
         posterior,
@@ -374,6 +401,7 @@ def predict_next(
         clocks.offset,
         certain_until,
     )
+    # The model that is published.
     model = build_model(
         cameras,
         scene,

@@ -1,10 +1,12 @@
-"""Data association: which departure and which arrival are of one object.
+"""Data association: estimate which departure and which arrival are of one object.
 
-Reading order: `candidates` lists every departure and arrival within the range of lags; `exposure`
-counts how many departures could have been seen to arrive after each lag; `speed_adjustment`
-corrects lags for each object's speed; `em` estimates responsibilities and hazards by expectation
-maximisation; `joint_fit` runs it for links.
-`screening` goes before the fit on large sites, where there are too many candidates for it.
+A *candidate* is a departure and an arrival that may be of one object; its *responsibility* is the
+probability that it is. Reading order: `candidates` lists every departure and arrival within the
+range of lags. `exposure` counts how many departures could have been seen to arrive after each lag.
+`speed_adjustment` corrects lags for each object's speed. `em` estimates responsibilities and
+hazards (rates of arrivals by lag, for each pair of zones) by expectation maximisation, and
+`joint_fit` runs it to find links. On large sites, which have too many candidates for one fit,
+`screening` selects the candidates first.
 """
 
 from __future__ import annotations

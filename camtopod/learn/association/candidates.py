@@ -1,4 +1,10 @@
-"""Candidates: every departure and arrival that may be of one object, within the range of lags."""
+"""Candidates: every departure and arrival that may be of one object, within the range of lags.
+
+`find_candidates` lists them in a `Candidates` table, ordered by arrival: M candidates, each of a
+*pair* of zones (zone of departure, zone of arrival), of which there are P. This module also groups
+candidates by arrival for the fits (`slices_by_arrival`, `runs_of`), and computes the first hazards
+of a fit from the histogram of lags of each pair (`initial_hazards`).
+"""
 
 from __future__ import annotations
 
@@ -13,25 +19,29 @@ from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import LagBins, lag_smoothing_matrix
 
 PAIR_TABLE_MAX = 20_000_000
-"""Largest dense table over pairs of zones, entries; beyond, pairs are numbered by sorting."""
+"""Largest number of entries of a dense table over pairs of zones; beyond, pairs are numbered by
+sorting.
+"""
 EXCESS_SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
-"""Smoothing widths at which a lag histogram is compared with the null model, sd in lag bins."""
+"""Standard deviations, in lag bins, of the smoothing kernels with which a lag histogram is compared
+with the null model.
+"""
 CANDIDATES_AT_ONCE = 1 << 15
-"""Candidates worked on together, of possibly millions.
+"""Number of candidates processed together, of possibly millions.
 
 Intermediate results of this size stay in the processor's cache and need little memory.
 """
 
 
 class Candidates(NamedTuple):
-    """Candidates (M,), ordered by arrival, and the pairs of zones (P,) that they belong to."""
+    """M candidates, ordered by arrival, and the P pairs of zones that they belong to."""
 
     departure: Indices
-    """(M,) index of the departure."""
+    """(M,) row in the table of departures."""
     arrival: Indices
-    """(M,) index of the arrival, ascending."""
+    """(M,) row in the table of arrivals, ascending."""
     pair: Ints
-    """(M,) pair of zones, 0 to P - 1."""
+    """(M,) number of the pair of zones, 0 to P - 1."""
     lag: Singles
     """(M,) seconds from departure to arrival."""
     source: Ints
@@ -57,12 +67,12 @@ class Candidates(NamedTuple):
 def newest_within_limit(
     departures: Departures, arrivals: Arrivals, bins: LagBins, candidates_max: int
 ) -> tuple[Departures, Arrivals]:
-    """Return the newest departures and arrivals that make no more candidates than the limit.
+    """Return the newest departures and arrivals that make no more candidates than a limit.
 
-    Both are cut at the same moment: a departure whose arrivals were left out would look like one
-    that leads nowhere.
+    candidates_max: the limit; every departure and arrival within the range of lags counts.
 
-    candidates_max: limit of the candidates by range of lags alone.
+    Departures and arrivals are cut at the same moment: a departure whose arrivals were left out
+    would look like one of an object that left the site.
     """
     # Count candidates back from the newest arrival.
     low, high = departures_in_reach(departures.t, arrivals.t, bins)
@@ -79,9 +89,12 @@ def newest_within_limit(
 def departures_in_reach(
     left: Floats, came: Floats, bins: LagBins
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first departure within the lags of each arrival, and one past the last.
+    """Return the range of departures within the lags of each arrival: first, and one past the last.
 
-    left (n,), came (m,): times of departure and arrival in seconds, ascending.
+    left (n,): times of departures in seconds, ascending.
+    came (m,): times of arrivals in seconds, ascending.
+
+    Both results are rows of departures, (m,).
     """
     low = np.searchsorted(left, came - bins.lag_max, side="left")
     high = np.searchsorted(left, came - bins.lag_min, side="right")
@@ -96,25 +109,27 @@ def possible(
     among: NDArray[np.intp] | None = None,
     at_once: int = CANDIDATES_AT_ONCE,
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
-    """Yield the candidates of some arrivals: departure, index into ``mine``, lag in seconds.
+    """Yield the candidates of given arrivals, part by part: departure, index into ``mine``, lag.
 
-    Each yield holds three arrays (n,), of about ``at_once`` pairs within the range of lags, so that
-    memory does not grow with their number.
+    mine: rows of the arrivals.
+    among: rows of the departures to consider, ascending; None for all.
+    at_once: approximate number of candidates in each part, which limits memory.
 
-    mine: the arrivals, as indices.
-    among: departures to consider, as ascending indices; None: all.
+    Each part has three arrays (n,): row of the departure, index of the arrival in ``mine``, and
+    seconds from the departure to the arrival.
     """
     # Find the departures in reach of each arrival.
-    t, came = departures.t if among is None else departures.t[among], arrivals.t[mine]
-    low, high = departures_in_reach(t, came, bins)
+    t, arrived = departures.t if among is None else departures.t[among], arrivals.t[mine]
+    low, high = departures_in_reach(t, arrived, bins)
     reached = np.concatenate(([0], np.cumsum(high - low)))
 
-    # Departure that ends the passage begun by each arrival; n if unknown. Delayed copies come after
-    # their originals, so in reverse order the original is written last.
+    # For each arrival, the departure that ends the passage that begins with it; if unknown, the
+    # number of departures. Delayed copies come after their originals, so in reverse order the
+    # original is written last.
     ends = np.full(len(arrivals.t) + 1, len(departures.t), np.intp)
     ends[departures.own[::-1]] = np.arange(len(departures.t))[::-1]
 
-    # List the pairs of some arrivals at a time, at least one.
+    # List the departures and arrivals within the lags, at least one arrival at a time.
     first = 0
     while first < len(mine):
         stop = max(
@@ -126,19 +141,20 @@ def possible(
         if among is not None:
             departure = among[departure]
 
-        lag = came[at] - departures.t[departure]
-        possible = (lag >= bins.lag_min) & (lag <= bins.lag_max)
+        lag = arrived[at] - departures.t[departure]
+        is_possible = (lag >= bins.lag_min) & (lag <= bins.lag_max)
 
-        # A negative lag means that both views see the object at once: the cameras must differ, and
-        # the passage that ends with the departure must have begun before the arrival. Of two
-        # passages that begin at the same instant, the one that ends first counts as the earlier.
+        # A negative lag is possible only where two views see the object at once: the cameras must
+        # differ, and the passage that ends with the departure must have begun before the arrival.
+        # Of two passages that begin at the same instant, the one that ends first counts as the
+        # earlier.
         ahead = np.flatnonzero(lag <= 0)
-        left, arrival = departure[ahead], mine[at[ahead]]
-        then, since = arrivals.t[arrival], departures.since[left]
-        begun = (then > since) | ((then == since) & (left < ends[arrival]))
-        possible[ahead] &= begun & (departures.camera[left] != arrivals.camera[arrival])
+        departed, arrival = departure[ahead], mine[at[ahead]]
+        entered, since = arrivals.t[arrival], departures.since[departed]
+        begun = (entered > since) | ((entered == since) & (departed < ends[arrival]))
+        is_possible[ahead] &= begun & (departures.camera[departed] != arrivals.camera[arrival])
 
-        kept = np.flatnonzero(possible)
+        kept = np.flatnonzero(is_possible)
         yield departure[kept], at[kept], lag[kept]
         first = stop
 
@@ -146,7 +162,10 @@ def possible(
 def find_candidates(
     departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int
 ) -> Candidates:
-    """Return all candidates."""
+    """Return all candidates of the given departures and arrivals.
+
+    zones: number of zones.
+    """
     low, high = departures_in_reach(departures.t, arrivals.t, bins)
     most = int((high - low).sum())
 
@@ -158,9 +177,9 @@ def find_candidates(
         np.empty(most, np.float32),
     )
     n = 0
-    for left, came, apart in possible(departures, arrivals, bins, np.arange(len(arrivals.t))):
-        here = slice(n, n := n + len(left))
-        departure[here], arrival[here], lag[here] = left, came, apart
+    for departed, arrived, lags in possible(departures, arrivals, bins, np.arange(len(arrivals.t))):
+        rows = slice(n, n := n + len(departed))
+        departure[rows], arrival[rows], lag[rows] = departed, arrived, lags
     departure, arrival, lag = departure[:n], arrival[:n], lag[:n]
 
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
@@ -168,11 +187,11 @@ def find_candidates(
 
 
 def slices_by_arrival(arrival: Indices) -> list[slice]:
-    """Return slices of the candidates, each with all candidates of its arrivals.
-
-    A slice has about `CANDIDATES_AT_ONCE` candidates.
+    """Cut the candidates into slices of about `CANDIDATES_AT_ONCE`, and return the slices.
 
     arrival (M,): arrival of each candidate, ascending.
+
+    All candidates of one arrival are in the same slice.
     """
     parts, first = [], 0
     while first < len(arrival):
@@ -184,10 +203,10 @@ def slices_by_arrival(arrival: Indices) -> list[slice]:
 
 
 class ArrivalRuns(NamedTuple):
-    """Runs of candidates that share an arrival, (m,) each."""
+    """Runs of successive candidates that have the same arrival, m in number."""
 
     arrival: Indices
-    """(m,) the arrival of each run."""
+    """(m,) row of the arrival of each run."""
     first: NDArray[np.intp]
     """(m,) the first candidate of each run."""
     candidates: NDArray[np.intp]
@@ -195,19 +214,24 @@ class ArrivalRuns(NamedTuple):
 
 
 def runs_of(arrival: Indices) -> ArrivalRuns:
-    """Return the runs of candidates (n,) that share an arrival; ``arrival`` must be ascending."""
+    """Return the runs of candidates that have the same arrival.
+
+    arrival (n,): arrival of each candidate, ascending.
+    """
     first = np.flatnonzero(np.diff(arrival, prepend=-1))
     return ArrivalRuns(arrival[first], first, np.diff(first, append=len(arrival)))
 
 
 def excess_over_null(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floats:
-    """Return how far lag histograms (P, bins) exceed the null model by more than noise, at least 0.
+    """Return by how many counts smoothed lag histograms exceed the null model and its noise.
 
-    Noise is ``noise_sd`` standard deviations of the smoothed null model. This is a
-    cross-correlation (Makris, Ellis and Black 2004) at several widths, as the spread of transit
-    times differs between links; the largest excess counts.
+    seen (P, bins): observed candidates of each pair of zones by lag bin.
+    chance (P, bins): expected candidates under the null model.
+    noise_sd: standard deviations of the smoothed null model that are subtracted as noise.
 
-    seen, chance (P, bins): observed counts, and those expected under the null model.
+    The result is (P, bins), at least 0. This is a cross-correlation (Makris, Ellis and Black 2004)
+    at several smoothing widths, as the spread of transit times differs between links; of the
+    widths, the largest excess counts.
     """
     result = np.zeros_like(seen)
     for sd_bins in EXCESS_SMOOTHING_SD_BINS:
@@ -228,13 +252,15 @@ def initial_hazards(
 ) -> Floats:
     """Return initial hazards (P, bins), per second and exposed departure, written over ``seen``.
 
-    They are the excess of the histograms over the null model, and at least the share ``least`` of
-    the histograms themselves.
+    A hazard is the rate at which objects that left the source of a pair appear at its target, by
+    lag. The initial ones come from the excess of the lag histograms over the null model, or the
+    share ``least`` of the histograms if that is more.
 
-    seen (P, bins): candidates per lag bin.
-    rates (P, 1/s): arrivals of each pair under the null model.
-    exposure (zones, bins): exposed departures.
+    seen (P, bins): observed candidates of each pair of zones by lag bin.
+    rates (P, 1/s): rate of arrivals at the target of each pair under the null model.
+    exposure (zones, bins): exposed departures (`exposure.exposures`).
     source (P,): zone of departure of each pair.
+    noise_sd: as for `excess_over_null`.
     """
     for rows in row_slices(len(seen)):
         exposed = exposure[source[rows]] * bins.widths
@@ -245,13 +271,13 @@ def initial_hazards(
 
 
 def number_pairs(left: Ints, came: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
-    """Number the pairs of zones that occur, by source, then target.
+    """Number the pairs of zones that occur among M candidates, by source, then target.
 
-    Returns the number of each candidate's pair (M,), and the source and target zones of the pairs
-    (P,).
-
-    left, came (M,): zones of departure and arrival.
+    left, came (M,): zones of departure and arrival of each candidate.
     zones: number of zones.
+
+    Return the number of each candidate's pair (M,), and the source and the target of the pairs that
+    occur, (P,) each.
     """
     size = max(zones, 1)
 
@@ -278,4 +304,4 @@ def number_pairs(left: Ints, came: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
 
 
 RESPONSIBILITY_MAX = 1.0 - 1e-6
-"""Responsibilities are clipped to this before log(1 - r) is taken."""
+"""Upper bound on a responsibility r where log(1 - r) is computed."""

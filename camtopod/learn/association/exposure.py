@@ -1,4 +1,10 @@
-"""Exposure: how many departures could have been seen to arrive after each lag."""
+"""Exposure: how many departures could have been seen to arrive after each lag.
+
+Hazards are rates per exposed departure. A departure shortly before the end of the window is not
+exposed to long lags, as an arrival after such a lag would not be in the window yet; and it is
+exposed to negative lags (an arrival in an overlapping view before the exit) only up to the duration
+of its passage.
+"""
 
 from __future__ import annotations
 
@@ -10,29 +16,30 @@ from camtopod.topology import LagBins
 
 
 def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:
-    """Return the exposed departures of each zone per lag bin, (zones, bins).
+    """Return the number of departures of each zone that are exposed to each lag bin, (zones, bins).
 
-    A lag bin after the exit is exposed once the window reaches past it. A lag bin before the exit
-    is exposed to the extent that the passage had begun by then, so it may count in part.
-
+    zones: number of zones.
     until (seconds): end of the window.
+
+    A departure is exposed to a lag bin after the exit if the window reaches past the bin. It is
+    exposed to a lag bin before the exit as far as its passage had begun by then, possibly in part.
     """
     exposed = np.zeros((zones, bins.size))
     ahead = int((bins.edges[1:] <= 0).sum())
     before = bins.edges[: ahead + 1]
-    for zone, here in enumerate(rows_by_group(departures.zone, zones)):
-        # Lags after the exit: departures at least this long before the end of the window.
-        left = np.sort(until - departures.t[here])
-        exposed[zone] = len(here) - np.searchsorted(left, bins.edges[1:], side="left")
+    for zone, rows in enumerate(rows_by_group(departures.zone, zones)):
+        # Lags after the exit: departures that are at least the lag before the end of the window.
+        remaining = np.sort(until - departures.t[rows])
+        exposed[zone] = len(rows) - np.searchsorted(remaining, bins.edges[1:], side="left")
 
         # Lags before the exit: mean number of objects in view within each bin, as the difference of
         # the cumulative seconds in view at its edges. This also holds where a bin is exposed in
         # part: if all passages last equally long, the few exposed seconds of their last bin would
         # otherwise look like a peak.
-        stay = np.sort(np.minimum(departures.t[here] - departures.since[here], -bins.edges[0]))
-        shorter = np.searchsorted(stay, -before, side="right")
-        longer = np.append(np.cumsum(stay[::-1])[::-1], 0.0)[shorter]
+        dwell = np.sort(np.minimum(departures.t[rows] - departures.since[rows], -bins.edges[0]))
+        shorter = np.searchsorted(dwell, -before, side="right")
+        longer = np.append(np.cumsum(dwell[::-1])[::-1], 0.0)[shorter]
         exposed[zone, :ahead] = (
-            np.diff(longer + (len(here) - shorter) * before) / bins.widths[:ahead]
+            np.diff(longer + (len(rows) - shorter) * before) / bins.widths[:ahead]
         )
     return exposed

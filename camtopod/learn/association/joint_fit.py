@@ -1,10 +1,10 @@
-"""The joint fit: which arrival belongs to which departure, over all zones at once.
+"""The joint fit: estimate which arrival belongs to which departure, over all zones at once.
 
 The thesis pairs the closest times of two zones (section 4.4), which is wrong as soon as two objects
 are between views, and tests each pair of zones alone, which cannot tell A -> C from A -> B -> C.
-Here an expectation-maximisation fit (`em`) shares each arrival among its candidates. Pairs of zones
-have a sparse prior, and slowness through a view predicts slowness on the path and in the next
-view, as far as the site shows that it does.
+Here `fit_jointly` runs an expectation-maximisation fit (`em`) that shares each arrival among its
+candidates. It first fits without, then with a sparse prior over pairs of zones, and adjusts
+candidates for the speed of objects in between (`speed_adjustment`).
 """
 
 from __future__ import annotations
@@ -18,32 +18,37 @@ from camtopod.learn.traffic import Arrivals, Departures, Persistence
 from camtopod.topology import LagBins
 
 SPARSE_ROUNDS_MAX = 4
-"""Runs of EM with the sparse prior, at most."""
+"""Largest number of runs of EM with the sparse prior."""
 SETTLED = 0.03
-"""Runs end when the persistence of speed changes by less than this."""
+"""Largest change of any figure of the persistence of speed after which no further run is made."""
 SPARSITY = 1.0
-"""Transitions taken off each pair of zones, as most pairs are not linked. Without it, thousands of
-pairs share the arrivals that come from outside among them."""
+"""Transitions that the sparse prior takes off each pair of zones, as most pairs are not linked.
+
+Without the prior, arrivals from outside would be shared out among thousands of pairs.
+"""
 FOLLOWED_TRANSITIONS_MIN = 0.05
-"""A pair of zones with fewer expected transitions is not followed in later runs."""
+"""Least expected transitions of a pair of zones that is kept for the next run."""
 
 
 class Fit(NamedTuple):
-    """Result of a joint fit."""
+    """Result of a joint fit: M candidates of P pairs of zones."""
 
     hazard: Singles
-    """(P, bins) per second and exposed departure, smoothed."""
+    """(P, bins) hazard of each pair of zones by lag, per second and exposed departure, smoothed."""
     counts: Floats
-    """(P, bins) expected transitions."""
+    """(P, bins) expected transitions of each pair of zones by lag."""
     responsibility: Floats
     """(M,) probability that the candidate is of one object."""
     flat: Floats
-    """(M,) hazard of the pair of zones if it did not depend on the lag, over the hazard."""
+    """(M,) hazard of the candidate's pair, if it were the same at all lags, over its hazard at the
+    candidate's lag.
+    """
     outside: Floats
     """(zones,) share of the local rate of arrivals that no departure explains."""
     candidates: Candidates
-    """The candidates still followed, to which ``responsibility`` and the pairs belong."""
+    """The candidates of the pairs that are kept; defines the order of M and P."""
     persistence: Persistence
+    """How far the speed of objects persists from view to view."""
 
 
 def fit_jointly(
@@ -54,19 +59,23 @@ def fit_jointly(
     zones: int,
     until: float,
 ) -> Fit:
-    """Fit all departures and arrivals up to ``until`` (Unix seconds) jointly, for links.
+    """Estimate responsibilities and hazards of all candidates jointly.
 
-    Every fit begins from nothing. One that starts from the last believes early mistakes ever more
-    and sees too late that a link has opened.
+    candidates: candidates of the departures and arrivals.
+    zones: number of zones.
+    until (Unix seconds): end of the window.
+
+    Every fit begins from nothing. A fit that starts from the last one reinforces early mistakes and
+    is late to find that a link has opened.
     """
     em = Em(departures, arrivals, candidates, bins, zones, until)
 
-    # First without, then with the sparse prior; pairs of zones without transitions are dropped.
+    # First without, then with the sparse prior, and without pairs of zones without transitions.
     hazard = em.run(em.learn_speed(em.run(em.start())))
     em.sparsity = SPARSITY
     hazard, counts = prune(em, em.run(hazard))
 
-    # Until the persistence of speed has settled.
+    # Repeat until the persistence of speed has settled.
     for _ in range(SPARSE_ROUNDS_MAX - 1):
         before = em.persistence
         hazard, counts = prune(em, em.run(em.learn_speed(hazard)))
@@ -78,7 +87,12 @@ def fit_jointly(
 
 
 def prune(em: Em, hazard: Singles) -> tuple[Singles, Floats]:
-    """Follow only pairs of zones with transitions; return their hazards and counts (P, bins)."""
+    """Drop pairs of zones with hardly any transitions from a fit in progress.
+
+    hazard (P, bins): hazards of the pairs before.
+
+    Return hazards and expected transitions of the pairs that are kept, (pairs, bins) each.
+    """
     counts = em.transitions()
     alive = counts.sum(axis=1) > FOLLOWED_TRANSITIONS_MIN
     em.keep_pairs(alive)
@@ -86,7 +100,10 @@ def prune(em: Em, hazard: Singles) -> tuple[Singles, Floats]:
 
 
 def result(em: Em, hazard: Singles, counts: Floats) -> Fit:
-    """Return a fit in progress as an immutable `Fit`."""
+    """Return the result of a fit in progress.
+
+    hazard, counts (P, bins): its hazards and expected transitions.
+    """
     return Fit(
         hazard,
         counts,

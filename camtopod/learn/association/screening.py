@@ -38,10 +38,10 @@ from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.limits import (
     JUDGED_MAX,
-    LOOKED_PER_EVENT_MAX,
     WEIGHED_AT_ONCE,
     WEIGHED_MAX,
     ZONE_PAIRS_MAX,
+    ZONE_SCREEN_PAIRS_PER_EVENT_MAX,
     arrivals_within,
     zone_pairs_max,
 )
@@ -363,7 +363,7 @@ def excess_by_source(ends: ScreenInput, zone: int) -> Floats:
 
     # Beyond the limit, count the candidates of every second arrival only, or every third, and so
     # on.
-    most = LOOKED_PER_EVENT_MAX * (len(ends.departures.t) + len(ends.arrivals.t))
+    most = ZONE_SCREEN_PAIRS_PER_EVENT_MAX * (len(ends.departures.t) + len(ends.arrivals.t))
     mine = every[:: -(-int((high - low).sum()) // most) or 1]
 
     # Histograms of the lags, by zone of departure.

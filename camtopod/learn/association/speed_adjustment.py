@@ -1,7 +1,8 @@
-"""Candidates adjusted for speed: an object that was slow through one view takes longer to the next.
+"""Adjust candidates for speed: an object that is slow in one view takes longer to the next view.
 
-Lags are scaled by the slowness of the passages before and after, as far as speed persists at this
-site, and a candidate whose two passages are equally slow is likelier to be of one object.
+As far as speed persists at the site (`traffic.speed`), the lag of a candidate is scaled to the lag
+of an object of usual speed, by the slowness of the passages before its departure and after its
+arrival; and a candidate whose two passages are equally slow is likelier to be of one object.
 """
 
 from __future__ import annotations
@@ -25,12 +26,13 @@ from camtopod.topology import LagBins
 
 
 class Adjusted(NamedTuple):
-    """Candidates adjusted for speed.
+    """Result of `adjust` for M candidates.
 
-    persistence: how speed persists from view to view.
-    cell (M,): index in a flattened table (P, bins), by the lag at usual speed.
-    agreement (M,): factor by which equal slowness before and after makes a candidate likelier; None
-        where speed does not persist.
+    persistence: how far speed persists from view to view.
+    cell (M,): flat index of each candidate in a table (P, bins) of pairs of zones by lag bin, with
+        its lag at usual speed.
+    agreement (M,): likelihood ratio of one object by the slownesses before and after; None if speed
+        does not persist.
     """
 
     persistence: Persistence
@@ -38,7 +40,7 @@ class Adjusted(NamedTuple):
     agreement: Singles | None
 
     def take(self, kept: Indices) -> Adjusted:
-        """Return the candidates ``kept``; pairs of zones keep their numbers."""
+        """Return the candidates given by their rows ``kept``; pairs of zones keep their numbers."""
         agreement = None if self.agreement is None else self.agreement[kept]
         return Adjusted(self.persistence, self.cell[kept], agreement)
 
@@ -50,19 +52,22 @@ def adjust(
     found: Persistence,
     bins: LagBins,
 ) -> Adjusted:
-    """Return the candidates adjusted by the ``found`` persistence of speed."""
+    """Return the lag bin at usual speed, and the agreement of slownesses, of each candidate.
+
+    found: estimate of how far speed persists.
+    """
     c = candidates
     cell = np.empty(len(c.lag), np.int32)
-    agree = np.empty(len(c.lag), np.float32) if found.correlation > 0 else None
+    agreements = np.empty(len(c.lag), np.float32) if found.correlation > 0 else None
 
     for part in slices_by_arrival(c.arrival):
         lag = np.clip(c.lag[part].astype(float), bins.lag_min, bins.lag_max)
         if found != NO_PERSISTENCE:
-            left = departures.slow.take(c.departure[part])
-            came = arrivals.slow.take(c.arrival[part])
-            lag = adjusted_lag(lag, mean_slowness(left, came), found.scaling, bins)
+            slow_before = departures.slow.take(c.departure[part])
+            slow_after = arrivals.slow.take(c.arrival[part])
+            lag = adjusted_lag(lag, mean_slowness(slow_before, slow_after), found.scaling, bins)
         cell[part] = c.pair[part] * bins.size + bins.index(lag)
-        if agree is not None:
-            agree[part] = agreement(left, came, found)
+        if agreements is not None:
+            agreements[part] = agreement(slow_before, slow_after, found)
 
-    return Adjusted(found, cell, agree)
+    return Adjusted(found, cell, agreements)

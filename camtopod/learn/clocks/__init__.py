@@ -1,7 +1,8 @@
 """Clock offsets of the cameras, estimated from traffic alone.
 
-Reading order: `correlogram` counts arrivals by their lag after departures; `two_way_paths` finds
-paths that are walked in both directions, each of which shows the difference of two clocks;
+A camera's *clock offset* is by how many seconds its clock is fast. Reading order: `correlogram`
+counts arrivals of one zone or camera by their lag after departures from another; `two_way_paths`
+finds paths that objects take in both directions, each of which shows the difference of two clocks;
 `offsets` combines the differences into one offset per camera.
 """
 

@@ -1,10 +1,14 @@
-"""Correlograms: numbers of arrivals with one label by their lag after departures with another.
+"""Correlograms: number of arrivals at one zone by their lag after departures from another.
 
-Labels are zones or cameras. The joint fit estimates transit times of up to a few minutes and needs
-correct clocks. A correlogram only counts, so it reaches much further: `LAGS` bins either way, about
-a quarter of an hour with bins of a second, negative lags included. Few pairs of events are counted
-one by one (`ByDifference`), many by Fourier transform (`ByTransform`). Counts are integers, so both
-give the same result.
+Zones are given by numbers, the *labels*; cameras may take the place of zones. The correlogram of a
+pair (source, target) has `LAGS` bins either way: bin k holds the number of pairs of a departure
+from the source and an arrival at the target that comes k bins later. Related zones show as a peak
+above the null model, `null_expectation`. The joint fit estimates transit times of up to a few
+minutes and needs correct clocks. A correlogram only counts, so it reaches much further: about a
+quarter of an hour with bins of a second, negative lags included.
+
+`correlograms` prepares the events. Few pairs of events are counted one by one (`ByDifference`),
+many by Fourier transform (`ByTransform`). Counts are integers, so both give the same result.
 """
 
 from __future__ import annotations
@@ -39,35 +43,37 @@ DIFFERENCES_MAX = 4_000_000
 DIFFERENCES_AT_ONCE = 500_000
 """Pairs of events processed together."""
 ROWS_AT_ONCE = 256
-"""Correlograms processed together."""
+"""Number of correlograms that callers ask for at a time."""
 CHANCE_BINS = (301, 101)
-"""Widths, in bins, of the two moving averages that make the null model.
+"""Widths, in bins, of the two moving averages that make the null model of a correlogram.
 
-It is local, so that a rhythm common to all zones is part of it.
+The averages are local, so that a rhythm common to all zones is part of the null model.
 """
 CHANCE_MIN = 0.02
 """Least count per bin under the null model."""
 SCALES_BINS = (1.5, 4.0, 10.0)
 """Standard deviations, in bins, of the peaks to look for: transit times vary little or much."""
 NOISE_SD = 2.5
-"""Standard deviations of the null model subtracted from every peak; lower ones count as none."""
+"""Standard deviations of the null model subtracted from every peak; lower peaks count as none."""
 HIGHEST_LAGS, HIGHEST_WIDTH = 400, 5
-"""Largest lag of `highest_peaks`, in bins either way, and the width of its peaks."""
+"""Largest lag (either way) at which `highest_peaks` looks, and the width of its peaks, in bins."""
 NEAR_BINS = 100.0
-"""Lag in bins beyond which peaks weigh less the longer it is."""
+"""Lag in bins beyond which a peak weighs less, the less the longer its lag is."""
 
 
 def correlograms(
     left: tuple[Floats, Ints], came: tuple[Floats, Ints], labels: int, bin_seconds: float
 ) -> ByDifference | ByTransform:
-    """Prepare departures and arrivals for correlograms, which are then computed for some pairs.
+    """Prepare departures and arrivals; the result then computes correlograms of pairs of labels.
 
-    left, came: times (n,) in seconds, ascending, and labels (n,) of the departures and of the
-        arrivals; neither is empty.
+    left: times (n,) in seconds, ascending, and labels (n,) of the departures; not empty.
+    came: times (m,) and labels (m,) of the arrivals, likewise.
     labels: number of labels; they are counted from 0.
+    bin_seconds: width of the bins.
 
-    The correlograms of all pairs would need a lot of memory. They are computed fastest if those
-    asked for in succession have at most ``at_once`` labels (`cache_friendly_order`).
+    The correlograms of all pairs would need a lot of memory, so the result's ``correlograms_of`` is
+    called for some pairs at a time. It is fastest if pairs asked for in succession have at most
+    ``at_once`` labels (`cache_friendly_order`).
     """
     # Bin the newest stretch of time.
     blocks = max(SPECTRA_MAX // labels, 1)
@@ -88,9 +94,12 @@ def correlograms(
 
 
 def cache_friendly_order(a: NDArray[Any], b: NDArray[Any], at_once: int) -> NDArray[np.intp]:
-    """Return an order of pairs (P,) in which long runs have at most ``at_once`` labels.
+    """Return an order (P,) of pairs in which pairs of the same labels are close together.
 
-    a, b (P,): labels of the pairs. The matrix of all pairs is passed through tile by tile.
+    a, b (P,): the two labels of each pair.
+    at_once: number of labels whose intermediate results are kept.
+
+    The order passes through the matrix of all pairs tile by tile.
     """
     side = max(at_once // 2, 1)
     return np.lexsort((b, a, b // side, a // side))
@@ -99,9 +108,9 @@ def cache_friendly_order(a: NDArray[Any], b: NDArray[Any], at_once: int) -> NDAr
 class ByDifference:
     """Correlograms by counting pairs of events one by one.
 
-    bins, names: time bins and labels of the departures and of the arrivals.
+    bins, names: time bins and labels, first of the departures, then of the arrivals.
     labels: number of labels.
-    low, n: for each departure the first arrival within the lags, and the number of them.
+    low, n: for each departure the first arrival within the lags, and the number of such arrivals.
     """
 
     def __init__(
@@ -114,7 +123,7 @@ class ByDifference:
         self._cells = np.empty(int(n.sum()), np.int64)
         for k in range(0, len(self._cells), DIFFERENCES_AT_ONCE):
             few = slice(*np.searchsorted(reached, (k, k + DIFFERENCES_AT_ONCE), side="right"))
-            if few.start == few.stop:  # inside of one departure, which a later part has
+            if few.start == few.stop:  # within one departure, which belongs to a later part
                 continue
 
             # Rows of the departure and of the arrival of each pair.
@@ -129,7 +138,7 @@ class ByDifference:
         self._cells.sort()
 
     def correlograms_of(self, source: Ints, target: Ints) -> Counts:
-        """Return the correlograms (P, 2 LAGS + 1), from lag -LAGS to LAGS.
+        """Return the correlograms (P, 2 LAGS + 1) of P pairs of labels, from lag -LAGS to LAGS.
 
         source, target (P,): labels of the departures and of the arrivals.
         """
@@ -149,8 +158,8 @@ class ByTransform:
     def __init__(self, bins: list[Longs], names: list[Longs], labels: int) -> None:
         self._blocks = int(max(b.max(initial=0) for b in bins)) // BLOCK + 1
         self._bins = [
-            [some[rows] for rows in rows_by_group(name, labels)]
-            for some, name in zip(bins, names, strict=True)
+            [side_bins[rows] for rows in rows_by_group(side_labels, labels)]
+            for side_bins, side_labels in zip(bins, names, strict=True)
         ]
         self.at_once = max(SPECTRA_KEPT // (2 * self._blocks), 2)
         """Number of labels whose transforms are kept."""
@@ -158,7 +167,7 @@ class ByTransform:
         self._spectra: dict[tuple[int, int], Spectra] = {}
 
     def correlograms_of(self, source: Ints, target: Ints) -> Counts:
-        """Return the correlograms, as `ByDifference.of` does."""
+        """Return the correlograms, as `ByDifference.correlograms_of` does."""
         product = np.empty((len(source), BLOCK + 1), np.complex64)
         for row, u, v in zip(product, source.tolist(), target.tolist(), strict=True):
             np.einsum("bf,bf->f", self._of_label(0, u), self._of_label(1, v), out=row)
@@ -167,7 +176,7 @@ class ByTransform:
         return counts
 
     def _of_label(self, side: int, label: int) -> Spectra:
-        """Return the transforms (blocks, frequencies) of one label.
+        """Return the Fourier transforms (blocks, frequencies) of the events of one label.
 
         side: 0 for departures in each block, conjugate; 1 for arrivals from half a block before to
             half a block after it.
@@ -196,7 +205,10 @@ class ByTransform:
 
 
 def null_expectation(counts: Counts) -> Counts:
-    """Return the expected correlograms (P, lags) under the null model of local rates only."""
+    """Return the expectation of correlograms under the null model, (P, lags).
+
+    counts (P, lags): the correlograms, from which the null model is computed by moving averages.
+    """
     smooth = counts
     for width in CHANCE_BINS:
         smooth = uniform_filter1d(smooth, width, axis=1, mode="nearest")
@@ -205,12 +217,12 @@ def null_expectation(counts: Counts) -> Counts:
 
 
 def significant_peaks(counts: Counts, usual: Counts) -> Counts:
-    """Return the peaks of correlograms above the null model; most of the result is zero.
+    """Return the height of the peaks of correlograms at each lag (P, lags); 0 where there is none.
 
     counts, usual (P, lags): correlograms, and their expectations (`null_expectation`).
 
-    The unit is standard deviations of the null model. Peaks are smoothed at each of `SCALES_BINS`,
-    and lags longer than `NEAR_BINS` weigh less.
+    Heights are in standard deviations of the null model. Correlograms are smoothed at each of
+    `SCALES_BINS`, of which the highest counts; lags longer than `NEAR_BINS` weigh less.
     """
     above = (counts - usual) / np.sqrt(usual)
     best: Counts = np.zeros_like(above)
@@ -223,7 +235,9 @@ def significant_peaks(counts: Counts, usual: Counts) -> Counts:
 
 
 def highest_peaks(counts: Counts) -> Floats:
-    """Return the height (P,) of the highest peak of each correlogram (P, lags): fast, one width.
+    """Return the height (P,) of the highest peak of each correlogram, quickly and at one width.
+
+    counts (P, lags): the correlograms.
 
     The unit is standard deviations of one bin under the null model.
     """

@@ -1,14 +1,15 @@
-"""Clock offsets of the cameras, estimated from traffic alone.
+"""Estimate the clock offset of each camera from traffic alone.
 
-Every path that is walked in both directions shows the difference of two clocks (`two_way_paths`).
-The offsets are a robust fit to all differences of the network, under two assumptions: a path takes
-about as long in both directions (how nearly is estimated from how well the differences agree), and
-most clocks are right. A clock counts as wrong on clear evidence only.
+Every path that objects take in both directions shows the difference of two clocks
+(`two_way_paths`). The offsets are a robust fit to all differences of the site (`solve_offsets`),
+under two assumptions: a path takes about as long in both directions (how nearly, the *asymmetry*,
+is estimated from how well the differences agree), and most clocks are right. A clock counts as
+wrong on clear evidence only. `ClockTracker` keeps the estimate from version to version.
 
-If all traffic goes in one direction, a wrong clock cannot be told from a long path: the clock
-counts as right and is marked as unidentified. So do those of cameras without positions, where all
-paths between two cameras are one. In a part of the network that consists of two cameras only, the
-clock of the camera with more events counts as right.
+If all traffic between two cameras goes in one direction, a wrong clock cannot be told from a long
+path: the clock counts as right and is marked as unidentified. The same holds for cameras without
+positions, which have a single zone, so that all paths between two of them look like one. If only
+two cameras are joined by two-way paths, the clock of the one with more events counts as right.
 """
 
 from __future__ import annotations
@@ -38,11 +39,11 @@ SCREENING_BIN_SECONDS = 4.0
 ZONE_PAIRS_MAX = 6_000
 """Limit of the ordered zone pairs tested; of more, those of the most promising camera pairs."""
 SPAN_MIN_SECONDS = 1800.0
-"""Least duration of the data; with less, the null model is not known well enough to find peaks."""
+"""Least duration of the window; in a shorter one, the null model is too uncertain to find peaks."""
 CAMERAS_MAX = 250
-"""Limit of the cameras whose clocks are estimated; the busiest count."""
+"""Limit of the cameras whose clocks are estimated; of more, those with the most events count."""
 ASYMMETRIES = (0.01, 0.02, 0.04, 0.08, 0.16)
-"""Candidates for the asymmetry of the paths of a site, of which the likeliest is used.
+"""Values that are tried for the asymmetry of the paths of a site; the likeliest is used.
 
 Asymmetry is half the difference of the transit times in both directions, as a share of the transit
 time, on average over paths.
@@ -52,8 +53,8 @@ ASYMMETRY_PRIOR = 0.04
 SD_MIN_SECONDS = 0.05
 """Least standard deviation of a difference of two clocks."""
 TURNING_SHARE = 0.2
-"""Objects commonly turn around at a zone if more than this share of its exits are of objects that
-entered there.
+"""Share of a zone's exits, by objects that entered at the same zone, above which objects are taken
+to turn around there.
 """
 SPREAD_SHARE_MAX = 0.75
 """Largest standard deviation of transit times, as a share of the transit time.
@@ -61,34 +62,46 @@ SPREAD_SHARE_MAX = 0.75
 Beyond, there are several paths, which need not be used equally in both directions.
 """
 SHORT_SECONDS = 2.0
-"""Shorter transit times count as this long for `SPREAD_SHARE_MAX`."""
+"""Least transit time in seconds that `SPREAD_SHARE_MAX` refers to; shorter ones count as this long.
+"""
 RIGHT_WEIGHT = 0.01
-"""Cost of a second of offset, in standard deviations of disagreement of one difference."""
+"""Cost of a second of clock offset in the first estimate (`_least_disagreement`).
+
+The unit is one standard deviation of disagreement between the offsets and one measured difference.
+"""
 RIGHT_BEFORE_TRUST = 0.5
-"""Additional trust in a clock that was right before; the trust in a clock is otherwise 1 to 2."""
+"""Additional trust in a clock that was right in the earlier estimate.
+
+Trust is a factor on the cost of an offset. Without this addition, it is 1 plus the camera's share
+of all events.
+"""
 OUTLIER_SD = 3.0
-"""Disagreement, in standard deviations, at which a difference weighs half; also the degrees of
-freedom of Student's t in `_with_asymmetry`.
+"""Disagreement, in standard deviations, at which a difference has half its usual weight.
+
+Also the degrees of freedom of Student's t in `_with_asymmetry`.
 """
 ROUNDS = 20
 """Iterations of the robust least squares."""
 CLEAR_SD = 4.0
-"""A clock is wrong if its offset exceeds this many of its standard deviations (and
-`OFFSET_MIN_SECONDS`).
+"""Least offset of a wrong clock, in standard deviations of the offset.
+
+The offset must exceed `OFFSET_MIN_SECONDS`, too.
 """
 OFFSET_MIN_SECONDS = 0.25
-"""A clock is wrong if its offset exceeds this (and `CLEAR_SD` standard deviations)."""
+"""Least offset of a wrong clock, in seconds; it must exceed `CLEAR_SD`, too."""
 MOVE_SD = 2.0
-"""A known offset is replaced if a new estimate differs by this many standard deviations (and
-`MOVE_MIN_SECONDS`).
+"""Least difference of a new estimate that replaces a known offset, in standard deviations.
+
+The difference must exceed `MOVE_MIN_SECONDS`, too.
 """
 MOVE_MIN_SECONDS = 0.1
-"""A known offset is replaced if a new estimate differs by this (and `MOVE_SD` standard deviations).
+"""Least difference of a new estimate that replaces a known offset, in seconds; it must exceed
+`MOVE_SD`, too.
 """
 RELEARN_SECONDS = 0.5
-"""Change of an offset beyond which lags must be learned anew."""
+"""Change of an offset beyond which `ClockTracker.update` returns True."""
 REFRESH_SHARE = 0.2
-"""Share of the events that must be new for a new estimate."""
+"""Share of the window's events that must be new for a new estimate of the clocks."""
 DECIMALS = 3
 """Offsets are rounded to milliseconds, as the last bits differ between processors."""
 
@@ -98,7 +111,7 @@ class Clocks(NamedTuple):
 
     offset: clock offset in seconds, positive if the clock is fast.
     sd: standard deviation of the offset in seconds, inf if unknown.
-    identified: True if there is a two-way path to another camera.
+    identified: True if the clock can be told, by a two-way path to another camera.
     """
 
     offset: Floats
@@ -107,12 +120,13 @@ class Clocks(NamedTuple):
 
 
 class Difference(NamedTuple):
-    """Difference of two clocks from one two-way path.
+    """Difference of two clocks as shown by one two-way path.
 
-    a, b: indices of the cameras.
-    ahead, sd: offset of the clock of ``b`` relative to that of ``a`` in seconds, if the path takes
-        as long in both directions, and its standard deviation.
-    transit: transit time in seconds.
+    a, b: indices of the two cameras.
+    ahead: offset of the clock of ``b`` relative to the clock of ``a``, in seconds, assuming that
+        the path takes equally long in both directions.
+    sd: standard deviation of ``ahead`` in seconds.
+    transit: transit time of the path in seconds.
     """
 
     a: int
@@ -123,7 +137,11 @@ class Difference(NamedTuple):
 
 
 class ClockState(Struct):
-    """The saved state of a `ClockTracker`."""
+    """The saved state of a `ClockTracker`.
+
+    offset, sd, identified: columns of `Clocks`.
+    looked: number of events learned at the last estimate.
+    """
 
     offset: Floats
     sd: Floats
@@ -132,53 +150,59 @@ class ClockState(Struct):
 
 
 def right_clocks(cameras: int) -> Clocks:
-    """Return clocks of which nothing is known, so that all count as right."""
+    """Return `Clocks` of cameras without any estimate: all offsets are 0."""
     return Clocks(np.zeros(cameras), np.full(cameras, np.inf), np.zeros(cameras, bool))
 
 
 class ClockTracker:
-    """The latest estimate of the clocks, updated once enough events are new."""
+    """Keeps the estimate of the clocks, and renews it when enough events are new.
+
+    clocks: the newest estimate.
+    """
 
     def __init__(self) -> None:
         self.clocks = right_clocks(0)
-        self._looked = 0
+        self._learned_at = 0
 
     def save(self) -> ClockState:
         """Return the state from which `load` continues."""
-        return ClockState(*self.clocks, self._looked)
+        return ClockState(*self.clocks, self._learned_at)
 
     def load(self, state: ClockState) -> None:
         """Continue from a saved state."""
-        self.clocks, self._looked = Clocks(state.offset, state.sd, state.identified), state.looked
+        self.clocks, self._learned_at = (
+            Clocks(state.offset, state.sd, state.identified),
+            state.looked,
+        )
 
     def keep_cameras(self, kept: Bools) -> None:
-        """Forget all cameras but those of the mask ``kept`` (cameras,), and renumber these."""
+        """Keep only the cameras of the mask ``kept`` (cameras,), and renumber them."""
         offset, sd, identified = self.clocks
-        # Cameras added since the last estimate are not among them.
+        # Cameras added since the last estimate are not in ``clocks`` yet.
         known = kept[: len(offset)]
         self.clocks = Clocks(offset[known], sd[known], identified[known])
 
     def update(self, scene: Scene, cameras: int, learned: int) -> bool:
         """Estimate the clocks again if there are new cameras or enough new events.
 
-        scene: the events with uncorrected times.
+        scene: the labelled events, with uncorrected times.
         cameras: number of cameras.
         learned: number of events learned so far.
 
-        Return True if an offset changes so much that lags must be learned anew (`RELEARN_SECONDS`).
+        Return True if an offset changes by more than `RELEARN_SECONDS`.
         """
         # New cameras have right clocks so far.
         known = self.clocks
         if cameras > len(known.offset):
             more = right_clocks(cameras - len(known.offset))
             known = Clocks(*(np.concatenate(columns) for columns in zip(known, more, strict=True)))
-        elif learned - self._looked < REFRESH_SHARE * (
+        elif learned - self._learned_at < REFRESH_SHARE * (
             len(scene.departures.t) + len(scene.arrivals.t)
         ):
             return False
 
         # Change only what clearly differs.
-        self.clocks, self._looked = (
+        self.clocks, self._learned_at = (
             keep_unless_clear(known, estimate_clocks(scene, cameras, known)),
             learned,
         )
@@ -186,10 +210,11 @@ class ClockTracker:
 
 
 def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:
-    """Estimate the offsets of all clocks.
+    """Estimate the offsets of all clocks from the events of the window.
 
-    scene: the events with uncorrected times.
-    known: an earlier estimate.
+    scene: the labelled events, with uncorrected times.
+    cameras: number of cameras.
+    known: an earlier estimate; clocks that were right before are more likely to be right now.
     """
     departures, arrivals = scene.departures, scene.arrivals
     if (
@@ -210,9 +235,9 @@ def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:
 
 
 def turning(scene: Scene) -> Bools:
-    """Return True for zones (zones,) at which objects commonly turn around.
+    """Return a mask (zones,) of zones at which objects commonly turn around.
 
-    These are the only zones of their cameras, and those where tracks show it (`TURNING_SHARE`).
+    A zone is one if it is the only zone of its camera, or if tracks show it (`TURNING_SHARE`).
     """
     camera_of = np.array([zone.camera for zone in scene.zones], np.int64)
     zones, p = len(scene.zones), scene.passages
@@ -228,13 +253,13 @@ def find_differences(
     turning: Bools,
     weight: NDArray[np.int64],
 ) -> list[Difference]:
-    """Find all two-way paths, and return the difference of clocks that each shows.
+    """Find all two-way paths of the site, and return the difference of two clocks that each shows.
 
     camera_of (zones,): camera of each zone.
     turning (zones,): True where objects commonly turn around.
     weight (cameras,): number of events of each camera.
     """
-    # The pairs of the busiest cameras; if too many, the most promising ones.
+    # The pairs of the busiest cameras; if too many, the pairs with the highest peaks.
     zones_of = [np.flatnonzero(camera_of == camera) for camera in range(len(weight))]
     busiest = np.sort(np.argsort(-weight, kind="stable")[:CAMERAS_MAX])
     pairs = [(int(a), int(b)) for k, a in enumerate(busiest) for b in busiest[k + 1 :]]
@@ -245,11 +270,11 @@ def find_differences(
         return []
 
     # Correlograms of all pairs of zones of each pair of cameras.
-    left, came = (departures.t, departures.zone), (arrivals.t, arrivals.zone)
-    seen = correlograms(left, came, len(camera_of), BIN_SECONDS)
+    departed, arrived = (departures.t, departures.zone), (arrivals.t, arrivals.zone)
+    pair_counts = correlograms(departed, arrived, len(camera_of), BIN_SECONDS)
     found = []
     a_of, b_of = np.array(pairs).T
-    cameras_at_once = seen.at_once * len(zones_of) // len(camera_of)
+    cameras_at_once = pair_counts.at_once * len(zones_of) // len(camera_of)
     for a, b in (pairs[k] for k in cache_friendly_order(a_of, b_of, cameras_at_once)):
         u, v = (
             ends.ravel().astype(np.int32)
@@ -257,15 +282,17 @@ def find_differences(
         )
 
         # Their two-way paths.
-        for k, way in find_two_way_paths(seen.correlograms_of(u, v), seen.correlograms_of(v, u)):
-            if way.spread > SPREAD_SHARE_MAX * max(abs(way.transit), SHORT_SECONDS / BIN_SECONDS):
+        for k, path in find_two_way_paths(
+            pair_counts.correlograms_of(u, v), pair_counts.correlograms_of(v, u)
+        ):
+            if path.spread > SPREAD_SHARE_MAX * max(abs(path.transit), SHORT_SECONDS / BIN_SECONDS):
                 continue
             # If objects turn around at both zones, one walk from u to v also looks like one from v
             # to u with a negative transit time.
             if turning[u[k]] and turning[v[k]]:
                 continue
-            sd = max(way.sd * BIN_SECONDS, SD_MIN_SECONDS)
-            found.append(Difference(a, b, way.ahead * BIN_SECONDS, sd, way.transit * BIN_SECONDS))
+            sd = max(path.sd * BIN_SECONDS, SD_MIN_SECONDS)
+            found.append(Difference(a, b, path.ahead * BIN_SECONDS, sd, path.transit * BIN_SECONDS))
     return sorted(found, key=lambda difference: (difference.a, difference.b))
 
 
@@ -275,20 +302,24 @@ def _promising(
     pairs: list[tuple[int, int]],
     zones_of: list[NDArray[np.intp]],
 ) -> list[tuple[int, int]]:
-    """Return the camera pairs with the highest peaks, up to `ZONE_PAIRS_MAX` pairs of zones.
+    """Return the camera pairs whose correlograms have the highest peaks.
 
-    The lower peak of the two directions counts.
+    pairs: the pairs of cameras to choose from.
+    zones_of: zones of each camera.
+
+    Of the two directions the one with the lower peak counts. The pairs returned have at most
+    `ZONE_PAIRS_MAX` ordered pairs of zones together.
     """
     # Highest peak of each pair of cameras.
     a, b = (np.array([pair[k] for pair in pairs], np.int32) for k in range(2))
-    left, came = (departures.t, departures.camera), (arrivals.t, arrivals.camera)
-    seen = correlograms(left, came, len(zones_of), SCREENING_BIN_SECONDS)
-    peak, order = np.zeros(len(a)), cache_friendly_order(a, b, seen.at_once)
+    departed, arrived = (departures.t, departures.camera), (arrivals.t, arrivals.camera)
+    pair_counts = correlograms(departed, arrived, len(zones_of), SCREENING_BIN_SECONDS)
+    peak, order = np.zeros(len(a)), cache_friendly_order(a, b, pair_counts.at_once)
     for k in range(0, len(a), ROWS_AT_ONCE):
-        some = order[k : k + ROWS_AT_ONCE]
-        peak[some] = np.minimum(
-            highest_peaks(seen.correlograms_of(a[some], b[some])),
-            highest_peaks(seen.correlograms_of(b[some], a[some])),
+        rows = order[k : k + ROWS_AT_ONCE]
+        peak[rows] = np.minimum(
+            highest_peaks(pair_counts.correlograms_of(a[rows], b[rows])),
+            highest_peaks(pair_counts.correlograms_of(b[rows], a[rows])),
         )
 
     # The best ones within the limit.
@@ -298,13 +329,15 @@ def _promising(
 
 
 def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clocks) -> Clocks:
-    """Estimate the offsets of all clocks from differences between them.
+    """Estimate the offsets of all clocks from measured differences between pairs of them.
 
+    found: the differences.
     weight (cameras,): number of events of each camera.
     known: an earlier estimate.
 
-    Differences do not determine the offsets alone: as many clocks as possible are right, first
-    those that were right in ``known``, then those of busier cameras.
+    The differences alone leave the offsets undetermined by a constant. As many clocks as possible
+    are taken to be right: with preference those that were right in ``known``, then those of
+    cameras with many events.
     """
     cameras = len(weight)
     clocks = right_clocks(cameras)
@@ -323,7 +356,8 @@ def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clo
     clocks.identified[a] = clocks.identified[b] = True
     offset = _least_disagreement(a, b, ahead, sd, trust)
 
-    # Least squares over the wrong clocks; the least clear one counts as right, until all are clear.
+    # Least squares over the clocks that seem wrong. While any of them is not clearly wrong, count
+    # the least clear one as right and repeat.
     wrong = clocks.identified & (np.abs(offset) > 1e-6)
     while True:
         offset, error = _least_squares(a, b, ahead, sd, wrong, offset)
@@ -339,23 +373,26 @@ def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clo
 
 
 def _with_asymmetry(found: list[Difference], trust: Floats) -> Floats:
-    """Return the standard deviation of each difference, including the asymmetry of paths.
+    """Return the standard deviation (differences,) of each difference, asymmetry of paths included.
 
-    The asymmetry (`ASYMMETRIES`) is the likeliest given how well the differences agree.
+    found: the differences.
+    trust (cameras,): as in `_least_disagreement`.
+
+    Of `ASYMMETRIES`, the likeliest is used, given how well the differences agree with each other.
     """
     a, b = np.array([d.a for d in found]), np.array([d.b for d in found])
-    ahead, own, way = (
+    ahead, own_sd, transit = (
         np.array([getattr(d, name) for d in found]) for name in ("ahead", "sd", "transit")
     )
 
-    # Degrees of freedom left beside the offsets, as a share of the differences.
-    told = np.unique(np.concatenate((a, b)))
-    more = max(len(found) - len(told) + 1, 0) / len(found)
+    # Degrees of freedom that remain after the offsets are estimated, as a share of the differences.
+    cameras = np.unique(np.concatenate((a, b)))
+    more = max(len(found) - len(cameras) + 1, 0) / len(found)
 
-    # Compare the posterior of the candidates.
-    best, best_score = own, -np.inf
+    # Find the asymmetry with the largest posterior.
+    best, best_score = own_sd, -np.inf
     for asymmetry in ASYMMETRIES:
-        sd = np.hypot(own, asymmetry * way)
+        sd = np.hypot(own_sd, asymmetry * transit)
         offset = _least_disagreement(a, b, ahead, sd, trust)
         squared = ((ahead - offset[b] + offset[a]) / sd) ** 2
         # Student's t with OUTLIER_SD degrees of freedom: a path that differs from the path back is
@@ -372,10 +409,14 @@ def _with_asymmetry(found: list[Difference], trust: Floats) -> Floats:
 def _least_disagreement(
     a: NDArray[np.intp], b: NDArray[np.intp], ahead: Floats, sd: Floats, trust: Floats
 ) -> Floats:
-    """Return the offsets (cameras,) with the least sum of absolute disagreements.
+    """Return the offsets (cameras, seconds) with the least sum of absolute disagreements.
+
+    The disagreement of a difference is that between its ``ahead`` and the offsets of its cameras,
+    in standard deviations. Absolute offsets cost a little, too (`RIGHT_WEIGHT`), so that most are
+    zero.
 
     a, b, ahead, sd (differences,): as in `Difference`.
-    trust (cameras,): cost factor of an offset of each clock, so that most offsets are zero.
+    trust (cameras,): factor on the cost of an offset of each clock.
     """
     n, cameras = len(a), len(trust)
 
@@ -416,14 +457,14 @@ def _least_squares(
     wrong: Bools,
     offset: Floats,
 ) -> tuple[Floats, Floats]:
-    """Estimate the offsets of the wrong clocks by robust least squares.
+    """Estimate the offsets of the wrong clocks by robust least squares; the others are 0.
 
     a, b, ahead, sd (differences,): as in `Difference`.
     wrong (cameras,): True for clocks that may have an offset.
-    offset (cameras,): first estimate.
+    offset (cameras, seconds): first estimate.
 
-    Return the offsets and the standard deviations, (cameras,) each. Differences that disagree with
-    the others have little weight (`OUTLIER_SD`).
+    Return the offsets and their standard deviations, (cameras, seconds) each. Differences that
+    disagree with the others have little weight (`OUTLIER_SD`).
     """
     # Iteratively reweighted least squares.
     cameras = len(wrong)
@@ -441,10 +482,11 @@ def _least_squares(
             break
         offset[free] = np.linalg.lstsq(normal[np.ix_(free, free)], pull[free])[0]
 
-    # Standard deviations: of a right clock from its own differences, of the wrong ones together.
+    # Standard deviations: of each right clock from its differences alone, of the wrong clocks from
+    # the inverse of the normal matrix.
     error = np.full(cameras, np.inf)
-    told = np.diag(normal) > 0
-    error[told] = 1.0 / np.sqrt(np.diag(normal)[told])
+    measured = np.diag(normal) > 0
+    error[measured] = 1.0 / np.sqrt(np.diag(normal)[measured])
     if len(free):
         error[free] = np.sqrt(
             np.maximum(np.diag(np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)), 0.0)
@@ -453,9 +495,10 @@ def _least_squares(
 
 
 def keep_unless_clear(known: Clocks, found: Clocks) -> Clocks:
-    """Return the known clocks with those offsets replaced that clearly differ in a new estimate.
+    """Return the ``known`` clocks with those offsets replaced that clearly differ in ``found``.
 
-    Clocks that are no longer identified count as right again.
+    known: the estimate so far.
+    found: a new estimate. A clock that is not identified in it counts as right again.
     """
     away = np.abs(found.offset - known.offset)
     moves = ~found.identified | (away > np.maximum(MOVE_SD * found.sd, MOVE_MIN_SECONDS))

@@ -1,9 +1,14 @@
-"""Two-way paths: paths walked in both directions, which show the difference of two clocks.
+"""Two-way paths: paths that objects take in both directions, which show a difference of two clocks.
 
 If a path takes as long from zone u to zone v as back, the lags from u to v appear longer by the
-offset of v's clock relative to u's, and those from v to u shorter by the same. So the correlogram
-of one direction is that of the other shifted by twice the offset. This holds for unseen paths,
-overlapping views and paths through the views of other cameras alike.
+offset of v's clock relative to u's clock, and the lags from v to u shorter by the same. So the
+correlogram of one direction (number of arrivals by lag, see `correlogram`) is that of the other
+direction shifted by twice the offset. This holds for unseen paths, overlapping views and paths
+through the views of other cameras alike.
+
+`find_two_way_paths` first finds the shift that all pairs of zones of two cameras have in common
+(`best_shift`), then refines the peaks of each pair of zones at this shift. All lags and shifts are
+in bins of the correlograms.
 """
 
 from __future__ import annotations
@@ -20,23 +25,23 @@ from camtopod.learn.clocks.correlogram import LAGS, Counts, null_expectation, si
 SHIFT_SMOOTHING_BINS = 3.0
 """Standard deviation of the smoothing over shifts, bins."""
 TRANSFORM = 4 * 1024
-"""Length of the Fourier transforms, enough for shifts of up to 2 `LAGS`."""
+"""Length of the Fourier transforms in bins, enough for shifts of up to 2 `LAGS`."""
 PEAK_MIN = 3.0
-"""Least match (`best_shift`) of the best shift."""
+"""Least match, as defined at `best_shift`, that the best shift must have."""
 PEAK_WIDTH_BINS = 60
-"""Shifts at most this far from the best one belong to the same peak."""
+"""Half the width of the peak of the match around the best shift, in bins."""
 RUNNER_UP_MAX = 0.2
-"""Largest match of any shift outside the peak of the best one, as a share of the best match."""
+"""Largest match of any shift outside the peak of the best shift, as a share of the best match."""
 SHARE_MIN = 0.02
 """Least match of a pair of zones at the best shift, as a share of the best match."""
 WIDTHS_BINS = (3.0, 60.0)
-"""Limits of the width (standard deviation) of the window around a peak."""
+"""Limits of the width (standard deviation, bins) of the window around a peak."""
 FIRST_WIDTH_BINS = 10.0
-"""Width (standard deviation) of the first window."""
+"""Width (standard deviation, bins) of the first window around a peak."""
 ROUNDS = 12
 """Iterations of the mean shift."""
 WIDE, WIDE_ROUNDS = 2.0, 4
-"""Factor of a wider window that checks the result, and the iterations in it."""
+"""Factor by which a wider window checks the result, and the iterations of mean shift in it."""
 PEAK_VARIANCE_MIN = 0.3
 """Least variance of a peak, bins squared: a little more than that of counting in bins."""
 EVENTS_MIN = 8.0
@@ -44,12 +49,14 @@ EVENTS_MIN = 8.0
 
 
 class TwoWayPath(NamedTuple):
-    """A path walked in both directions; all values are in bins.
+    """A path taken in both directions, between a zone of a first and one of a second camera.
 
-    ahead, sd: offset of the second clock relative to the first (positive if fast), and its standard
-        deviation.
-    transit, spread: mean transit time in corrected time, and the standard deviation of transit
-        times.
+    All values are in bins.
+
+    ahead: offset of the second camera's clock relative to the first one's, positive if fast.
+    sd: standard deviation of ``ahead``.
+    transit: mean transit time, free of the offset.
+    spread: standard deviation of transit times.
     """
 
     ahead: float
@@ -59,12 +66,14 @@ class TwoWayPath(NamedTuple):
 
 
 def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
-    """Return the shift in bins of one direction against the other that matches best, and the match.
+    """Return the shift, in bins, at which the peaks of both directions match best, and the match.
 
-    forth, back (K, lags): peaks of the correlograms of K pairs of zones (`significant_peaks`).
+    forth, back (K, lags): peaks of the correlograms of K pairs of zones (`significant_peaks`), from
+        the first camera to the second and back.
 
-    The shift is positive if lags are longer in ``forth``. The match is the sum of products of the
-    peaks; 0.0 if it is too small or not clearly better than that of any other shift.
+    The shift is positive if lags are longer in ``forth``. The match is the sum, over pairs of zones
+    and lags, of the products of the peaks; 0.0 if it is too small or not clearly larger than that
+    of every other shift.
     """
     # Match of every shift, summed over the pairs of zones.
     product = (scipy.fft.rfft(forth, TRANSFORM) * np.conj(scipy.fft.rfft(back, TRANSFORM))).sum(
@@ -84,9 +93,10 @@ def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
 
 
 def find_two_way_paths(forth: Counts, back: Counts) -> list[tuple[int, TwoWayPath]]:
-    """Find the two-way paths between two cameras; return them as (pair of zones, path).
+    """Find the two-way paths between two cameras; return them as (number of zone pair, path).
 
-    forth, back (K, lags): correlograms of K pairs of zones in both directions.
+    forth, back (K, lags): correlograms of K pairs of zones, from the first camera to the second and
+        back.
     """
     # The shift that all pairs of zones of the two cameras have in common.
     usual = null_expectation(forth), null_expectation(back)
@@ -106,21 +116,26 @@ def find_two_way_paths(forth: Counts, back: Counts) -> list[tuple[int, TwoWayPat
     # Refine those of each pair of zones that are high enough.
     found = []
     for k in np.flatnonzero(together.max(axis=1) >= SHARE_MIN * peak):
-        there = int(np.argmax(together[k])) - LAGS
-        way = _refine(
-            (forth[k], back[k]), (usual[0][k], usual[1][k]), float(there + shift), float(there)
+        back_lag = int(np.argmax(together[k])) - LAGS
+        path = _refine(
+            (forth[k], back[k]),
+            (usual[0][k], usual[1][k]),
+            float(back_lag + shift),
+            float(back_lag),
         )
-        if way is not None:
-            found.append((int(k), way))
+        if path is not None:
+            found.append((int(k), path))
     return found
 
 
 def _refine(
     counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], forth: float, back: float
 ) -> TwoWayPath | None:
-    """Return the two-way path with peaks near the lags ``forth`` and ``back`` (bins), if any.
+    """Return the two-way path with peaks near given lags in both directions; None if there is none.
 
-    counts, usual: correlogram of each direction, and its expectation under the null model.
+    counts: correlogram (lags,) of one pair of zones in each direction.
+    usual: expected correlogram of each direction under the null model.
+    forth, back: lags of the two peaks, bins.
 
     The centres of the peaks are found by mean shift in a normal window 1.5 times as wide as the
     peaks.
@@ -141,8 +156,9 @@ def _refine(
     ahead = 0.5 * float(centres[0] - centres[1])
     sd = 0.5 * error / (1.0 - within / last**2)
 
-    # Crowds of two speeds have two peaks, of which each direction may find another one. Then the
-    # result differs in a wider window, by which the standard deviation is enlarged.
+    # A crowd of two speeds has two peaks, and the two directions may have settled on different
+    # peaks. A wider window then gives another result; the difference is added to the standard
+    # deviation.
     wide = centres
     for _ in range(WIDE_ROUNDS):
         step = _step(counts, usual, wide, WIDE * width)
@@ -155,13 +171,14 @@ def _refine(
 def _step(
     counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], centres: Floats, width: float
 ) -> tuple[Floats, float, float] | None:
-    """Do one step of the mean shift; return None if there are too few events.
+    """Do one step of the mean shift in both directions.
 
+    counts, usual: as for `_refine`.
     centres (2,): centre of the window in each direction, bins.
     width: standard deviation of the windows, bins.
 
     Return the new centres (2,), the variance of the events in the windows around the old centres,
-    and the standard error of the difference of the new centres.
+    and the standard error of the difference of the new centres; None if there are too few events.
     """
     lag = np.arange(-LAGS, LAGS + 1)
     number, moment, centre, error = np.zeros(2), np.zeros(2), np.zeros(2), 0.0

@@ -1,8 +1,12 @@
-"""The window's events labelled with zones: the departures and arrivals that the fits work on.
+"""The window's events labelled with zones: departures, arrivals, passages, the input of the fits.
 
-Reading order: `events` defines the tables of departures and arrivals; `labelled_events` fills them
-from the window and the zone maps (`Scene`); `speed` estimates the slowness of objects and how far
-it persists from view to view; `background_rate` has the rates of arrivals under the null model.
+The zones of all cameras are numbered from 0; an exit from a zone is a *departure*, an entry into a
+zone an *arrival*, and an entry and an exit of one track in one view a *passage*.
+
+Reading order: `events` defines the tables of departures and arrivals. `labelled_events` fills them
+from the window and the zone maps (`Scene`). `speed` measures how slow each object is, and estimates
+how far slowness persists from view to view. `background_rate` has the rates of arrivals under the
+null model, in which arrivals have nothing to do with departures.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Departures and arrivals: exits and entries of the window as columns, the input of the fits."""
+"""Tables of departures and arrivals: the exits and entries of the window, by column.
+
+A fit finds which arrival is of the same object as which departure. Zones are numbered over the
+whole site, cameras as in the window.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +15,17 @@ from camtopod.arrays import Floats, Indices, Ints
 
 
 class Departures(NamedTuple):
-    """Departures sorted by time; each column has shape (n,).
+    """Departures (exits from zones) sorted by time; each column has shape (n,).
 
-    t: time in seconds.
+    t: time of the exit in seconds.
     zone, camera: index of the zone and of the camera.
-    since: time in seconds when the passage that ends began; -inf if unknown.
-    slow: log slowness of that passage (`speed`); nan if unknown.
-    own: row of the arrival that began it; -1 if unknown.
-    block: block of the image where the object left (`camtopod.topology.blocks_of`); -1 if it has no
-        position.
-    of: row of the departure that this one is a delayed copy of, or its own row
-        (`camtopod.learn.long_paths`); a departure and its copies together have at most one arrival.
+    since: time in seconds of the entry into the view that the object now leaves; -inf if unknown.
+    slow: slowness of the passage that ends with this departure (`speed`); nan if unknown.
+    own: row in the table of arrivals of the entry that began this passage; -1 if unknown.
+    block: block of the image where the object left (`camtopod.topology.blocks_of`); -1 if the exit
+        has no position.
+    of: for a delayed copy (`camtopod.learn.long_paths`), the row of the original departure; for any
+        other departure, its own row. A departure and its copies together have at most one arrival.
         None if there are no copies.
     """
 
@@ -35,10 +39,11 @@ class Departures(NamedTuple):
     of: Indices | None = None
 
     def take(self, kept: NDArray[np.bool_], arrivals: NDArray[np.bool_]) -> Departures:
-        """Return some departures; must not have delayed copies.
+        """Return the departures of a mask; there must be no delayed copies.
 
-        kept (n,): mask of the departures.
-        arrivals (m,): mask of the arrivals that are kept, by which ``own`` is renumbered.
+        kept (n,): mask of the departures to keep.
+        arrivals (m,): mask of the arrivals that are kept, too; the column ``own`` is renumbered
+            accordingly.
         """
         # The new row of each arrival; the last element is for -1.
         number = np.append(np.where(arrivals, np.cumsum(arrivals) - 1, -1), -1).astype(np.int32)
@@ -57,18 +62,18 @@ class Departures(NamedTuple):
     def without_arrivals(
         t: Floats, zone: Ints, camera: Ints, since: Floats, slow: Floats
     ) -> Departures:
-        """Return departures without information about their arrivals and blocks."""
+        """Return departures from the given columns, with ``own`` and ``block`` unknown."""
         unknown = np.full(len(t), -1, np.int32)
         return Departures(t, zone, camera, since, slow, unknown, unknown)
 
 
 class Arrivals(NamedTuple):
-    """Arrivals sorted by time; each column has shape (n,).
+    """Arrivals (entries into zones) sorted by time; each column has shape (n,).
 
-    t: time in seconds.
+    t: time of the entry in seconds.
     zone, camera: index of the zone and of the camera.
-    rate: local rate of arrivals at the zone, 1/s (`background_rate.local_rates`).
-    slow: log slowness of the passage that begins (`speed`); nan if unknown.
+    rate: rate of other arrivals at the zone around this time, 1/s (`background_rate.local_rates`).
+    slow: slowness of the passage that begins with this arrival (`speed`); nan if unknown.
     """
 
     t: Floats

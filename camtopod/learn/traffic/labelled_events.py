@@ -1,4 +1,8 @@
-"""The scene: the window's events labelled with zones, as departures, arrivals and passages."""
+"""Label the window's events with zones; the result is a `Scene`, the input of the fits.
+
+`label_events` finds the zone of each event from the zone map of its camera, and sorts events into
+departures (exits), arrivals (entries) and passages (an entry and an exit of one track).
+"""
 
 from __future__ import annotations
 
@@ -17,13 +21,15 @@ from camtopod.learn.zones import ZoneMap, ZoneShape
 from camtopod.topology import blocks_of
 
 NO_ZONE = -1
-"""In place of a zone's index for events that belong to none (clutter)."""
+"""Zone index of events that belong to no zone (clutter)."""
 
 
 class ZoneRef(NamedTuple):
-    """A zone of the network: index of its camera, its number there, and its shape.
+    """A zone of the site.
 
-    shape: None for the single zone of a camera whose events have no positions.
+    camera: index of its camera.
+    number: its number among the zones of that camera.
+    shape: mean and covariance; None for the single zone of a camera whose events have no positions.
     """
 
     camera: int
@@ -32,9 +38,9 @@ class ZoneRef(NamedTuple):
 
 
 class Passages(NamedTuple):
-    """Passages known from tracks; each column has shape (n,).
+    """Passages known from tracks, with both ends in a zone; each column has shape (n,).
 
-    source, target: zones of the entry and of the exit.
+    source, target: index of the zone of the entry and of the zone of the exit.
     entered, left: times of the entry and of the exit in seconds.
     """
 
@@ -48,15 +54,16 @@ class Scene(NamedTuple):
     """The labelled events of the window, the input of the fits."""
 
     zones: list[ZoneRef]
+    """The zones of all cameras; a zone's index in this list is its number in all tables."""
     departures: Departures
     arrivals: Arrivals
     passages: Passages
     entries: NDArray[np.int64]
-    """Entries at each zone, (zones,)."""
+    """(zones,) number of entries at each zone."""
     exits: NDArray[np.int64]
-    """Exits at each zone, (zones,)."""
+    """(zones,) number of exits at each zone."""
     tracked: NDArray[np.bool_]
-    """True for cameras of which most exits have the entry of their track, (cameras,)."""
+    """(cameras,) True for cameras whose tracks tie most exits to an entry."""
     first: float
     """Time of the first event in seconds."""
     last: float
@@ -64,11 +71,13 @@ class Scene(NamedTuple):
 
 
 def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], NDArray[np.int32]]:
-    """Number the zones of the network.
+    """Number the zones of all cameras.
 
-    Return the zones, and a table (cameras, cells + 1) with the index of the zone of each cell. The
-    last column is for events without position; such events have a zone only at cameras without any
-    other zone.
+    maps: zone map of each camera.
+
+    Return the zones, and a table (cameras, cells + 1) with the index of the zone of each grid cell,
+    `NO_ZONE` for clutter. The last column is for events without position: they belong to the single
+    zone of a camera none of whose events has a position, and otherwise to no zone.
     """
     zones: list[ZoneRef] = []
     tables = []
@@ -90,8 +99,9 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
 def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = None) -> Scene:
     """Label the window's events with zones, and sort them into departures, arrivals and passages.
 
-    ahead (cameras, seconds): clock offset of each camera (positive if fast), by which times are
-        corrected; None to use the cameras' own times.
+    maps: zone map of each camera.
+    ahead (cameras, seconds): clock offset of each camera (positive if the clock is fast), which is
+        subtracted from the times of its events; None to leave times as they are.
     """
     # Times, corrected for the offsets of the clocks.
     zones, tables = number_zones(window, maps)
@@ -112,34 +122,38 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
     n = len(zones)
 
     # Rows of departures and arrivals, by corrected time.
-    leaves = np.flatnonzero(~entry & (zone >= 0))
-    comes = np.flatnonzero(entry & (zone >= 0))
-    leaves, comes = (rows[np.argsort(t[rows], kind="stable")] for rows in (leaves, comes))
+    exit_rows = np.flatnonzero(~entry & (zone >= 0))
+    entry_rows = np.flatnonzero(entry & (zone >= 0))
+    exit_rows, entry_rows = (
+        rows[np.argsort(t[rows], kind="stable")] for rows in (exit_rows, entry_rows)
+    )
 
-    # Passages: those with both ends in a zone have a slowness, which both ends get.
-    began = mate[leaves]
-    since = np.where(began >= 0, t[np.maximum(began, 0)], -np.inf)
-    known = leaves[began >= 0]
-    known = known[zone[mate[known]] >= 0]
-    start = mate[known]
+    # Passages with both ends in a zone have a slowness, which their entry and exit get.
+    entry_of_exit = mate[exit_rows]
+    since = np.where(entry_of_exit >= 0, t[np.maximum(entry_of_exit, 0)], -np.inf)
+    tied_rows = exit_rows[entry_of_exit >= 0]
+    tied_rows = tied_rows[zone[mate[tied_rows]] >= 0]
+    tied_entries = mate[tied_rows]
     slow = np.full(len(t), np.nan)
-    slow[known] = slow[start] = slowness(zone[start], zone[known], t[known] - t[start], n)
+    slow[tied_rows] = slow[tied_entries] = slowness(
+        zone[tied_entries], zone[tied_rows], t[tied_rows] - t[tied_entries], n
+    )
 
-    # Departures, with the arrival that began their passage.
+    # Departures, with the row of the arrival that began their passage.
     arrival = np.full(len(t) + 1, -1, np.int32)
-    arrival[comes] = np.arange(len(comes), dtype=np.int32)
-    own = arrival[np.where(began >= 0, began, len(t))]
-    block = blocks_of(window.column("px")[leaves], window.column("py")[leaves])
+    arrival[entry_rows] = np.arange(len(entry_rows), dtype=np.int32)
+    own_arrival = arrival[np.where(entry_of_exit >= 0, entry_of_exit, len(t))]
+    block = blocks_of(window.column("px")[exit_rows], window.column("py")[exit_rows])
     departures = Departures(
-        t[leaves], zone[leaves], camera[leaves], since, slow[leaves], own, block
+        t[exit_rows], zone[exit_rows], camera[exit_rows], since, slow[exit_rows], own_arrival, block
     )
 
     # Arrivals and passages.
-    rate = local_rates(t[comes], zone[comes], n)
-    arrivals = Arrivals(t[comes], zone[comes], camera[comes], rate, slow[comes])
-    passages = Passages(zone[start], zone[known], t[start], t[known])
+    rate = local_rates(t[entry_rows], zone[entry_rows], n)
+    arrivals = Arrivals(t[entry_rows], zone[entry_rows], camera[entry_rows], rate, slow[entry_rows])
+    passages = Passages(zone[tied_entries], zone[tied_rows], t[tied_entries], t[tied_rows])
 
-    # Share of exits with an entry, by camera.
+    # Exits, and those that tracks tie to an entry, by camera.
     cameras = len(window.cameras)
     exits_of = np.bincount(camera[~entry], minlength=cameras)
     tied_of = np.bincount(camera[~entry & (mate >= 0)], minlength=cameras)
@@ -148,8 +162,8 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
         departures,
         arrivals,
         passages,
-        np.bincount(zone[comes], minlength=n),
-        np.bincount(zone[leaves], minlength=n),
+        np.bincount(zone[entry_rows], minlength=n),
+        np.bincount(zone[exit_rows], minlength=n),
         2 * tied_of > exits_of,
         float(t.min()) if len(t) else 0.0,
         last,

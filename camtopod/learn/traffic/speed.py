@@ -1,11 +1,11 @@
 """Slowness of objects, and how far it persists from one view to the next.
 
-Slowness is the log of a passage's dwell time over the median dwell time of passages between the
-same two zones (of entry and of exit); it is nan if unknown. Speeds vary more between objects than
-within one, so a slow passage through one view predicts a long transit time to the next view and a
-slow passage there. How strongly it does is estimated from those transitions of the site that are
-most certain, and used only as far as it is significant: where tracks are missing or speeds do not
-persist, slowness has no effect.
+The *slowness* of a passage is the natural log of its dwell time over the median dwell time of
+passages with the same zones of entry and exit; nan if unknown. Speed varies more between objects
+than along the path of one object, so a slow passage through one view predicts a long transit time
+to the next view and a slow passage there. How strongly, the `Persistence`, is estimated from the
+transitions of the site that are most certain. Only the significant part of the estimate is used:
+where tracks are missing or speeds do not persist, slowness has no effect.
 """
 
 from __future__ import annotations
@@ -20,23 +20,26 @@ from camtopod.arrays import Floats
 from camtopod.topology import DWELL_SECONDS_MIN, LAG_SECONDS_MIN, SLOWNESS_MAX, LagBins
 
 USUAL_PASSAGES_MIN = 5
-"""Least passages between two zones whose median dwell time counts as usual."""
+"""Least number of passages between two zones for their median dwell time to count as usual."""
 SURE_RESPONSIBILITY = 0.5
-"""A candidate with more than this responsibility counts as a transition in the estimates here."""
+"""Responsibility above which a candidate counts as a transition in the estimate of persistence."""
 SURE_TRANSITIONS_MIN = 30
-"""Least transitions for an estimate, and least degrees of freedom of the slope in `_scaling`."""
+"""Least number of transitions for an estimate of persistence, and least degrees of freedom of the
+slope in `_scaling`.
+"""
 SIGNIFICANT_SD = 2.0
 """Standard errors subtracted from each estimate, so that only a significant one has an effect."""
 AGREEMENT_MAX = 1e9
-"""Largest likelihood ratio that two slownesses give for being of one object."""
+"""Largest likelihood ratio by which two slownesses speak for one object."""
 
 
 class Persistence(NamedTuple):
-    """How far speed persists from one view to the next.
+    """How far the speed of an object persists from one view to the next.
 
-    scaling: slope of the log lag on slowness; lags are proportional to exp(scaling * slowness).
-    correlation: of the slownesses of one object in two successive views.
-    sd: standard deviation of slowness.
+    scaling: slope of the log lag on slowness; the lag of an object is proportional to
+        exp(scaling * slowness).
+    correlation: correlation of the slownesses of one object in two successive views.
+    sd: standard deviation of slowness over objects.
     """
 
     scaling: float
@@ -45,7 +48,9 @@ class Persistence(NamedTuple):
 
 
 NO_PERSISTENCE = Persistence(0.0, 0.0, 1.0)
-"""Slowness in one view says nothing of the lag to the next view or of the slowness there."""
+"""Persistence of 0: slowness in one view predicts neither the lag to the next view nor the slowness
+there.
+"""
 
 
 def usual_dwell_times(
@@ -53,28 +58,28 @@ def usual_dwell_times(
 ) -> dict[tuple[int, int], float]:
     """Return the median dwell time in seconds by (zone of entry, zone of exit).
 
-    source, target (n,): zones of entry and exit of passages.
-    stay (n, seconds): their dwell times.
+    source, target (n,): zones of entry and exit of n passages.
+    stay (n, seconds): dwell times of the passages.
 
-    Pairs of zones with less than `USUAL_PASSAGES_MIN` passages are left out. The median is that of
+    Pairs of zones with less than `USUAL_PASSAGES_MIN` passages are left out. The median is taken of
     the logs.
     """
-    stays: dict[tuple[int, int], list[float]] = {}
-    for way, seconds in zip(
+    dwell_times: dict[tuple[int, int], list[float]] = {}
+    for zone_pair, seconds in zip(
         zip(source.tolist(), target.tolist(), strict=True), stay.tolist(), strict=True
     ):
-        stays.setdefault(way, []).append(max(seconds, DWELL_SECONDS_MIN))
+        dwell_times.setdefault(zone_pair, []).append(max(seconds, DWELL_SECONDS_MIN))
     return {
-        way: math.exp(float(np.median(np.log(each))))
-        for way, each in stays.items()
-        if len(each) >= USUAL_PASSAGES_MIN
+        zone_pair: math.exp(float(np.median(np.log(seconds_of_pair))))
+        for zone_pair, seconds_of_pair in dwell_times.items()
+        if len(seconds_of_pair) >= USUAL_PASSAGES_MIN
     }
 
 
 def slowness(
     source: NDArray[np.int32], target: NDArray[np.int32], stay: Floats, zones: int
 ) -> Floats:
-    """Return the slowness (n,) of passages, nan where there are too few of the same two zones.
+    """Return the slowness (n,) of passages; nan if too few have the same zones of entry and exit.
 
     source, target (n,): zones of entry and exit, from 0 to ``zones`` - 1.
     stay (n, seconds): dwell times.
@@ -83,31 +88,32 @@ def slowness(
         return np.zeros(0)
 
     # Number the pairs of zones.
-    log_stay = np.log(np.maximum(stay, DWELL_SECONDS_MIN))
-    way, count = np.unique(
+    log_dwell = np.log(np.maximum(stay, DWELL_SECONDS_MIN))
+    pair, count = np.unique(
         source.astype(np.int64) * zones + target, return_inverse=True, return_counts=True
     )[1:]
 
     # Median log dwell time of each pair.
-    order = np.lexsort((log_stay, way))
+    order = np.lexsort((log_dwell, pair))
     first = np.cumsum(count) - count
     low, high = first + (count - 1) // 2, first + count // 2
-    median = 0.5 * (log_stay[order[low]] + log_stay[order[high]])
+    median = 0.5 * (log_dwell[order[low]] + log_dwell[order[high]])
 
-    # Slowness relative to it.
-    relative = np.clip(log_stay - median[way], -SLOWNESS_MAX, SLOWNESS_MAX)
-    return np.where(count[way] >= USUAL_PASSAGES_MIN, relative, np.nan)
+    # Slowness relative to the median.
+    relative = np.clip(log_dwell - median[pair], -SLOWNESS_MAX, SLOWNESS_MAX)
+    return np.where(count[pair] >= USUAL_PASSAGES_MIN, relative, np.nan)
 
 
 def estimate_persistence(
     left: Floats, came: Floats, lag: Floats, pair: NDArray[np.int32], responsibility: Floats
 ) -> Persistence:
-    """Estimate how far speed persists from candidates (M,).
+    """Estimate how far speed persists, from the most certain of M candidates.
 
-    left, came: slowness of the passages before the departure and after the arrival; nan if unknown.
-    lag: seconds from the departure to the arrival.
-    pair: index of the pair of zones.
-    responsibility: probability that the candidate is of one object.
+    left (M,): slowness of the passage that ends with each candidate's departure; nan if unknown.
+    came (M,): slowness of the passage that begins with its arrival; nan if unknown.
+    lag (M, seconds): from the departure to the arrival.
+    pair (M,): index of the pair of zones.
+    responsibility (M,): probability that departure and arrival are of one object.
     """
     # Transitions of which both slownesses are known.
     sure = responsibility > SURE_RESPONSIBILITY
@@ -117,8 +123,7 @@ def estimate_persistence(
         return NO_PERSISTENCE
     sd = float(np.sqrt(np.mean(np.concatenate((left[both] ** 2, came[both] ** 2)))))
 
-    # Correlation, less its uncertainty. If all passages take equally long, as those of machines,
-    # there is none.
+    # Correlation, less its uncertainty; 0 if all passages take equally long, as those of machines.
     varies = min(left[both].std(), came[both].std()) > 0
     observed = float(np.corrcoef(left[both], came[both])[0, 1]) if varies else 0.0
     correlation = min(max(observed - SIGNIFICANT_SD / math.sqrt(n), 0.0), 0.95)
@@ -130,9 +135,13 @@ def estimate_persistence(
 def _scaling(slow: Floats, lag: Floats, pair: NDArray[np.int32], sure: NDArray[np.bool_]) -> float:
     """Estimate the slope of the log lag on slowness within pairs of zones.
 
-    The standard error is subtracted `SIGNIFICANT_SD` times; the result is 0 if not significant.
+    slow (M,): mean slowness of each candidate's two passages; nan if unknown.
+    lag, pair (M,): as for `estimate_persistence`.
+    sure (M,): mask of the candidates that count as transitions.
+
+    `SIGNIFICANT_SD` standard errors are subtracted; the result is 0 if nothing is left.
     """
-    # Transitions of known slowness, relative to the means of their pair of zones.
+    # Slowness (x) and log lag (y) of transitions, less the means of their pair of zones.
     rows = np.flatnonzero(sure & np.isfinite(slow) & (lag > LAG_SECONDS_MIN))
     if len(rows) < SURE_TRANSITIONS_MIN:
         return 0.0
@@ -153,25 +162,35 @@ def _scaling(slow: Floats, lag: Floats, pair: NDArray[np.int32], sure: NDArray[n
 
 
 def mean_slowness(left: Floats, came: Floats) -> Floats:
-    """Return the mean of the two slownesses, the one that is known, or nan."""
+    """Return the mean (M,) of the slownesses before and after a transition.
+
+    If only one of the two is known, return that; if none is, nan.
+
+    left, came (M,): as for `estimate_persistence`.
+    """
     both = 0.5 * (left + came)
     return np.where(np.isfinite(both), both, np.where(np.isfinite(left), left, came))
 
 
 def adjusted_lag(lag: Floats, slow: Floats, scaling: float, bins: LagBins) -> Floats:
-    """Return the lags (M,) that objects of usual speed would have had.
+    """Return the lags (M, seconds) that candidates would have if their objects had usual speed.
 
-    lag (M, seconds), slow (M,): lag and slowness of candidates.
+    lag (M, seconds): lag of each candidate.
+    slow (M,): slowness of each candidate; nan if unknown.
+    scaling: as in `Persistence`.
 
-    Lags up to `LAG_SECONDS_MIN`, and those of unknown slowness, are not scaled; all are clipped to
-    the range of ``bins``.
+    Lags up to `LAG_SECONDS_MIN` and lags of unknown slowness are not scaled. All are clipped to the
+    range of ``bins``.
     """
     factor = np.where(np.isfinite(slow) & (lag > LAG_SECONDS_MIN), np.exp(-scaling * slow), 1.0)
     return np.clip(lag * factor, bins.lag_min, bins.lag_max)
 
 
 def agreement(left: Floats, came: Floats, p: Persistence) -> Floats:
-    """Return the likelihood ratio (M,) of two slownesses for one object; 1 if either is unknown."""
+    """Return the likelihood ratio (M,) of one object over two, by the slownesses of two passages.
+
+    left, came (M,): as for `estimate_persistence`. If either is unknown, the ratio is 1.
+    """
     if p.correlation <= 0:
         return np.ones(len(left))
     u, v, r = left / p.sd, came / p.sd, p.correlation

@@ -1,8 +1,9 @@
-"""From incoming events to a sliding window of them, ordered by time.
+"""The learner's input: events put in order of time, and the sliding window of those that count.
 
-Reading order: `reorder_buffer` drops duplicates and late events and releases the others in
-canonical order as the watermark passes them; `sliding_window` stores the released events by column,
-pairs entries with exits to passages and sums positions per grid cell.
+Reading order: `reorder_buffer` receives events in any order, drops duplicates and late events, and
+releases the others in order of time once the watermark has passed them. `sliding_window` stores
+the released events by column (`Window`): it ties the entry and the exit of each track to a passage,
+sums positions per camera and grid cell, and removes events that are too old or too many.
 """
 
 from __future__ import annotations

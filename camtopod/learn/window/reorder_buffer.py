@@ -1,14 +1,15 @@
-"""Reorder buffer with a watermark: the learner gets events ordered by time.
+"""Reorder buffer with a watermark: receives events in any order, releases them in order of time.
 
-An event at or above the watermark is held until the watermark has passed it. An event below it is
-late: it is counted, but not learned. So the output does not depend on the order in which events are
-received, as long as none is later than the lateness allows. `camtopod.event_time` defines event
-time and watermark. An event with the same (camera, boot, seq) as an earlier one is a duplicate and
-counts once.
+An event at or after the watermark is held until the watermark has passed it. An event before the
+watermark is late: it is counted, but not learned. So the released events do not depend on the order
+in which events are received, as long as none is later than the lateness allows. (See
+`camtopod.event_time` for event time, watermark and lateness.) An event with the same (camera, boot,
+seq) as an earlier one is a duplicate and is dropped; a *boot* is one run of the program that
+publishes the camera, and *seq* numbers the events of a boot.
 
-Memory is limited: for each camera and tick of event time, only the newest events count, up to a
-rate (`EVENTS_PER_SECOND_MAX`) that no real view reaches. These do not depend on the order in which
-events are received either.
+Memory is limited: for each camera and tick of event time, at most `EVENTS_PER_SECOND_MAX` events
+per second are kept, the newest ones. No real view reaches that rate, and which events are kept does
+not depend on the order in which they are received either.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ from camtopod.event_time import CameraDelay, EventTime, EventTimeState, microsec
 from camtopod.records import Event
 
 BOOTS_PER_CAMERA_MAX = 16
-"""Boots (runs of the publisher) remembered for each camera; beyond, the oldest is forgotten."""
+"""Boots remembered for each camera; beyond, the oldest is forgotten."""
 GAPS_PER_BOOT_MAX = 1024
 """Ranges of sequence numbers remembered per boot; beyond, the oldest gap counts as received."""
 
 EVENTS_PER_SECOND_MAX = 50.0
-"""Limit of the events learned per camera and tick, per second of the tick; the newest count."""
+"""Events learned per camera and tick, per second of the tick; of more, the newest count."""
 TICK_EVENTS_MIN = 1000
-"""Least limit of the events learned per camera and tick, however short the tick is."""
+"""Lower bound on the limit of events per camera and tick, for short ticks."""
 
 
 _Key = tuple[int, str, str, float, float, str, str, int]
@@ -38,10 +39,15 @@ _Key = tuple[int, str, str, float, float, str, str, int]
 
 
 class ReorderBufferState(Struct):
-    """The saved state of an `ReorderBuffer`.
+    """The saved state of a `ReorderBuffer`.
 
+    newest_us, second_us, leader, watermark_us, behind: state of event time (`EventTimeState`).
+    counts: number of events by verdict (`ReorderBuffer.receive`).
+    held: events that wait for the watermark.
+    cameras: the known cameras.
     seen: (camera, boot, starts, ends) of every `ReceivedNumbers`.
     newest: `ReorderBuffer.newest_of`.
+    surplus: `ReorderBuffer.surplus`.
     """
 
     newest_us: int | None
@@ -58,15 +64,18 @@ class ReorderBufferState(Struct):
 
 
 class ReceivedNumbers:
-    """The sequence numbers received of one boot: disjoint ranges, merged as gaps are filled."""
+    """Set of the sequence numbers received from one boot, as disjoint ranges in ascending order.
+
+    starts, ends: first and last number of each range.
+    """
 
     def __init__(self) -> None:
         self.starts: list[int] = []
-        self.ends: list[int] = []  # inclusive
+        self.ends: list[int] = []
 
     def add(self, seq: int) -> bool:
-        """Add ``seq``; return False if it had been received before."""
-        # The range that starts at or before it.
+        """Add a sequence number; return False if it had been received before."""
+        # The range that starts at or before ``seq``.
         starts, ends = self.starts, self.ends
         k = bisect_right(starts, seq) - 1
         if k >= 0 and seq <= ends[k]:
@@ -94,10 +103,11 @@ class ReceivedNumbers:
 
 
 class ReorderBuffer:
-    """Accepts events in any order and returns them ordered by time.
+    """Receives events in any order and releases them in order of time.
 
-    lateness_seconds, clocks_apart_seconds: see `IdleEventTime`.
-    cameras_max: events of further cameras are refused.
+    lateness_seconds: by how much the watermark trails event time at least (`EventTime`).
+    cameras_max: number of cameras whose events are accepted; events of further ones are refused.
+    clocks_apart_seconds: the largest expected difference of two cameras' clocks (`EventTime`).
     tick_seconds: length of a tick of event time.
     """
 
@@ -115,8 +125,8 @@ class ReorderBuffer:
         self.cameras_max = cameras_max
         self.counts = {"accepted": 0, "duplicate": 0, "late": 0, "refused": 0}
         self.surplus = 0
-        """Accepted events that are not learned because of `EVENTS_PER_SECOND_MAX`."""
-        # Held events by tick and camera, and the time of the oldest.
+        """Number of accepted events that were dropped because of `EVENTS_PER_SECOND_MAX`."""
+        # Held events by (tick, camera), and the time of the oldest held event.
         self._held: dict[tuple[int, str], list[Event]] = {}
         self._oldest_us: int | None = None
         # Received sequence numbers by camera and boot.
@@ -129,12 +139,12 @@ class ReorderBuffer:
 
     @property
     def newest_us(self) -> int | None:
-        """Time of the newest event, see `IdleEventTime`."""
+        """Time of the newest event in microseconds, or of `advance` if that is newer."""
         return self.time.newest_us
 
     @property
     def watermark_us(self) -> int | None:
-        """Events older than this are late; None before the first event."""
+        """The watermark in microseconds: older events are late. None before the first event."""
         return self.time.watermark_us
 
     @property
@@ -181,9 +191,9 @@ class ReorderBuffer:
         self.newest_of = state.newest
 
     def receive(self, event: Event) -> str:
-        """Receive one event and return the verdict.
+        """Receive one event, hold it if it is accepted, and return the verdict.
 
-        It is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many cameras).
+        The verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many cameras).
         """
         verdict = self._judge(event)
         self.counts[verdict] += 1
@@ -198,11 +208,11 @@ class ReorderBuffer:
         if not self.has_room_for(event.camera):
             return "refused"
 
-        # The camera has been active.
+        # Note the time of the camera's newest event.
         boots, t_us = self._seen.setdefault(event.camera, {}), microseconds(event.t)
         self.newest_of[event.camera] = max(t_us, self.newest_of.pop(event.camera, t_us))
 
-        # Was the event received before?
+        # A duplicate if its sequence number was received before.
         if event.boot is not None and event.seq is not None:
             sequence = boots.get(event.boot)
             if sequence is None:
@@ -212,7 +222,7 @@ class ReorderBuffer:
             if not sequence.add(event.seq):
                 return "duplicate"
 
-        # Is it too late?
+        # Late if it is before the watermark.
         if not self.time.note(t_us, event.camera):
             return "late"
         self._hold(event, t_us)
@@ -239,9 +249,9 @@ class ReorderBuffer:
         self.time.forget(names)
 
     def take_until(self, until_us: int) -> list[tuple[int, Event]]:
-        """Remove and return the held events with time <= ``until_us``.
+        """Remove and return the held events up to ``until_us``, as (microseconds, event).
 
-        They come as (microseconds, event) in canonical order.
+        They are in canonical order: by time, events at the same time by their content.
         """
         held = [event for waiting in self._held.values() for event in self._newest(waiting)]
         self._held, self._oldest_us = {}, None
@@ -265,13 +275,14 @@ class ReorderBuffer:
         self._oldest_us = t_us if self._oldest_us is None else min(self._oldest_us, t_us)
 
     def _newest(self, waiting: list[Event]) -> list[Event]:
-        """Return those of the held events of one camera and tick that count."""
+        """Return the held events of one camera and tick without those beyond the limit."""
         if len(waiting) <= self._tick_events_max:
             return waiting
         self.surplus += len(waiting) - self._tick_events_max
         return sorted(waiting, key=_sort_key)[-self._tick_events_max :]
 
     def _all_held(self) -> list[Event]:
+        """Return all held events, in no particular order."""
         return [event for waiting in self._held.values() for event in waiting]
 
     @property
@@ -286,7 +297,10 @@ class ReorderBuffer:
 
 
 def _in_order(timed: list[tuple[int, Event]]) -> list[tuple[int, Event]]:
-    """Sort (microseconds, event) into canonical order, in place; full keys only for equal times."""
+    """Sort (microseconds, event) into canonical order, in place, and return the list.
+
+    The full sort key, which is slow, is computed for events at equal times only.
+    """
     timed.sort(key=itemgetter(0))
     first = 0
     for k in range(1, len(timed) + 1):
@@ -298,9 +312,10 @@ def _in_order(timed: list[tuple[int, Event]]) -> list[tuple[int, Event]]:
 
 
 def _sort_key(event: Event) -> _Key:
-    """Return an event's key in the canonical order: its time, then everything else.
+    """Return an event's key in the canonical order: its time, then its other fields.
 
-    So the order of events at the same time does not depend on that in which they are received.
+    With this key, the order of events at the same time does not depend on the order in which they
+    are received.
     """
     x, y = (-1.0, -1.0) if event.x is None or event.y is None else (event.x, event.y)
     seq = -1 if event.seq is None else event.seq

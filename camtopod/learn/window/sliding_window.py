@@ -1,10 +1,15 @@
 """Sliding window of event time: the events that are learned from, and integer sums over them.
 
-Events are rows, stored by column, oldest first. A row's absolute number is its index plus the
-number of rows removed so far; it changes only in `forget_camera` and `forget_cameras`. So a passage
-is stored as one number, the absolute row of the entry, in the column ``mate`` of the exit.
-Positions are in fixed point and summed per camera and grid cell; integer sums can be subtracted
-exactly, so a zone's mean and covariance do not depend on events that have left the window.
+A `Window` holds events as rows of a table, oldest first, stored by column (`_COLUMNS`). Cameras are
+numbered from 0 as their first events are added. Rows are addressed in two ways: by *index*, from 0
+for the oldest row of the window, and by *absolute number*, which is the index plus the number of
+rows removed so far (``base``) and so stays the same while the window moves. Only `forget_camera`
+and `forget_cameras` renumber rows. A passage is stored as one number: the column ``mate`` of an
+exit holds the absolute number of the row of its entry.
+
+Positions are integers (fixed point), summed per camera and grid cell. Integer sums can be
+subtracted exactly, so a zone's mean and covariance do not depend on events that have left the
+window.
 """
 
 from __future__ import annotations
@@ -26,16 +31,15 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 OPEN_PASSAGES_MAX = 100_000
 """Entries of all cameras that wait for the exit of their track; beyond, the oldest is forgotten."""
 FLOOD_SHARE, FLOOD_CAMERAS_MIN = 0.75, 3
-"""A camera floods the window if it has more than this share of a full one.
-
-This applies to sites of at least so many cameras.
+"""Share of a full window above which one camera's events flood it, and the least number of cameras
+of a site for which this is checked.
 """
 NO_CELL = -1
-"""In place of a coordinate or a cell for events without position."""
+"""Coordinate and cell of events without position."""
 NO_MATE = -1
-"""In place of the row of the entry for exits without one."""
+"""Value of ``mate`` for entries, and for exits of unknown entry."""
 FORGOTTEN = -1
-"""In place of the new index of a camera that has been forgotten."""
+"""New index of a forgotten camera in the result of `Window.forget_cameras`."""
 
 _COLUMNS = {
     "t": np.int64,
@@ -45,11 +49,16 @@ _COLUMNS = {
     "py": np.int32,
     "mate": np.int64,
 }
+"""Columns of the window: time in microseconds; index of the camera; True for an entry, False for an
+exit; position (x, y) in fixed point, `NO_CELL` if unknown; absolute row of an exit's entry, or
+`NO_MATE`.
+"""
 
 
 class WindowState(Struct):
-    """The saved state of a `Window`, whose sums follow from the rows.
+    """The saved state of a `Window`; its sums are computed from the rows again.
 
+    base, cameras, seen, columns: as in `Window`.
     open: (camera, track, absolute row of the entry) of passages that have not ended.
     """
 
@@ -61,11 +70,10 @@ class WindowState(Struct):
 
 
 class Window:
-    """The events of the last hours by column, and the sums over them by camera and grid cell.
+    """The events that are learned from, by column, and sums over them by camera and grid cell.
 
-    events_max: limit of the size of the window, in events.
-    events, camera_events: the size is ``events``, or ``camera_events`` for each camera if that is
-        more, up to the limit; ``events`` None: the limit.
+    The window holds ``events`` events, or ``camera_events`` for each camera if that is more, but
+    never more than ``events_max``. With ``events`` None it holds ``events_max``.
     """
 
     def __init__(self, events_max: int, events: int | None = None, camera_events: int = 0) -> None:
@@ -76,9 +84,10 @@ class Window:
         """Absolute number of the first row."""
         self.sums = GridSums()
         self.unplaced: list[NDArray[np.int64]] = []
-        """For each camera the numbers of entries and of exits without position in the window."""
+        """For each camera the numbers (2,) of entries and of exits without position in the window.
+        """
         self.seen: list[int] = []
-        """Events with positions of each camera that have ever been added."""
+        """Number of positioned events of each camera that have ever been added."""
         self._index: dict[str, int] = {}
         # Absolute row of the entry of each passage that has not ended, by (camera, track).
         # Ascending by row; all rows are in the window.
@@ -117,15 +126,15 @@ class Window:
         self.seen = list(state.seen)
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return one column, oldest row first, as a view that must not be written to."""
+        """Return one of the `_COLUMNS` (n,), oldest row first, as a view not to be written to."""
         return self._columns[name][self._start : self._stop]
 
     def camera_index(self, camera: str) -> int | None:
-        """Return the index of a camera, or None if it has had no event."""
+        """Return the index of a camera, or None if none of its events was added."""
         return self._index.get(camera)
 
     def append(self, batch: list[tuple[int, Event]]) -> None:
-        """Add events (microseconds, event) in order; none may be older than those already here."""
+        """Add events (microseconds, event) in order of time, none older than the newest row."""
         # Compute the columns of the new rows.
         n = len(batch)
         self._make_room(n)
@@ -150,7 +159,8 @@ class Window:
     def forget_old(self, before_us: int) -> int:
         """Remove events older than ``before_us`` or beyond the window's size; return their number.
 
-        If a camera floods the window, its own oldest events are removed first, not those of all.
+        If one camera floods the window (`FLOOD_SHARE`), its oldest events are removed before those
+        of other cameras.
         """
         old = int(np.searchsorted(self.column("t"), before_us))
         self._forget_oldest(old)
@@ -159,7 +169,7 @@ class Window:
         return old + beyond
 
     def _forget_oldest(self, drop: int) -> None:
-        """Remove the oldest ``drop`` rows."""
+        """Remove the oldest ``drop`` rows, and open passages that began in them."""
         if drop > 0:
             self._update_sums(slice(self._start, self._start + drop), -1)
             self._start += drop
@@ -186,7 +196,7 @@ class Window:
     def forget_camera(self, camera: int, before: int) -> int:
         """Remove the camera's rows before the absolute row ``before``; return their number.
 
-        The absolute numbers of the remaining rows change, and those of passages with them.
+        The remaining rows get new absolute numbers.
         """
         gone = np.zeros(len(self), np.bool_)
         gone[: max(before - self.base, 0)] = True
@@ -194,9 +204,9 @@ class Window:
         return self._drop(gone)
 
     def forget_cameras(self, names: Set[str]) -> NDArray[np.int64]:
-        """Forget these cameras and their events, and renumber the others.
+        """Forget cameras and their events, and renumber the other cameras.
 
-        Return the new index of each camera by its old one, `FORGOTTEN` for the forgotten ones.
+        Return the new index of each camera, by old index; `FORGOTTEN` for the forgotten ones.
         """
         # Remove the events.
         kept = np.array([name not in names for name in self.cameras], np.bool_)
@@ -213,18 +223,18 @@ class Window:
         }
 
         # Remove the cameras.
-        stay = np.flatnonzero(kept).tolist()
-        self.sums.keep(stay)
+        others = np.flatnonzero(kept).tolist()
+        self.sums.keep(others)
         self.unplaced, self.seen = (
-            [self.unplaced[camera] for camera in stay],
-            [self.seen[camera] for camera in stay],
+            [self.unplaced[camera] for camera in others],
+            [self.seen[camera] for camera in others],
         )
-        self.cameras = [self.cameras[camera] for camera in stay]
+        self.cameras = [self.cameras[camera] for camera in others]
         self._index = {name: camera for camera, name in enumerate(self.cameras)}
         return number
 
     def _drop(self, gone: NDArray[np.bool_]) -> int:
-        """Remove the rows of the mask ``gone`` (n,), of any age; return their number."""
+        """Remove the rows of the mask ``gone`` (n,), of any age; return the number of rows."""
         drop = int(gone.sum())
         self._update_sums(np.flatnonzero(gone) + self._start, -1)
 
@@ -247,7 +257,7 @@ class Window:
         return drop
 
     def cell_sums(self, camera: int) -> CellSums:
-        """Return the sums over one camera's events that have positions, each (rows, columns)."""
+        """Return the sums over one camera's positioned events, by cell of the grid."""
         return CellSums(*self.sums[camera][:6])
 
     def rows_of_cameras(self) -> list[NDArray[np.intp]]:
@@ -278,7 +288,10 @@ class Window:
         return index
 
     def _mate(self, camera: int, event: Event, row: int) -> int:
-        """Return the absolute row of the entry that an exit ends; remember an entry, at ``row``."""
+        """Return the value of ``mate`` for a new event; remember entries that have a track.
+
+        row: absolute number of the event's row.
+        """
         if event.track is None:
             return NO_MATE
         key = (camera, str(event.track))
@@ -291,7 +304,10 @@ class Window:
         return NO_MATE
 
     def _update_sums(self, rows: slice | NDArray[np.intp], sign: int) -> None:
-        """Add rows to the sums of their cameras (``sign`` +1) or subtract them (-1)."""
+        """Add rows to the sums of their cameras (``sign`` +1) or subtract them (-1).
+
+        rows: rows of the columns as stored, counted from the beginning of the arrays.
+        """
         # Find the cell of each event, and the events of each camera.
         camera, entry = self._columns["camera"][rows], self._columns["entry"][rows]
         px, py = (self._columns[name][rows].astype(np.int64) for name in ("px", "py"))
@@ -299,18 +315,18 @@ class Window:
         order = np.argsort(camera, kind="stable")
         present, first = np.unique(camera[order], return_index=True)
 
-        for index, here in zip(present.tolist(), np.split(order, first)[1:], strict=True):
+        for index, events in zip(present.tolist(), np.split(order, first)[1:], strict=True):
             # Events with positions count by cell.
-            placed = here[cell[here] >= 0]
+            placed = events[cell[events] >= 0]
             at, x, y = cell[placed], px[placed], py[placed]
             if len(at):
                 values = np.stack((np.ones_like(x), x, y, x * x, x * y, y * y, entry[placed]))
                 self.sums.add(index, at, sign * values)
             self.seen[index] += len(at) if sign > 0 else 0
 
-            # The others count as entries and exits.
-            came = int(entry[here].sum()) - int(entry[placed].sum())
-            self.unplaced[index] += sign * np.array([came, len(here) - len(placed) - came])
+            # Events without position count as entries or exits of their camera.
+            entries = int(entry[events].sum()) - int(entry[placed].sum())
+            self.unplaced[index] += sign * np.array([entries, len(events) - len(placed) - entries])
 
     def _make_room(self, n: int) -> None:
         """Make room for ``n`` more rows at the end, in larger columns if needed."""
@@ -332,7 +348,10 @@ def _fixed_point(value: float | None, other: float | None) -> int:
 
 
 def cells_of(px: NDArray[np.int64], py: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the flat grid cell (row * columns + column) of fixed-point positions, -1 for none."""
+    """Return the flat grid cell (n,), row * columns + column, of positions; `NO_CELL` for none.
+
+    px, py (n,): positions in fixed point (`POSITION_ONE`), `NO_CELL` if unknown.
+    """
     column = np.minimum(px * GRID_COLUMNS // POSITION_ONE, GRID_COLUMNS - 1)
     row = np.minimum(py * GRID_ROWS // POSITION_ONE, GRID_ROWS - 1)
     return np.where(px < 0, NO_CELL, row * GRID_COLUMNS + column)

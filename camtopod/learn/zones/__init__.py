@@ -1,14 +1,18 @@
 """Entry and exit zones: where in a camera's view objects appear and disappear.
 
-Reading order: `zone_map` turns sums over a camera's grid cells into numbered zones, by way of
-`partition`, which assigns the cells to zones. `partition` builds on
+The view is a grid of 30 rows and 24 columns. For each camera and cell, `cell_sums` stores how many
+events fell into the cell and the sums of their positions; everything here is computed from these
+sums. Events of tracks that begin or end anywhere in the view belong to no zone: they are *clutter*.
 
-* `clutter`: the rate of events that belong to no zone, and the first groups of cells;
+Reading order: `zone_map` turns the sums of a camera into numbered zones (`find_zones`). For that,
+`partition` assigns the cells that have events to zones or to clutter. `partition` builds on
+
+* `clutter`: the rate of clutter around each cell, and the first groups of cells;
 * `daspec`: data spectroscopy, the clustering method of the thesis;
 * `marginal_likelihood`: the evidence that a group of events is one zone;
-* `separation`: the evidence that two groups are separated by a gap or a valley.
+* `separation`: the evidence that two groups of events are two zones.
 
-`mixture` labels every cell of the grid once the zones are known. `cell_sums` stores the sums.
+Last, `mixture` assigns every cell of the grid to one of the zones found, or to clutter.
 """
 
 from __future__ import annotations

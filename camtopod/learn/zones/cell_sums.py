@@ -1,7 +1,7 @@
-"""Integer sums over events by camera and grid cell.
+"""Sums over events by camera and grid cell, as integers, from which zones are found.
 
-Only cells that have events take memory: a camera with a single event takes about a hundred bytes,
-one with events in every cell 50 KB.
+`GridSums` holds the seven sums (`PLANES`) of each cell. Only cells that have events take memory: a
+camera with a single event takes about a hundred bytes, one with events in every cell 50 KB.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from camtopod.arrays import Longs
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 PLANES = ("count", "sx", "sy", "sxx", "sxy", "syy", "entries")
-"""The sums of each cell: events, positions x and y, their products, and those events that are
-entries.
+"""Names of the sums of each cell: number of events; sums of x, y, x x, x y and y y, with positions
+in fixed point; number of events that are entries.
 """
 
 
@@ -30,7 +30,7 @@ class GridSums:
         self._sums: list[Longs] = []
 
     def __getitem__(self, camera: int) -> Longs:
-        """Return a copy of the camera's sums (planes, rows, columns)."""
+        """Return a copy of the camera's sums (planes, rows, columns), in the order of `PLANES`."""
         whole = np.zeros((len(PLANES), GRID_ROWS * GRID_COLUMNS), np.int64)
         whole[:, self._cells[camera]] = self._sums[camera]
         return whole.reshape(-1, GRID_ROWS, GRID_COLUMNS)
@@ -41,7 +41,7 @@ class GridSums:
         self._sums.append(np.zeros((len(PLANES), 0), np.int64))
 
     def keep(self, cameras: Iterable[int]) -> None:
-        """Forget all cameras but these, and renumber these in the given order."""
+        """Keep only the given cameras, and number them from 0 in the given order."""
         cameras = list(cameras)
         self._cells = [self._cells[camera] for camera in cameras]
         self._sums = [self._sums[camera] for camera in cameras]
@@ -54,7 +54,8 @@ class GridSums:
         """Add events of a camera.
 
         cell (n,): flat index of the grid cell of each event.
-        values (planes, n): values of each event; negative to subtract an event added before.
+        values (planes, n): what each event adds to the sums of its cell, in the order of `PLANES`;
+            negative to subtract an event that was added before.
         """
         # Insert cells that have had no events.
         cells, sums = self._cells[camera], self._sums[camera]
@@ -70,7 +71,7 @@ class GridSums:
             np.add.at(plane, at, value)
 
         # Drop cells that have no events any more.
-        some = sums[0] > 0
-        if not some.all():
-            cells, sums = cells[some], sums[:, some]
+        occupied = sums[0] > 0
+        if not occupied.all():
+            cells, sums = cells[occupied], sums[:, occupied]
         self._cells[camera], self._sums[camera] = cells, sums

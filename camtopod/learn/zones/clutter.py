@@ -1,9 +1,11 @@
-"""Clutter: the density floor of events that belong to no zone, and DaSpec on the cells above it.
+"""Clutter: events that belong to no zone, how dense they are, and DaSpec without them.
 
-Clutter is made of tracks that begin or end anywhere in the view, as broken tracks and false
-detections do. DaSpec makes zones of it (5 % uniform clutter gives 6 to 9 zones instead of 3), so it
-is removed first. Its rate is estimated from the sparse cells. It varies over the image, but on a
-larger scale than a zone. The groups found here are the starting point of `partition`.
+Clutter is made of tracks that begin or end anywhere in the view, such as broken tracks and false
+detections. DaSpec makes zones of clutter (5 % uniform clutter gives 6 to 9 zones instead of 3), so
+clutter is removed first. `clutter_rates` estimates the expected number of clutter events around
+each cell from the sparse cells; this rate varies over the image, but on a larger scale than a zone.
+`dense_cells` removes the clutter, and `daspec_groups` groups the cells that remain: these groups
+are the starting point of `partition`.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ FLOOR_PROBABILITY = 0.01
 less than this probability.
 """
 SEARCH_PROBABILITY = 0.0001
-"""`FLOOR_PROBABILITY` for the later search among events that were taken for clutter."""
+"""Value of `FLOOR_PROBABILITY` for the later search among events that were taken for clutter."""
 FLOOR_WIDTHS = (0.75, 1.75)
 """Standard deviations of the kernels that define a cell's surroundings, grid steps.
 
@@ -39,8 +41,8 @@ DASPEC_RUNS_MAX = 3
 WIDTH = 4.0
 """Standard deviation, grid steps, of the kernel that averages clutter; larger than a zone."""
 DENSER = 2.0
-"""A cell counts as clutter up to this multiple of the local rate, plus three standard deviations
-of Poisson noise, however many events there are.
+"""A cell counts as clutter up to this multiple of the local rate of clutter, plus three standard
+deviations of Poisson noise and one event.
 """
 DENSER_MAX = 4.0
 """Largest local rate of clutter, as a multiple of its mean over the image."""
@@ -52,7 +54,13 @@ _WIDE_ROWS, _WIDE_COLUMNS = kernel_1d(GRID_ROWS, WIDTH), kernel_1d(GRID_COLUMNS,
 
 
 def _surroundings(width: float) -> tuple[Floats, Floats, Floats]:
-    """Return the kernels of rows and columns, and for each cell (sum K) / (sum K^2)."""
+    """Return the Gaussian kernels by which events around each cell are summed.
+
+    width: standard deviation, grid steps.
+
+    The results are the kernels K along rows and along columns, and (sum K) / (sum K^2) of each
+    cell, by which a kernel-weighted sum of Poisson counts is scaled to one Poisson count.
+    """
     rows, columns = kernel_1d(GRID_ROWS, width), kernel_1d(GRID_COLUMNS, width)
     area = np.outer(rows.sum(axis=0), columns.sum(axis=0))
     return rows, columns, area / np.outer((rows**2).sum(axis=0), (columns**2).sum(axis=0))
@@ -64,7 +72,10 @@ _ROWS, _COLUMNS, _SCALES = (
 
 
 def clutter_rate(count: Counts) -> float:
-    """Return the events of clutter per cell: the mean of all cells not significantly above it."""
+    """Return the number of clutter events per cell, from events ``count`` (rows, columns).
+
+    The rate is the mean over the cells that are not significantly above it, found by iteration.
+    """
     n = np.sort(count, axis=None).astype(np.float64)
     upto = np.cumsum(n)
     rate = float(upto[-1]) / len(n)
@@ -77,11 +88,13 @@ def clutter_rate(count: Counts) -> float:
 
 
 def clutter_rates(count: Counts) -> Floats:
-    """Return the `clutter_rate` around each cell, in the shape of ``count`` (rows, columns).
+    """Return the expected number of clutter events in each cell, in the shape of ``count``.
 
-    Clutter is denser where people walk or light flickers. The rate starts at `DENSER_MAX` times
-    that of the whole image and falls from iteration to iteration, until the set of cells that count
-    as clutter no longer changes.
+    count (rows, columns): events of each cell.
+
+    Clutter is denser where people walk or light flickers. The rates start at `DENSER_MAX` times
+    the `clutter_rate` of the whole image and fall from iteration to iteration, until the set of
+    cells that count as clutter no longer changes.
     """
     n = np.asarray(count, dtype=np.float64)
     mean = clutter_rate(count)
@@ -90,35 +103,38 @@ def clutter_rates(count: Counts) -> Floats:
     for _ in range(ROUNDS):
         before, kept = kept, n <= DENSER * rate + 3 * np.sqrt(rate) + 1
         if (kept == before).all():
-            break  # the same cells have the same rates
+            break
         weight, around = _WIDE_ROWS @ np.array((kept, kept * n)) @ _WIDE_COLUMNS
         rate = np.minimum(rate, (around + EVENTS_ALIKE) / (weight + EVENTS_ALIKE / mean))
     return rate
 
 
 def _clutter_probability(count: Counts, rate: Floats, which: NDArray[np.bool_]) -> Floats:
-    """Return the probability that clutter alone puts as many events around a cell; 1 if not small.
+    """Return the probability that clutter alone makes as many events around a cell, (n,).
 
-    which (rows, columns): mask of the cells to test; the result has one value for each.
+    count, rate (rows, columns): events of each cell, and expected events of clutter.
+    which (rows, columns): mask of the n cells to test.
 
-    The smallest probability over the sizes of surroundings (`FLOOR_WIDTHS`) counts. A
-    kernel-weighted sum of Poisson counts is distributed approximately like one count over
+    Large probabilities are returned as 1. Of the probabilities for the two sizes of the
+    surroundings (`FLOOR_WIDTHS`) the smaller counts.
+    A kernel-weighted sum of Poisson counts is distributed approximately like one count over
     (sum K)^2 / (sum K^2) cells.
     """
     inside, expected = (_ROWS @ np.array((count, rate))[:, None] @ _COLUMNS * _SCALES)[:, :, which]
     # Up to a standard deviation above the expectation the probability is at least about 1/7, far
     # above any threshold in use.
-    some = inside > expected + np.sqrt(expected)
+    above = inside > expected + np.sqrt(expected)
     chances = np.ones(inside.shape)
-    chances[some] = gammainc(np.maximum(inside[some], 1e-9), expected[some])
+    chances[above] = gammainc(np.maximum(inside[above], 1e-9), expected[above])
     return np.asarray(chances.min(axis=0))
 
 
 def dense_cells(count: Counts, rate: Floats, chance: float) -> Floats:
-    """Return the events above the clutter in cells that stand out from it, 0 in all others.
+    """Return the events beyond the expected clutter in cells that stand out, 0 in all others.
 
-    count, rate (rows, columns): events, and expected events of clutter.
-    chance: a cell stands out if clutter alone explains its surroundings with less probability.
+    count, rate (rows, columns): events of each cell, and expected events of clutter.
+    chance: a cell stands out if clutter alone would make as many events around it with a
+        probability below this.
     """
     keep = (count > rate + 2 * np.sqrt(rate)) & (count > CONTRAST_MIN * rate)
     if not keep.any():
@@ -128,8 +144,11 @@ def dense_cells(count: Counts, rate: Floats, chance: float) -> Floats:
 
 
 def daspec_groups(dense: Floats) -> Labels:
-    """Return DaSpec's group of each dense cell (rows * columns,), -1 in all others."""
-    # Half the bandwidth of the rule: too many groups rather than too few, as `partition` merges.
+    """Return the DaSpec group of each cell (rows * columns,), -1 where ``dense`` is 0.
+
+    dense (rows, columns): events of the cells to group (`dense_cells`).
+    """
+    # Half the bandwidth of the rule: too many groups are fine, as `partition` merges groups.
     dense = dense.copy()
     width = max(bandwidth(dense) / 2, BANDWIDTH_MIN)
     labels = np.full(dense.size, -1, dtype=np.intp)
@@ -137,12 +156,12 @@ def daspec_groups(dense: Floats) -> Labels:
     for _ in range(DASPEC_RUNS_MAX):
         # Keep the groups of the cells that the eigenvectors of this run reach.
         found = data_spectroscopy(dense, width)
-        own = found.vectors[np.arange(len(found.cells)), found.labels]
-        reached = own > found.vectors.max(axis=0)[found.labels] * max(1 / dense.sum(), 1e-3)
+        entry = found.vectors[np.arange(len(found.cells)), found.labels]
+        reached = entry > found.vectors.max(axis=0)[found.labels] * max(1 / dense.sum(), 1e-3)
         labels[found.cells[reached]] = found.labels[reached] + groups
         groups += found.groups
 
-        # Go on with the other cells.
+        # Run again on the other cells.
         dense.ravel()[found.cells[reached]] = 0
         if not dense.any():
             break

@@ -1,10 +1,13 @@
-"""Data spectroscopy (DaSpec) over weighted grid cells (thesis sections 2.4, 4.2, 5.1).
+"""Data spectroscopy (DaSpec): spectral clustering of weighted grid cells (thesis 2.4, 4.2, 5.1).
 
 Source: Shi, Belkin, Yu, "Data spectroscopy: eigenspaces of convolution operators and clustering",
-Annals of Statistics 37(6B), 2009. There, n points give the matrix
-``K_ij = exp(-|x_i - x_j|^2 / 2 w^2) / n``. Points in the same grid cell have the same row, so the
-matrix is equivalent to ``D^1/2 K D^1/2`` over the occupied cells, where D holds each cell's share
-of the points. It has the same nonzero eigenvalues, and the entry of a point in an eigenvector is
+Annals of Statistics 37(6B), 2009. There, n points and a bandwidth w give the matrix
+``K_ij = exp(-|x_i - x_j|^2 / 2 w^2) / n``. Its eigenvectors that do not change sign are the
+clusters, and a point belongs to the one with the largest entry at the point.
+
+Here points are events on a grid. Points in the same grid cell have the same row in K, so the matrix
+is equivalent to ``D^1/2 K D^1/2`` over the occupied cells, where D holds each cell's share of the
+points. That matrix has the same nonzero eigenvalues, and the entry of a point in an eigenvector is
 that of its cell divided by the root of the cell's count. The cost does not depend on the number of
 points, only on the number of occupied cells.
 
@@ -22,26 +25,30 @@ from scipy.special import gammaincinv
 from camtopod.arrays import Floats
 
 SHARE_NEAR = 0.05
-"""Share of all points that makes up a point's neighbourhood: the authors' 5 % quantile."""
+"""Share of all points that makes up a point's neighbourhood in `bandwidth` (the authors' 5 %)."""
 POINTS_NEAR_MIN = 5
-"""Least points in a neighbourhood in `bandwidth`: 5 % of 15 points is less than one."""
+"""Least number of points in a neighbourhood in `bandwidth`, as 5 % of 15 points is less than one.
+"""
 BANDWIDTH_MIN = 0.75
 """Least bandwidth, grid steps; a narrower kernel resolves the grid instead of the points."""
 EIGENVECTORS_MAX = 48
-"""Most eigenvectors considered, and so most groups."""
+"""Largest number of eigenvectors considered, and so of groups."""
 _CHI_95 = float(np.sqrt(2.0 * gammaincinv(1.0, 0.95)))
 """Root of the 95 % quantile of chi-squared with two degrees of freedom."""
 
 
 class Spectrum(NamedTuple):
-    """The kept eigenvectors of a grid of counts: G groups over m occupied cells.
+    """Result of DaSpec on a grid of counts: G groups of the m occupied cells.
+
+    Each group belongs to an eigenvector that does not change sign.
 
     shape: rows and columns of the grid.
     bandwidth: of the kernel, grid steps.
     counts (m,): points in each occupied cell.
     cells (m,): flat index of each occupied cell.
     values (G,): eigenvalues, descending.
-    vectors (m, G): entry of each *point* in the cell in each unit eigenvector over all points.
+    vectors (m, G): entry of each *point* of a cell in each eigenvector; these have unit length
+        over all points.
     labels (m,): group of each occupied cell.
     """
 
@@ -55,7 +62,7 @@ class Spectrum(NamedTuple):
 
     @property
     def groups(self) -> int:
-        """Number of groups G, which is that of the kept eigenvectors."""
+        """Number of groups, G."""
         return len(self.values)
 
     def grid(self) -> NDArray[np.int16]:
@@ -66,9 +73,11 @@ class Spectrum(NamedTuple):
 
 
 def kernel_1d(size: int, bandwidth: float) -> Floats:
-    """Return the Gaussian kernel (size, size) along one axis of the grid.
+    """Return the Gaussian kernel (size, size) between the grid positions along one axis.
 
-    The kernel over both axes is the product of the two.
+    bandwidth: standard deviation, grid steps.
+
+    The kernel between cells is the product of the kernels along both axes.
     """
     steps = np.arange(size)
     kernel: Floats = np.exp(-0.5 * ((steps[:, None] - steps) / bandwidth) ** 2)
@@ -76,10 +85,13 @@ def kernel_1d(size: int, bandwidth: float) -> Floats:
 
 
 def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum:
-    """Group the occupied cells of ``counts`` (rows, columns), at least one of which is positive.
+    """Group the occupied cells of a grid by DaSpec.
 
-    An eigenvector is kept if it does not change sign, up to ``max|v| / n``. Its sign is fixed so
-    that its largest entry is positive, which makes the result a function of the counts.
+    counts (rows, columns): points in each cell; at least one is positive.
+    bandwidth: of the kernel, grid steps.
+
+    An eigenvector v is kept if it does not change sign, up to ``max|v| / n``. Its sign is fixed so
+    that its largest entry is positive, so the result depends on the counts alone.
     """
     # The occupied cells, and the kernel matrix over them.
     grid = np.asarray(counts, dtype=np.float64)
@@ -98,7 +110,7 @@ def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum
     values, vectors = np.linalg.eigh(matrix)
     values, vectors = values[: -EIGENVECTORS_MAX - 1 : -1], vectors[:, : -EIGENVECTORS_MAX - 1 : -1]
     vectors = vectors / np.sqrt(weights)[:, None]
-    # Even a group of one point has an eigenvalue of at least 1/n; smaller ones are rounding noise.
+    # Even a group of one point has an eigenvalue of at least 1/n; smaller ones are rounding errors.
     real = values >= min(0.5 / n, values[0])
     values, vectors = values[real], vectors[:, real]
 
@@ -115,11 +127,15 @@ def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum
 
 
 def bandwidth(counts: NDArray[np.generic]) -> float:
-    """Return the bandwidth in grid steps for counts (rows, columns) without clutter.
+    """Return the DaSpec bandwidth, in grid steps, for a grid of points without clutter.
 
-    The authors' rule with two changes. A neighbourhood is the circle around a point that holds 5 %
-    of the points *and* at least five, itself included, for grids of few points. The result is at
-    least `BANDWIDTH_MIN`, for many points in narrow doors, which all share a cell.
+    counts (rows, columns): points in each cell.
+
+    The bandwidth is the 95 % quantile, over points, of the radius of a point's neighbourhood,
+    divided by the root of the 95 % quantile of chi-squared. This is the authors' rule with two
+    changes. For grids of few points, a neighbourhood is the circle that holds 5 % of the points
+    *and* at least five, its own included. For many points in a narrow door, which all share a cell,
+    the result is at least `BANDWIDTH_MIN`.
     """
     # Radius of the neighbourhood of each occupied cell.
     grid = np.asarray(counts, dtype=np.float64)

@@ -1,14 +1,14 @@
-"""Evidence that a group of events is one zone: the marginal likelihood of a Gaussian with unknown
-mean and covariance.
+"""Evidence that a group of events is one zone: marginal likelihood under a Gaussian.
 
-A group is given by six sums (n, Sx, Sy, Sxx, Sxy, Syy) in image units, along the first axis of the
-arrays here; the sums of two groups add up to those of their union. The mean has a flat prior over
-the image (area 1). The covariance has an inverse Wishart prior that expects a zone of standard
-deviation `ZONE_SD` and weighs as much as one or two events.
+A group of events is given by its six sums (n, Sx, Sy, Sxx, Sxy, Syy) in image units; the sums of
+two groups add up to those of their union. The functions here take many groups at once: an array
+(6, ...) of sums, or arrays computed from it. The Gaussian's mean is unknown with a flat prior over
+the image (area 1). Its covariance is unknown with an inverse Wishart prior that expects a zone of
+standard deviation `ZONE_SD` and weighs as much as one or two events.
 
-The alternative is clutter, which is uniform over the image: its likelihood is 1 (log 0) for any
-number of events. A group of a single event has exactly that evidence, too, and so never makes a
-zone.
+The alternative to a zone is clutter, which is uniform over the image: its likelihood is 1 (log 0)
+for any number of events. A group of a single event has likelihood 1 as a zone, too, so a single
+event never makes a zone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from scipy.special import gammaln, multigammaln
 from camtopod.arrays import Floats
 
 ZONE_SD = 0.02
-"""Prior standard deviation of a zone, image units; a third or three times of it costs little."""
+"""Prior standard deviation of a zone, image units.
+
+The prior is wide: a third of this or three times as much costs little evidence.
+"""
 _FREEDOM = 4.0
 """Degrees of freedom of the inverse Wishart prior."""
 _SCALE = 5 * ZONE_SD**2
@@ -29,9 +32,9 @@ SHARE_PRIOR = 1.0
 
 
 def moments(groups: Floats) -> tuple[Floats, Floats]:
-    """Return the mean (2, ...) and scatter (3, ...) of each group.
+    """Return the mean (2, ...) and the scatter (3, ...) of groups given by their sums (6, ...).
 
-    Scatter is the sums of squared deviations from the mean (xx, xy, yy).
+    The scatter holds the sums of products of deviations from the mean, as xx, xy, yy.
     """
     mean = groups[1:3] / np.maximum(groups[0], 1e-12)
     (sx, sy), (x, y) = groups[1:3], mean
@@ -39,27 +42,35 @@ def moments(groups: Floats) -> tuple[Floats, Floats]:
 
 
 def gaussians(groups: Floats) -> tuple[Floats, Floats]:
-    """Return the mean (2, ...) and posterior covariance (3, ...: xx, xy, yy) of each group."""
+    """Return the mean (2, ...) and the posterior covariance (3, ...: xx, xy, yy) of groups.
+
+    groups (6, ...): sums of each group.
+    """
     mean, scatter = moments(groups)
     return mean, covariance(groups[0], scatter)
 
 
 def covariance(n: Floats, scatter: Floats) -> Floats:
-    """Return the covariance of `gaussians` from numbers of events and scatter (`moments`)."""
+    """Return the posterior covariance (3, ...: xx, xy, yy) of groups.
+
+    n (...): number of events of each group.
+    scatter (3, ...): as returned by `moments`.
+    """
     xx, xy, yy = scatter
     cov: Floats = np.array((xx + _SCALE, xy, yy + _SCALE)) / (n + (_FREEDOM - 1))
     return cov
 
 
 def log_zone(n: Floats, scatter: Floats) -> Floats:
-    """Return how well each group is explained as one zone, a log probability relative to clutter.
-
-    It is the log marginal likelihood of the group plus its term in the log prior of the partition
-    (`log_zones`). With these values of `_FREEDOM` and `SHARE_PRIOR` the gamma functions of both
-    reduce, by the duplication formula, to powers of two times the same factorial.
+    """Return the log probability (...) of each group as one zone, relative to clutter.
 
     n (...): number of events of each group.
-    scatter (3, ...): see `moments`.
+    scatter (3, ...): as returned by `moments`.
+
+    The result is the log marginal likelihood of the group plus the group's term in the log prior of
+    the partition (`log_zones`). With these values of `_FREEDOM` and `SHARE_PRIOR` the gamma
+    functions of the two reduce, by the duplication formula, to powers of two times the same
+    factorial.
     """
     factorial = gammaln(n + 1)
     n = np.maximum(n, 1.0)

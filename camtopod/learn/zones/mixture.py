@@ -1,4 +1,9 @@
-"""Classification by a Gaussian mixture with uniform clutter (thesis section 2.8, eq. 2.5-2.6)."""
+"""Assign grid cells to known zones: a Gaussian mixture with clutter (thesis 2.8, eq. 2.5, 2.6).
+
+Once a camera's zones are known, `classify_cells` computes for every cell of the grid which zone, or
+clutter, an event in the cell most probably belongs to. Events lie on the grid, so this one table
+classifies all events until the zones are learned again.
+"""
 
 from __future__ import annotations
 
@@ -47,13 +52,13 @@ def log_density(x: Floats, y: Floats, component: Component) -> Floats:
 
 
 def _figures(component: Component) -> tuple[float, float, float, float, float]:
-    """Return mean x, mean y, and the covariance as xx, xy, yy."""
+    """Return mean x, mean y, and the covariance as xx, xy, yy, of a component."""
     (xx, xy), (_, yy) = component.cov
     return component.x, component.y, xx, xy, yy
 
 
 def _log_density(x: Floats, y: Floats, *figures: float | Floats) -> Floats:
-    """Return `log_density` for the `_figures` of a component, or for arrays of them.
+    """Compute `log_density` for the `_figures` of a component, or of several as arrays.
 
     Arrays must broadcast with the positions.
     """
@@ -71,8 +76,9 @@ def _log_density(x: Floats, y: Floats, *figures: float | Floats) -> Floats:
 def classify_cells(components: Sequence[Component], clutter: float | Floats) -> NDArray[np.int16]:
     """Return the component with the largest posterior (eq. 2.6) in each grid cell, -1 for clutter.
 
-    clutter (scalar or (GRID_ROWS, GRID_COLUMNS)): events outside all zones per event inside, times
-        the density of clutter in the cell relative to a uniform one.
+    components: the zones of the camera; the result holds indices into them.
+    clutter (scalar or (GRID_ROWS, GRID_COLUMNS)): number of clutter events per event in a zone,
+        times the density of clutter in the cell relative to its mean over the image.
     """
     scores = np.empty((len(components) + 1, GRID_ROWS, GRID_COLUMNS))
     scores[0] = np.log(np.maximum(clutter, 1e-3))

@@ -1,17 +1,23 @@
 """Partition of a camera's grid cells into zones and clutter: a robust DaSpec (thesis 4.2).
 
-1. *Density floor*: the rate of clutter around each cell is estimated from the sparse cells, and
-   cells whose surroundings it explains are left out (`clutter`).
-2. *DaSpec* (`daspec`) over the remaining cells, and again over those that no kept eigenvector
-   reaches, such as those of a zone with less than 5 % of the points. The bandwidth is half that of
-   the rule, for too many groups rather than too few.
-3. *Moves* until none improves the partition: merge groups that are not two zones, drop groups that
-   are not denser than clutter, assign each cell to the Gaussian that explains it best, split groups
-   that are two zones, and run DaSpec again on the clutter.
+The input are the occupied cells of a camera's grid, with the sums of their events (`Cells`); the
+result of `partition` is the zone of each cell, or clutter. Steps:
+
+1. *Density floor* (`clutter`): the rate of clutter around each cell is estimated from the sparse
+   cells, and cells that clutter alone explains are left out.
+2. *DaSpec* (`daspec`) groups the remaining cells, and runs again over cells that no eigenvector of
+   the first run reaches, such as those of a zone with less than 5 % of the points. Its bandwidth is
+   half that of the rule, as too many groups are better than too few.
+3. *Moves* (`_Partition.improve`) until none improves the partition: merge groups that are not two
+   zones, drop groups that are not denser than clutter, assign each cell to the Gaussian that
+   explains it best, split groups that are two zones, and run DaSpec again on the clutter.
 
 Two groups are two zones if two Gaussians explain them better than one (`marginal_likelihood`) and
-there is a valley between them (`separation`). The first criterion alone would cut every zone that
-is not Gaussian; the second alone is weak for few events.
+there is a valley, a stretch of low density, between them (`separation`). The first criterion alone
+would cut every zone that is not Gaussian; the second alone is weak for few events.
+
+A partition may also start from an earlier one, which is then *held*: it changes only on clear
+evidence (`HOLD`).
 """
 
 from __future__ import annotations
@@ -43,46 +49,46 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 Labels = NDArray[np.intp]
 
 EVENTS_MIN = 5
-"""With fewer events than this, all cells of a camera are one zone."""
+"""Least number of events of a camera for more than one zone; with fewer, all its cells are one."""
 ZONE_EVENTS_MIN = 3
-"""Least events of a zone beside others.
+"""Least number of events of a zone if a camera has several.
 
 Where there is hardly any clutter, two events are unlikely to coincide by chance, but two points
 have no extent in the second dimension.
 """
 PAIR_EVENTS = 1000.0
-"""Limit of the weight of a pair of groups in splitting and merging, as no zone is exactly Gaussian.
+"""Limit of the number of events that a pair of groups counts for when it is split or merged.
 
-n events weigh as much as n / (1 + n / PAIR_EVENTS) (Miller, Dunson: Robust Bayesian inference via
-coarsening, JASA 2019).
+No zone is exactly Gaussian, so with unlimited evidence every zone would be split. n events count as
+n / (1 + n / PAIR_EVENTS) (Miller, Dunson: Robust Bayesian inference via coarsening, JASA 2019).
 """
 VALLEY_MIN = 3.5
-"""Least log likelihood ratio of a valley where the evidence favours two Gaussians."""
+"""Least log likelihood ratio of a valley if two Gaussians explain the events better than one."""
 VALLEY_ALONE = 8.0
-"""Least log likelihood ratio of a valley where the evidence does not favour two Gaussians.
+"""Least log likelihood ratio of a valley if two Gaussians do not explain the events better.
 
-This finds several doors in a row, which look like one Gaussian whichever way they are cut in two.
+Several doors in a row need it: however they are cut in two, the two parts look like one Gaussian.
 """
 UNLIKE_GAIN_PER_EVENT = 2.0
 """Gain of log posterior per event of the smaller group above which no valley is needed."""
 EXCESS_MIN = 11.0
-"""Log likelihood ratio of a surplus over clutter at which a group is a zone, however badly its
-Gaussian fits.
+"""Log likelihood ratio of the events beyond the expected clutter above which a group is a zone,
+even if its Gaussian fits badly.
 
 An example is a fire door, if half of the events in its cells are clutter.
 """
 HOLD = 1.5
-"""Hysteresis of the thresholds while zones are held, so that the numbers of zones do not flicker.
+"""Factor on the thresholds of evidence when an earlier partition is held.
 
-The evidence for a new zone must be this many times as strong as without held zones, and a zone
-goes once its evidence is this many times weaker.
+A new zone needs this many times the usual evidence, and a held zone is dropped only if its
+evidence is this many times smaller than a new zone would need. So zones do not come and go.
 """
 HOLD_GAIN = 3.0
-"""Least gain of log posterior of a change while zones are held, where the threshold is else 0."""
+"""Least gain of log posterior of a change when an earlier partition is held; otherwise it is 0."""
 _ROUNDS_MAX = 6
-"""Most rounds of moves."""
+"""Largest number of rounds of moves."""
 _GAIN_HOPELESS = -10.0
-"""Cuts with a gain of log posterior up to this are not tested for a valley."""
+"""Gain of log posterior up to which a cut is not tested for a valley, to save time."""
 _X = (np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS
 _Y = ((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS)[:, None]
 _CELL_SPREAD = np.array([[1 / GRID_COLUMNS**2], [0.0], [1 / GRID_ROWS**2]]) / 12
@@ -91,17 +97,18 @@ _ANGLES = np.arange(6) * np.pi / 6
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 """Unit vectors (x, y) perpendicular to the cuts of groups."""
 _CUTS_TRIED = 2
-"""Cuts of a group tested for a valley, best first."""
+"""Number of cuts of a group that are tested for a valley, best first."""
 _FIRST = np.arange(len(_ANGLES))[:, None]
+"""Row number of each direction (directions, 1)."""
 
 
 class Cells(NamedTuple):
     """The m occupied cells of a grid.
 
-    index (m,): flat index of each cell.
-    sums (6, m): sums of its events in image units, as in `marginal_likelihood`.
-    average (6, m): sums per event.
-    spread (3, m): covariance (xx, xy, yy) of the events within the cell.
+    index (m,): flat index of each cell, row * columns + column.
+    sums (6, m): sums (n, x, y, x x, x y, y y) of each cell's events, image units.
+    average (6, m): ``sums`` divided by the cell's number of events.
+    spread (3, m): covariance (xx, xy, yy) of the events within each cell.
     """
 
     index: NDArray[np.intp]  # type: ignore[assignment]  # hides an unused method of tuple
@@ -123,36 +130,40 @@ def partition(
 ) -> Labels:
     """Return the zone of each occupied cell (m,), counted from 0, or -1 for clutter.
 
-    count (rows, columns): events of each cell.
-    rates (rows, columns): expected events of clutter (`clutter_rates`).
-    held (m,): the partition so far, which is changed only where the evidence is clear (`HOLD`).
+    cells: the occupied cells.
+    count (rows, columns): number of events of each cell of the grid.
+    rates (rows, columns): expected events of clutter in each cell (`clutter_rates`).
+    held (m,): an earlier partition, which is changed only where the evidence is clear (`HOLD`);
+        None to start from nothing.
     """
-    # Improve the partition so far.
-    one = np.zeros(len(cells.index), dtype=np.intp)
+    # Improve the held partition.
+    one_zone = np.zeros(len(cells.index), dtype=np.intp)
     if held is not None and held.max() >= 0 and count.sum() >= EVENTS_MIN:
         labels = _Partition(cells, held, rates, held=True).improve()
-        return labels if labels.max() >= 0 else one
+        return labels if labels.max() >= 0 else one_zone
     if count.sum() < EVENTS_MIN:
-        return one
+        return one_zone
 
     # Start from nothing: density floor, DaSpec, moves.
     dense = dense_cells(count, rates, FLOOR_PROBABILITY)
     groups = daspec_groups(dense if dense.any() else count.astype(np.float64))
     labels = _Partition(cells, groups[cells.index], rates).improve()
-    return labels if labels.max() >= 0 else one
+    return labels if labels.max() >= 0 else one_zone
 
 
 class _Partition:
-    """A partition of the cells, improved by moves.
+    """A partition of the m occupied cells into K groups and clutter, improved by moves.
 
     labels (m,): group of each cell, -1 for clutter.
-    zones (K, 6): sums of each group.
+    zones (K, 6): sums of each group's events, as in `Cells`.
     mean (2, K), scatter (3, K), cov (3, K): of each group (`moments`, `covariance`).
     clutter: number of events outside all groups.
     as_clutter (K,): log likelihood of each group's events under the density of clutter.
-    hold, hold_gain: hysteresis of the thresholds (`HOLD`, `HOLD_GAIN`).
-    valleys: results of `_valley_between` by the sums of the two groups.
-    uncut, tried: sums of groups that could not be split, and of groups that were tried as zones.
+    density (cells of the grid,): expected clutter in each cell over its mean.
+    hold, hold_gain: `HOLD` and `HOLD_GAIN` if the first partition is held, else 1 and 0.
+    valleys: cached results of `_valley_between`, by the sums of the two groups.
+    uncut: sums of groups that could not be split.
+    tried: sums of groups that were tried as zones in `_find_among_clutter`.
     """
 
     def __init__(self, cells: Cells, labels: Labels, rates: Floats, held: bool = False) -> None:
@@ -177,7 +188,7 @@ class _Partition:
         self._set(labels)
 
     def _set(self, labels: Labels) -> None:
-        """Set the partition, and compute the statistics of its groups."""
+        """Replace the partition by ``labels`` (m,), and compute the statistics of its groups."""
         # Number the groups that have cells from 0.
         present = np.bincount(labels + 1, minlength=1) > 0
         present[0] = False
@@ -208,10 +219,10 @@ class _Partition:
         return self.labels
 
     def _find_among_clutter(self) -> bool:
-        """Make zones of groups that DaSpec finds among the clutter; return True if there are any.
+        """Run DaSpec on the clutter and add groups that are zones; return True if there are any.
 
-        Such zones exist where DaSpec had joined a zone with a bigger one, whose Gaussian then did
-        not explain the cells of the smaller one.
+        Such groups exist where DaSpec had joined a zone with a bigger one: the Gaussian of both did
+        not explain the cells of the smaller zone, which then became clutter.
         """
         # Run DaSpec on the clutter.
         outside = self.labels < 0
@@ -225,7 +236,7 @@ class _Partition:
             return False
         groups = daspec_groups(dense)[self.cells.index]
 
-        # Add its groups, and remove those that are not zones or were tried before.
+        # Add the groups, and remove those that are not zones or were tried before.
         self._set(np.where(groups >= 0, groups + known, labels))
         keys = [zone.tobytes() for zone in self.zones[known:]]
         for k in range(len(self.zones) - 1, known - 1, -1):
@@ -237,9 +248,9 @@ class _Partition:
         return len(self.zones) > known
 
     def _is_tail(self, k: int) -> bool:
-        """Return True if there is no valley between the zone and some bigger one, however far.
+        """Return True if there is no valley between zone ``k`` and some bigger zone.
 
-        Then its events are the heavy tail of that one.
+        Then the events of zone ``k`` are a heavy tail of the bigger zone, however far away it is.
         """
         others = np.flatnonzero(self.zones[:, 0] > self.zones[k, 0])
         return any(
@@ -259,10 +270,10 @@ class _Partition:
     def _merge(self) -> None:
         """Merge pairs of groups that are not two zones, the most similar pair first.
 
-        If it costs less of the log posterior, the smaller group becomes clutter instead.
+        The smaller group becomes clutter instead if the log posterior is then higher.
         """
         while len(self.zones) > 1:
-            # Gain of every pair by being two zones.
+            # Gain of log posterior of every pair by being two zones instead of one.
             zones = np.arange(len(self.zones))
             a, b = np.nonzero(zones[:, None] < zones)
             two = np.stack((a, b))
@@ -295,7 +306,7 @@ class _Partition:
                 self._join(i, j)
 
     def _drop(self) -> None:
-        """Turn groups that are better explained as clutter into it, the worst first."""
+        """Turn groups that are better explained as clutter into clutter, the worst group first."""
         while len(self.zones) > 1:
             gain = self._drop_gain(np.arange(len(self.zones)), 1 / self.hold)
             gain[self.zones[:, 0] < ZONE_EVENTS_MIN] = np.inf
@@ -305,10 +316,13 @@ class _Partition:
             self._remove(k)
 
     def _drop_gain(self, which: Labels, hold: float) -> Floats:
-        """Return the gain (len(which),) of log posterior if a zone is clutter instead.
+        """Return the gain (z,) of log posterior if a group became clutter, for each of some groups.
 
-        Two corrections: the gain is negative if the zone stands out from clutter by more than
-        ``hold`` times `EXCESS_MIN`, and positive if the zone is less than `CONTRAST_MIN` times as
+        which (z,): the groups.
+        hold: factor on `EXCESS_MIN`.
+
+        Two corrections: the gain is negative if the group stands out from clutter by more than
+        ``hold`` times `EXCESS_MIN`, and positive if the group is less than `CONTRAST_MIN` times as
         dense as the clutter around it.
         """
         # The marginal likelihoods.
@@ -328,18 +342,20 @@ class _Partition:
         return np.asarray(np.maximum(gain, -contrast))
 
     def _inside(self, which: Labels) -> tuple[Floats, Floats]:
-        """Return the events around each zone, and the number expected of clutter there.
+        """Return the number of events around each of some zones, and the expected clutter, (z,).
 
-        Events count within two standard deviations of its centre and in no other zone.
+        which (z,): the zones.
+
+        Events count within two standard deviations of the zone's centre, unless in another zone.
         """
-        # The cells around each zone (len(which), cells of the grid).
+        # The cells around each zone (z, cells of the grid).
         xx, xy, yy = (self.cov[:, which] + _CELL_SPREAD)[:, :, None, None]
         x, y = self.mean[:, which, None, None]
         dx, dy = _X - x, _Y - y
         square = yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy
         inside = (square < 4 * (xx * yy - xy * xy)).reshape(len(which), -1)
 
-        # Without those of other zones.
+        # Leave out cells of other zones.
         labels = np.full(len(self.density), -1)
         labels[self.cells.index] = self.labels
         free = labels < 0
@@ -359,25 +375,28 @@ class _Partition:
         of: Labels | slice,
         least: float,
     ) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return the gain of log posterior of two zones over one, and True where it is sufficient.
+        """Return the gain of log posterior of two zones over one, and where it is sufficient.
 
-        It is sufficient without a valley if it exceeds ``least`` and the two are far apart, or the
-        gain per event of the smaller one exceeds `UNLIKE_GAIN_PER_EVENT`. Unless they are far
-        apart, the gain is coarsened (`PAIR_EVENTS`).
+        n (2, ..., m): number of events of the two groups of each pair.
+        mean (2, 2, ..., m), scatter (3, 2, ..., m): `moments` of the two groups of each pair.
+        both (6, wholes): sums of the two groups together; several pairs may share one union.
+        of (m,): index of each pair's union in ``both``.
+        least: least gain that is sufficient.
 
-        n (2, ..., m): events of the two groups of each pair.
-        mean (2, 2, ..., m), scatter (3, 2, ..., m): their `moments`.
-        both (6, wholes): sums of the two groups together.
-        of (m,): index of each pair into ``both``.
+        A gain above ``least`` is sufficient, even without a valley, if the two groups are far apart
+        or if the gain per event of the smaller group exceeds `UNLIKE_GAIN_PER_EVENT`. Of groups
+        that are not far apart, the gain is limited by `PAIR_EVENTS`.
+
+        Both results are (..., m).
         """
-        # The two as one zone, coarsened and not.
+        # The union as one zone, with limited evidence and without the limit.
         well_apart = are_far_apart(n, mean, scatter)
         weigh = 1 / (1 + both[0] / PAIR_EVENTS)
         weights = np.array((weigh, np.ones_like(weigh)))
         wholes = self._one_zone(both[:, None] * weights, self.total * weights)[:, of]
         weight, whole = weigh[of], wholes[0]
 
-        # Pairs that are far apart are not coarsened.
+        # The evidence of pairs that are far apart is not limited.
         if well_apart.any():
             weight, whole = (
                 np.where(well_apart, 1.0, weight),
@@ -391,9 +410,13 @@ class _Partition:
         return gain, (gain > least) & (well_apart | unlike)
 
     def _one_zone(self, groups: Floats, total: Floats) -> Floats:
-        """Return the log posterior of groups (6, ...) as one zone, relative to one zone more.
+        """Return the log posterior (...) of groups as one zone, for comparison with two zones each.
 
-        Terms that do not change if the group becomes two zones are left out.
+        groups (6, ...): sums of each group.
+        total: number of events of the camera, scaled like the sums.
+
+        The prior of one zone more is subtracted; terms that are the same for one and two zones are
+        left out.
         """
         count = len(self.zones)
         return (
@@ -414,14 +437,14 @@ class _Partition:
         return self.valleys[key]
 
     def _valley(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
-        """Compute `_valley_between`."""
+        """Compute the result of `_valley_between`."""
         # The line that discriminates the two best, and the distance of the centres along it.
         mean, cov = gaussians(np.stack((a, b), axis=1))
         (x, to_x), (y, to_y) = mean.tolist()
         to_x, to_y = to_x - x, to_y - y
         line_x, line_y = line = discriminant(cov.sum(axis=1).tolist(), (to_x, to_y))
         covs = cov.T.tolist()
-        sd_a, sd_b = (sd_along(own, line) for own in covs)
+        sd_a, sd_b = (sd_along(cov_of_one, line) for cov_of_one in covs)
         apart = line_x * to_x + line_y * to_y
         if apart == 0.0:
             return 0.0  # there is nothing between equal centres
@@ -430,7 +453,7 @@ class _Partition:
         dx, dy = self.cells.average[1] - x, self.cells.average[2] - y
         along = line_x * dx + line_y * dy
         aside = line_x * dy - line_y * dx - along * ((line_x * to_y - line_y * to_x) / apart)
-        width = max(sd_along(own, (-line_y, line_x)) for own in covs)
+        width = max(sd_along(cov_of_one, (-line_y, line_x)) for cov_of_one in covs)
         tube = (self.labels < 0) & (along > 0) & (along < apart) & (np.abs(aside) < 2 * width)
 
         # The valley along the line, from two standard deviations before to two behind the centres.
@@ -473,9 +496,9 @@ class _Partition:
         """Split every group that is two zones; return True if there is any."""
         labels = self.labels.copy()
         keys = [zone.tobytes() for zone in self.zones]
-        looked = [k for k in range(len(keys)) if keys[k] not in self.uncut]
-        parts = self._cuts(looked)
-        for k in looked:
+        uncertain = [k for k in range(len(keys)) if keys[k] not in self.uncut]
+        parts = self._cuts(uncertain)
+        for k in uncertain:
             if k in parts:
                 labels[parts[k]] = labels.max() + 1
             else:
@@ -486,9 +509,9 @@ class _Partition:
         return changed
 
     def _cuts(self, which: list[int]) -> dict[int, NDArray[np.intp]]:
-        """Find the best straight cut of each zone that makes two zones of it.
+        """Find the best straight cut of each of the zones ``which`` that makes two zones of it.
 
-        Return the cells on one side of the cut by zone; zones without such a cut are left out.
+        Return the cells on one side of the cut, by zone; zones without such a cut are left out.
         """
         filled = np.bincount(self.labels + 1)[1:]
         which = [k for k in which if filled[k] > 1]
@@ -498,14 +521,14 @@ class _Partition:
         # The cells of each zone, sorted along each direction: order (directions, cells).
         rank = np.full(len(self.zones) + 1, -1, dtype=np.int16)  # the last one is for clutter
         rank[which] = np.arange(len(which))
-        own = rank[self.labels]
-        cells = np.flatnonzero(own >= 0)
-        own = own[cells]
+        zone_rank = rank[self.labels]
+        cells = np.flatnonzero(zone_rank >= 0)
+        zone_rank = zone_rank[cells]
         by_place = (_DIRECTIONS @ self.cells.average[1:3, cells]).argsort(axis=1, kind="stable")
-        by_zone = own[by_place].argsort(axis=1, kind="stable") + _FIRST * len(own)
+        by_zone = zone_rank[by_place].argsort(axis=1, kind="stable") + _FIRST * len(zone_rank)
         order = cells[by_place.ravel()[by_zone]]
 
-        # The sums on both sides of every cut: sides (6, 2, directions, cuts). There is a cut behind
+        # The sums on both sides of every cut: sides (6, 2, directions, cuts). There is a cut after
         # each cell but the last one of each zone.
         size = filled[which]
         end = np.cumsum(size)
@@ -545,7 +568,8 @@ class _Partition:
         best (directions,): largest gain of the cuts across each direction.
         order (directions, cells): cells of the zone along each direction.
         sides (6, 2, directions, cuts): sums on both sides of each cut.
-        gain, clear (directions, cuts): as returned by `_two_zones_gain`.
+        gain, clear (directions, cuts): gain of each cut, and whether it is sufficient without a
+            valley (`_two_zones_gain`).
         """
         inside = np.zeros(len(self.labels), dtype=np.bool_)
         inside[order[0]] = True
@@ -560,8 +584,10 @@ class _Partition:
 
 
 def _log_surplus(n: Floats, expected: Floats) -> Floats:
-    """Return the Poisson log likelihood ratio of ``n`` events against ``expected`` ones.
+    """Return the log likelihood ratio that the Poisson mean is ``n`` and not ``expected``.
 
-    It is negative where there are fewer than expected.
+    n, expected (...): observed and expected numbers of events.
+
+    The sign is negative where there are fewer events than expected.
     """
     return np.asarray((n * np.log(n / expected) - n + expected) * np.sign(n - expected))

@@ -1,7 +1,8 @@
-"""Separation of two groups of events along the line that discriminates them best.
+"""Evidence that two groups of events in a view are separate, for `partition`.
 
-Groups whose centres are far apart (`are_far_apart`), or with a stretch of low density between them
-(`valley_log_ratio`), are two zones. Used by `partition`.
+Both tests look along the line that discriminates the two groups best (`discriminant`). Two groups
+are separate if their centres are far apart (`are_far_apart`), or if there is a *valley*, a stretch
+of low density, between them (`valley_log_ratio`).
 """
 
 from __future__ import annotations
@@ -19,15 +20,18 @@ from camtopod.learn.zones.marginal_likelihood import covariance
 _Parts = Sequence[Any] | Floats
 
 FAR = 3.0
-"""Distance of two centres beyond which no valley is needed, in sums of their standard deviations.
+"""Distance of two centres beyond which two groups are separate without a valley.
+
+The unit is the sum of the two groups' standard deviations along the discriminating line.
 """
 
 
 def are_far_apart(n: Floats, mean: Floats, scatter: Floats) -> NDArray[np.bool_]:
-    """Return True for pairs of groups that are `FAR` apart.
+    """Return a mask (...) of the pairs of groups whose centres are more than `FAR` apart.
 
-    n (2, ...): events of the two groups of each pair.
-    mean (2, 2, ...), scatter (3, 2, ...): their `moments`; the second axis is that of the groups.
+    n (2, ...): number of events of the two groups of each pair.
+    mean (2, 2, ...), scatter (3, 2, ...): `moments` of the groups; the second axis is that of the
+        two groups of a pair.
     """
     cov, difference = covariance(n, scatter), mean[:, 1] - mean[:, 0]
     (xx, xy, yy), (x, y) = cov.sum(axis=1), difference
@@ -38,10 +42,10 @@ def are_far_apart(n: Floats, mean: Floats, scatter: Floats) -> NDArray[np.bool_]
 
     # For the pairs that remain, the distance along the best line.
     if result.any():
-        own, difference = cov[:, :, result], difference[:, result]
-        line = discriminant(own.sum(axis=1), difference)
+        far_cov, difference = cov[:, :, result], difference[:, result]
+        line = discriminant(far_cov.sum(axis=1), difference)
         apart = line[0] * difference[0] + line[1] * difference[1]
-        result[result] = apart > FAR * sd_along(own, line).sum(axis=0)
+        result[result] = apart > FAR * sd_along(far_cov, line).sum(axis=0)
     return result
 
 
@@ -49,7 +53,9 @@ def discriminant(cov: _Parts, difference: _Parts) -> tuple[Any, Any]:
     """Return the unit vectors (x, y) along which pairs of groups are discriminated best.
 
     cov (xx, xy, yy): sum of the covariances of the two groups.
-    difference (x, y): of their means.
+    difference (x, y): difference of the means of the two groups.
+
+    The elements may be numbers or arrays over pairs.
     """
     (xx, xy, yy), (x, y) = cov, difference
     line_x, line_y = yy * x - xy * y, xx * y - xy * x
@@ -58,18 +64,22 @@ def discriminant(cov: _Parts, difference: _Parts) -> tuple[Any, Any]:
 
 
 def sd_along(cov: _Parts, line: _Parts) -> Any:
-    """Return the standard deviation, never zero, of covariances (xx, xy, yy) along unit vectors."""
+    """Return the standard deviation, never zero, of distributions along a line.
+
+    cov (xx, xy, yy): covariance of each distribution.
+    line (x, y): unit vector of each line.
+    """
     (xx, xy, yy), (x, y) = cov, line
     return (xx * x * x + 2 * xy * x * y + yy * y * y + 1e-6) ** 0.5
 
 
 DEPTH = 0.85
-"""Largest density of a valley relative to each of its flanks.
+"""Largest density of a valley relative to the density of each of its flanks.
 
-Shallower ones are ripples, however significant.
+A stretch that is less deep is a ripple, not a valley, however significant it is.
 """
 _STEPS = 18
-"""Grid points along the line."""
+"""Number of grid points along the line."""
 _STEP = np.arange(_STEPS)
 _WIDTH = np.maximum(_STEP - _STEP[:, None], 1)
 _INNER = [(low, high) for low in range(1, _STEPS - 2) for high in range(low + 1, _STEPS - 1)]
@@ -94,12 +104,13 @@ _ONE_SIDE = len(_INNER)
 def valley_log_ratio(n: Floats, position: Floats, sd: Floats, low: float, high: float) -> float:
     """Return the log likelihood ratio for a valley somewhere in [low, high], at least 0.
 
-    n (m,): events of each cell.
-    position, sd (m,): their mean and standard deviation along the line.
+    n (m,): number of events of each cell.
+    position, sd (m,): mean and standard deviation of each cell's events along the line.
+    low, high: ends of the stretch of the line, in the unit of ``position``.
 
-    Under both hypotheses density is constant per stretch: with a valley, it has a density of its
-    own; without, it shares that of its flank. On each side the best flank counts, and of the two
-    sides the weaker one.
+    A valley is a stretch of the line with a flank on either side. With a valley, the events have
+    one density in the valley and another in the flank; without, both have the same. On each side
+    the flank with the largest ratio counts, and of the two sides the one with the smaller ratio.
     """
     # Events and density of every stretch (from, to) of the grid.
     grid = low + (high - low) / (_STEPS - 1) * _STEP
@@ -108,8 +119,8 @@ def valley_log_ratio(n: Floats, position: Floats, sd: Floats, low: float, high: 
     rate = inside / _WIDTH
 
     # Log likelihood ratio of every valley with every flank.
-    own = (inside * np.log(rate)).ravel()
-    ratio = own[_VALLEYS] + own[_FLANKS] - own[_WHOLES]
+    log_likelihood = (inside * np.log(rate)).ravel()
+    ratio = log_likelihood[_VALLEYS] + log_likelihood[_FLANKS] - log_likelihood[_WHOLES]
     rate = rate.ravel()
     # A stretch that is not clearly less dense than its flank is no valley.
     ratio *= rate[_VALLEYS] < DEPTH * rate[_FLANKS]

@@ -1,9 +1,10 @@
-"""Entry and exit zones of one camera from the sums over its grid (thesis sections 2.4, 2.8, 4.2).
+"""Find the entry and exit zones of one camera from the sums over its grid (thesis 2.4, 2.8, 4.2).
 
-The learner keeps integer sums per grid cell, so removing an old event from the window is exact, and
-the cost of finding zones does not depend on the number of events. `partition` groups the cells;
-here each group becomes a zone with exact statistics and a number that it keeps as long as it stays
-in place, and a table assigns the cells to the zones.
+The input are integer sums per grid cell (`CellSums`), so an old event is subtracted exactly, and
+the cost does not depend on the number of events. `find_zones` has `partition` group the cells.
+Each group becomes a zone (`ZoneShape`) with exact mean and covariance and with a number that it
+keeps while it stays in place. The result is a `ZoneMap`: the zones, and a table that assigns each
+cell of the grid to a zone or to clutter. `refresh_zones` adapts a map to later events.
 """
 
 from __future__ import annotations
@@ -25,12 +26,13 @@ from camtopod.learn.zones.partition import Cells, partition
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 ANEW_EVENTS_MAX = 4000
-"""Once a map was learned from nothing with this many events, later ones only adapt it."""
+"""A map that was learned from nothing with at least this many events is only adapted later."""
 CELLS = GRID_ROWS * GRID_COLUMNS
+"""Number of cells of the grid."""
 MATCH_DISTANCE = 3.0
 """Largest distance, in standard deviations, at which a new zone takes an old one's number."""
 PLACE_SD_MIN = 0.02
-"""Standard deviation, image units, added (as variance) to that of zones for matching."""
+"""Standard deviation whose square is added to the variances of zones for matching, image units."""
 _SCALE = np.array(
     [1, POSITION_ONE, POSITION_ONE, POSITION_ONE**2, POSITION_ONE**2, POSITION_ONE**2]
 )[:, None]
@@ -38,7 +40,11 @@ _SCALE = np.array(
 
 
 class CellSums(NamedTuple):
-    """Sums over the events of each cell, int64, each of shape (GRID_ROWS, GRID_COLUMNS).
+    """Sums over the events of each cell; each is int64 of shape (GRID_ROWS, GRID_COLUMNS).
+
+    count: number of events.
+    sx, sy: sums of their positions x and y.
+    sxx, sxy, syy: sums of the products x x, x y and y y.
 
     Positions are in fixed point, `POSITION_ONE` being the width or height of the image.
     """
@@ -52,10 +58,12 @@ class CellSums(NamedTuple):
 
 
 class ZoneShape(Struct, frozen=True):
-    """One zone: its number, mean and covariance.
+    """One zone of a camera, as a Gaussian.
 
-    x, y, cov: in image units (fractions of the image's width and height).
-    weight: share of the zone among the camera's events in zones.
+    number: identifies the zone among all zones that the camera ever had; from 1.
+    x, y, cov: mean and covariance of its events, in image units (fractions of the image's width and
+        height).
+    weight: its share of the camera's events that are in zones.
     """
 
     number: int
@@ -69,7 +77,7 @@ class ZoneMap(Struct, frozen=True, eq=False):
     """The zones of a camera, and the zone of each grid cell.
 
     zones: sorted by number.
-    cells (rows, columns): index into ``zones`` of each cell, or -1 for clutter.
+    cells (rows, columns): index into ``zones`` of the zone of each cell, or -1 for clutter.
     next_number: the number of the next new zone; numbers are never reused for another zone.
     """
 
@@ -88,12 +96,12 @@ def cells_of(x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.i
 
 
 def fixed_point(x: ArrayLike) -> Longs:
-    """Return image positions in the fixed point of `CellSums`."""
+    """Return image positions, fractions in [0, 1], as integers in the fixed point of `CellSums`."""
     return np.rint(np.asarray(x, dtype=np.float64) * POSITION_ONE).astype(np.int64)
 
 
 def cell_sums(x: ArrayLike, y: ArrayLike) -> CellSums:
-    """Return the sums over positions (n,) in image units."""
+    """Return the sums over events at positions ``x``, ``y`` (n,) in image units."""
     rows, columns = cells_of(x, y)
     px, py = fixed_point(x), fixed_point(y)
     sums = np.zeros((6, GRID_ROWS, GRID_COLUMNS), dtype=np.int64)
@@ -112,10 +120,10 @@ def find_zones(
 ) -> ZoneMap:
     """Find the zones of a camera from its sums; without events there are none.
 
-    previous: earlier zones, whose numbers go to new zones at the same place. Zones that had
-        vanished may be among them, and get their numbers back if they return.
-    next_number: number of the first zone that matches none of these.
-    held (rows, columns): the map so far (`ZoneMap.cells`), which is changed only where the evidence
+    previous: earlier zones of the camera; a new zone at the place of one of them gets its number.
+        Vanished zones may be among them.
+    next_number: number of the first zone that is at the place of no earlier one.
+    held (rows, columns): an earlier map (`ZoneMap.cells`), which is changed only where the evidence
         is clear; None to learn from nothing.
     """
     # The cells that have events.
@@ -124,7 +132,7 @@ def find_zones(
     if not len(occupied):
         return ZoneMap((), np.full((GRID_ROWS, GRID_COLUMNS), -1, dtype=np.int16), next_number)
 
-    # Assign them to groups, of which at most `ZONES_PER_CAMERA_MAX` become zones.
+    # Assign these cells to groups, of which at most `ZONES_PER_CAMERA_MAX` become zones.
     filled = flat[:, occupied]
     so_far = None if held is None else held.ravel()[occupied].astype(np.intp)
     rates = clutter_rates(np.asarray(sums.count))
@@ -133,7 +141,7 @@ def find_zones(
         filled[0],
     )
 
-    # The zones: exact sums, and the numbers of zones at the same place.
+    # Make zones from the exact sums (groups, 6), and number them like earlier zones in their place.
     groups = (labels == np.arange(labels.max() + 1)[:, None]).astype(np.int64) @ filled.T
     events, total = int(filled[0].sum()), int(groups[:, 0].sum())
     zones, next_number = match_zones(
@@ -146,9 +154,9 @@ def find_zones(
 
 
 def refresh_zones(sums: CellSums, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()) -> ZoneMap:
-    """Return the zones of ``old`` adapted to the present sums where the evidence is clear.
+    """Return the map ``old`` adapted to the present sums where the evidence for a change is clear.
 
-    gone: vanished zones, which get their numbers back if they return.
+    gone: vanished zones of the camera; a zone at the place of one of them gets its number back.
 
     While events are few (`ANEW_EVENTS_MAX`), the zones are learned from nothing whenever the number
     of events has doubled, so that early errors do not persist.
@@ -175,10 +183,10 @@ def _largest(labels: NDArray[np.intp], events: Longs) -> NDArray[np.intp]:
 
 
 def _shape(sums: list[int], total: int) -> ZoneShape:
-    """Return a zone, not yet numbered, with the exact mean and covariance of its events.
+    """Return a zone with the exact mean and covariance of its events; its number is still 0.
 
-    sums: the six sums of the zone's events; the covariance is normalised by their number.
-    total: events in all zones of the camera.
+    sums: the six sums (`CellSums`) over the zone's events.
+    total: number of events in all zones of the camera.
     """
     n, sx, sy, sxx, sxy, syy = sums
     unit = (n * POSITION_ONE) ** 2
@@ -191,13 +199,15 @@ def _shape(sums: list[int], total: int) -> ZoneShape:
 def match_zones(
     old: tuple[ZoneShape, ...], new: list[ZoneShape], next_number: int
 ) -> tuple[tuple[ZoneShape, ...], int]:
-    """Number the new zones; return them sorted by number, and the next free number.
+    """Number the zones ``new``; return them sorted by number, and the next free number.
 
-    A zone at the place of an old one takes its number. The others are numbered from
-    ``next_number``, or from above the numbers of ``old``, by their position (rows first).
+    A new zone at the place of an old one takes the old one's number. Other new zones are numbered
+    from ``next_number`` on, or above the numbers of ``old`` if that is more, in order of their
+    position (y, then x).
 
-    The assignment (Hungarian) minimises the sum of distances, each capped just above
-    `MATCH_DISTANCE`; zones further apart than that are not matched.
+    Old and new zones are matched by the Hungarian method, which minimises the sum of their
+    distances (`_distances`, capped just above `MATCH_DISTANCE`). Zones further apart than
+    `MATCH_DISTANCE` are not matched.
     """
     # Match new zones with old ones.
     number: dict[int, int] = {}
@@ -208,7 +218,7 @@ def match_zones(
             if distance[a, b] <= MATCH_DISTANCE:
                 number[int(b)] = old[a].number
 
-    # Number those that match none.
+    # Number the new zones that match no old one.
     next_number = max([next_number, *(zone.number + 1 for zone in old)])
     by_place = sorted(
         (k for k in range(len(new)) if k not in number), key=lambda k: (new[k].y, new[k].x)
@@ -227,8 +237,8 @@ def match_zones(
 def _distances(old: tuple[ZoneShape, ...], new: list[ZoneShape]) -> Floats:
     """Return the distance (old, new) of every old zone from every new one, in standard deviations.
 
-    It is the root of eight times the Bhattacharyya distance: the Mahalanobis distance of the
-    centres under the mean covariance if both have the same covariance, and more otherwise.
+    The distance is the root of eight times the Bhattacharyya distance. For zones of the same
+    covariance, that is the Mahalanobis distance of their centres; for others, it is more.
     """
     (ax, ay, *a), (bx, by, *b) = _figures(old)[:, :, None], _figures(new)[:, None, :]
     xx, xy, yy = ((one + other) / 2 for one, other in zip(a, b, strict=True))
@@ -240,7 +250,10 @@ def _distances(old: tuple[ZoneShape, ...], new: list[ZoneShape]) -> Floats:
 
 
 def _figures(zones: Sequence[ZoneShape]) -> Floats:
-    """Return centres and covariances (5, zones: x, y, xx, xy, yy), widened by `PLACE_SD_MIN`."""
+    """Return the centre and the covariance, widened by `PLACE_SD_MIN`, of each zone.
+
+    The result is (5, zones): x, y and the covariance as xx, xy, yy.
+    """
     least = PLACE_SD_MIN**2
     return np.array(
         [(z.x, z.y, z.cov[0][0] + least, z.cov[0][1], z.cov[1][1] + least) for z in zones]
