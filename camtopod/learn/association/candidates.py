@@ -105,21 +105,24 @@ def possible(
     departures: Departures,
     arrivals: Arrivals,
     bins: LagBins,
-    mine: NDArray[np.intp],
-    among: NDArray[np.intp] | None = None,
+    arrival_rows: NDArray[np.intp],
+    departure_rows: NDArray[np.intp] | None = None,
     at_once: int = CANDIDATES_AT_ONCE,
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
-    """Yield the candidates of given arrivals, part by part: departure, index into ``mine``, lag.
+    """Yield the candidates of given arrivals, part by part: departure, arrival, lag.
 
-    mine: rows of the arrivals.
-    among: rows of the departures to consider, ascending; None for all.
+    arrival_rows: rows of the arrivals.
+    departure_rows: rows of the departures to consider, ascending; None for all.
     at_once: approximate number of candidates in each part, which limits memory.
 
-    Each part has three arrays (n,): row of the departure, index of the arrival in ``mine``, and
-    seconds from the departure to the arrival.
+    Each part has three arrays (n,): row of the departure, index of the arrival in
+    ``arrival_rows``, and seconds from the departure to the arrival.
     """
     # Find the departures in reach of each arrival.
-    t, arrived = departures.t if among is None else departures.t[among], arrivals.t[mine]
+    t, arrived = (
+        departures.t if departure_rows is None else departures.t[departure_rows],
+        arrivals.t[arrival_rows],
+    )
     low, high = departures_in_reach(t, arrived, bins)
     reached = np.concatenate(([0], np.cumsum(high - low)))
 
@@ -131,15 +134,15 @@ def possible(
 
     # List the departures and arrivals within the lags, at least one arrival at a time.
     first = 0
-    while first < len(mine):
+    while first < len(arrival_rows):
         stop = max(
             int(np.searchsorted(reached, reached[first] + at_once, side="right")) - 1, first + 1
         )
         n = high[first:stop] - low[first:stop]
         at = np.repeat(np.arange(first, stop), n)
         departure = np.arange(len(at)) + np.repeat(low[first:stop] - (np.cumsum(n) - n), n)
-        if among is not None:
-            departure = among[departure]
+        if departure_rows is not None:
+            departure = departure_rows[departure]
 
         lag = arrived[at] - departures.t[departure]
         is_possible = (lag >= bins.lag_min) & (lag <= bins.lag_max)
@@ -149,7 +152,7 @@ def possible(
         # Of two passages that begin at the same instant, the one that ends first counts as the
         # earlier.
         ahead = np.flatnonzero(lag <= 0)
-        departed, arrival = departure[ahead], mine[at[ahead]]
+        departed, arrival = departure[ahead], arrival_rows[at[ahead]]
         entered, since = arrivals.t[arrival], departures.since[departed]
         begun = (entered > since) | ((entered == since) & (departed < ends[arrival]))
         is_possible[ahead] &= begun & (departures.camera[departed] != arrivals.camera[arrival])

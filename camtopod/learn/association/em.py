@@ -1,25 +1,26 @@
 """Expectation maximisation over candidates: which arrival belongs to which departure.
 
-Every arrival has one cause: an earlier departure, or the outside. Every departure causes at most
+The model: every arrival has one cause, a departure or the outside. Every departure causes at most
 one arrival. The rate at which a departure from zone u causes an arrival at zone v after a lag is
-the *hazard* ``h[u, v](lag)``, per second and exposed departure; the *background* of v is a share of
-the local rate of arrivals there, so a rhythm common to all zones explains itself and makes no
-links.
+the *hazard* ``h[u, v](lag)``, per second and exposed departure. The *background* of v, the rate of
+arrivals from outside, is a share of the local rate of arrivals at v; as that is local in time, a
+rhythm common to all zones makes no links. A departure is *exposed* to a lag if an arrival after the
+lag would be in the window (`exposure`).
 
-The E step is the sum-product approximation of the marginals of a one-to-one assignment with misses
-and clutter (Williams and Lau, IEEE Trans. AES 50(4), 2014), one sweep an iteration. Each candidate
-is judged by the hazard that the others make (leave one out). The M step counts. Marinakis and Dudek
-(2005) sample what is summed here.
+`Em` is a fit in progress over M candidates of P pairs of zones. `Em.run` iterates the E step
+(`Em.expect`), which computes the responsibility of each candidate from the hazards, and the M step
+(`Em.maximise`), which computes the hazards from the responsibilities; begin reading there. The E
+step is the sum-product approximation of the marginals of a one-to-one assignment with misses and
+clutter (Williams and Lau, IEEE Trans. AES 50(4), 2014), one sweep of *messages* an iteration. Each
+candidate is judged by the hazard that the other candidates make (leave one out). The M step counts
+expected transitions by lag and smooths. Marinakis and Dudek (2005) sample what is summed here.
 
-A departure is *exposed* to a lag if an arrival after that lag would have been seen: the window
-lasts long enough, or, for a negative lag, the passage had begun.
-
-`Em` knows the hazards of pairs of zones. `run` iterates `expect` (E step) and `maximise` (M step),
-which are the places to begin reading. A fit may add `Term`s (further ways in which a departure
-causes an arrival), a prior, and what contexts say of single candidates and departures.
+The fit for prediction (`next_camera.fit`) adds to the model: `Term`s (further ways in which a
+departure causes an arrival), a `PairPrior`, and factors for single candidates and departures
+(``multiplier``, ``leaving``).
 
 There may be millions of candidates. Only one array of a kind is kept for all of them; intermediate
-results exist for some at a time (`slices_by_arrival`).
+results exist for one part at a time (`slices_by_arrival`).
 """
 
 from __future__ import annotations
@@ -50,65 +51,87 @@ from camtopod.learn.traffic import (
 from camtopod.topology import LEAVE_FLOOR, LagBins, smooth
 
 OUTSIDE_FLOOR = 0.01
-"""Smallest share of the local rate of arrivals that comes from outside."""
+"""Lower bound on the share of the local rate of arrivals that comes from outside."""
 BACKGROUND_MIN = 1e-12
-"""Smallest background and demand, 1/s."""
+"""Lower bound on the background, and on the rates that compete for an arrival, 1/s."""
 START_NOISE_SD = 2.0
-"""Standard deviations of the null model that a first hazard must exceed."""
+"""Standard deviations of the null model that are subtracted from lag histograms for first hazards.
+"""
 START_FLOOR = 0.002
-"""Share of a pair's own histogram that it starts with even where nothing exceeds the null model."""
+"""Share of a pair's lag histogram that makes its first hazard where nothing exceeds the null model.
+"""
 ITERATIONS = 6
 """EM iterations of a run."""
 STRIDE = 1.8
-"""Over-relaxation of EM updates on a log scale, convergent below 2; plain EM converges slowly."""
+"""Over-relaxation factor of EM updates on a log scale; plain EM (factor 1) converges slowly.
+
+Over-relaxation converges for factors below 2.
+"""
 STRIDE_RATIO_MAX = 4.0
 """Largest ratio of new to old hazards that over-relaxation extrapolates."""
 SETTLING_ITERATIONS = 3
-"""The last iterations of a run are plain EM."""
+"""Iterations of plain EM at the end of a run."""
 NOTHING = 1e-30
-"""Fewer transitions than this are none, in single precision, too."""
+"""Lower bound on a divisor; small, but not 0 in single precision."""
 
 
 class Term(Protocol):
-    """A way in which a departure causes an arrival, beside the hazard of its pair of zones."""
+    """A further way in which a departure causes an arrival, beside the hazard of its pair of zones.
+
+    The rate of a candidate is the hazard of its pair plus the rates of the terms that apply to it.
+    """
 
     rows: Indices
-    """(m,) candidates that the term applies to, ascending."""
+    """(m,) rows of the candidates that the term applies to, ascending."""
 
     share: Any
-    """(m,) share of each candidate's rate that the term contributes."""
+    """(m,) share of each of these candidates' rate that the term contributes."""
 
     def rates(self, here: slice, responsibility: Singles) -> Any:
-        """Return the rates of a slice of `rows`, each made by the other candidates (leave one out).
+        """Return the rates (k,), 1/s, that the term gives to some of its candidates.
 
-        responsibility: of the candidates of that slice.
+        here: slice of `rows` with k candidates.
+        responsibility (k,): of these candidates; the rate of each candidate must not depend on its
+            own responsibility (leave one out).
         """
 
     def after_exit(self, hazard: Singles, rows: slice) -> Singles:
-        """Return the hazards (rows, bins) of some pairs of zones, those of the term included."""
+        """Return hazards (pairs, bins) by lag from the exit, with those of the term added.
+
+        hazard (pairs, bins): hazards of the pairs of zones ``rows`` without the term.
+        """
 
     def learn(self, responsibility: Singles) -> None:
-        """M step of the term, by the responsibilities (M,) of all candidates."""
+        """Do the M step of the term, with the responsibilities (M,) of all candidates."""
 
 
 class Expected(Protocol):
-    """Transitions that a prior expects, and the ``departures`` they belong to."""
+    """Transitions that a prior adds to the counted ones, as if there were more departures.
+
+    departures: number of additional departures of each zone.
+    """
 
     departures: float
 
     def of(self, rows: slice, rates: Callable[[Longs], Floats]) -> Floats:
-        """Return the expected transitions (rows, bins) of some pairs of zones."""
+        """Return the transitions (pairs, bins) that the prior adds to the pairs of zones ``rows``.
+
+        rates: function from pairs (k,) to the counted transitions per exposed departure (k, bins).
+        """
 
 
 class PairPrior(Protocol):
     """A prior over the transitions of pairs of zones."""
 
     def expected(self, counts: Floats) -> Expected:
-        """Return the prior expectation, given the ``counts`` (P, bins) of transitions."""
+        """Return what the prior adds, given the counted transitions ``counts`` (P, bins)."""
 
 
 class Em:
-    """A fit in progress: what stays the same from iteration to iteration, and the messages."""
+    """A fit in progress: M candidates of P pairs of zones, and their responsibilities.
+
+    Hazards (P, bins) are arguments and results of the methods; all else is kept here.
+    """
 
     def __init__(
         self,
@@ -121,27 +144,30 @@ class Em:
         exposure: Floats | None = None,
         adjusted: Adjusted | None = None,
     ) -> None:
-        """Begin without any responsibility.
+        """Begin a fit with responsibilities of 0.
 
-        until: Unix seconds up to which events have been received.
-        exposure (zones, bins), adjusted: where they are known already.
+        until (Unix seconds): end of the window.
+        exposure (zones, bins): exposed departures; None to compute them.
+        adjusted: the candidates adjusted for speed; None to begin without adjustment.
         """
         self.departures, self.arrivals = departures, arrivals
         self.bins, self.zones = bins, zones
 
-        # Additions to the model; none to begin with.
+        # Additions to the model by the fit for prediction; none to begin with.
         self.terms: Sequence[Term] = ()
         self.prior: PairPrior | None = None
         self.sparsity = 0.0
         """Transitions that a sparse prior (a Gamma with shape 0) takes off each pair of zones."""
         self.multiplier: Singles | None = None
-        """(M,) factor of each candidate's rate, by the context of its departure."""
+        """(M,) factor on each candidate's rate, by the context of its departure; None for 1."""
         self.leaving: Floats | None = None
-        """(n,) probability that the object of each departure leaves the site, where it is known."""
+        """(n,) probability that the object of each departure leaves the site; None to compute it
+        from the hazards.
+        """
         self.near: Bools | None = None
-        """(n,) departures that the null model of the first hazards counts; None: all."""
+        """(n,) mask of departures that the null model of the first hazards counts; None for all."""
 
-        # What is known of zones.
+        # Figures of zones.
         self.exposure = exposures(departures, bins, zones, until) if exposure is None else exposure
         self.some_exposed = np.maximum(self.exposure, 1.0)
         """(zones, bins) exposed departures, at least 1."""
@@ -156,15 +182,17 @@ class Em:
         self.outside = np.full(zones, 0.5)
         """(zones,) share of the local rate of arrivals that no departure explains."""
 
-        # What is known of candidates.
+        # Figures of candidates. Messages are those of the sum-product algorithm, from arrivals to
+        # candidates.
         self._follow(candidates)
         self._agreement: Singles | None = None
         self._message = np.ones(len(candidates.lag), np.float32)
         self.responsibility: Singles = np.zeros(len(candidates.lag), np.float32)
         """(M,) probability that the candidate is of one object."""
-        self._drawn: Indices | None = None  # the only candidates with a responsibility, ascending
+        # After `draw`, the rows of the candidates whose responsibility is 1, ascending.
+        self._drawn: Indices | None = None
         self.own = np.zeros((self.pairs, bins.size), np.float32)
-        """(P, bins) share of a smoothed count that a transition in the bin contributes itself."""
+        """(P, bins) share that one transition in a bin contributes to the smoothed count there."""
         if adjusted is None:
             adjusted = adjust(candidates, departures, arrivals, NO_PERSISTENCE, bins)
         self.use(adjusted)
@@ -177,24 +205,29 @@ class Em:
     # --- The loop ---------------------------------------------------------------------------------
 
     def start(self, noise_sd: float = START_NOISE_SD) -> Singles:
-        """Return the first hazards (P, bins): the excess of each histogram over the null model.
+        """Return the first hazards (P, bins): excess of each lag histogram over the null model.
 
         noise_sd: standard deviations of the null model that are subtracted, too.
         """
-        c, left, came = self.candidates, self.departures, self.arrivals
+        c, departures, arrivals = self.candidates, self.departures, self.arrivals
         if len(c.lag) == 0:
             return np.zeros((self.pairs, self.bins.size), np.float32)
-        seen = self._count(np.ones(part.stop - part.start) for part in self.parts)
+        histograms = self._count(np.ones(part.stop - part.start) for part in self.parts)
         near = slice(None) if self.near is None else self.near
-        null_model = NullRates(left.t[near], left.zone[near], came.t, came.zone, self.zones)
+        null_model = NullRates(
+            departures.t[near], departures.zone[near], arrivals.t, arrivals.zone, self.zones
+        )
         rates = null_model.rates_of(c.source, c.target)
         first = initial_hazards(
-            seen, rates, self.exposure, c.source, self.bins, noise_sd, START_FLOOR
+            histograms, rates, self.exposure, c.source, self.bins, noise_sd, START_FLOOR
         )
         return first.astype(np.float32)
 
     def run(self, hazard: Singles) -> Singles:
-        """Return the hazards (P, bins) after `ITERATIONS` iterations from the given ones."""
+        """Return the hazards (P, bins) after `ITERATIONS` iterations of EM.
+
+        hazard (P, bins): the hazards to begin with.
+        """
         for iteration in range(ITERATIONS):
             self.expect(hazard)
             fresh = self.maximise()
@@ -206,44 +239,46 @@ class Em:
         return hazard
 
     def expect(self, hazard: Singles) -> None:
-        """E step: replace the responsibilities by those under the hazards (P, bins)."""
+        """Do the E step: replace the responsibilities by those under the hazards (P, bins)."""
         result = self.responsibility
         background = self.outside[self.arrivals.zone] * self.arrivals.rate
         background = np.maximum(background, BACKGROUND_MIN)
 
-        # Demand on each departure: of all its candidates, and of leaving the site.
+        # Per departure, the probability mass of all its candidates and of leaving the site.
         taken = np.zeros(len(self.departures.t))
         for part in self.parts:
             result[part] = weight = self._rates(hazard, part)
             np.add.at(taken, self._departure(part), (weight * self._message[part]).astype(float))
         taken += self._leaving(hazard)
 
-        # Offer of each candidate to its arrival, beside the background and the other candidates
-        # there; and the message back: what the arrival demands of others.
+        # A candidate's offer to its arrival is its rate, given that the departure has caused no
+        # other arrival. The responsibility is the offer's share among all offers and the
+        # background; the message back is the reciprocal of the competing offers and background.
         for part, run in zip(self.parts, self._runs, strict=True):
             weight = result[part]
-            others = taken.take(self._departure(part))
-            others -= weight * self._message[part]
-            offer = np.divide(weight, others, out=others)
-            demand = background[run.arrival] + np.add.reduceat(offer, run.first)
+            remaining = taken.take(self._departure(part))
+            remaining -= weight * self._message[part]
+            offers = np.divide(weight, remaining, out=remaining)
+            demand = background[run.arrival] + np.add.reduceat(offers, run.first)
             demand = np.repeat(demand, run.candidates)
-            np.divide(offer, demand, out=result[part])
-            demand -= offer
+            np.divide(offers, demand, out=result[part])
+            demand -= offers
             np.maximum(demand, BACKGROUND_MIN, out=demand)
             np.divide(1.0, demand, out=self._message[part])
 
     def maximise(self) -> Singles:
-        """M step: return the hazards (P, bins) by the responsibilities, and update the terms."""
+        """Do the M step: return the hazards (P, bins) by the responsibilities; update the terms."""
         for term in self.terms:
             term.learn(self.responsibility)
         self._estimate_outside()
         return self.hazards(self.transitions())
 
     def learn_speed(self, hazard: Singles) -> Singles:
-        """Estimate from the surest candidates how speed persists, and adjust the candidates by it.
+        """Estimate from the surest candidates how far speed persists, and adjust all candidates.
 
-        Returns the hazards (P, bins) in place of the given ones. Which candidates are sure is
-        decided without the agreement of slownesses, or agreement would reinforce itself.
+        Return the hazards (P, bins) by the adjusted lags; ``hazard`` (P, bins) are those before.
+        Which candidates are sure is decided without the agreement of slownesses, as agreement would
+        otherwise reinforce itself.
         """
         before = np.concatenate([np.zeros(0, np.float32), *map(self.at_exit, self.parts)])
 
@@ -264,7 +299,7 @@ class Em:
         return self.hazards(self._count(before[part] for part in self.parts))
 
     def keep_pairs(self, alive: Bools) -> None:
-        """Follow only the pairs of zones (P,) that are ``alive``."""
+        """Drop all pairs of zones but those of the mask ``alive`` (P,), and their candidates."""
         kept = alive[self.candidates.pair]
         self._follow(self.candidates.take(kept))
         self._message, self.responsibility = self._message[kept], self.responsibility[kept]
@@ -273,9 +308,11 @@ class Em:
         self.use(adjust(self.candidates, self.departures, self.arrivals, found, self.bins))
 
     def responsibilities_under(self, hazard: Singles, sweeps: int) -> Floats:
-        """Return the responsibilities (M,) under hazards (P, bins) that were estimated elsewhere.
+        """Return the responsibilities (M,) under hazards estimated from other events.
 
-        No candidate is left out of them, as none has contributed to them.
+        hazard (P, bins): the hazards. No candidate is left out of them, as none contributed to
+            them.
+        sweeps: number of E steps, over which the messages settle.
         """
         self._message[:] = 1.0
         for _ in range(sweeps):
@@ -286,25 +323,25 @@ class Em:
     # --- Candidates -------------------------------------------------------------------------------
 
     def use(self, adjusted: Adjusted) -> None:
-        """Use the lags and the agreement of speed of these adjusted candidates."""
+        """Use lag bins and agreement of slownesses of these adjusted candidates from here on."""
         self.persistence: Persistence = adjusted.persistence
         self.cell = adjusted.cell
         self._agreement = adjusted.agreement
 
     def draw(self, drawn: Indices) -> None:
-        """Take the candidates ``drawn`` (ascending) for transitions, and no others."""
+        """Give the candidates ``drawn`` (rows, ascending) a responsibility of 1, all others 0."""
         self.responsibility[:] = 0.0
         self.responsibility[drawn] = 1.0
         self._drawn = drawn
 
     def end_draw(self) -> None:
-        """Any candidate may have a responsibility again."""
+        """End the state after `draw`: any candidate may have a responsibility again."""
         self._drawn = None
 
     def summed(self, index: Indices, size: int) -> Floats:
-        """Return the sums (size,) of the responsibilities that have the same index.
+        """Return the sum of responsibilities by group of candidates, (size,).
 
-        index (M,): number below ``size`` of each candidate, such as its pair of zones.
+        index (M,): group of each candidate, such as its pair of zones, from 0 to ``size`` - 1.
         """
         total = np.zeros(size)
         for part in self._telling:
@@ -312,11 +349,14 @@ class Em:
         return total
 
     def transitions(self) -> Floats:
-        """Return the expected transitions (P, bins) whose lag counts from the exit."""
+        """Return the expected transitions by pair and lag (P, bins), without those of the terms."""
         return self._count(map(self.at_exit, self._telling))
 
     def at_exit(self, part: slice | Indices) -> Singles:
-        """Return the responsibilities of some candidates without the shares of the terms."""
+        """Return the responsibilities of some candidates without the shares of the terms.
+
+        part: a slice of the candidates, or after `draw` the rows of the drawn candidates.
+        """
         shares = self.responsibility[part]
         if not self.terms:
             return shares
@@ -328,31 +368,34 @@ class Em:
             else:
                 drawn = np.flatnonzero(self.responsibility[term.rows])
                 of_terms[np.searchsorted(part, term.rows[drawn])] += term.share[drawn]
-        own: Singles = shares * np.maximum(1.0 - of_terms, 0.0)
-        return own
+        from_exit: Singles = shares * np.maximum(1.0 - of_terms, 0.0)
+        return from_exit
 
     def _follow(self, candidates: Candidates) -> None:
-        """Use these candidates from here on, some at a time."""
+        """Use these candidates from here on, and cut them into parts."""
         self.candidates = candidates
         self.parts = slices_by_arrival(candidates.arrival)
         self._runs = [runs_of(candidates.arrival[part]) for part in self.parts]
 
     def _departure(self, part: slice) -> Indices:
-        """Return the departure of each candidate of a part; for a delayed copy, the original."""
+        """Return the row of each candidate's departure in a part; for a copy, its original."""
         of, row = self.departures.of, self.candidates.departure[part].astype(np.intp)
         return row if of is None else of.take(row)
 
     @property
     def _telling(self) -> Sequence[slice | Indices]:
-        """The candidates with a responsibility, part by part."""
+        """Parts of the candidates that cover all with a responsibility above 0."""
         return self.parts if self._drawn is None else [self._drawn]
 
     # --- Rates ------------------------------------------------------------------------------------
 
     def _rates(self, hazard: Singles, part: slice) -> Singles:
-        """Return the rate of each candidate of a part, made by the other candidates."""
-        # Leave one out: otherwise a lone arrival would be its own evidence, and all clutter would
-        # find a departure.
+        """Return the rate of each candidate of a part, 1/s, as the other candidates make it.
+
+        hazard (P, bins): the hazards.
+        """
+        # The hazard, without the candidate's own contribution to it (leave one out): otherwise a
+        # lone arrival would be its own evidence, and all clutter would find a departure.
         cell = self.cell[part].astype(np.intp)
         weight = hazard.take(cell)
         if self._drawn is None:
@@ -364,7 +407,7 @@ class Em:
         if self._agreement is not None:
             weight *= self._agreement[part]
 
-        # The other terms, and their shares.
+        # The rates of the terms, and the shares of the terms in the sum.
         added = []
         for term in self.terms:
             here = within(term.rows, part)
@@ -382,32 +425,44 @@ class Em:
         return weight
 
     def _others(self, cell: Indices, responsibility: Singles) -> Singles:
-        """Return the share of the hazard in some cells that candidates other than these make."""
-        own = self.own.take(cell)
-        own *= responsibility
-        others: Singles = np.maximum(np.subtract(1.0, own, out=own), 0.0, out=own)
+        """Return the share of a hazard that is not made by one candidate, for k candidates (k,).
+
+        cell (k,): index of each candidate's hazard in the flattened table (P, bins).
+        responsibility (k,): of the candidates.
+        """
+        contributed = self.own.take(cell)
+        contributed *= responsibility
+        others: Singles = np.maximum(
+            np.subtract(1.0, contributed, out=contributed), 0.0, out=contributed
+        )
         return others
 
     def _leaving(self, hazard: Singles) -> Floats:
-        """Return the probability (n,) that the object of each departure leaves the site."""
+        """Return the probability (n,) that the object of each departure leaves the site.
+
+        hazard (P, bins): the hazards, by which an object appears again or not.
+        """
         if self.leaving is not None:
             return self.leaving
         share = np.zeros(self.pairs)
         for rows in row_slices(self.pairs):
             share[rows] = self.appears(self.after_exit(hazard, rows), rows).sum(axis=1)
         again = np.bincount(self.candidates.source, share, minlength=self.zones).astype(float)
-        left: Floats = np.maximum(1.0 - self.over_copies(again[self.departures.zone]), LEAVE_FLOOR)
-        return left
+        leaving: Floats = np.maximum(
+            1.0 - self.over_copies(again[self.departures.zone]), LEAVE_FLOOR
+        )
+        return leaving
 
     def over_copies(self, each: Floats) -> Floats:
-        """Return values of ``each`` departure (n,) summed over it and its delayed copies, (n,)."""
+        """Return the sum of ``each`` (n,) over every departure and its delayed copies, (n,)."""
         of = self.departures.of
         return each if of is None else np.bincount(of, each, minlength=len(of)).astype(float)[of]
 
     def after_exit(self, hazard: Singles, rows: slice) -> Singles:
-        """Return the hazards (rows, bins) of some pairs whose lags count from the exit.
+        """Return the hazards (pairs, bins) of some pairs by lag from the exit, terms included.
 
-        Those of all terms are included.
+        hazard (P, bins): hazards of all pairs without the terms.
+        rows: the pairs.
         """
         result = hazard[rows]
         for term in self.terms:
@@ -415,7 +470,10 @@ class Em:
         return result
 
     def appears(self, hazard: Singles, rows: slice | Indices) -> Floats:
-        """Return the probability (rows, bins) that an object appears next at the target."""
+        """Return the probability (pairs, bins) that an object appears next at a pair's target.
+
+        hazard (pairs, bins): hazards of the pairs ``rows``.
+        """
         appears: Floats = (
             hazard * self.bins.widths * self._exposed_share[self.candidates.source[rows]]
         )
@@ -424,20 +482,28 @@ class Em:
     # --- Counts -----------------------------------------------------------------------------------
 
     def _estimate_outside(self) -> None:
-        """Count as coming from outside what no departure explains."""
+        """Estimate the share of each zone's arrivals that no departure explains (`outside`)."""
         explained = self.summed(self.candidates.arrival, len(self.arrivals.t))
         of_zone = np.bincount(self.arrivals.zone, explained, minlength=self.zones)
         self.outside = np.clip(1.0 - of_zone / self.arrivals_of_zone, OUTSIDE_FLOOR, 1.0)
 
     def _count(self, shares: Iterable[Singles | Floats]) -> Floats:
-        """Return the candidates counted by pair of zones and lag (P, bins), each by its share."""
+        """Return the sum of shares of candidates by pair of zones and lag bin, (P, bins).
+
+        shares: for each part of `_telling`, the share with which each candidate counts.
+        """
         flat = np.zeros(self.pairs * self.bins.size)
         for part, share in zip(self._telling, shares, strict=True):
             np.add.at(flat, self.cell[part].astype(np.intp), share.astype(float, copy=False))
         return flat.reshape(self.pairs, self.bins.size)
 
     def hazards(self, counts: Floats) -> Singles:
-        """Return counts over exposure, smoothed, per second (P, bins), with what the prior adds."""
+        """Return the hazards (P, bins) that follow from counted transitions.
+
+        counts (P, bins): expected transitions by pair of zones and lag bin.
+
+        Hazards are the smoothed counts over exposure and width of the bin. A prior adds to both.
+        """
         expected = None if self.prior is None else self.prior.expected(counts)
         smoothed = self._smoothed(counts)
         del counts  # larger than the hazards
@@ -454,36 +520,45 @@ class Em:
         return hazard
 
     def _smoothed(self, counts: Floats) -> Singles:
-        """Return the counts (P, bins) less the sparse prior, smoothed; set `own` accordingly."""
+        """Return the counts (P, bins) less the sparse prior, smoothed; set `own` to match."""
         total = counts.sum(axis=1)
         kept = np.maximum(total - self.sparsity, 1e-3 * total) if self.sparsity else total
         share = (kept / np.maximum(total, 1e-300))[:, None]
         smoothed = np.empty(counts.shape, np.float32)
         for rows in row_slices(self.pairs):
-            some, stays = smooth(counts[rows], kept[rows])
-            smoothed[rows] = some = some * share[rows]
-            self.own[rows] = stays[:, None] / np.maximum(some, NOTHING)
+            smoothed_part, stays = smooth(counts[rows], kept[rows])
+            smoothed[rows] = smoothed_part = smoothed_part * share[rows]
+            self.own[rows] = stays[:, None] / np.maximum(smoothed_part, NOTHING)
         return smoothed
 
     def exposed(self, rows: slice | Indices) -> Floats:
-        """Return the exposed departures (rows, bins) of some pairs of zones, at least 1."""
+        """Return the exposed departures (pairs, bins) of the pairs ``rows``, at least 1."""
         return self.some_exposed.take(self.candidates.source[rows], axis=0)
 
-    # --- Lags against no particular lag -----------------------------------------------------------
+    # --- Hazards that do not depend on the lag ----------------------------------------------------
 
     def flatness(self, hazard: Singles) -> Floats:
-        """Return the hazard without dependence on the lag over its own, for each candidate (M,)."""
-        own = np.maximum(hazard.take(self.cell), NOTHING)
-        flat: Floats = self._even(hazard)[self.candidates.pair] / own
+        """Return the ratio (M,) of each pair's hazard spread evenly over all lags to its hazard.
+
+        hazard (P, bins): the hazards.
+
+        The ratio is taken for each candidate, at its lag. It is small where the lag speaks for a
+        transition, and 1 where the lag says nothing.
+        """
+        at_lag = np.maximum(hazard.take(self.cell), NOTHING)
+        flat: Floats = self._even(hazard)[self.candidates.pair] / at_lag
         return flat
 
     def hedged(self, hazard: Singles, even_share: float) -> Singles:
-        """Return the hazards (P, bins) with a share of their transitions spread over all lags."""
+        """Return the hazards (P, bins) with a share of them spread evenly over all lags."""
         even = (even_share * self._even(hazard)[:, None]).astype(np.float32)
         return (1.0 - even_share) * hazard + even
 
     def _even(self, hazard: Singles) -> Floats:
-        """Return hazards (P,) that are the same at every lag and make as many transitions."""
+        """Return hazards (P,) that are the same at every lag and give as many transitions.
+
+        hazard (P, bins): the hazards that depend on the lag.
+        """
         even, c = np.zeros(self.pairs), self.candidates
         one_view = self.camera[c.source] == self.camera[c.target]
         before = self.bins.edges[1:] <= 0
@@ -496,6 +571,9 @@ class Em:
 
 
 def within(some: Indices, part: slice) -> slice:
-    """Return which of ``some`` (n,), ascending, belong to a part of all."""
+    """Return the slice of ``some`` whose values lie in the range ``part``.
+
+    some (n,): numbers, ascending, such as rows of candidates.
+    """
     ends = np.array((part.start, part.stop), some.dtype)  # another type would copy all of them
     return slice(*np.searchsorted(some, ends).tolist())

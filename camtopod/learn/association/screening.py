@@ -1,17 +1,18 @@
-"""Screening: select the candidates worth a joint fit, on sites with too many cameras to weigh all.
+"""Screening: select the candidates for the joint fit on sites with too many candidates for one fit.
 
-With a dozen cameras every departure within the lags of an arrival is a candidate. With a hundred
+With a dozen cameras, every departure within the lags of an arrival is a candidate. With a hundred
 there are thousands for each arrival, nearly all from the other end of the site, and their number
-grows with the square of the traffic. Two cheaper steps go before the fit:
+grows with the square of the traffic. So on a large site two cheaper steps go before the joint fit
+(`CandidateScreen.find`):
 
-* *Looks over all pairs of zones, rarely*: which zones do the arrivals at a zone follow more often
-  than under the null model, at any lag (Makris, Ellis and Black 2004)? The zones that stand out
-  most are followed as sources of that zone until its next look. Each fit looks at as many zones as
-  its number of events allows, those with the oldest look first, so the cost per event does not
-  depend on the number of cameras.
-* *Weighing along the pairs followed, in every fit*: a few rounds of the fit within one zone of
-  arrival, where sources compete for its arrivals but targets do not yet compete for departures.
-  Candidates that remain improbable are dropped.
+* *Looks, now and then.* A look at a zone of arrival compares the lag histogram from every zone of
+  departure with the null model (Makris, Ellis and Black 2004). The zones of departure that stand
+  out most are *followed* as sources of the zone of arrival until the next look at it. Each fit
+  looks at as many zones of arrival as its number of events allows, those with the oldest look
+  first, so the cost per event does not depend on the number of cameras.
+* *Weighing, in every fit.* Candidates along the followed pairs of zones are weighed by a few rounds
+  of EM within one zone of arrival: sources compete for its arrivals, but zones of arrival do not
+  yet compete for departures. Improbable candidates are dropped.
 """
 
 from __future__ import annotations
@@ -49,80 +50,91 @@ from camtopod.learn.traffic import Arrivals, Departures, NullRates
 from camtopod.topology import LagBins, lag_smoothing_matrix, smooth
 
 Part = tuple[Ints, Ints, Singles, Singles]
-"""Some candidates, (n,) each: departure, arrival, lag in seconds, probability."""
+"""Part of the candidates, as columns (n,): row of the departure, row of the arrival, lag in
+seconds, probability.
+"""
 
 PAIRS_FEW = 20_000
-"""Up to this many pairs of zones, all are followed, unless there are too many candidates."""
+"""Number of pairs of zones up to which candidates are not screened, unless they are too many."""
 SOURCES_PER_ZONE_MAX = 32
-"""Largest number of zones followed as sources of one zone."""
+"""Largest number of zones of departure that are followed for one zone of arrival."""
 SEEN_MIN = 3
-"""Pairs of zones with fewer candidates in the look are not followed."""
+"""Least number of candidates, in a look, of a pair of zones that is followed."""
 STANDS_OUT_SD = 2.0
-"""Pairs that exceed the null model by fewer standard deviations are not followed."""
+"""Least excess over the null model, in standard deviations, of a pair of zones that is followed."""
 LOOKS_PER_EVENT = 400
-"""Work on looks in each fit, per event of the window: candidates counted plus histogram cells."""
-LOOKS_MIN = 20_000_000
-"""Least work on looks in each fit, in the same unit; about a second."""
-COUNTED_AT_ONCE = 1 << 17
-"""Candidates of a look that are counted together."""
-ROUNDS = 2
-"""Rounds of the fit within one zone of arrival."""
-NOISE_SD = 0.5
-"""Standard deviations of the null model that the initial hazards of these rounds must exceed."""
-OUTSIDE_FIRST = 0.5
-"""Share of the arrivals that come from outside, kept fixed in these rounds."""
-OVERLAP_FALSE = 0.05
-"""Probability that overlap is found for any pair of the cameras of a site without overlap."""
-LIKELY_MIN = 0.001
-"""Candidates of at most this probability are dropped."""
-LIKELY_MAX, LIKELY_PER_ARRIVAL = 3_000_000, 8
-"""Limits of the candidates kept for the fit, the likeliest: in all, and per arrival.
+"""Budget of a fit for looks, per event of the window.
 
-The larger of the two counts.
+The unit is a candidate counted or a cell of a histogram. `ZONE_SCREEN_PAIRS_PER_EVENT_MAX` limits
+a single look.
+"""
+LOOKS_MIN = 20_000_000
+"""Least budget of a fit for looks, in the unit of `LOOKS_PER_EVENT`; takes about a second."""
+COUNTED_AT_ONCE = 1 << 17
+"""Number of candidates that a look counts together."""
+ROUNDS = 2
+"""Rounds of EM within one zone of arrival, when candidates are weighed."""
+NOISE_SD = 0.5
+"""Standard deviations of the null model subtracted from lag histograms for the first hazards, when
+candidates are weighed.
+"""
+OUTSIDE_FIRST = 0.5
+"""Share of the arrivals that come from outside; it is not estimated when candidates are weighed."""
+OVERLAP_FALSE = 0.05
+"""Probability that `negative_without_overlap` finds any overlap on a site without overlaps."""
+LIKELY_MIN = 0.001
+"""Probability, after weighing, up to which candidates are dropped."""
+LIKELY_MAX, LIKELY_PER_ARRIVAL = 3_000_000, 8
+"""Limits of the candidates kept for the joint fit, the likeliest: in all, or for each arrival if
+that is more.
 """
 
 
 class FollowedSources(Struct):
-    """Sources followed of one zone of arrival."""
+    """The zones of departure that are followed as sources of one zone of arrival."""
 
     sources: Longs
-    """Zones of departure, by `place`."""
+    """Keys (`place`) of these zones of departure."""
     looked: int
-    """Number of events learned at the last look at this zone; -1 if there was none."""
+    """Number of events learned at the last look at the zone of arrival; -1 if there was none."""
 
 
 class ScreenInput(NamedTuple):
-    """Departures and arrivals of a window, prepared for looks and weighing."""
+    """Departures and arrivals of a window, prepared for looks and weighing (`screen_input`)."""
 
     departures: Departures
     arrivals: Arrivals
     leaving: list[Rows]
-    """(zones,) rows of the departures of each zone."""
+    """(zones,) rows of the departures from each zone."""
     coming: list[Rows]
-    """(zones,) rows of the arrivals of each zone."""
+    """(zones,) rows of the arrivals at each zone."""
     exposure: Floats
     """(zones, bins) exposed departures."""
     chance: NullRates
     """Rates of arrivals under the null model."""
     bins: LagBins
+    """Bins of the lags."""
 
 
 class CandidateScreen:
     """Selects the candidates of each fit, and remembers which pairs of zones are followed.
 
-    While pairs of zones and candidates are few, all candidates are returned and nothing is
-    remembered.
+    On a small site, `find` returns all candidates, and no pair is remembered.
     """
 
     def __init__(self) -> None:
         self.followed: dict[int, FollowedSources] = {}
-        """Sources followed, by `place` of the zone of arrival."""
+        """Zones of departure that are followed, by key (`place`) of the zone of arrival."""
 
     @staticmethod
     def is_needed(
         departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, candidates_max: int
     ) -> bool:
-        """Return True if there are more candidates, or pairs of zones, than can all be weighed."""
+        """Return True if there are too many candidates or pairs of zones for one fit.
+
+        zones: number of zones.
+        candidates_max: limit of the candidates; that of the pairs is `PAIRS_FEW`.
+        """
         low, high = departures_in_reach(departures.t, arrivals.t, bins)
         return int((high - low).sum()) > candidates_max or zones**2 > PAIRS_FEW
 
@@ -139,10 +151,11 @@ class CandidateScreen:
     ) -> Candidates:
         """Return the candidates of a window, screened if there are too many.
 
-        places (zones,): keys of the zones that stay the same from one fit to the next, see `place`.
+        places (zones,): key of each zone that stays the same from fit to fit (`place`).
         until (seconds): end of the window.
         learned: number of events learned so far.
-        everywhere: look at every zone now, as there is no other fit.
+        candidates_max: number of candidates up to which all are returned.
+        everywhere: True to look at every zone of arrival now, as there is no later fit.
         """
         if not self.is_needed(departures, arrivals, bins, len(places), candidates_max):
             self.followed = {}
@@ -156,28 +169,33 @@ class CandidateScreen:
 
         # Count the departures in reach of each arrival; beyond the limit, the arrivals with the
         # fewest are kept.
-        reach, left = (
+        reach, departure_times = (
             np.zeros(len(arrivals.t), np.intp),
             [departures.t[rows] for rows in ends.leaving],
         )
         for zone, sources in sources_of.items():
-            mine = ends.coming[zone]
-            reach[mine] = _reach([left[source] for source in sources], arrivals.t[mine], bins)
+            arrival_rows = ends.coming[zone]
+            reach[arrival_rows] = _reach(
+                [departure_times[source] for source in sources], arrivals.t[arrival_rows], bins
+            )
         kept = arrivals_within(reach, WEIGHED_MAX)
 
         # Weigh the candidates of one zone of arrival at a time, in blocks.
         def parts() -> Iterator[Part]:
             for zone, sources in sources_of.items():
-                mine = ends.coming[zone][kept[ends.coming[zone]]]
-                block = (np.cumsum(reach[mine]) - 1) // WEIGHED_AT_ONCE
-                for some in np.split(mine, np.flatnonzero(np.diff(block)) + 1):
-                    if len(some):
-                        yield _likely(ends, zone, sources, some)
+                arrival_rows = ends.coming[zone][kept[ends.coming[zone]]]
+                block = (np.cumsum(reach[arrival_rows]) - 1) // WEIGHED_AT_ONCE
+                for arrivals_of_block in np.split(arrival_rows, np.flatnonzero(np.diff(block)) + 1):
+                    if len(arrivals_of_block):
+                        yield _likely(ends, zone, sources, arrivals_of_block)
 
         return _joined(parts(), departures, arrivals, len(places))
 
     def _sources(self, places: Longs) -> dict[int, Longs]:
-        """Return the sources followed of each zone that has any, as ascending zone indices."""
+        """Return, by zone of arrival, the zones of departure that are followed, ascending.
+
+        places (zones,): key of each zone (`place`). Zones without any source are left out.
+        """
         row_of = {place: zone for zone, place in enumerate(places.tolist())}
         result = {}
         for zone, place in enumerate(places.tolist()):
@@ -190,9 +208,11 @@ class CandidateScreen:
     def _look(
         self, ends: ScreenInput, places: Longs, learned: int, reach: Rows, everywhere: bool
     ) -> None:
-        """Look at the zones with the oldest looks, within the budget; forget zones that are gone.
+        """Look at the zones of arrival with the oldest looks, as far as the budget goes.
 
-        reach: departures within the lags of each arrival, the cost of a look.
+        Zones that exist no more are forgotten.
+
+        reach (m,): number of departures within the lags of each arrival, the cost of looking at it.
         """
         never = FollowedSources(np.zeros(0, np.int64), -1)
         self.followed = {place: self.followed.get(place, never) for place in places.tolist()}
@@ -217,14 +237,15 @@ def candidates_of_pairs(
     bins: LagBins,
     zones: int,
 ) -> Candidates:
-    """Return all candidates of the given pairs of zones, probable or not, to judge links by.
+    """Return all candidates of the given pairs of zones, probable or not, as evidence for links.
 
-    Screened candidates are biased: those that remain of a pair have the lag that was looked for,
-    whether there is a link or not. Beyond `JUDGED_MAX` candidates, all those of the arrivals with
-    the fewest departures in reach are returned.
+    Screened candidates are biased as evidence: those that remain of a pair have similar lags,
+    whether there is a link or not. Beyond `JUDGED_MAX` candidates, those of the arrivals with the
+    fewest departures in reach are returned.
 
     candidates: the screened candidates, whose numbering of pairs is kept.
-    pairs: indices of the pairs.
+    pairs (k,): numbers of the pairs.
+    zones: number of zones.
     """
     # Group events by zone, and pairs by zone of arrival.
     leaving, coming = rows_by_group(departures.zone, zones), rows_by_group(arrivals.zone, zones)
@@ -237,9 +258,11 @@ def candidates_of_pairs(
     # Count the departures in reach of each arrival; beyond the limit, the arrivals with the fewest
     # are kept.
     reach = np.zeros(len(arrivals.t), np.intp)
-    for zone, here in pairs_to.items():
-        left = [departures.t[leaving[source]] for source in candidates.source[here]]
-        reach[coming[zone]] = _reach(left, arrivals.t[coming[zone]], bins)
+    for zone, pairs_here in pairs_to.items():
+        departure_times = [
+            departures.t[leaving[source]] for source in candidates.source[pairs_here]
+        ]
+        reach[coming[zone]] = _reach(departure_times, arrivals.t[coming[zone]], bins)
     clear = arrivals_within(reach, JUDGED_MAX)
 
     # List the candidates of one zone of arrival at a time.
@@ -251,13 +274,21 @@ def candidates_of_pairs(
             np.zeros(0, np.float32),
         )
     ]
-    for zone, here in pairs_to.items():
+    for zone, pairs_here in pairs_to.items():
         number = np.full(zones, -1, np.int32)
-        number[candidates.source[here]] = here
-        among, mine = _among(leaving, candidates.source[here]), coming[zone][clear[coming[zone]]]
-        for departure, at, lag in possible(departures, arrivals, bins, mine, among):
-            came, pair = mine[at].astype(np.int32), number[departures.zone[departure]]
-            parts.append((departure.astype(np.int32), came, pair, lag.astype(np.float32)))
+        number[candidates.source[pairs_here]] = pairs_here
+        departure_rows, arrival_rows = (
+            _among(leaving, candidates.source[pairs_here]),
+            coming[zone][clear[coming[zone]]],
+        )
+        for departure, at, lag in possible(
+            departures, arrivals, bins, arrival_rows, departure_rows
+        ):
+            part_arrival, pair = (
+                arrival_rows[at].astype(np.int32),
+                number[departures.zone[departure]],
+            )
+            parts.append((departure.astype(np.int32), part_arrival, pair, lag.astype(np.float32)))
 
     # Order by arrival. Each part has its own arrivals, ordered by arrival and departure.
     lefts, cames, pairings, lags = zip(*parts, strict=True)
@@ -280,44 +311,52 @@ def negative_without_overlap(
 ) -> NDArray[np.bool_]:
     """Return a mask (M,) of candidates with a negative lag between views that do not overlap.
 
-    Two views overlap if the search for overlapping views found that they do, or if the candidates
-    with a negative lag, over all their zones and in both directions, have more evidence than the
-    null model gives any pair of cameras with probability `OVERLAP_FALSE`.
+    Such candidates are impossible: an object does not appear in the next view before it leaves the
+    first one. Two views are taken to overlap if the search for overlapping views has found it, or
+    if the candidates with a negative lag, over all zones of the two and in both directions, have
+    more evidence than the null model gives any pair of cameras with probability `OVERLAP_FALSE`.
 
-    responsibility (M,): of each candidate.
+    responsibility (M,): probability that the candidate is of one object.
     overlapping (cameras, cameras): True where the search found an overlap.
     """
     # Number the pairs of cameras among the candidates with a negative lag.
     cameras = len(overlapping)
     c = candidates
     ahead = np.flatnonzero(c.lag < 0)
-    left, came = departures.camera[c.departure[ahead]], arrivals.camera[c.arrival[ahead]]
-    views = np.minimum(left, came).astype(np.int64) * cameras + np.maximum(left, came)
+    camera_left, camera_reached = (
+        departures.camera[c.departure[ahead]],
+        arrivals.camera[c.arrival[ahead]],
+    )
+    views = np.minimum(camera_left, camera_reached).astype(np.int64) * cameras + np.maximum(
+        camera_left, camera_reached
+    )
     present, pair = np.unique(views, return_inverse=True)
 
     # Responsibility of each arrival, added up over its candidates from one camera.
-    key, number = np.unique(c.arrival[ahead].astype(np.int64) * cameras + left, return_inverse=True)
-    share = np.minimum(
+    key, number = np.unique(
+        c.arrival[ahead].astype(np.int64) * cameras + camera_left, return_inverse=True
+    )
+    arrival_share = np.minimum(
         np.bincount(number, responsibility[ahead], minlength=len(key)), RESPONSIBILITY_MAX
     )
 
     # Evidence of each pair of cameras, against a Bonferroni threshold over all pairs.
     of_key = np.zeros(len(key), np.int64)
     of_key[number] = pair
-    nats = np.bincount(of_key, -np.log1p(-share) - share, minlength=len(present))
-    seen = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
-    seen |= (overlapping | overlapping.T)[present // cameras, present % cameras]
+    nats = np.bincount(of_key, -np.log1p(-arrival_share) - arrival_share, minlength=len(present))
+    overlaps = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
+    overlaps |= (overlapping | overlapping.T)[present // cameras, present % cameras]
 
     result = np.zeros(len(c.lag), bool)
-    result[ahead] = ~seen[pair]
+    result[ahead] = ~overlaps[pair]
     return result
 
 
 def place(camera: int, number: int) -> int:
-    """Return a key of a zone that stays the same from one fit to the next.
+    """Return the key of a zone, which stays the same from one fit to the next.
 
     camera: index of the camera.
-    number: number of the zone there.
+    number: number of the zone among the camera's zones.
     """
     return camera << 32 | number
 
@@ -338,10 +377,12 @@ def screen_input(
 
 
 def find_sources(ends: ScreenInput, zone: int, pairs_max: int = ZONE_PAIRS_MAX) -> Rows:
-    """Return the zones whose departures the arrivals at ``zone`` follow most clearly, ascending.
+    """Look at a zone of arrival: return the zones of departure that stand out most, ascending.
 
-    They are at most `SOURCES_PER_ZONE_MAX`, and at most the zone's share of ``pairs_max``, the
-    pairs that all zones may follow together.
+    ends: departures and arrivals of the window.
+    zone: the zone of arrival.
+    pairs_max: largest number of pairs of zones that are followed on the whole site. The result has
+        at most an equal share of it, and at most `SOURCES_PER_ZONE_MAX` zones.
     """
     above = excess_by_source(ends, zone)
     best = np.argsort(-above, kind="stable")[: min(SOURCES_PER_ZONE_MAX, pairs_max // len(above))]
@@ -349,44 +390,47 @@ def find_sources(ends: ScreenInput, zone: int, pairs_max: int = ZONE_PAIRS_MAX) 
 
 
 def excess_by_source(ends: ScreenInput, zone: int) -> Floats:
-    """Return how far the lag histogram of each zone of departure exceeds the null model.
+    """Return by how much the lag histogram from each zone to one zone exceeds the null model.
 
-    Returns standard deviations at the lag with the largest excess, (zones,); -inf where too few
-    candidates were seen.
-
+    ends: departures and arrivals of the window.
     zone: the zone of arrival.
+
+    The result (zones,) is by zone of departure, in standard deviations of the null model at the lag
+    with the largest excess; -inf where there are fewer than `SEEN_MIN` candidates.
     """
     zones, bins = len(ends.leaving), ends.bins
-    seen = np.zeros(zones * bins.size)
-    every = ends.coming[zone]
-    low, high = departures_in_reach(ends.departures.t, ends.arrivals.t[every], bins)
+    counts_flat = np.zeros(zones * bins.size)
+    arrival_rows = ends.coming[zone]
+    low, high = departures_in_reach(ends.departures.t, ends.arrivals.t[arrival_rows], bins)
 
     # Beyond the limit, count the candidates of every second arrival only, or every third, and so
     # on.
     most = ZONE_SCREEN_PAIRS_PER_EVENT_MAX * (len(ends.departures.t) + len(ends.arrivals.t))
-    mine = every[:: -(-int((high - low).sum()) // most) or 1]
+    thinned = arrival_rows[:: -(-int((high - low).sum()) // most) or 1]
 
     # Histograms of the lags, by zone of departure.
     for departure, _, lag in possible(
-        ends.departures, ends.arrivals, bins, mine, at_once=COUNTED_AT_ONCE
+        ends.departures, ends.arrivals, bins, thinned, at_once=COUNTED_AT_ONCE
     ):
         cell = ends.departures.zone[departure].astype(np.int64) * bins.size + bins.index(lag)
-        seen += np.bincount(cell, minlength=len(seen))
+        counts_flat += np.bincount(cell, minlength=len(counts_flat))
 
     # Compare those with enough candidates with the null model, thinned like the arrivals.
-    counts = seen.reshape(zones, bins.size)
-    some = np.flatnonzero(counts.sum(axis=1) >= SEEN_MIN)
-    rate = ends.chance.rates_of(some, np.full(len(some), zone)) * (len(mine) / max(len(every), 1))
-    usual = rate[:, None] * ends.exposure[some] * bins.widths
+    counts = counts_flat.reshape(zones, bins.size)
+    enough = np.flatnonzero(counts.sum(axis=1) >= SEEN_MIN)
+    rate = ends.chance.rates_of(enough, np.full(len(enough), zone)) * (
+        len(thinned) / max(len(arrival_rows), 1)
+    )
+    usual = rate[:, None] * ends.exposure[enough] * bins.widths
     result = np.full(zones, -np.inf)
-    result[some] = _above(counts[some], usual, bins)
+    result[enough] = _above(counts[enough], usual, bins)
     return result
 
 
 def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:
-    """Return the largest excess of each lag histogram over the null model, in sd, (P,).
+    """Return the largest excess of each lag histogram over the null model, in its sd, (P,).
 
-    seen, chance (P, bins): observed counts, and those expected under the null model.
+    seen, chance (P, bins): observed counts, and expected counts under the null model.
     """
     most = np.zeros(len(seen))
     for sd_bins in EXCESS_SMOOTHING_SD_BINS:
@@ -397,9 +441,9 @@ def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:
 
 
 def _reach(left: list[Floats], came: Floats, bins: LagBins) -> Rows:
-    """Return the number of departures in reach of each arrival.
+    """Return the number (n,) of departures within the lags of each of n arrivals.
 
-    left: times of the departures of each of several zones, seconds, ascending.
+    left: times of the departures from each of several zones, seconds, ascending.
     came (n,): times of the arrivals, seconds.
     """
     reach = np.zeros(len(came), np.intp)
@@ -410,23 +454,26 @@ def _reach(left: list[Floats], came: Floats, bins: LagBins) -> Rows:
 
 
 def _among(leaving: list[Rows], sources: Longs | Ints) -> Rows:
-    """Return the rows of the departures of several zones, ascending."""
+    """Return the rows of the departures from the zones ``sources``, ascending.
+
+    leaving (zones,): rows of the departures from each zone.
+    """
     return np.sort(np.concatenate([leaving[source] for source in sources]), kind="stable")
 
 
-def _likely(ends: ScreenInput, zone: int, sources: Longs, mine: Rows) -> Part:
-    """Return the probable candidates of some arrivals at one zone.
+def _likely(ends: ScreenInput, zone: int, sources: Longs, arrival_rows: Rows) -> Part:
+    """Weigh the candidates of some arrivals at one zone, and return the probable ones.
 
+    zone: the zone of arrival.
     sources: the zones of departure that are followed, ascending.
-    mine: the arrivals, as indices.
+    arrival_rows: rows of the arrivals.
     """
     bins = ends.bins
-    among = _among(ends.leaving, sources)
+    departure_rows = _among(ends.leaving, sources)
     number = np.zeros(len(ends.leaving), np.int64)
     number[sources] = np.arange(len(sources))
 
-    # List the candidates. Of each, only departure, index into ``mine``, cell (source and lag bin)
-    # and lag are kept.
+    # List the candidates: departure, index of the arrival, cell (source and lag bin) and lag.
     parts = [
         (
             np.zeros(0, np.int32),
@@ -435,12 +482,14 @@ def _likely(ends: ScreenInput, zone: int, sources: Longs, mine: Rows) -> Part:
             np.zeros(0, np.float32),
         )
     ]
-    for left, came, apart in possible(ends.departures, ends.arrivals, bins, mine, among):
-        at_bin = (number[ends.departures.zone[left]] * bins.size + bins.index(apart)).astype(
+    for departed, arrived, lags in possible(
+        ends.departures, ends.arrivals, bins, arrival_rows, departure_rows
+    ):
+        at_bin = (number[ends.departures.zone[departed]] * bins.size + bins.index(lags)).astype(
             np.int32
         )
         parts.append(
-            (left.astype(np.int32), came.astype(np.int32), at_bin, apart.astype(np.float32))
+            (departed.astype(np.int32), arrived.astype(np.int32), at_bin, lags.astype(np.float32))
         )
     departure, at, cell, lag = (np.concatenate(column) for column in zip(*parts, strict=True))
     del parts
@@ -449,17 +498,17 @@ def _likely(ends: ScreenInput, zone: int, sources: Longs, mine: Rows) -> Part:
     size = len(sources) * bins.size
     exposed = ends.exposure[sources] * bins.widths
     usual = ends.chance.rates_of(sources, np.full(len(sources), zone))[:, None] * exposed
-    seen = np.bincount(cell, minlength=size).reshape(-1, bins.size).astype(float)
+    counts = np.bincount(cell, minlength=size).reshape(-1, bins.size).astype(float)
     hazard = np.maximum(
-        excess_over_null(seen, usual, bins, NOISE_SD), START_FLOOR * seen
+        excess_over_null(counts, usual, bins, NOISE_SD), START_FLOOR * counts
     ) / np.maximum(exposed, bins.widths)
 
     # A few rounds of EM. E step: share each arrival among its candidates and the outside, and each
     # departure among at most one arrival. M step: count, smooth, divide by exposure.
-    outside, share = OUTSIDE_FIRST * ends.arrivals.rate[mine], np.zeros(0)
+    outside, share = OUTSIDE_FIRST * ends.arrivals.rate[arrival_rows], np.zeros(0)
     for _ in range(ROUNDS):
         weight = hazard.ravel()[cell]
-        share = weight / (outside + np.bincount(at, weight, minlength=len(mine)))[at]
+        share = weight / (outside + np.bincount(at, weight, minlength=len(arrival_rows)))[at]
         once = share / np.maximum(np.bincount(departure, share), 1.0)[departure]
         moved = np.bincount(cell, once, minlength=size).reshape(-1, bins.size).astype(float)
         hazard = smooth(moved)[0] / (np.maximum(ends.exposure[sources], 1.0) * bins.widths)
@@ -468,7 +517,7 @@ def _likely(ends: ScreenInput, zone: int, sources: Longs, mine: Rows) -> Part:
     kept = share > LIKELY_MIN
     return (
         departure[kept],
-        mine[at[kept]].astype(np.int32),
+        arrival_rows[at[kept]].astype(np.int32),
         lag[kept],
         share[kept].astype(np.float32),
     )
@@ -480,7 +529,7 @@ def _joined(
     """Return the likeliest candidates of all parts, ordered by arrival."""
     most = max(LIKELY_MAX, LIKELY_PER_ARRIVAL * len(arrivals.t))
 
-    # Collect the parts, reduced to the likeliest now and then to limit memory.
+    # Collect the parts; now and then, reduce them to the likeliest candidates to limit memory.
     held: list[Part] = []
     n = 0
     for part in parts:
@@ -499,7 +548,11 @@ def _joined(
 
 
 def _likeliest(parts: list[Part], most: int, room: int) -> Part:
-    """Return the ``most`` likeliest candidates, and those as likely as the last up to ``room``."""
+    """Return the ``most`` likeliest candidates of some parts.
+
+    Candidates as likely as the last of them are returned, too, as long as there are at most
+    ``room`` in all.
+    """
     nothing = (
         np.zeros(0, np.int32),
         np.zeros(0, np.int32),

@@ -1,8 +1,8 @@
-"""Changes of the site, found in the window, and the alarms that report them.
+"""Changes of the site within the window, and the alarms that report them.
 
-Reading order: `alarms` reports each change once, in the first version that shows it.
-`change_points` finds links that opened, closed or changed their share. `silence` finds cameras that
-report nothing for too long. `camera_moved` finds cameras that were turned.
+Reading order: `change_points` finds links that opened, closed or changed their share of the
+departures. `silence` finds cameras that report nothing for too long. `camera_moved` finds cameras
+that were turned. `alarms` reports each of these changes once, in the first version that shows it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Alarms: changes of the site, each raised once, in the first version that shows it.
+"""Alarms: report each change of the site once, in the first version that shows it.
 
-A first finding is not a change: a link is reported as opened only if its own past shows that it was
-closed (`change_points`), so that a new installation raises no alarms.
+`AlarmLog.report` is called with each new version and what its refit has found. To learn something
+for the first time is not a change: a link is reported as opened only if the window shows that it
+was closed before (`change_points`), so that a new installation raises no alarms.
 """
 
 from __future__ import annotations
@@ -21,44 +22,49 @@ from camtopod.topology import ALARMS_KEPT_MAX
 SUBJECTS_MAX = 10_000
 """Links and zones whose last report is remembered; beyond, the oldest is forgotten."""
 SHARE_CHANGE_MIN = 0.1
-"""Least change in the share of an open link that is reported; smaller ones are followed only."""
+"""Least change in the share of an open link for an alarm; smaller changes only affect the link."""
 STARTING_SECONDS = 1800.0
-"""Time after the first event, seconds, in which no change is reported.
+"""Seconds after the first event in which no change is reported.
 
-Objects that were in the building before have yet to be seen.
+Objects that were on the site before have not been recorded yet.
 """
 SILENCE_SLACK_SECONDS = 900.0
-"""Time around either end of a camera's silence in which no link change is reported, seconds.
+"""Seconds around the beginning and the end of a camera's silence in which no link change is
+reported.
 
-Such changes are an effect of the silence: objects that pass the silent camera seem to go straight
-on.
+Such changes are an effect of the silence: objects that pass the silent camera seem to go from the
+camera before it straight to the camera after it.
 """
 CLOCK_CHANGE_SECONDS_MIN = 0.5
 """Least change of a clock offset that is reported, seconds."""
 CLOCK_CHANGE_SD = 4.0
 """Least change of a clock offset that is reported, in standard deviations."""
 GONE_RATIO = 0.05
-"""Largest ratio of a zone's shares of its camera's events for the zone to be new or gone.
-
-The ratio is that of the smaller share to the larger, before and after the change.
+"""Largest ratio, for a zone to be reported as new or gone, of its share of the camera's events
+before a change and its share after, the smaller over the larger.
 """
 ZONE_SHARE_MAX = 0.99
-"""Responsibility given to each event of a zone: the evidence of one event is limited."""
+"""Responsibility given to each event of a zone in the test for changes.
+
+It is below 1, so that the evidence of a single event is limited.
+"""
 
 
 class AlarmState(Struct):
-    """State of an `AlarmLog`, as saved."""
+    """The saved state of an `AlarmLog`."""
 
     newest: list[Alarm]
     """Alarms, oldest first."""
     said: dict[str, float]
-    """Subject -> time of its last report, seconds."""
+    """Subject of an alarm (a zone, or a link as ``from->to``) -> time of its last report, seconds.
+    """
     joined: list[str]
     """Links that were published and not reported as closed."""
     silent: list[str]
     """Cameras reported as silent and not yet back."""
     clock: dict[str, tuple[float, float]]
-    """Camera -> clock offset and its standard deviation (seconds) to measure changes from."""
+    """Camera -> clock offset from which changes are measured, and its standard deviation, seconds.
+    """
 
 
 class AlarmLog:
@@ -92,7 +98,7 @@ class AlarmLog:
             del self._clock[name]
 
     def join(self, zones: list[str], links: set[tuple[int, int]]) -> None:
-        """Note links that existed without having been published, so that their closing is reported.
+        """Note links that existed without being published, so that their closing is reported.
 
         zones: ids of all zones.
         links: pairs of zone indices.
@@ -100,7 +106,13 @@ class AlarmLog:
         self._joined |= {f"{zones[source]}->{zones[target]}" for source, target in links}
 
     def add(self, version: int, t: float, kind: str, subject: str, detail: str) -> None:
-        """Raise an alarm for a change that was found elsewhere."""
+        """Raise an alarm for a change that the caller has found.
+
+        version, t: the version that shows the change, and its event time in seconds.
+        kind: kind of the change, such as ``camera_moved``.
+        subject: the camera, zone or link that has changed.
+        detail: the change in words.
+        """
         self.newest = [*self.newest, Alarm(version, t, kind, subject, detail)][-ALARMS_KEPT_MAX:]
 
     def report(
@@ -118,9 +130,12 @@ class AlarmLog:
         """Raise the alarms for all changes that this version shows.
 
         t (seconds): event time of the version.
-        zones, cameras: their ids.
-        published: pairs of zones that the links of this version join.
-        share_min: a pair of zones with a smaller share is no link.
+        scene: the labelled events of the window.
+        zones, cameras: ids of all zones, and names of all cameras.
+        silences: of each camera.
+        changes: of links.
+        published: pairs (zone of departure, zone of arrival) of the links of this version.
+        share_min: least share of the departures at a zone that makes a pair of zones a link.
         """
         # Cameras and zones.
         begun = scene.first + STARTING_SECONDS
@@ -133,12 +148,12 @@ class AlarmLog:
         edges = np.array(
             [edge for silence in silences for interval in silence.intervals for edge in interval]
         )
-        own = [
+        link_changes = [
             c
             for c in changes
             if c.since >= begun and not np.any(np.abs(edges - c.since) < SILENCE_SLACK_SECONDS)
         ]
-        self.links(version, t, own, zones, published, share_min)
+        self.links(version, t, link_changes, zones, published, share_min)
 
     def links(
         self,
@@ -149,13 +164,13 @@ class AlarmLog:
         published: set[tuple[int, int]],
         share_min: float,
     ) -> None:
-        """Raise the alarms for links that opened, closed or changed.
+        """Raise the alarms for links that opened, closed or changed their share.
 
-        published: pairs of zones that the links of this version join.
+        Arguments are as for `report`.
         """
         for change in changes:
-            # Classify the change; skip slight ones, and pairs of zones that are no link or were
-            # none.
+            # Classify the change. Skip slight changes, closed links that had never been published,
+            # and open links that are not published.
             closed = change.after < share_min
             opened = not closed and change.before < share_min
             slight = not opened and abs(change.after - change.before) < SHARE_CHANGE_MIN
@@ -179,9 +194,10 @@ class AlarmLog:
     def zone(
         self, version: int, t: float, subject: str, before: float, after: float, since: float
     ) -> None:
-        """Raise the alarm for a zone that came into use or fell out of it.
+        """Raise the alarm for a zone that is used since a moment, or no longer.
 
-        before, after: its share of the camera's entries or exits.
+        subject: id of the zone.
+        before, after: the zone's share of its camera's entries or exits until then and since.
         since (seconds): time of the change.
         """
         kind = "zone_new" if after > before else "zone_gone"
@@ -198,7 +214,7 @@ class AlarmLog:
         cameras: list[str],
         begun: float,
     ) -> None:
-        """Raise the alarms for cameras that fell silent after ``begun`` (seconds) or are back."""
+        """Raise the alarms for cameras that fell silent after ``begun`` (seconds), or report again."""
         for name, silence in zip(cameras, silences, strict=True):
             ongoing = bool(silence.intervals) and silence.intervals[-1][1] == np.inf
             if silence.lasts and name not in self._silent and silence.intervals[-1][0] >= begun:
@@ -217,9 +233,10 @@ class AlarmLog:
     def clocks(self, version: int, t: float, cameras: list[Camera]) -> None:
         """Raise the alarms for cameras whose clock has moved against the others.
 
-        A clock offset that is estimated for the first time is no change. The offset that later ones
-        are compared with is replaced when a change is reported, or when the new estimate is more
-        than twice as exact.
+        cameras: records of the new version, with clock offsets.
+
+        A clock offset that is estimated for the first time is no change. Later estimates are
+        compared with it, until a change is reported or an estimate is more than twice as exact.
         """
         for camera in cameras:
             now, sd = camera.clock_offset, camera.clock_offset_sd
@@ -244,7 +261,9 @@ class AlarmLog:
     def _once(
         self, version: int, t: float, kind: str, subject: str, detail: str, since: float
     ) -> None:
-        """Raise an alarm unless the change happened before the last report on its subject."""
+        """Raise an alarm unless the change, at ``since``, is older than the last report on its
+        subject.
+        """
         if since <= self._said.get(subject, -np.inf):
             return
         self._said.pop(subject, None)
@@ -255,11 +274,12 @@ class AlarmLog:
 
 
 def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
-    """Return the zones whose share of their camera's events began or ended.
+    """Find zones that are used since a moment within the window, or no longer.
 
-    Maps zone -> share before, share after, time of the change (seconds). Entries or exits are
-    judged, whichever the zone has more of; judging both together would mistake a scene that fills
-    (entries first) or empties (exits last) for a change.
+    Return (share before, share after, time of the change in seconds) by index of the zone. The
+    share is that of the zone among its camera's entries, or among its exits if the zone has more of
+    these. Both together would show a change in a site that fills (entries first) or empties (exits
+    last).
     """
     # Rows of the events of each camera and of each zone.
     threshold = threshold_nats(len(scene.zones), len(scene.departures.t) + len(scene.arrivals.t))
@@ -272,13 +292,19 @@ def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
     # Test each zone's share of its camera's events, unless it has all of them.
     for index, ref in enumerate(scene.zones):
         side = 0 if scene.exits[index] > scene.entries[index] else 1
-        seen, own = (
+        camera_times, zone_times = (
             ends[side].t[rows] for rows in (of_camera[side][ref.camera], of_zone[side][index])
         )
-        if len(own) == len(seen):
+        if len(zone_times) == len(camera_times):
             continue
         change = latest_change(
-            Trials(seen, np.ones(len(seen)), own, np.full(len(own), ZONE_SHARE_MAX)), threshold
+            Trials(
+                camera_times,
+                np.ones(len(camera_times)),
+                zone_times,
+                np.full(len(zone_times), ZONE_SHARE_MAX),
+            ),
+            threshold,
         )
         if change is not None:
             since, before, after, _ = change

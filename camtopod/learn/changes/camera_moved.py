@@ -1,16 +1,16 @@
-"""Turned cameras: their events come from new places, and their known zones are silent.
+"""Find turned cameras: their newest events come from new places, and their known zones are silent.
 
-A shift of traffic between known zones is no move, whatever its size; nor is a door that opens or
-closes. Two conditions must therefore hold for the newest events of a camera, for one of several
-numbers of "newest":
+`find_move` compares the newest events of one camera, by grid cell, with its earlier events. A shift
+of traffic between known zones is no move, whatever its size; nor is a door that opens or closes.
+So two conditions must hold for the newest n events, for one of several n (`LENGTHS`):
 
 * *The known zones are silent*: they have kept little of their share of the traffic.
-* *Other places explain the events better.* The null model is that of the known places: each zone
-  and the clutter distribute their events as before, in proportions that are free and fitted to the
-  newest events. The alternative is a kernel density in which each event is predicted from those
-  before it among the newest. As it never sees the event that it predicts, the likelihood ratio
-  exceeds r with a probability of at most 1 / r if nothing has changed (Ville's inequality), for
-  each number of events.
+* *Other places explain the newest events better.* Under the null model, each zone and the clutter
+  distribute their events over cells as before; only the proportions between zones are fitted to
+  the newest events. The alternative is a kernel density that predicts each of the newest events
+  from those before it. As the density does not depend on the event that it predicts, the likelihood
+  ratio exceeds r with a probability of at most 1 / r if nothing has changed (Ville's inequality),
+  for each n.
 """
 
 from __future__ import annotations
@@ -25,29 +25,30 @@ from camtopod.learn.zones import kernel_1d
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 FALSE_ALARM = 1e-9
-"""Probability of a false alarm in one test of one camera, if zones were known exactly."""
+"""Probability of a false move in one test of one camera, if the zones were known exactly."""
 LENGTHS = (60, 90, 135, 200, 300)
 """Numbers of newest events that are tested."""
 BEFORE_MIN = 100
 """Least number of events before the newest ones, from which the known places are learned."""
 LEFT_MAX = 0.35
-"""Largest share of their traffic that the known zones may have kept.
+"""Largest share of their traffic that the known zones of a turned camera may have kept.
 
-Two standard deviations are added to the estimate.
-
-Traffic that a place has gained does not count.
+Two standard deviations are added to the estimate of the share before it is compared. Cells whose
+traffic has increased count as unchanged.
 """
 LEFT_SURE = 0.5
-"""If the zones have kept more than this in the shortest test, the longer ones are skipped."""
+"""Share of their traffic that zones have kept in the shortest test above which the longer tests are
+skipped.
+"""
 KNOWN_CONTRAST = 2.5
-"""Least density of a known zone before the newest events, over that of the rest of the image.
+"""Least density of events, before the newest ones, of a known zone over the rest of the image.
 
-The map may have zones that only the newest events made.
+Other zones of the map do not count as known: they may be made of the newest events only.
 """
 _WIDTH = 1.0
-"""Width of the kernels, grid cells."""
+"""Standard deviation of the kernels, grid steps."""
 _EVENTS_EVEN = 2.0
-"""Weight, in events, of the even spread that the kernel density begins with."""
+"""Weight, in events, of a uniform density in the kernel density."""
 _ROWS, _COLUMNS = kernel_1d(GRID_ROWS, _WIDTH), kernel_1d(GRID_COLUMNS, _WIDTH)
 _ROWS, _COLUMNS = (
     _ROWS / _ROWS.sum(axis=1, keepdims=True),
@@ -60,13 +61,13 @@ class Move(NamedTuple):
     """The move of a camera."""
 
     first: int
-    """Index of the first event that comes from other places."""
+    """Index of the first of the camera's events after the move."""
     events: int
-    """Number of events since."""
+    """Number of events after the move."""
     outside: float
-    """Share of them outside the known zones."""
+    """Share of the events after the move that are outside the known zones."""
     log_ratio: float
-    """Log likelihood ratio of the alternative, nats."""
+    """Log likelihood ratio of a move over the known places, nats."""
     left: float
     """Share of their traffic that the known zones have kept."""
 
@@ -74,8 +75,8 @@ class Move(NamedTuple):
 def find_move(cell: NDArray[np.int64], zones: NDArray[np.int16]) -> Move | None:
     """Return the move of a camera; None if there is none.
 
-    cell (n,): flat grid cell of each of its events, oldest first.
-    zones (rows, columns): its map of zones (`ZoneMap.cells`).
+    cell (n,): flat grid cell of each of the camera's events, oldest first.
+    zones (rows, columns): the zone of each cell (`ZoneMap.cells`).
     """
     best: Move | None = None
     for length in LENGTHS:
@@ -100,19 +101,24 @@ def find_move(cell: NDArray[np.int64], zones: NDArray[np.int16]) -> Move | None:
 
 
 def _left(before: NDArray[np.int64], newest: NDArray[np.int64], part: NDArray[np.int64]) -> float:
-    """Return the share of its traffic that the known zones have kept, compared cell by cell."""
-    had, has = (
+    """Return the share of their traffic that the known zones have kept, compared cell by cell.
+
+    before, newest (n,), (m,): flat grid cells of the earlier and the newest events.
+    part (cells,): known zone of each cell, from 1; 0 outside.
+    """
+    share_before, share_now = (
         _smooth(np.bincount(cell, minlength=_CELLS))[part > 0] / len(cell)
         for cell in (before, newest)
     )
-    return float(np.minimum(had, has).sum() / had.sum())
+    return float(np.minimum(share_before, share_now).sum() / share_before.sum())
 
 
 def _moved(
     before: NDArray[np.int64], newest: NDArray[np.int64], part: NDArray[np.int64], left: float
 ) -> Move | None:
-    """Return the move if other places explain ``newest`` better than the known ones do.
+    """Return the move if other places explain the newest events better than the known ones; or None.
 
+    before, newest (n,), (m,): flat grid cells of the earlier and the newest events.
     part (cells,): known zone of each cell, from 1; 0 outside.
     left: share of their traffic that the known zones have kept.
     """
@@ -125,7 +131,7 @@ def _moved(
     if log_ratio < -np.log(FALSE_ALARM):
         return None
 
-    # The move begins where the events from there on speak most for other places.
+    # The move begins at the event from which on the events speak most for other places.
     change = (
         _foretold(newest, earlier=False)
         - within
@@ -137,9 +143,11 @@ def _moved(
 
 
 def _known_zones(count: NDArray[np.int64], zones: NDArray[np.int16]) -> NDArray[np.int64]:
-    """Return the known zone of each cell, counted from 1; 0 outside.
+    """Return the known zone of each cell (cells,), counted from 1; 0 outside.
 
-    Zones that are not denser than the rest of the image are outside, too.
+    count (cells,): number of earlier events in each cell.
+    zones (cells,): zone of each cell in the map, -1 for clutter. A zone that was not clearly denser
+        than the rest of the image (`KNOWN_CONTRAST`) is not known.
     """
     part = zones.astype(np.int64) + 1
     had, size = (
@@ -154,16 +162,17 @@ def _known_zones(count: NDArray[np.int64], zones: NDArray[np.int16]) -> NDArray[
 
 
 def _smooth(count: NDArray[np.int64]) -> Floats:
-    """Return event counts (cells,) smoothed over the grid; nowhere zero."""
+    """Return event counts (cells,) smoothed over the grid; no count is zero."""
     return np.asarray(
         (_ROWS.T @ (count + 1 / _CELLS).reshape(GRID_ROWS, GRID_COLUMNS) @ _COLUMNS).ravel()
     )
 
 
 def _foretold(cell: NDArray[np.int64], earlier: bool) -> Floats:
-    """Return the log density (n,) of each event under a kernel density of other events.
+    """Return the log density (n,) of each of n events under a kernel density of the others.
 
-    earlier: use the events before it; otherwise all others.
+    cell (n,): flat grid cell of each event.
+    earlier: True to use only the events before an event for its density.
     """
     row, column = np.divmod(cell, GRID_COLUMNS)
     near = _ROWS[np.ix_(row, row)] * _COLUMNS[np.ix_(column, column)]

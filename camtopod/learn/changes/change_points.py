@@ -1,23 +1,25 @@
-"""Change points of links: links that opened or closed, and since when their present share holds.
+"""Change points of links: links that opened, closed or changed their share, and when they did.
 
-The joint fit gives one share to each pair of zones for the whole window, so it still shows a path
-that was closed, and shows one that was opened too weakly. Here each pair of the fit is tested for a
-moment before which its share of the *departures* was different. Traffic that rises and falls
-changes departures and transitions alike, and is no change.
+The *share* of a pair of zones is the share of the departures at the first zone that appear next at
+the second. The joint fit estimates one share for the whole window, so it still shows a link that
+was closed, and shows a link that was opened too weakly. `find_changes` tests each pair of the fit
+for a moment at which its share changed; `present` replaces shares in a `LinkTable` by those since
+the change. Traffic that rises and falls changes departures and transitions alike, and is no change.
 
-Let the fit ascribe an arrival to the pair with responsibility ``r``. If the share were ``f`` times
-as large, the arrival would be ``1 - r + f r`` times as likely, and departures would take the path
-``f`` times as often. The log likelihood of ``f`` over a stretch of time is therefore
+Let the fit give an arrival the responsibility ``r`` of being a transition of the pair. If the share
+were ``f`` times as large, the arrival would be ``1 - r + f r`` times as likely, and the expected
+number of transitions ``f`` times as large. The log likelihood of the *factor* ``f`` over a stretch
+of time is therefore
 
-``sum log(1 - r + f r) - (f - 1) * expected``,
+``sum over arrivals of log(1 - r + f r) - (f - 1) * expected transitions``,
 
-in which an arrival that may well have come from elsewhere has little weight.
+in which an arrival that may well have another cause has little weight.
 
-The change is where two factors, one before and one after, exceed a single one by most. It counts if
-this ratio, divided by the overdispersion that remains (groups of people, shares that follow the
-hour), exceeds what the null model reaches at any split of any pair in less than `FALSE_ALARM` of
-the windows: a union bound over Wilks' theorem. Related: Killick, Fearnhead and Eckley (2012); cost
-functions of the ruptures package.
+The change is where two factors, one before and one after, exceed a single factor by most log
+likelihood. It counts if this difference, divided by the overdispersion that remains (groups of
+people, shares that follow the hour), exceeds the value that the null model reaches at any split of
+any pair in less than `FALSE_ALARM` of the windows: a union bound over Wilks' theorem. Related:
+Killick, Fearnhead and Eckley (2012); cost functions of the ruptures package.
 """
 
 from __future__ import annotations
@@ -40,25 +42,27 @@ FALSE_ALARM = 5e-3
 The measured probability is far smaller, as uncertain arrivals vary less than the theory assumes.
 """
 FACTORS = np.concatenate(([0.0], np.geomspace(0.03, 100.0, 25)))
-"""Ratios of the share in a stretch to the share over the whole window that are tried."""
+"""Factors that are tried: share in a stretch of time over the share in the whole window."""
 SPLIT_DEPARTURES_MIN = 4
-"""Least number of departures on either side of a change."""
+"""Least number of departures before a change, and after it."""
 SPLIT_RATIO = 1.15
-"""Ratio between the numbers of departures since successive splits.
+"""Ratio between the numbers of departures after successive splits that are tried.
 
-Splits are tried with 4, 4.6, 5.3, ... departures since, so that the resolution is proportional to
-the age of a change.
+Splits are tried with 4, 4.6, 5.3, ... departures after them, so that the resolution is proportional
+to the age of a change.
 """
 BLOCKS = 16
 """Number of blocks of the window from whose counts the overdispersion is estimated."""
 CHANGES_MAX = 4
-"""Largest number of changes of one pair within a window that are followed."""
+"""Largest number of changes of one pair within a window that are looked for."""
 RESPONSIBILITY_MIN = 1e-3
-"""Candidates with a smaller responsibility are left out."""
+"""Least responsibility of candidates that are used."""
 RESPONSIBILITY_MAX = 0.99
-"""Largest responsibility of an arrival, so that a single one does not prove that a path is open."""
+"""Upper bound on the responsibility of an arrival, so that a single arrival does not prove that a
+path is open.
+"""
 TRANSITIONS_MIN = 2.0
-"""Least expected transitions of a pair that is tested."""
+"""Least expected number of transitions of a pair that is tested."""
 
 
 Silence = tuple[float, float]
@@ -75,22 +79,22 @@ class Change(NamedTuple):
     since: float
     """Time of the change, seconds."""
     before: float
-    """Share of the departures at ``source`` that appeared next at ``target`` until then."""
+    """Share of the departures at ``source`` that appear next at ``target``, before the change."""
     after: float
-    """The same share since then."""
+    """Share after the change."""
     nats: float
-    """Evidence for the change."""
+    """Evidence for the change, nats."""
     linked: float = 0.0
-    """Evidence since then (nats) that the zones are linked, by transitions with a transit time."""
+    """Evidence from the time after the change that the zones are linked, nats."""
 
 
 class Trials(NamedTuple):
-    """Departures of one zone (n,), and transitions of one pair of zones (J,), both by time."""
+    """Input of the test of one pair: n departures of its first zone, and its J transitions, by time."""
 
     t: Floats
     """(n,) times of departure, seconds."""
     weight: Floats
-    """(n,) weight of each departure, 0 during silences of the target's camera."""
+    """(n,) weight of each departure: 1, or 0 during silences of the second zone's camera."""
     moved: Floats
     """(J,) time of departure of each transition, seconds."""
     share: Floats
@@ -100,18 +104,18 @@ class Trials(NamedTuple):
 def find_changes(
     fit: Fit, departures: Departures, arrivals: Arrivals, over: float, silences: list[list[Silence]]
 ) -> list[Change]:
-    """Return the latest change of each pair of the fit that has one, by pair.
+    """Return the latest change of each pair of zones of a fit that has one, in order of pairs.
 
-    over (seconds): later departures may still arrive and do not count.
-    silences: of each camera, the intervals in which it reported nothing. No arrival could be seen
-        there, so departures in them do not count.
+    over (seconds): time up to which departures count; later ones may still have an arrival.
+    silences: intervals in which each camera reported nothing. Departures in an interval do not
+        count for pairs that lead to the camera, as their arrivals could not be recorded.
     """
     # Pairs to test, and the departures of each zone that count.
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     threshold = threshold_nats(len(pairs), len(departures.t))
     camera_of = dict(zip(arrivals.zone.tolist(), arrivals.camera.tolist(), strict=True))
     done = departures.t[: np.searchsorted(departures.t, over, side="right")]
-    left = rows_by_group(
+    departures_of = rows_by_group(
         departures.zone[: len(done)], int(fit.candidates.source.max(initial=-1)) + 1
     )
 
@@ -119,7 +123,7 @@ def find_changes(
     for pair, moved, share in transitions_by_pair(fit, departures, arrivals, pairs):
         # Departures and transitions of the pair.
         source, target = int(fit.candidates.source[pair]), int(fit.candidates.target[pair])
-        t = done[left[source]]
+        t = done[departures_of[source]]
         weight = np.ones(len(t))
         for begin, end in silences[camera_of[target]]:
             weight[(t >= begin) & (t < end)] = 0.0
@@ -139,10 +143,11 @@ def find_changes(
 
 
 def _linked(fit: Fit, departures: Departures, pair: int, since: float, factor: float) -> float:
-    """Return the evidence in nats that a pair of zones is linked, since a change.
+    """Return the evidence (nats), from the time after a change, that a pair of zones is linked.
 
+    pair: number of the pair in the fit.
     since (seconds): time of the change.
-    factor: share since then, over the share in the fit.
+    factor: share after the change, over the share in the fit.
     """
     rows = np.flatnonzero(fit.candidates.pair == pair)
     rows = rows[departures.t[fit.candidates.departure[rows]] >= since]
@@ -153,13 +158,14 @@ def _linked(fit: Fit, departures: Departures, pair: int, since: float, factor: f
 
 
 def threshold_nats(series: int, trials: int) -> float:
-    """Return the evidence that any false change exceeds in less than `FALSE_ALARM` of the windows.
+    """Return the evidence (nats) above which a change counts.
 
-    Splits count as one test if one has less than twice the departures of the other since, as they
-    are nearly the same.
-
-    series: number of series that are tested.
+    series: number of series of departures that are tested for changes.
     trials: number of departures.
+
+    If nothing changes, any series exceeds it in less than `FALSE_ALARM` of the windows. All splits
+    with up to twice the departures after them of another count as one test, as they are nearly the
+    same.
     """
     splits = max(math.log2(max(trials, 1) / SPLIT_DEPARTURES_MIN), 1.0)
     return float(chdtri(1.0, FALSE_ALARM / (max(series, 1) * splits))) / 2.0
@@ -168,17 +174,18 @@ def threshold_nats(series: int, trials: int) -> float:
 def transitions_by_pair(
     fit: Fit, departures: Departures, arrivals: Arrivals, pairs: NDArray[np.intp]
 ) -> list[tuple[int, Floats, Floats]]:
-    """Return the transitions of each pair: pair, times of departure (J,), responsibilities (J,).
+    """Return (pair, times of departure (J,), responsibilities (J,)) of the transitions of each pair.
 
-    There is one for each arrival, by time: departures that compete for one arrival are merged.
+    pairs (n,): numbers of the pairs, ascending.
 
-    pairs (n,): the pairs, ascending.
+    Transitions are in order of time. Candidates of one pair and one arrival are merged into one
+    transition: its responsibility is the sum, its time of departure the weighted mean.
     """
     # Candidates of these pairs.
     c = fit.candidates
-    asked = np.zeros(len(c.source), bool)
-    asked[pairs] = True
-    kept = np.flatnonzero(asked[c.pair] & (fit.responsibility >= RESPONSIBILITY_MIN))
+    is_asked = np.zeros(len(c.source), bool)
+    is_asked[pairs] = True
+    kept = np.flatnonzero(is_asked[c.pair] & (fit.responsibility >= RESPONSIBILITY_MIN))
 
     # Merge those of one pair and one arrival: sum of responsibilities, mean time of departure.
     key = c.pair[kept].astype(np.int64) * len(arrivals.t) + c.arrival[kept]
@@ -202,12 +209,15 @@ def transitions_by_pair(
 
 
 def latest_change(trials: Trials, threshold: float) -> tuple[float, float, float, float] | None:
-    """Return time, share before, share after and evidence (nats) of the latest change, if any."""
+    """Return time (seconds), share before, share after and evidence (nats) of the latest change.
+
+    None if there is no change with evidence above ``threshold`` (nats).
+    """
     n = len(trials.t)
     if n < 2 * SPLIT_DEPARTURES_MIN or trials.weight.sum() == 0 or trials.share.sum() == 0:
         return None
 
-    # The latest change: look for another one after each that is found.
+    # The latest change: look for another change after each one that is found.
     table = _Table(trials)
     start, split, nats = 0, 0, 0.0
     for _ in range(CHANGES_MAX):
@@ -218,7 +228,7 @@ def latest_change(trials: Trials, threshold: float) -> tuple[float, float, float
     if split == 0:
         return None
 
-    # The share before: it need not have held for long, so look for the change before.
+    # The share before the latest change holds since the change before that, so look for it.
     for _ in range(CHANGES_MAX):
         begun, _ = table.change(start, split, threshold)
         if begun is None:
@@ -228,12 +238,16 @@ def latest_change(trials: Trials, threshold: float) -> tuple[float, float, float
 
 
 class _Table:
-    """Cumulative log likelihoods of one pair; that of a stretch is a difference of two columns."""
+    """Cumulative log likelihoods of every factor for one pair of zones.
+
+    A *stretch* is a range of departures, in order of time; its log likelihood is the difference of
+    two columns.
+    """
 
     def __init__(self, trials: Trials) -> None:
         self.weight = np.concatenate(([0.0], np.cumsum(trials.weight)))
         self.rate = float(trials.share.sum()) / self.weight[-1]
-        """Share over the whole window."""
+        """Share of the departures that are transitions, over the whole window."""
         self.at = np.append(np.searchsorted(trials.moved, trials.t), len(trials.moved))
         """(n + 1,) number of transitions before each departure, and in all."""
         log = np.log1p((FACTORS[:, None] - 1.0) * trials.share)
@@ -242,7 +256,7 @@ class _Table:
         self.possible = FACTORS * self.rate <= max(1.0, self.rate)
 
     def likelihood(self, begin: Longs, end: Longs) -> Floats:
-        """Return the log likelihood (factors, S) of every factor over stretches of departures.
+        """Return the log likelihood (factors, S) of every factor over S stretches of departures.
 
         begin, end (S,): first departure of each stretch, and one past the last.
         """
@@ -253,9 +267,10 @@ class _Table:
         return log
 
     def change(self, begin: int, end: int, threshold: float) -> tuple[int | None, float]:
-        """Return the first departure of a new factor in a stretch, and the evidence (nats).
+        """Return the first departure after a change within a stretch, and the evidence (nats).
 
-        Returns None and 0 if the evidence is too little.
+        begin, end: first departure of the stretch, and one past the last.
+        threshold (nats): least evidence; with less, the result is None and 0.
         """
         # Best split on the coarse grid, then among all between its neighbours.
         splits = _splits(begin, end)
@@ -273,7 +288,10 @@ class _Table:
         return (split, nats) if nats > threshold else (None, 0.0)
 
     def _gain(self, begin: int, splits: Longs, end: int) -> Floats:
-        """Return the nats (S,) by which two factors explain a stretch better than one, by split."""
+        """Return by how many nats two factors explain a stretch better than one, by split, (S,).
+
+        splits (S,): first departure after each split of the stretch from ``begin`` to ``end``.
+        """
         first, last = np.full_like(splits, begin), np.full_like(splits, end)
         apart = self.likelihood(first, splits).max(axis=0) + self.likelihood(splits, last).max(
             axis=0
@@ -292,9 +310,10 @@ class _Table:
         return min(float(self._moved(begin, end, self.factor(begin, end)).sum()) / trials, 1.0)
 
     def overdispersion(self, begin: int, split: int, end: int) -> float:
-        """Return the variance of block counts over that of the null model, at least 1.
+        """Return the variance of the transitions per block over that of the null model, at least 1.
 
-        The change at ``split`` is taken out.
+        begin, end: first departure of the stretch, and one past the last.
+        split: first departure after the change, on either side of which the share is constant.
         """
         # Blocks, cut at the change, too.
         edges = np.unique(np.linspace(begin, end, BLOCKS + 1).astype(np.int64))
@@ -313,13 +332,16 @@ class _Table:
         return max(1.0, square / max(chance, 1e-9)) if chance > 0 else 1.0
 
     def _moved(self, begin: int, end: int, factor: float) -> Floats:
-        """Return the responsibilities of a stretch, were the share ``factor`` times as large."""
+        """Return the responsibilities in a stretch if the share were ``factor`` times as large."""
         share = self.shares[self.at[begin] : self.at[end]]
         return factor * share / (1.0 - share + factor * share)
 
 
 def _splits(begin: int, end: int) -> Longs:
-    """Return the splits of the stretch ``begin`` to ``end`` that are tried, latest first."""
+    """Return the splits of the stretch from ``begin`` to ``end`` that are tried, latest first.
+
+    A split is given by the first departure after it.
+    """
     n = end - begin
     if n < 2 * SPLIT_DEPARTURES_MIN:
         return np.zeros(0, np.int64)
@@ -331,12 +353,16 @@ def _splits(begin: int, end: int) -> Longs:
 
 
 def present(table: LinkTable, changes: list[Change], zones: int, share_min: float) -> LinkTable:
-    """Return the table with present shares, without changed pairs that are below ``share_min`` now.
+    """Return a link table with present shares, without pairs that have closed.
 
-    Evidence for a pair that opened comes from its own past and from the transitions since. Other
-    shares of a source are scaled down where they would add up to more than 1 with a changed one.
-
+    table: pairs of zones with their shares over the whole window, as probability.
     changes: the latest change of each pair that has one.
+    zones: number of zones.
+    share_min: least present share of a changed pair; with less it is left out.
+
+    The evidence for a pair that opened is at least that for the change and for the link since then
+    (the smaller of the two). Other shares of the same zone of departure are scaled down where all
+    would add up to more than 1.
     """
     latest = {(change.source, change.target): change for change in changes}
     if not latest:
@@ -357,7 +383,7 @@ def present(table: LinkTable, changes: list[Change], zones: int, share_min: floa
         if change.after > change.before:
             ratio[k] = max(ratio[k], min(change.nats, change.linked))
 
-    # Scale the other pairs of their sources to the room that is left.
+    # Scale the other pairs of the same zones of departure to the remaining share.
     taken, others = (
         np.bincount(table.source, probability * rows, minlength=zones)
         for rows in (new & kept, ~new)

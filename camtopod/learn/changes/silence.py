@@ -1,6 +1,7 @@
-"""Silences: cameras that report nothing for far longer than their share of the traffic allows.
+"""Find silent cameras: they report nothing for far longer than their share of the traffic allows.
 
-Time is counted in events of the other cameras: at night all are quiet, and none is silent.
+The length of a gap between two events of a camera is counted in events of the other cameras: at
+night all cameras are quiet, and none is silent.
 """
 
 from __future__ import annotations
@@ -14,51 +15,57 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats, rows_by_group
 
 FALSE_ALARM = 1e-3
-"""Probability of any false silence of a camera in one window."""
+"""Probability that a camera has any false silence in one window."""
 EVENTS_PER_PASSAGE = 2.0
-"""Events per passage; as they are not independent, they count half as much as their number."""
+"""Events per passage. The two are not independent, so a gap counts half its number of events."""
 LONGER_THAN_BEFORE = 2.0
-"""Least ratio of a lasting silence to the camera's longest earlier gap for it to be reported.
+"""Least ratio of a lasting silence to the camera's longest earlier gap for an alarm.
 
 Some cameras have quiet nights of their own.
 """
 EVENTS_MIN = 10
 """Least number of events of a camera in the window for its gaps to be tested."""
 PASSES = 2
-"""Estimates of a camera's share of the traffic; after the first, without its silences."""
+"""Number of estimates of a camera's share of the traffic; later ones leave its silences out."""
 
 
 class CameraSilences(NamedTuple):
     """Silences of one camera."""
 
     intervals: list[tuple[float, float]]
-    """Beginning and end of each, seconds; a silence that lasts ends at infinity."""
+    """Beginning and end of each silence, seconds; a silence that lasts ends at infinity."""
     lasts: bool
-    """True if the last one lasts, and is longer than the camera's own habits explain."""
+    """True if the last silence lasts and is much longer than the camera's earlier gaps
+    (`LONGER_THAN_BEFORE`).
+    """
 
 
 def find_silences(t: Floats, camera: NDArray[np.int64], cameras: int) -> list[CameraSilences]:
-    """Return the silences of every camera from the events of the window.
+    """Return the silences of every camera, from the n events of the window.
 
-    t (n, seconds): times, ascending.
-    camera (n,): camera of each event.
+    t (n, seconds): time of each event, ascending.
+    camera (n,): index of each event's camera.
     cameras: number of cameras.
     """
     return [_silences(t, own) for own in rows_by_group(camera, cameras)]
 
 
 def _silences(t: Floats, own: NDArray[np.intp]) -> CameraSilences:
-    """Return the silences of the camera whose events are the rows ``own`` of all events."""
+    """Return the silences of one camera.
+
+    t (n, seconds): times of the events of all cameras, ascending.
+    own (k,): rows of the camera's own events.
+    """
     if len(own) < EVENTS_MIN:
         return CameraSilences([], False)
 
-    # Gaps between its events, in events of the others. A gap is a silence if its probability, given
-    # the camera's share of the traffic, is below the limit.
+    # Gaps between the camera's events, in events of other cameras. A gap is a silence if its
+    # probability, given the camera's share of the traffic, is below the limit.
     gaps = np.diff(np.append(own, len(t))) - 1
     silent = np.zeros(len(gaps), bool)
     for _ in range(PASSES):
-        heard = len(own) + int(gaps[~silent].sum())
-        nats = -math.log1p(-min(len(own) / max(heard, 1), 0.5)) * gaps / EVENTS_PER_PASSAGE
+        events = len(own) + int(gaps[~silent].sum())
+        nats = -math.log1p(-min(len(own) / max(events, 1), 0.5)) * gaps / EVENTS_PER_PASSAGE
         silent = nats > math.log(len(own) / FALSE_ALARM)
 
     # Convert gaps to intervals.

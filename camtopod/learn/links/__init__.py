@@ -1,11 +1,15 @@
 """Links between zones: their figures, the evidence for them, and which of them are published.
 
-Reading order: `link_table` collects the figures of every pair of zones, with `transit_time` (mode,
-mean, quantiles), `significance` (evidence and false discovery rate), and the thesis's `monte_carlo`
-observations and `mahalanobis` test. `visible_links` does the same for the passages through one
-view. Then come the corrections: `cross_validation` (evidence from held-out events),
-`missed_detections` (links that are only an effect of missed passages) and `shortfall` (what a weak
-link lacks).
+A *transition* is a departure and an arrival of one object; the joint fit (`association`) gives the
+probability of each. A *link* is a pair of zones with transitions that are not made by chance.
+
+Reading order: `link_table` computes a table with the figures of every pair of zones. For that it
+uses `transit_time` (mode, mean and quantiles of the transit times), `significance` (evidence and
+false discovery rate), and the thesis's `monte_carlo` observations and `mahalanobis` test.
+`visible_links` finds the passages through one view, which make links as well. `cross_validation`
+estimates the evidence for each link from held-out events. `missed_detections` removes links that
+exist only because a camera misses passages. `shortfall` estimates how many passages a link that is
+not published still lacks.
 """
 
 from __future__ import annotations

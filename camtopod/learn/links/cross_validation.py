@@ -1,22 +1,23 @@
 """Held-out evidence for links: each part of the window is judged by a fit of other parts.
 
 A flexible fit finds structure in any data, so how well it explains the data it was fitted to says
-little. The window is therefore cut into stretches of time, assigned in turn to eight parts. The
-links are fitted from scratch on the first part, and judged on the second: how much better are its
-arrivals predicted with a pair of zones than without? Then the links are fitted on the first two
-parts and judged on the third, and so on (`BETS`).
+little. The window is therefore cut into stretches of time, which are assigned in turn to eight
+parts. The hazards of all pairs of zones are fitted from scratch on the first part and judged on the
+second. The result, a *bet*, is a likelihood ratio for each pair of zones: how much better are the
+arrivals of the second part predicted with the pair than without it? Then hazards are fitted on the
+first two parts and judged on the third, and so on (`BETS`).
 
-If zones are unrelated, each likelihood ratio has a mean of at most 1, whatever the shape of the
-fit, and so has the product, as each bet is on data that the bets before it have not used (a test
-martingale; Shafer and others, Statistical Science 26(1), 2011; Wasserman, Ramdas and Balakrishnan
-2020). The same is done from the last part backwards, and with hazards that are partly spread over
-all lags (`EVEN_SHARES`). The mean of the products is an e-value: it exceeds ``exp(x)`` with a
-probability of at most ``exp(-x)``, and false discovery rates can be computed from e-values without
-knowing how they depend on each other (Wang and Ramdas 2022).
+If two zones are unrelated, the likelihood ratio of each bet has a mean of at most 1, whatever the
+shape of the fit. So has the product of the bets, as each bet is on events that the bets before it
+have not used (a test martingale; Shafer and others, Statistical Science 26(1), 2011; Wasserman,
+Ramdas and Balakrishnan 2020). Further products come from the order of parts reversed, and from
+hazards that are partly spread over all lags (`EVEN_SHARES`). The mean of all products is an
+e-value: it exceeds ``exp(x)`` with a probability of at most ``exp(-x)``, and false discovery rates
+can be computed from e-values without knowing how they depend on each other (Wang and Ramdas 2022).
 
 The bound is approximate, as the likelihood approximates the competition for departures and the
-rates of the null model. On simulated networks without links there are far fewer false links than it
-allows.
+rates of the null model. On simulated networks without links there are far fewer false links than
+the bound allows.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from camtopod.topology import LagBins
 PARTS = 8
 """Number of parts of the window."""
 BETS = ((1, 2), (2, 3), (3, 5), (5, 8))
-"""Pairs (a, b): fit on the parts before ``a``, judge on the parts from ``a`` to before ``b``."""
+"""Pairs (a, b): fit on parts 0 to a - 1, judge on parts a to b - 1, in the order of use."""
 STRETCHES = 32
 """Approximate number of stretches that the window is cut into."""
 STRETCH_SECONDS_MAX = 3600.0
@@ -40,22 +41,22 @@ STRETCH_SECONDS_MAX = 3600.0
 STRETCH_LAGS_MIN = 4.0
 """Shortest stretch, in multiples of the longest transit time, unless the window is too short."""
 BET_SPARSITY = 0.5
-"""Transitions that the sparse prior takes off each pair of zones before a bet.
+"""Transitions that the sparse prior takes off each pair of zones in the fit for a bet.
 
-They are fewer than in the fit of the whole window, as a part has few.
+They are fewer than in the fit of the whole window, as a part of the window has few transitions.
 """
 EVEN_SHARES = (0.0, 0.3)
 """Shares of a hazard that are spread evenly over all lags before a bet.
 
-A bet on a sharp hazard alone loses much on each arrival outside its peak. The mean of the products
-over these shares is an e-value, too.
+With a sharp hazard alone, each arrival outside its peak costs much evidence. The mean of the
+products of bets over these shares is an e-value, too.
 """
 SWEEPS = 3
-"""Sweeps of the E step when the hazards are given."""
+"""Number of E steps under given hazards."""
 ROUNDS = 1
-"""Rounds of each fit before the one with the sparse prior."""
+"""Runs of EM of each fit before the run with the sparse prior."""
 RESPONSIBILITY_MAX = 1.0 - 1e-7
-"""Responsibilities are clipped to this before log(1 - r) is taken."""
+"""Upper bound on a responsibility r where log(1 - r) is computed."""
 
 
 def cross_evidence(
@@ -67,11 +68,15 @@ def cross_evidence(
     first: float,
     until: float,
 ) -> Floats:
-    """Return the held-out log likelihood ratio (P,) in nats of each pair of zones of ``fit``.
+    """Return the held-out evidence (P, nats) that the zones of each pair of a fit are linked.
 
-    The stronger of two null models counts (the smaller ratio): the zones are unrelated; or arrivals
-    at one follow departures from the other at no particular lag, as when both follow a rhythm.
+    The evidence is a log likelihood ratio against two null models, of which the stronger one counts
+    (the smaller ratio): the zones are unrelated; or arrivals at one zone follow departures from the
+    other at no particular lag, as when both zones follow a rhythm.
 
+    fit: the joint fit of the whole window, for its candidates and pairs of zones; its hazards are
+        not used.
+    zones: number of zones.
     first, until (seconds): beginning and end of the window.
     """
     parts = WindowParts(departures, arrivals, fit, bins, zones, first, until)
@@ -82,9 +87,11 @@ def cross_evidence(
 
 
 def _products(parts: WindowParts, order: Longs) -> list[Floats]:
-    """Return the evidence (P,) in nats against the stronger null model, for each of `EVEN_SHARES`.
+    """Return the log of the product of all bets (P, nats), for each of `EVEN_SHARES`.
 
-    order: the parts, in the order in which they are used.
+    order: numbers of the parts, in the order in which they are used.
+
+    The product is against the stronger of the two null models.
     """
     evidence = np.zeros((len(EVEN_SHARES), 2, len(parts.fit.candidates.source)))
     for known, upto in BETS:
@@ -96,7 +103,10 @@ def _products(parts: WindowParts, order: Longs) -> list[Floats]:
 
 
 class WindowParts:
-    """The window in parts: the departures and arrivals of each, and its exposure."""
+    """The window cut into `PARTS` parts, with the exposure of each part.
+
+    Arguments are as for `cross_evidence`.
+    """
 
     def __init__(
         self,
@@ -120,16 +130,25 @@ class WindowParts:
         )
 
         # Part of each event, exposure of each part, and the speed-adjusted candidates.
-        self._left, self._came = self._of(departures.t), self._of(arrivals.t)
+        self._departure_part, self._arrival_part = self._of(departures.t), self._of(arrivals.t)
         self._exposure = self._exposures()
         self._adjusted = adjust(fit.candidates, departures, arrivals, fit.persistence, bins)
 
     def take(self, numbers: Longs) -> Em:
-        """Return a fitter of the arrivals in these parts; pairs are numbered as in the fit."""
+        """Return a fit in progress of the arrivals in some parts; pairs are numbered as in `fit`.
+
+        numbers: the parts.
+        """
         # Keep the candidates whose arrivals lie in these parts.
-        left, came = np.isin(self._left, numbers), np.isin(self._came, numbers)
+        departs, arrives = (
+            np.isin(self._departure_part, numbers),
+            np.isin(self._arrival_part, numbers),
+        )
         c = self.fit.candidates
-        kept, arrival = np.flatnonzero(came[c.arrival]), (np.cumsum(came) - 1).astype(np.int32)
+        kept, arrival = (
+            np.flatnonzero(arrives[c.arrival]),
+            (np.cumsum(arrives) - 1).astype(np.int32),
+        )
         candidates = Candidates(
             c.departure[kept],
             arrival[c.arrival[kept]],
@@ -141,7 +160,7 @@ class WindowParts:
 
         fitter = Em(
             self.departures,
-            self.arrivals.take(came),
+            self.arrivals.take(arrives),
             candidates,
             self.bins,
             self.zones,
@@ -149,39 +168,37 @@ class WindowParts:
             self._exposure[numbers].sum(axis=0),
             self._adjusted.take(kept),
         )
-        fitter.near = left if left.any() else None
+        fitter.near = departs if departs.any() else None
         return fitter
 
     def _of(self, t: Floats) -> Longs:
-        """Return the part (n,) of each time in seconds."""
+        """Return the number of the part (n,) in which each of the times (n, seconds) lies."""
         part: Longs = np.floor((t - self.first) / self.stretch).astype(np.int64) % PARTS
         return part
 
     def _exposures(self) -> Floats:
-        """Return the departures of each zone whose lag bin lies in a part and was exposed.
+        """Return the exposed departures of each zone by part and lag bin, (PARTS, zones, bins).
 
-        Returns (PARTS, zones, bins). Without this, a long lag would be seen less often than a short
-        one, which often ends in the stretch it began in, and short lags would look like links.
+        A departure counts for the part in which an arrival after the lag would lie, if it is
+        exposed to the lag. With the exposure of the whole window instead, short lags would look
+        like links: an arrival after a short lag is often in the departure's own part.
         """
         d, bins = self.departures, self.bins
         result = np.zeros((PARTS, self.zones, bins.size))
         for k, centre in enumerate(bins.centres):
             if bins.edges[k + 1] <= 0:
-                seen = np.clip((bins.edges[k + 1] + d.t - d.since) / bins.widths[k], 0.0, 1.0)
+                exposed = np.clip((bins.edges[k + 1] + d.t - d.since) / bins.widths[k], 0.0, 1.0)
             else:
-                seen = (self.until - d.t >= bins.edges[k + 1]).astype(float)
+                exposed = (self.until - d.t >= bins.edges[k + 1]).astype(float)
             cell = self._of(d.t + centre) * self.zones + d.zone
-            result[:, :, k] = np.bincount(cell, seen, minlength=PARTS * self.zones).reshape(
+            result[:, :, k] = np.bincount(cell, exposed, minlength=PARTS * self.zones).reshape(
                 PARTS, self.zones
             )
         return result
 
 
 def _fitted(fitter: Em) -> Singles:
-    """Return hazards (P, bins) fitted from scratch.
-
-    The sparse prior applies in the last run only.
-    """
+    """Return hazards (P, bins) fitted from scratch, with the sparse prior in the last run only."""
     fitter.sparsity = 0.0
     hazard = fitter.start()
     for _ in range(ROUNDS):
@@ -191,11 +208,14 @@ def _fitted(fitter: Em) -> Singles:
 
 
 def _evidence(fitter: Em, hazard: Singles, outside: Floats) -> tuple[Floats, Floats]:
-    """Return log likelihood ratios (P,) in nats against each of the two null models.
+    """Return the log likelihood ratio of each pair of zones against both null models, (P, nats).
 
     The first is against no link, the second against a link without a transit time.
 
-    outside (zones,): share of the local rate of arrivals that no departure explains.
+    fitter: the held-out arrivals and their candidates.
+    hazard (P, bins): hazards fitted on other parts.
+    outside (zones,): share of the local rate of arrivals that no departure explains, from the same
+        fit.
     """
     # Responsibilities of the held-out candidates under the given hazards.
     fitter.outside = outside

@@ -1,7 +1,9 @@
-"""Table of links: the figures of every pair of zones, and the rules for publishing them.
+"""Table of links: the figures of every pair of zones, and the rule for publishing a link.
 
-The joint fit gives the responsibility of each departure and arrival. From those, transit times,
-evidence, Monte Carlo observations and the thesis's tests are computed pair by pair.
+The joint fit gives the responsibility of each candidate. `tabulate` turns these (`Transitions`)
+into a `LinkTable`: probability, evidence, transit times and the thesis's Var(d) of each pair of
+zones. `significant` is the rule for publishing; `select_weak_links` picks the likeliest of the
+other pairs.
 """
 
 from __future__ import annotations
@@ -21,19 +23,21 @@ from camtopod.learn.traffic import Arrivals, Departures, mean_slowness
 from camtopod.topology import LagBins, smooth
 
 TRANSITIONS_MIN = 2.0
-"""Least expected transitions of a published link."""
+"""Least expected number of transitions of a published link."""
 WEAK_TRANSITIONS_MIN = 0.2
-"""Least expected transitions of a weak link."""
+"""Least expected number of transitions of a weak link."""
 WEAK_LINKS_PER_ZONE_MAX = 24
 """Largest number of weak links from one zone."""
 LEFT_OVER_MIN = 0.05
-"""Least share of a source that published links leave over in the posterior: no division by 0."""
+"""Lower bound on the share of a zone's departures that the posterior leaves to unpublished pairs,
+where it is a divisor.
+"""
 MONTE_CARLO_SEED = 2011
 """Seed of the Monte Carlo observations, fixed so that versions are reproducible."""
 
 
 class Transitions(NamedTuple):
-    """Departures and arrivals that may be of one object, (M,) each."""
+    """M possible transitions, each with the probability that it is one; columns are (M,)."""
 
     source: Ints
     """Zone of departure."""
@@ -42,9 +46,9 @@ class Transitions(NamedTuple):
     lag: Floats
     """Seconds from departure to arrival."""
     weight: Floats
-    """Responsibility."""
+    """Probability that departure and arrival are of one object (the responsibility)."""
     flat: Floats
-    """Hazard of a link of the same size without a transit time, over the hazard at the lag."""
+    """Hazard of the pair of zones if it were the same at all lags, over its hazard at this lag."""
 
 
 def concatenate_transitions(parts: list[Transitions]) -> Transitions:
@@ -56,9 +60,9 @@ def concatenate_transitions(parts: list[Transitions]) -> Transitions:
 
 
 def transitions_of(fit: Fit, least: float = 0.0) -> Transitions:
-    """Return the candidates of a joint fit as transitions.
+    """Return the candidates of a joint fit as possible transitions.
 
-    least: pairs of zones with fewer expected transitions are left out.
+    least: least expected number of transitions of a pair of zones; other pairs are left out.
     """
     c = fit.candidates
     enough = np.bincount(c.pair, fit.responsibility, minlength=len(c.source)) >= least
@@ -70,32 +74,39 @@ def transitions_of(fit: Fit, least: float = 0.0) -> Transitions:
 
 
 def exposed_departures(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:
-    """Return the departures of each zone that could have been seen to arrive: (zones, bins).
+    """Return the number of departures of each zone to which a probability refers, (zones, bins).
 
-    For lags before the exit these are all departures. Objects that have just left may still be
-    under way, and do not count for longer lags.
-
+    zones: number of zones.
     until (seconds): end of the window.
+
+    For a lag after the exit, these are the departures that could have been seen to arrive after the
+    lag: an object that has just left may still be under way. For lags before the exit, they are all
+    departures.
     """
     every = np.bincount(departures.zone, minlength=zones)[:, None]
     return np.where(bins.edges[1:] > 0, exposures(departures, bins, zones, until), every)
 
 
 class TransitionSlowness(NamedTuple):
-    """Slowness of the objects behind transitions."""
+    """Slowness of the objects of M possible transitions, scaled to its effect on the log lag."""
 
     slow: Floats
-    """(M,) slowness (natural log), as far as it affects lags; nan if unknown."""
+    """(M,) scaled slowness of each transition's object: log of the factor on its lag; nan if
+    unknown.
+    """
     left: Floats
-    """(zones,) standard error of the usual log dwell time before exits there, scaled likewise."""
+    """(zones,) standard error of the usual log dwell time before departures from a zone, scaled."""
     came: Floats
-    """(zones,) standard error of the usual log dwell time after entries there, scaled likewise."""
+    """(zones,) standard error of the usual log dwell time after arrivals at a zone, scaled."""
 
 
 def transition_slowness(
     fit: Fit, departures: Departures, arrivals: Arrivals, zones: int
 ) -> TransitionSlowness | None:
-    """Return the slowness behind the candidates of a joint fit; None if it does not affect lags."""
+    """Return the slowness of the objects of a fit's candidates; None if it does not affect lags.
+
+    zones: number of zones.
+    """
     scaling, _, sd = fit.persistence
     if scaling <= 0:
         return None
@@ -114,7 +125,7 @@ def transition_slowness(
 
 
 class LinkTable(NamedTuple):
-    """Figures of P pairs of zones, (P,) each."""
+    """Figures of P pairs of zones; columns are (P,) unless stated otherwise."""
 
     source: Ints
     """Zone of departure."""
@@ -123,20 +134,21 @@ class LinkTable(NamedTuple):
     probability: Floats
     """Share of the departures at ``source`` that appear next at ``target``."""
     ratio: Floats
-    """Evidence, nats."""
+    """Evidence that the zones are linked: log likelihood ratio, nats."""
     q: Floats
-    """False discovery rate at which the pair would be published."""
+    """False discovery rate at which the pair would be published as a link."""
     transit: TransitFigures
-    """Transit times."""
+    """Number of transitions and figures of their transit times."""
     variance: Floats
-    """The thesis's Var(d) (table 4.3)."""
+    """The thesis's Var(d), a variance of Mahalanobis distances (table 4.3)."""
     counts: Floats
     """(P, bins) expected transitions per lag bin."""
     delay: Floats
-    """Seconds to add to the lags of ``counts`` on long paths (see `camtopod.learn.long_paths`)."""
+    """Seconds to add to the lags of ``counts``; not 0 on long paths (`camtopod.learn.long_paths`).
+    """
 
     def rows(self, keep: NDArray[np.intp]) -> LinkTable:
-        """Return the given rows, in that order."""
+        """Return the table with the rows ``keep`` only, in that order."""
         return LinkTable(
             self.source[keep],
             self.target[keep],
@@ -154,9 +166,9 @@ class LinkTable(NamedTuple):
         return self._replace(counts=np.zeros((len(self.source), 0)))
 
     def with_evidence(self, ratio: Floats, tests: int) -> LinkTable:
-        """Return the table with other evidence and the false discovery rates that follow from it.
+        """Return the table with its evidence, and so its false discovery rates, replaced.
 
-        ratio (P,): evidence, nats.
+        ratio (P,): the new evidence, nats.
         tests: number of pairs of zones that were tested.
         """
         return self._replace(ratio=ratio, q=q_values(ratio, tests))
@@ -170,12 +182,14 @@ def tabulate(
     pace: TransitionSlowness | None = None,
     delay: Floats | None = None,
 ) -> LinkTable:
-    """Return the figures of every pair of zones that has a transition.
+    """Return the figures of every pair of zones that occurs among possible transitions.
 
-    left (zones, bins): departures that could have been seen to arrive after each lag; (zones, 1) if
-        that does not depend on the lag.
-    pace: slowness behind the transitions.
-    delay (zones,): seconds that transit times from a zone are longer than lags.
+    left (zones, bins): number of departures of each zone to which probabilities refer
+        (`exposed_departures`); (zones, 1) if it does not depend on the lag.
+    zones: number of zones.
+    pace: slowness of the objects of the transitions; None if it does not affect lags.
+    delay (zones, seconds): by how much transit times from each zone are longer than lags; None for
+        zero.
     """
     # Number the pairs of zones that occur.
     key = transitions.source.astype(np.int64) * zones + transitions.target
@@ -237,7 +251,7 @@ def tabulate(
 def with_monte_carlo_variance(table: LinkTable, bins: LagBins) -> LinkTable:
     """Return the table with ``Var(d)`` computed from Monte Carlo observations (thesis 4.3).
 
-    They take the place of the observed transit times, which are few.
+    As in the thesis, these take the place of the observed transit times, which are few.
     """
     density = smooth(table.counts)[0] / bins.widths
     samples = monte_carlo.observe(density, np.nan_to_num(table.transit.sd), bins, MONTE_CARLO_SEED)
@@ -246,7 +260,7 @@ def with_monte_carlo_variance(table: LinkTable, bins: LagBins) -> LinkTable:
 
 
 def significant(table: LinkTable, settings: Settings) -> NDArray[np.bool_]:
-    """Return a mask (P,) of the pairs that meet the rule for publishing."""
+    """Return a mask (P,) of the pairs of zones that meet the rule for publishing as links."""
     return (
         (table.q <= settings.publish_q_max)
         & (table.probability >= settings.publish_probability_min)
@@ -256,19 +270,21 @@ def significant(table: LinkTable, settings: Settings) -> NDArray[np.bool_]:
 
 
 def zone_pairs_of(table: LinkTable) -> set[tuple[int, int]]:
-    """Return the pairs of zones of the table."""
+    """Return the pairs (zone of departure, zone of arrival) of the table."""
     return set(zip(table.source.tolist(), table.target.tolist(), strict=True))
 
 
 def select_weak_links(likely: LinkTable, published: LinkTable, zones: int) -> LinkTable:
-    """Return the weak links: unpublished pairs of the posterior, the likeliest of each source.
+    """Return the weak links: of each zone of departure, the likeliest pairs that are not published.
 
-    The share of a source that published links leave over is divided among its weak links and
-    leaving the site, in the proportions of the posterior.
+    likely: pairs of zones by the fit for prediction, the posterior.
+    published: the published links.
+    zones: number of zones.
 
-    likely: table of the posterior.
+    The share of a zone's departures that published links leave over is divided among its weak links
+    and leaving the site, in the proportions of the posterior.
     """
-    # Scale the posterior of each source to what its published links leave over.
+    # Scale the probabilities of each zone of departure to what its published links leave over.
     key, done = (
         table.source.astype(np.int64) * zones + table.target for table in (likely, published)
     )

@@ -1,9 +1,11 @@
 """The thesis's link test: variance of Mahalanobis distances between times at two zones.
 
-See table 4.3 and eq. 4.3-4.4: two zones are linked if ``Var(d) <= 1``. The thesis takes S from the
-linked pairs themselves; then the test holds for any pair (its experiment 1 links all 28 pairs).
-Here S is the variance of lags under the null model, over the range of lags looked at. Unrelated
-zones then have ``Var(d)`` near 1, and a link has less, the narrower its transit times are spread.
+The distance of a departure at time t_u and an arrival at time t_v is ``d = (t_v - t_u) / sqrt(S)``.
+Two zones are linked if ``Var(d) <= 1`` over their transitions (table 4.3, eq. 4.3, 4.4). The thesis
+takes S from the linked pairs themselves; then the test accepts any pair of zones (its experiment 1
+links all 28 pairs). Here S is the variance of lags under the null model, over the range of lags in
+use. Unrelated zones then have ``Var(d)`` near 1, and linked zones less, the less the narrower their
+transit times are spread.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ LINKED_VARIANCE_MAX = 1.0
 
 
 def null_variance(lag_min: float, lag_max: float) -> float:
-    """Return the variance (s^2) of lags spread evenly over the range looked at."""
+    """Return the variance (s^2) of lags spread evenly from ``lag_min`` to ``lag_max`` (seconds)."""
     return (lag_max - lag_min) ** 2 / 12.0
 
 
@@ -32,6 +34,10 @@ def distance(left: Floats, came: Floats, variance: float) -> Floats:
 
 
 def distance_variance(lags: Floats, variance: float) -> Floats:
-    """Return ``Var(d)`` (L,) of each link from its (Monte Carlo) lags (L, n) in seconds."""
+    """Return the thesis's ``Var(d)`` of L links, (L,).
+
+    lags (L, n, seconds): n lags of each link, observed or Monte Carlo.
+    variance (s^2): S of the thesis.
+    """
     result: Floats = distance(np.zeros_like(lags), lags, variance).var(axis=1)
     return result

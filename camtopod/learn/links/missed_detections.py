@@ -1,15 +1,17 @@
-"""Missed detections: with A -> B -> C, objects that B misses make a spurious link A -> C.
+"""Missed detections: with paths A -> B -> C, objects that camera B misses make a false link A -> C.
 
-If a camera misses a share m of the passages through its view, then for every object seen on the
-path u -> a, a -> b through that view, b -> v, there are ``odds = m / (1 - m)`` objects seen at u
-and next at v, after a transit, a dwell and a transit time. The links and passages give the number
-of such transitions but for the odds. The odds are estimated from all other pairs of zones that such
-paths join: most of them have no link of their own, so their transitions give the odds, and the few
-that have one stand out. One camera often has too few such pairs, so those of the other cameras
-count a little, too.
+A *path over a skipped camera* is a link from zone u to zone a, a passage from a to b through the
+view of a camera, and a link from b to v. If the camera misses a share m of the passages through its
+view, then for every object recorded on the path there are ``odds = m / (1 - m)`` objects that are
+recorded at u and next at v, with a lag of transit, dwell and transit time. The links and passages
+give the number of such transitions but for the factor ``odds``. The odds are estimated from all
+other pairs of zones (u, v) that such paths join: most of these pairs have no link of their own, so
+the number of their transitions gives the odds, and the few pairs with a link stand out. One camera
+often has too few such pairs, so the pairs of other cameras count a little, too.
 
-Transitions of a pair beyond this number, or at other lags, are its own. Several misses in a row
-need no special treatment: the link that the first one makes is part of a path itself.
+Transitions of a pair beyond this number, or at other lags, are the pair's own; a link must meet the
+rule for publishing with its own transitions (`without_missed_detections`). Several missed passages
+in a row need no special treatment: the false link that the first one makes is part of a path.
 """
 
 from __future__ import annotations
@@ -25,49 +27,50 @@ from camtopod.learn.settings import Settings
 from camtopod.topology import LagBins
 
 WINDOW_SD = 2.0
-"""Half width of the lags of a path around its median, in sums of its parts' standard deviations.
+"""Half the width of the range of lags of a path, around its median, in sums of the standard
+deviations of its link, passage and link.
 
-They are added up, as a slow object is slow on all parts.
+Standard deviations are added up, as a slow object is slow on all three.
 """
 WINDOW_SECONDS = 1.0
-"""Seconds added to that half width."""
+"""Seconds added to half the width of the range of lags of a path."""
 TELLING_TRANSITIONS_MIN = 5.0
 """Least expected transitions, at odds of 1, of a pair of zones from which odds are estimated."""
 TELLING_SHARE_MIN = 0.8
-"""Least share of those transitions that must be due to one camera."""
+"""Least share of the expected transitions of such a pair that must be due to one skipped camera."""
 TELLING_TRANSITIONS_MAX = 50.0
 """Largest weight of one such pair, in expected transitions, as it may have a link of its own."""
 OTHERS_TRANSITIONS = 150.0
-"""Weight of the pairs of all cameras together beside those of the camera itself, in transitions."""
+"""Weight, in transitions, of the pairs of all cameras together in the odds of one camera."""
 ODDS_QUANTILE = 0.75
-"""Weighted quantile of the pairs' odds that is used.
+"""Weighted quantile of the odds of pairs that is used as the odds of a camera.
 
-It is above the median, as the fit leaves no transitions for many pairs that have few.
+It is above the median, as the fit estimates no transitions for many pairs that have few.
 """
 MISSED_SHARE_MIN = 0.1
 """Smallest share of missed passages assumed for a camera, unless the setting allows less.
 
-With few events there are few paths, and the fit leaves no transitions for the smallest of them.
+With few events there are few paths, and the fit estimates no transitions for the rarest of them.
 """
 UNCERTAINTY = 2.0
-"""Factor within which the expected number of missed passages is right."""
+"""Factor by which the number of missed passages may be larger than expected."""
 OWN_SD = 2.0
-"""A link's own transitions must be at least this many standard deviations of the explained ones."""
+"""Least number of own transitions of a link, in standard deviations of the explained ones."""
 
 
 class SkippedPaths(NamedTuple):
-    """Paths over a skipped camera, (W,) each: a link, a passage and another link."""
+    """W paths over a skipped camera: a link, a passage and another link; columns are (W,)."""
 
     pair: Rows
-    """Pair of zones that the path joins: source * zones + target."""
+    """Pair of zones that the path joins, as source * zones + target."""
     camera: Rows
-    """The camera that is skipped."""
+    """Index of the skipped camera."""
     expected: Floats
-    """Expected transitions at odds of 1, if the camera misses every second passage."""
+    """Expected transitions at odds of 1, that is if the camera misses every second passage."""
     median: Floats
-    """Median of the lag, seconds."""
+    """Median of the lag over the whole path, seconds."""
     spread: Floats
-    """Spread of the lag, seconds."""
+    """Sum of the standard deviations of its link, passage and link, seconds."""
 
 
 def without_missed_detections(
@@ -77,18 +80,18 @@ def without_missed_detections(
     camera: Rows,
     settings: Settings,
 ) -> NDArray[np.bool_]:
-    """Return the links of ``found`` that missed detections do not explain.
+    """Return a mask (P,) of the links that missed detections do not explain.
 
-    between: pairs of zones of different cameras, or of different visits to one.
-    through: pairs of zones joined by passages through a view.
-    found (P,): rows of ``between`` that are links.
+    between: P pairs of zones by transitions between views.
+    through: pairs of zones by passages through a view.
+    found (P,): mask of the pairs of ``between`` that are links.
     camera (zones,): camera of each zone.
     """
-    own = unexplained(between, through, found, camera, settings)
+    own_transitions = unexplained(between, through, found, camera, settings)
     total = np.maximum(between.transit.total, 1e-9)
-    enough = np.maximum(TRANSITIONS_MIN, OWN_SD * np.sqrt(np.maximum(total - own, 0.0)))
-    share = between.probability * own / total
-    return found & (own >= enough) & (share >= settings.publish_probability_min)
+    enough = np.maximum(TRANSITIONS_MIN, OWN_SD * np.sqrt(np.maximum(total - own_transitions, 0.0)))
+    share = between.probability * own_transitions / total
+    return found & (own_transitions >= enough) & (share >= settings.publish_probability_min)
 
 
 def unexplained(
@@ -98,43 +101,45 @@ def unexplained(
     camera: Rows,
     settings: Settings,
 ) -> Floats:
-    """Return the expected transitions (P,) of each pair; of links, only those not explained.
+    """Return the expected transitions (P,) of each pair; for links, those not explained.
 
-    Arguments are those of `without_missed_detections`.
+    Arguments are as for `without_missed_detections`.
     """
     # Find the paths over skipped cameras.
     bins = LagBins(-settings.overlap_max_seconds, settings.transit_max_seconds)
-    ways = find_skipped_paths(between, through, np.flatnonzero(found), camera)
-    own = between.transit.total.astype(float)
-    if len(ways.pair) == 0:
-        return own
+    paths = find_skipped_paths(between, through, np.flatnonzero(found), camera)
+    own_transitions = between.transit.total.astype(float)
+    if len(paths.pair) == 0:
+        return own_transitions
 
     # Transitions of the pairs that the paths join, at the lags of the paths.
-    pairs, at = np.unique(ways.pair, return_inverse=True)
+    pairs, at = np.unique(paths.pair, return_inverse=True)
     row, known = find_rows(between.source.astype(np.intp) * len(camera) + between.target, pairs)
-    near = _inside(ways, at, between.delay[row], bins)
-    seen = np.where(known, (near * between.counts[row]).sum(axis=1), 0.0)
+    in_range = _inside(paths, at, between.delay[row], bins)
+    at_lags = np.where(known, (in_range * between.counts[row]).sum(axis=1), 0.0)
 
     # Take off what missed passages explain.
-    odds = MissedOdds(ways, at, seen, settings.missed_share_max)
+    odds = MissedOdds(paths, at, at_lags, settings.missed_share_max)
     for pair in np.flatnonzero(known & found[row]).tolist():
         explained = UNCERTAINTY * odds.expected(pair)
-        own[row[pair]] -= min(explained, seen[pair])
-    return own
+        own_transitions[row[pair]] -= min(explained, at_lags[pair])
+    return own_transitions
 
 
 def find_skipped_paths(
     between: LinkTable, through: LinkTable, links: Rows, camera: Rows
 ) -> SkippedPaths:
-    """Return all paths along one of the ``links``, through a view and along another of the links.
+    """Return all paths over a skipped camera that consist of given links and of passages.
 
-    links: rows of ``between``.
+    between: pairs of zones by transitions between views.
+    through: pairs of zones by passages through a view.
+    links: rows of ``between`` that are links.
     camera (zones,): camera of each zone.
     """
     # Passages, and their number by zone of entry and by zone of exit.
     zones = len(camera)
     passages = np.flatnonzero(through.transit.total >= TRANSITIONS_MIN)
-    entered, left = (
+    entered, exited = (
         np.bincount(ends[passages], through.transit.total[passages], minlength=zones)
         for ends in (through.source, through.target)
     )
@@ -152,7 +157,7 @@ def find_skipped_paths(
         * through.transit.total[j]
         / entered[through.source[j]]
         * total[m]
-        / left[through.target[j]]
+        / exited[through.target[j]]
     )
     return SkippedPaths(
         between.source[k].astype(np.intp) * zones + between.target[m],
@@ -164,31 +169,34 @@ def find_skipped_paths(
 
 
 class MissedOdds:
-    """Odds of a passage being missed, by camera, estimated from pairs of zones."""
+    """Odds of a passage being missed, by camera, estimated from pairs of zones that paths join."""
 
-    def __init__(self, ways: SkippedPaths, at: Rows, seen: Floats, missed_share_max: float) -> None:
+    def __init__(
+        self, paths: SkippedPaths, at: Rows, seen: Floats, missed_share_max: float
+    ) -> None:
         """Collect the pairs of zones whose transitions are mostly due to one camera.
 
-        at (W,): row in ``seen`` of the pair that each path joins.
-        seen (pairs,): transitions of each pair at the lags of its paths.
+        paths: all paths over skipped cameras.
+        at (W,): index in ``seen`` of the pair of zones that each path joins.
+        seen (pairs,): expected transitions of each pair by the fit, at the lags of its paths.
         missed_share_max: largest share of missed passages of any camera.
         """
         # Expected transitions at odds of 1, by pair and camera.
         cell, number = np.unique(
-            at * (int(ways.camera.max()) + 1) + ways.camera, return_inverse=True
+            at * (int(paths.camera.max()) + 1) + paths.camera, return_inverse=True
         )
-        self._expected = np.bincount(number, ways.expected)
-        self._pair, self._camera = np.divmod(cell, int(ways.camera.max()) + 1)
+        self._expected = np.bincount(number, paths.expected)
+        self._pair, self._camera = np.divmod(cell, int(paths.camera.max()) + 1)
         self._start = np.searchsorted(self._pair, np.arange(len(seen) + 1))
 
-        # Pairs that tell of one camera, and their odds, ascending.
+        # Pairs from which the odds of one camera can be estimated, in order of these odds.
         whole = np.bincount(self._pair, self._expected)[self._pair]
         tells = (self._expected >= TELLING_TRANSITIONS_MIN) & (
             self._expected >= TELLING_SHARE_MIN * whole
         )
         ratio = seen[self._pair[tells]] / whole[tells]
         order = np.argsort(ratio, kind="stable")
-        self._ratio, self._teller, self._seer = (
+        self._ratio, self._pair_of_ratio, self._camera_of_ratio = (
             ratio[order],
             self._pair[tells][order],
             self._camera[tells][order],
@@ -199,36 +207,41 @@ class MissedOdds:
         self._least = min(MISSED_SHARE_MIN / (1.0 - MISSED_SHARE_MIN), self._most)
 
     def expected(self, pair: int) -> float:
-        """Return the transitions that missed passages make over all paths of a pair."""
+        """Return the transitions that missed passages are expected to make of a pair of zones.
+
+        pair: index of the pair, as in ``seen``.
+        """
         rows = range(self._start[pair], self._start[pair + 1])
         return float(sum(self._expected[k] * self.of(self._camera[k], pair) for k in rows))
 
     def of(self, camera: int, judged: int) -> float:
-        """Return the odds of one camera, estimated from all pairs but ``judged``."""
-        weight = self._weight * (self._teller != judged)
+        """Return the odds of one camera, estimated from all pairs of zones but ``judged``."""
+        weight = self._weight * (self._pair_of_ratio != judged)
         if not weight.any():
             return self._most
-        reach = np.cumsum(weight * ((self._seer == camera) + OTHERS_TRANSITIONS / weight.sum()))
+        reach = np.cumsum(
+            weight * ((self._camera_of_ratio == camera) + OTHERS_TRANSITIONS / weight.sum())
+        )
         ratio = self._ratio[np.searchsorted(reach, ODDS_QUANTILE * reach[-1])]
         return float(np.clip(ratio, self._least, self._most))
 
 
 def median(table: LinkTable) -> Floats:
-    """Return the median transit times (P,), seconds."""
+    """Return the median transit time of each pair of zones in a table, (P, seconds)."""
     return table.transit.quantiles[:, 1]
 
 
-def _inside(ways: SkippedPaths, at: Rows, delay: Floats, bins: LagBins) -> NDArray[np.bool_]:
-    """Return a mask (pairs, bins) of the lag bins where one of a pair's paths can end.
+def _inside(paths: SkippedPaths, at: Rows, delay: Floats, bins: LagBins) -> NDArray[np.bool_]:
+    """Return a mask (pairs, bins) of the lag bins that any path of a pair of zones can take.
 
-    at (W,): row of the pair that each path joins.
-    delay (pairs,): seconds to add to the lags of the bins.
+    at (W,): index of the pair that each path joins.
+    delay (pairs, seconds): to be added to the lags of the bins.
     """
-    reach = WINDOW_SD * ways.spread + WINDOW_SECONDS
+    reach = WINDOW_SD * paths.spread + WINDOW_SECONDS
     inside = np.zeros((len(delay), bins.size), bool)
     for rows in row_slices(len(at)):
         near = (
-            np.abs(bins.centres + (delay[at[rows]] - ways.median[rows])[:, None])
+            np.abs(bins.centres + (delay[at[rows]] - paths.median[rows])[:, None])
             <= reach[rows, None]
         )
         np.logical_or.at(inside, at[rows], near)
@@ -238,7 +251,10 @@ def _inside(ways: SkippedPaths, at: Rows, delay: Floats, bins: LagBins) -> NDArr
 def match_rows(
     left: NDArray[np.signedinteger[Any]], right: NDArray[np.signedinteger[Any]]
 ) -> tuple[Rows, Rows]:
-    """Return every pair of rows that have the same key, as rows of ``left`` and of ``right``."""
+    """Join two tables: return every pair of rows with equal keys, as two arrays of rows.
+
+    left, right (n,), (m,): key of each row of the two tables.
+    """
     order = np.argsort(right, kind="stable")
     low, high = (np.searchsorted(right[order], left, side=side) for side in ("left", "right"))
     n = high - low

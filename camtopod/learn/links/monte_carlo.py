@@ -1,4 +1,4 @@
-"""Monte Carlo observations of a link (thesis 4.3, table 4.2): more transit times than were seen.
+"""Monte Carlo observations of links (thesis 4.3, table 4.2): more transit times than were observed.
 
 The thesis adds random displacements to observed values, N = 8 sigma / epsilon times (eq. 4.1), and
 never rejects one, so its samples drift away from the data. Here a displacement is accepted by the
@@ -16,24 +16,30 @@ from camtopod.topology import LagBins
 OBSERVATIONS = 89
 """Observations per link, as in the thesis's experiment 1."""
 EPSILON_SECONDS = 0.0134
-"""Precision asked for, seconds; sigma = 0.5828 then takes the 348 iterations of section 5.1."""
+"""Precision epsilon of eq. 4.1, seconds; sigma = 0.5828 then takes the 348 iterations of section
+5.1.
+"""
 ITERATIONS_MAX = 64
 """Limit of the iterations.
 
-The walk starts from lags that already have the distribution wanted, so it need not run long.
+The walk starts from lags that already have the stationary distribution, so it need not run long.
 """
 
 
 def iterations_needed(sigma: float, epsilon: float = EPSILON_SECONDS) -> int:
-    """Return N = 8 sigma / epsilon (eq. 4.1), rounded up."""
+    """Return the number of iterations N = 8 sigma / epsilon (eq. 4.1), rounded up.
+
+    sigma (seconds): standard deviation of the displacements.
+    """
     return int(np.ceil(round(8.0 * sigma / epsilon, 6)))
 
 
 def observe(density: Floats, sigma: Floats, bins: LagBins, seed: int) -> Floats:
-    """Return Monte Carlo transit times (L, `OBSERVATIONS`) in seconds of L links.
+    """Return `OBSERVATIONS` Monte Carlo transit times, in seconds, of each of L links, (L, n).
 
-    density (L, bins): transit density per second.
-    sigma (L, seconds): standard deviation of the displacements.
+    density (L, bins): density of each link's transit times, per second.
+    sigma (L, seconds): standard deviation of the displacements, that of the transit times.
+    seed: of the random numbers.
     """
     # Start from the quantiles of the density, evenly within their bins.
     links = len(density)
@@ -50,12 +56,14 @@ def observe(density: Floats, sigma: Floats, bins: LagBins, seed: int) -> Floats:
     lag: Floats = bins.edges[at] + random.random((links, OBSERVATIONS)) * bins.widths[at]
 
     # Metropolis walk: accept a displacement with the ratio of the densities as probability.
-    here = np.take_along_axis(density, at, axis=1)
+    density_here = np.take_along_axis(density, at, axis=1)
     for _ in range(min(iterations_needed(float(sigma.max(initial=0.0))), ITERATIONS_MAX)):
         moved = lag + random.normal(size=lag.shape) * sigma[:, None]
         to = bins.index(moved)
-        there = np.where(to >= 0, np.take_along_axis(density, np.maximum(to, 0), axis=1), 0.0)
-        accept = random.random(lag.shape) * here < there
+        density_moved = np.where(
+            to >= 0, np.take_along_axis(density, np.maximum(to, 0), axis=1), 0.0
+        )
+        accept = random.random(lag.shape) * density_here < density_moved
         lag = np.where(accept, moved, lag)
-        here = np.where(accept, there, here)
+        density_here = np.where(accept, density_moved, density_here)
     return lag

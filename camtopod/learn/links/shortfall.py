@@ -1,9 +1,10 @@
-"""Shortfall of weak links: the passages each lacks until it is published, and how long they take.
+"""Shortfall of weak links: how many more objects must take one until it is published, and how long
+that takes.
 
-The rule for publishing asks for a certain evidence (`significance`), and each further passage adds
-about as much as the earlier ones did. Held-out evidence (`cross_validation`) counts for the rule.
-It starts late, as a link has to be learned before it can predict anything, so the evidence per
-passage is estimated from the fit.
+The rule for publishing asks for a certain evidence (`significance`), and each further object on the
+link is taken to add as much evidence as the earlier ones did on average. The evidence that counts
+for the rule is held-out (`cross_validation`). It starts late, as a link has to be learned before it
+can predict anything, so the evidence per object is estimated from the fit instead.
 """
 
 from __future__ import annotations
@@ -18,16 +19,16 @@ from camtopod.learn.links.significance import ratio_needed
 from camtopod.learn.settings import Settings
 
 PASSAGES_MIN = 1.0
-"""Least number of passages that an unpublished link lacks."""
+"""Lower bound on the number of objects that an unpublished link lacks."""
 
 
 class LinkShortfall(NamedTuple):
-    """Shortfall of weak links, (L,) each; nan where waiting does not help."""
+    """Shortfall of L weak links, (L,) each; nan for links that more traffic does not publish."""
 
     passages: Floats
-    """Further passages needed."""
+    """Number of further objects that must take the link."""
     seconds: Floats
-    """Time until they have happened, at the present traffic."""
+    """Seconds until so many objects have taken the link, at the traffic of the window."""
 
 
 def shortfall_of(
@@ -40,9 +41,8 @@ def shortfall_of(
 ) -> LinkShortfall:
     """Return the shortfall of each weak link.
 
-    weak: the weak links (L,), with the evidence in the fit.
-    between: pairs of zones with the held-out evidence; weak links that are not among them have
-        none.
+    weak: the L weak links, with the evidence of the fit.
+    between: pairs of zones with held-out evidence; a weak link that is not among them has none.
     published: number of links that meet the rule already.
     zones: number of zones.
     seconds: duration of the window.
@@ -54,8 +54,8 @@ def shortfall_of(
     held_out = np.zeros(len(key))
     held_out[tested] = between.ratio[at[tested]]
 
-    # Each passage is taken to add the mean evidence of those so far. A share below the limit for
-    # publishing stays so with any number of passages.
+    # Each further object adds the mean evidence of the transitions so far. A link whose share is
+    # below the limit for publishing is not published with any number of objects.
     transitions = weak.transit.total
     each = weak.ratio / np.maximum(transitions, 1e-9)
     helps = (each > 0) & (weak.probability >= settings.publish_probability_min)

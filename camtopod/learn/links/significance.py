@@ -1,9 +1,10 @@
-"""Significance of every pair of zones: evidence, and the false discovery rate that it implies.
+"""Significance of pairs of zones: the evidence for a link, and the false discovery rate it implies.
 
-The evidence for a pair is the log likelihood ratio between the joint fit with and without it. As
-the fit leaves every arrival out of its own prediction, the ratio is one of prediction, not of fit:
-under the null model ``P(ratio > x)`` is at most about ``exp(-x)``, whatever the shape of the
-histogram. These p-values are turned into false discovery rates (Benjamini and Hochberg 1995).
+The evidence for a pair of zones is the log likelihood ratio between the joint fit with and without
+the pair. As the fit leaves every arrival out of its own prediction, the ratio measures prediction,
+not fit: under the null model ``P(ratio > x)`` is at most about ``exp(-x)``, whatever the shape of
+the lag histogram. These p-values are turned into false discovery rates (Benjamini and Hochberg
+1995).
 """
 
 from __future__ import annotations
@@ -14,18 +15,20 @@ from camtopod.arrays import Floats, Ints
 from camtopod.learn.association import RESPONSIBILITY_MAX
 
 FLAT_MAX = 1e6
-"""Largest ratio of a hazard without a transit time to the hazard of the fit."""
+"""Upper bound on the ratio of a hazard that is even over all lags to the hazard at a lag."""
 
 
 def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs: int) -> Floats:
-    """Return the evidence (P,) in nats for each pair of zones.
+    """Return the evidence (P, nats) that the zones of each pair are linked.
 
-    The stronger of two null models counts (the smaller ratio): the zones are unrelated; or arrivals
-    at one follow departures from the other at no particular lag, as when both follow a rhythm.
+    The evidence is a log likelihood ratio against two null models, of which the stronger one counts
+    (the smaller ratio): the zones are unrelated; or arrivals at one zone follow departures from the
+    other at no particular lag, as when both zones follow a rhythm.
 
     pair (M,): pair of zones of each candidate.
     responsibility (M,): of each candidate.
-    flat (M,): hazard under the second null model, over the hazard of the fit.
+    flat (M,): hazard of the candidate's pair if it were the same at all lags (the second null
+        model), over the hazard at its lag.
     pairs: number of pairs, P.
     """
     share = np.minimum(responsibility, RESPONSIBILITY_MAX)
@@ -36,16 +39,19 @@ def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs
 
 
 def evidence_against_unrelated(pair: Ints, responsibility: Floats, pairs: int) -> Floats:
-    """Return the evidence (P,) in nats against the zones being unrelated."""
+    """Return the evidence (P, nats) of each pair of zones against the zones being unrelated.
+
+    Arguments are as for `log_likelihood_ratio`.
+    """
     share = np.minimum(responsibility, RESPONSIBILITY_MAX)
     evidence: Floats = np.bincount(pair, -np.log1p(-share) - share, minlength=pairs).astype(float)
     return evidence
 
 
 def q_values(ratio: Floats, tests: int) -> Floats:
-    """Return the false discovery rate (P,) at which each pair would be published.
+    """Return the false discovery rate (P,) at which each pair of zones would be published.
 
-    ratio (P,): evidence, nats.
+    ratio (P,): evidence for each pair, nats.
     tests: number of pairs of zones that were tested.
     """
     # Benjamini-Hochberg: p * tests / rank, made monotone from the largest p down.
@@ -58,9 +64,10 @@ def q_values(ratio: Floats, tests: int) -> Floats:
 
 
 def ratio_needed(rank: int, tests: int, q_max: float) -> float:
-    """Return the evidence in nats that gives a pair a false discovery rate of at most ``q_max``.
+    """Return the evidence, in nats, that a pair of zones needs for a given false discovery rate.
 
-    rank: rank of the pair by evidence, from 1.
+    rank: rank of the pair by evidence, from 1 for the largest.
     tests: number of pairs of zones that were tested.
+    q_max: the false discovery rate that is allowed.
     """
     return float(np.log(max(tests, 1) / (max(q_max, 1e-300) * rank)))

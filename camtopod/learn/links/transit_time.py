@@ -1,13 +1,17 @@
 """Transit times of links: mode (thesis 4.5), mean, spread, quantiles and standard errors.
 
+`transit_figures` computes them for every pair of zones from possible transitions, each with its lag
+and the probability that it is a transition as its weight.
+
 The thesis takes the most popular bin of the histogram as the mode. Bins here are wider for longer
 lags, so the mode is the peak of the density per second, on a smoothed histogram, placed between
 bins by a parabola through the peak and its neighbours.
 
 The median combines two estimates by their standard errors. One is the median of the lags. The other
-is the median of the lags that objects of usual speed would have had: speed varies far more between
-objects than within one, and an object's slowness is known from the views before and after, where
-many more objects have been seen than on this link.
+is the median of the lags that objects of usual speed would have had. The latter is often more
+exact: speed varies far more between objects than along the path of one object, and an object's
+slowness is known from the views before and after the link, where many more objects were recorded
+than on this link.
 """
 
 from __future__ import annotations
@@ -23,38 +27,42 @@ from camtopod.topology import LagBins
 QUANTILES = (0.1, 0.5, 0.9)
 """Quantiles of the transit time that are published."""
 QUARTILES = (0.25, 0.5, 0.75)
-"""Quartiles, from which the spread is estimated."""
+"""Quartiles, from which median and spread are estimated."""
 WEIGHT_MIN = 1e-3
-"""Transitions of at most this responsibility do not count for quantiles, if the pair has others."""
+"""Responsibility up to which a transition does not count for quantiles, if its pair of zones has
+others.
+"""
 NORMAL_QUARTILES = 1.349
 """Distance between the quartiles of a normal distribution, in standard deviations."""
 MEDIAN_ERROR = 1.2533
-"""Standard error of the median of n normal values, over sd / sqrt(n)."""
+"""Ratio of the standard error of the median of n normal values to sd / sqrt(n)."""
 FAR_SD = 4.5
 """Largest distance from the median, in standard deviations, of lags that count for mean and sd.
 
 Lags further away are spurious.
 """
 SPREAD_MIN_SECONDS = 0.2
-"""Smallest spread of lags, seconds; entries and exits are not detected more exactly."""
+"""Lower bound on the spread of lags, seconds; entries and exits are not detected more exactly."""
 LAG_ERROR = 0.01
-"""Relative error of the median of the lags that does not shrink with their number.
+"""Relative error of the median of the lags that does not shrink with the number of lags.
 
-It comes from spurious transitions. Found on simulated networks, like `PACE_ERROR` and `MEAN_ERROR`.
+It comes from spurious transitions. The value was found on simulated networks, like `PACE_ERROR` and
+`MEAN_ERROR`.
 """
 PACE_ERROR = 0.02
 """Relative error of the median of the lags at usual speed that does not shrink with their number.
 
-It comes from spurious transitions, and from speeds that objects only nearly keep.
+It comes from spurious transitions, and from objects that do not quite keep their speed.
 """
 MEAN_ERROR = 0.015
 """Relative error of the mean that does not shrink with the number of lags."""
 ERRORS_CORRELATION = 0.7
-"""Correlation of the errors of the two medians, which are from the same transitions."""
+"""Correlation of the errors of the two estimates of the median, as both use the same transitions.
+"""
 
 
 class TransitFigures(NamedTuple):
-    """Transit times of each pair of zones, (P,) each, in seconds; nan without transitions."""
+    """Transit times of P pairs of zones; columns are (P,), in seconds; nan without transitions."""
 
     total: Floats
     """Expected number of transitions."""
@@ -65,9 +73,9 @@ class TransitFigures(NamedTuple):
     sd: Floats
     """Standard deviation, without lags far from the median."""
     quantiles: Floats
-    """(P, 3): q10, q50, q90."""
+    """(P, 3) 10 %, 50 % and 90 % quantiles."""
     ahead: Floats
-    """Share of the transitions with a negative lag: seen there before the object left here."""
+    """Share of the transitions with a negative lag, of objects that are in both views at once."""
     median_error: Floats
     """Standard error of the median."""
     mean_error: Floats
@@ -83,14 +91,15 @@ def transit_figures(
     slow: Floats | None = None,
     slow_error: Floats | None = None,
 ) -> TransitFigures:
-    """Return the transit times of each pair from weighted lags.
+    """Return the figures of the transit times of P pairs of zones.
 
-    pair (M,): pair of zones of each transition.
+    pair (M,): pair of zones of each possible transition.
     lag (M, seconds): from departure to arrival.
-    weight (M,): responsibility.
-    density (P, bins): smoothed density per second, for the mode.
-    slow (M,): slowness of the object (natural log), as far as it affects lags; nan if unknown.
-    slow_error (P,): standard error of the usual log dwell times behind ``slow``.
+    weight (M,): probability that it is a transition.
+    density (P, bins): smoothed density of the lags of each pair, per second, for the mode.
+    slow (M,): log of the factor that the object's slowness puts on its lag; nan if unknown. None if
+        slowness does not affect lags.
+    slow_error (P,): standard error of ``slow`` that all transitions of a pair have in common.
     """
     # Quantiles and the first estimate of the median.
     pairs = len(density)
@@ -133,10 +142,12 @@ def transit_figures(
 
 
 def _median(quartiles: Floats, total: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return median, its standard error, and spread (as an sd) of the lags of each pair, (P,) each.
+    """Return the median of the lags of each pair, its standard error, and their spread, (P,) each.
 
-    quartiles (P, 3).
-    total (P,): number of transitions.
+    quartiles (P, 3): quartiles of the lags of each pair, seconds.
+    total (P,): number of transitions of each pair.
+
+    The spread is a standard deviation, estimated from the quartiles.
     """
     low, middle, high = quartiles.T
     spread = np.maximum((high - low) / NORMAL_QUARTILES, SPREAD_MIN_SECONDS)
@@ -146,16 +157,19 @@ def _median(quartiles: Floats, total: Floats) -> tuple[Floats, Floats, Floats]:
 def _weighed(
     one: Floats, one_error: Floats, other: Floats, other_error: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the mean (P,) of two estimates by inverse variance, and its standard error.
+    """Return the mean of two estimates, weighted by inverse variance, and its standard error, (P,).
 
-    Where the second is missing (nan), it is the first.
+    one, other (P,): the two estimates. Where ``other`` is missing (nan), the result is ``one``.
+    one_error, other_error (P,): their standard errors.
     """
     # Weights by variance; the error takes into account that the two are correlated.
     share = one_error**2 / (one_error**2 + other_error**2)
     a, b = (1.0 - share) * one_error, share * other_error
     error = np.sqrt(a * a + b * b + 2.0 * ERRORS_CORRELATION * a * b)
-    there = np.isfinite(share)
-    return np.where(there, one + share * (other - one), one), np.where(there, error, one_error)
+    both_known = np.isfinite(share)
+    return np.where(both_known, one + share * (other - one), one), np.where(
+        both_known, error, one_error
+    )
 
 
 def weighted_quantiles(
@@ -165,11 +179,12 @@ def weighted_quantiles(
     pairs: int,
     shares: tuple[float, ...] = QUANTILES,
 ) -> Floats:
-    """Return quantiles of the lags of each pair, (P, shares).
+    """Return weighted quantiles of the lags of each pair of zones, (P, number of shares); or nan.
 
-    A quantile is the first lag at which its share of the weight is reached.
-
+    pair, lag, weight (M,): as for `transit_figures`.
     pairs: number of pairs, P.
+    shares: the quantiles, from 0 to 1. A quantile is the first lag at which this share of the
+        weight is reached.
     """
     # Leave out improbable transitions, unless a pair has no others.
     likely = weight > WEIGHT_MIN
@@ -193,17 +208,20 @@ def weighted_quantiles(
 
 
 def peak(density: Floats, bins: LagBins) -> Floats:
-    """Return the lag (P, seconds) at the peak of each row of ``density`` (P, bins); nan without."""
+    """Return the lag (P, seconds) at the peak of each density; nan where it is zero everywhere.
+
+    density (P, bins): per second.
+    """
     # The highest bin and its neighbours.
     rows = np.arange(len(density))
     top = np.argmax(density, axis=1) if density.size else np.zeros(0, int)
     last = density.shape[1] - 1
-    here = density[rows, top]
-    left = np.where(top > 0, density[rows, np.maximum(top - 1, 0)], 0.0)
-    right = np.where(top < last, density[rows, np.minimum(top + 1, last)], 0.0)
+    at_peak = density[rows, top]
+    before = np.where(top > 0, density[rows, np.maximum(top - 1, 0)], 0.0)
+    after = np.where(top < last, density[rows, np.minimum(top + 1, last)], 0.0)
 
     # Vertex of the parabola through the three, within half a bin of the highest.
-    curve = left - 2.0 * here + right
-    shift = np.where(curve < 0, 0.5 * (left - right) / np.where(curve < 0, curve, -1.0), 0.0)
+    curve = before - 2.0 * at_peak + after
+    shift = np.where(curve < 0, 0.5 * (before - after) / np.where(curve < 0, curve, -1.0), 0.0)
     at = bins.scale * np.sinh(bins.step * (bins.first + top + 0.5 + np.clip(shift, -0.5, 0.5)))
-    return np.where(here > 0, at, np.nan)
+    return np.where(at_peak > 0, at, np.nan)

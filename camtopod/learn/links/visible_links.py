@@ -1,7 +1,9 @@
 """Visible links: passages through the view of one camera, from zone of entry to zone of exit.
 
-Where tracks tie an exit to its entry, passages are counted. Otherwise the entries and exits of a
-camera are associated by the same joint fit as departures and arrivals of different cameras.
+A passage is treated as a transition from its zone of entry to its zone of exit, with the dwell time
+as lag, so that `link_table` can compute its figures. Where tracks tie exits to entries, passages
+are counted. Otherwise the entries and exits of a camera are associated by the joint fit
+(`association`), with entries in the role of departures and exits in that of arrivals.
 """
 
 from __future__ import annotations
@@ -30,9 +32,9 @@ from camtopod.topology import LagBins
 
 
 def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Transitions:
-    """Return the transitions through every camera's view; lags are dwell times in seconds.
+    """Return the passages through all views as transitions, whose lags are dwell times in seconds.
 
-    candidates_max: candidates that the cameras without tracks may have together.
+    candidates_max: largest number of candidates in the fits of all cameras without tracks together.
     """
     # Cameras with tracks: count the passages.
     camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
@@ -53,7 +55,7 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
         )
     ]
 
-    # Cameras without tracks: fit, with a fair share of the candidates for each.
+    # Cameras without tracks: fit each of them, with a fair share of the candidates.
     views = [_view(scene, int(camera)) for camera in np.flatnonzero(~scene.tracked)]
     reach = [departures_in_reach(view.starts.t, view.ends.t, bins) for view in views]
     most = fair_share(
@@ -64,34 +66,36 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
 
 
 def passages_lasting(stay: Floats, entry: Longs, bins: LagBins, zones: int) -> Floats:
-    """Return the passages from each zone of entry that last until a lag bin begins, (zones, bins).
+    """Return how many passages from each zone of entry last until each bin begins, (zones, bins).
 
-    stay (n, seconds): dwell times.
-    entry (n,): zone of entry.
+    stay (n, seconds): dwell time of each of n passages.
+    entry (n,): their zones of entry.
+    bins: bins of the time since the entry.
+    zones: number of zones.
     """
     result = np.zeros((zones, bins.size))
-    for zone, mine in enumerate(rows_by_group(entry, zones)):
-        stays = np.sort(stay[mine])
-        result[zone] = len(stays) - np.searchsorted(stays, bins.edges[:-1], side="left")
+    for zone, rows in enumerate(rows_by_group(entry, zones)):
+        dwell_times = np.sort(stay[rows])
+        result[zone] = len(dwell_times) - np.searchsorted(dwell_times, bins.edges[:-1], side="left")
     return result
 
 
 def with_usual_dwell_times(departures: Departures, through: LinkTable) -> Departures:
-    """Return the departures with an estimated beginning where their passage is unknown.
+    """Return the departures with an estimated time of entry (``since``) where it is unknown.
 
-    It is the time at which 90 % of the passages that leave at this zone have begun. Without it
-    every object would seem to have been in view forever, and its earlier appearances elsewhere
-    would look like an overlap.
+    The estimate is the time before the exit within which 90 % of the passages that end in the same
+    zone begin. With an unknown entry, an object would seem to have been in view forever, and
+    earlier appearances in other views would look like an overlap of views.
 
-    through: figures of the visible links.
+    through: table of the visible links.
     """
-    # Mean of the links' 90 % dwell times by zone of exit, weighted by their transitions.
-    stay, weight = np.nan_to_num(through.transit.quantiles[:, -1]), through.transit.total
+    # Mean of the 90 % quantiles of dwell times, by zone of exit, weighted by the passages.
+    dwell, weight = np.nan_to_num(through.transit.quantiles[:, -1]), through.transit.total
     size = max(int(departures.zone.max(initial=0)), int(through.target.max(initial=0))) + 1
     total = np.bincount(through.target, weight, minlength=size)
-    usual = np.bincount(through.target, weight * stay, minlength=size) / np.maximum(total, 1e-300)
+    usual = np.bincount(through.target, weight * dwell, minlength=size) / np.maximum(total, 1e-300)
 
-    # Use it where the zone has enough transitions.
+    # Use the mean where the zone of exit has enough passages.
     known = np.isfinite(departures.since) | (total[departures.zone] < TRANSITIONS_MIN)
     return departures._replace(
         since=np.where(known, departures.since, departures.t - usual[departures.zone])
@@ -99,9 +103,12 @@ def with_usual_dwell_times(departures: Departures, through: LinkTable) -> Depart
 
 
 class _View(NamedTuple):
-    """Entries and exits of one camera, as departures and arrivals for the joint fit.
+    """The events of one camera without tracks, prepared for the joint fit.
 
-    Zones are numbered from the camera's ``first``, as no others matter here.
+    starts: its entries, in the role of departures.
+    ends: its exits, in the role of arrivals.
+    first, zones: index of its first zone, and the number of its zones. Zones of ``starts`` and
+        ``ends`` are numbered from 0.
     """
 
     starts: Departures
@@ -111,32 +118,36 @@ class _View(NamedTuple):
 
 
 def _view(scene: Scene, camera: int) -> _View:
-    """Return the entries and exits of one camera, with entries as departures."""
-    came = scene.arrivals.camera == camera
-    left = scene.departures.camera == camera
+    """Return the entries and exits of one camera, given by its index, for the joint fit."""
+    is_entry = scene.arrivals.camera == camera
+    is_exit = scene.departures.camera == camera
     of_camera = [index for index, zone in enumerate(scene.zones) if zone.camera == camera]
     first, zones = min(of_camera, default=0), len(of_camera)
     starts = Departures.without_arrivals(
-        scene.arrivals.t[came],
-        scene.arrivals.zone[came] - np.int32(first),
-        scene.arrivals.camera[came],
-        scene.arrivals.t[came],
-        scene.arrivals.slow[came],
+        scene.arrivals.t[is_entry],
+        scene.arrivals.zone[is_entry] - np.int32(first),
+        scene.arrivals.camera[is_entry],
+        scene.arrivals.t[is_entry],
+        scene.arrivals.slow[is_entry],
     )
 
-    t, zone = scene.departures.t[left], scene.departures.zone[left] - np.int32(first)
+    t, zone = scene.departures.t[is_exit], scene.departures.zone[is_exit] - np.int32(first)
     ends = Arrivals(
         t,
         zone,
-        scene.departures.camera[left],
+        scene.departures.camera[is_exit],
         local_rates(t, zone, zones),
-        scene.departures.slow[left],
+        scene.departures.slow[is_exit],
     )
     return _View(starts, ends, first, zones)
 
 
 def _joined(view: _View, bins: LagBins, candidates_max: int, until: float) -> Transitions:
-    """Return the passages through a camera without tracks, by a joint fit of entries and exits."""
+    """Return the passages through the view of a camera without tracks, by a joint fit.
+
+    candidates_max: limit of the candidates, which the newest events meet.
+    until (seconds): end of the window.
+    """
     starts, ends = newest_within_limit(view.starts, view.ends, bins, candidates_max)
     if len(starts.t) == 0 or len(ends.t) == 0:
         return concatenate_transitions([])
