@@ -22,6 +22,7 @@ os.environ.pop("PYTHONUNBUFFERED", None)
 
 import pytest
 from chromium import Browser, chromium
+from forked_learner import forked_learners
 from hypothesis import HealthCheck, settings
 
 DATA = "CAMTOPOD_TEST_DATA"
@@ -61,6 +62,13 @@ def _environment_as_it_was() -> Generator[None]:
     before = ours()
     yield
     assert ours() == before
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _learners_start_quickly() -> Iterator[None]:
+    """Fork the learners of daemons that run in the process of the tests."""
+    with forked_learners():
+        yield
 
 
 @pytest.fixture(scope="session")

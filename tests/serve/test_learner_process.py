@@ -14,6 +14,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from forked_learner import real_learners
 from paths import ROOT, SUPPORT, TESTS
 from serving import T0, wait_for
 from test_recovery import EVENTS, SETTINGS, Installation, uninterrupted
@@ -48,7 +49,8 @@ def begun(program: str = PROGRAM) -> LearnerProcess:
 
 @pytest.fixture
 def process() -> Iterator[LearnerProcess]:
-    one = begun(FAULTY)
+    with real_learners():
+        one = begun(FAULTY)
     yield one
     one.close()
 
