@@ -1,6 +1,7 @@
-"""Assemble the records of a version from learned arrays: zones, links, camera pairs, Markov chain.
+"""Assemble the public records of a version from learned arrays: zones, links, camera pairs, chain.
 
-Figures are rounded to six significant digits.
+`assemble` makes the `Topology`; `link_records` turns a `LinkTable` into its links. Zones, which are
+numbers within the learner, get their public ids. Figures are rounded to six significant digits.
 """
 
 from __future__ import annotations
@@ -45,7 +46,10 @@ def zone_id(cameras: list[str], zone: ZoneRef) -> str:
 
 
 def zone_records(cameras: list[str], scene: Scene) -> list[Zone]:
-    """Return the zones with their counts in the window, sorted by id."""
+    """Return the records of all zones, with the entries and exits in the window, sorted by id.
+
+    cameras: names of all cameras.
+    """
     records = []
     for index, zone in enumerate(scene.zones):
         entries, exits = int(scene.entries[index]), int(scene.exits[index])
@@ -77,11 +81,14 @@ def link_records(
     histograms: bool = True,
     lacks: LinkShortfall | None = None,
 ) -> list[Link]:
-    """Return the rows of a link table as links, sorted by key.
+    """Return the rows of a link table as link records, sorted by key.
 
-    relation: relation of all links; None: overlapped or unseen, decided by the lags of each.
-    histograms: whether the links carry their transit-time histograms.
-    lacks: what each weak link lacks until it is published, if known.
+    cameras: names of all cameras.
+    bins: bins of the table's lags.
+    relation: relation of all these links; None for ``overlapped`` or ``unseen``, by the lags of
+        each link.
+    histograms: True if the links have their histograms of transit times.
+    lacks: for weak links, what each lacks until it is published.
     """
     ids = [zone_id(cameras, zone) for zone in scene.zones]
     t = table.transit
@@ -110,6 +117,7 @@ def link_records(
 
 
 def _lacks(passages: float, seconds: float) -> Lacks | None:
+    """Return the record of a weak link's shortfall; None if it is unknown (nan)."""
     return (
         None
         if np.isnan(passages)
@@ -118,11 +126,12 @@ def _lacks(passages: float, seconds: float) -> Lacks | None:
 
 
 def with_clock_offsets(links: list[Link], zones: list[Zone], ahead: dict[str, float]) -> list[Link]:
-    """Return the links with transit times as shown by clocks with the offsets ``ahead``.
+    """Return links with transit times in corrected time converted to the cameras' own clocks.
 
-    ahead (by camera, seconds): clock offsets, positive for a clock that is ahead.
+    zones: the records of all zones.
+    ahead (by camera, seconds): clock offsets, positive for a fast clock.
 
-    Histograms are left in corrected time.
+    Histograms stay in corrected time.
     """
     of_zone = {zone.id: ahead[zone.camera] for zone in zones}
     result = []
@@ -149,9 +158,12 @@ def assemble(
     links: list[Link],
     weak_links: list[Link],
 ) -> Topology:
-    """Return the content of one version.
+    """Return the topology of one version, except for what the learner adds.
 
-    The learner adds site, epoch, version, moment, number of events and digest.
+    The learner adds site, epoch, version, moment, number of events, alarms, score and digest.
+
+    model: the part of the topology that prediction reads beside the links.
+    links, weak_links: with transit times in corrected time.
     """
     # Zones by camera.
     zones = zone_records(window.cameras, scene)
@@ -159,7 +171,7 @@ def assemble(
     for zone in zones:
         of_camera[zone.camera].append(zone.id)
 
-    # Clock offsets, and the offsets that transit times are shown with.
+    # Clock offsets, and those by which transit times are converted (none in corrected time).
     links = sorted(links, key=link_key)
     ahead = {
         name: round_significant(float(clocks.offset[k])) for k, name in enumerate(window.cameras)

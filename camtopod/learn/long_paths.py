@@ -1,13 +1,13 @@
-"""Long ways: pairs of cameras with a transit time that the lag bins are too coarse or too short
-for.
+"""Long paths: pairs of cameras whose transit time the lag bins of the joint fit do not resolve.
 
-Lag bins are a tenth of the lag wide and end at three minutes. A way of five minutes that all take
-within ten seconds has no bin, and one of two minutes drowns in the traffic of a bin of twelve
-seconds. Such ways stand out of the correlogram of their two cameras, though. So each ordered pair
-of cameras is looked at in bins of a second, over a quarter of an hour, and where its clearest peak
-is far away, the joint fit is to look there: the departures are *delayed* by the lag of the peak,
-and lags are measured from the delayed departures. A peak is only a candidate: whether there is a
-link is decided by the evidence of the fit, as for any other pair.
+Lag bins are a tenth of the lag wide and end at three minutes. A path of five minutes that all
+objects take within ten seconds has no bin, and one of two minutes is lost in the traffic of a bin
+of twelve seconds. But such paths stand out of the correlogram of their two cameras
+(`clocks.correlogram`). So `find_long_paths` searches the correlogram of each ordered pair of
+cameras, in bins of a second, over a quarter of an hour. If its clearest peak is at a long lag, the
+departures from the first camera are copied and *delayed* by that lag (`delayed`), so that the joint
+fit, which measures lags from the delayed departures, covers the peak. Whether there is a link is
+decided by the evidence of the fit, as for any other pair.
 """
 
 from __future__ import annotations
@@ -36,35 +36,42 @@ from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import LagBins
 
 BIN_SECONDS = 1.0
+"""Width of the bins of the correlograms."""
 LONG_SECONDS_MIN = 60.0
-"""Peaks at shorter lags are left to the lag bins, which are fine enough there."""
+"""Least lag of a long path; the lag bins are fine enough for shorter ones."""
 LONG_SECONDS_MAX, LONG_SHARE_MAX = 900.0, 0.25
-"""Longest lag that is looked at, and its share of the time that was recorded: what happens once is
-no rule.
+"""Largest lag of a long path, in seconds and as a share of the duration of the window.
+
+The share ensures that a path is observed more than once.
 """
 SHARP_SHARE_MAX = 0.1
-"""Below the longest lag that has a bin, a peak must be narrower than this share of its lag."""
+"""Largest half width of a peak, as a share of its lag, at lags that have a lag bin."""
 WIDTHS_BINS = (5, 11, 25, 61)
-"""Widths of the windows in which arrivals are counted."""
+"""Widths, in bins, of the windows of lags in which arrivals are counted."""
 FALSE_PROBABILITY = 0.01
-"""Probability of any false peak on a site where cameras have nothing to do with each other."""
+"""Probability of any false peak on a site without links."""
 FALSE_LEGS = 1.0
-"""The false peaks on such a site, where it is asked whether a way leads over a camera between."""
+"""Expected false peaks, on a site without links, among those that may be parts of a longer path.
+
+Used to recognise paths that lead over a camera between (`_is_over`).
+"""
 SAME_SHARE, SAME_SECONDS = 0.1, 10.0
-"""Two ways count as equally long if their lags differ by at most this share of the lag plus these
-seconds.
+"""Two paths count as equally long if their lags differ by at most this share of the lag plus this
+number of seconds.
 """
 HALF_SD_MIN = 1.0
-"""Least height of a far peak in each half of the recording, in standard deviations: a single event
-makes no way.
+"""Least height of the peak of a long path in each half of the window, in standard deviations.
+
+It ensures that a single coincidence of events does not make a peak.
 """
 LONG_PATHS_MAX = 256
-"""Ways that are looked for, the clearest."""
+"""Largest number of long paths; of more, those with the clearest peaks."""
 
 
 class LongPath(NamedTuple):
-    """Objects that leave the view of camera ``source`` appear in that of ``target`` about
-    ``seconds`` later.
+    """A path from the view of camera ``source`` to that of camera ``target``.
+
+    seconds: lag of its peak, about the transit time.
     """
 
     source: int
@@ -75,8 +82,10 @@ class LongPath(NamedTuple):
 def find_long_paths(
     departures: Departures, arrivals: Arrivals, cameras: int, lag_max: float
 ) -> list[LongPath]:
-    """The long ways between ``cameras`` views, by source, then target; ``lag_max``: longest lag
-    with a bin, seconds.
+    """Find the long paths between cameras; return them sorted by source, then target.
+
+    cameras: number of cameras.
+    lag_max (seconds): longest lag with a lag bin.
     """
     present = np.intersect1d(departures.camera, arrivals.camera)
     pairs = [(a, b) for a in present.tolist() for b in present.tolist() if a != b]
@@ -84,7 +93,7 @@ def find_long_paths(
         return []
     source, target = np.array(pairs, np.int32).T
 
-    # The clearest peak of each pair of cameras.
+    # The clearest peak of each pair of cameras, from the correlograms of both halves of the window.
     first, last = min(departures.t[0], arrivals.t[0]), max(departures.t[-1], arrivals.t[-1])
     longest, middle = (
         min(LONG_SECONDS_MAX, LONG_SHARE_MAX * float(last - first)),
@@ -103,28 +112,31 @@ def find_long_paths(
     nats, seconds = np.zeros(len(pairs)), np.zeros(len(pairs))
     order = cache_friendly_order(source, target, min(half.at_once for half in halves))
     for k in range(0, len(order), ROWS_AT_ONCE):
-        some = order[k : k + ROWS_AT_ONCE]
-        counts = [half.correlograms_of(source[some], target[some]) for half in halves]
-        nats[some], seconds[some] = clearest_peaks(counts, lag_max, longest)
+        part = order[k : k + ROWS_AT_ONCE]
+        counts = [half.correlograms_of(source[part], target[part]) for half in halves]
+        nats[part], seconds[part] = clearest_peaks(counts, lag_max, longest)
     false = len(pairs) * max(longest, 1.0) / BIN_SECONDS * np.exp(-nats)
 
-    # Those that are far away, and do not lead over a camera between.
-    lag, stay = np.full((cameras, cameras), np.nan), _usual_stay(departures, cameras)
-    leg = false < FALSE_LEGS
-    lag[source[leg], target[leg]] = seconds[leg]
+    # The peaks at long lags of paths that do not lead over a camera between.
+    lag, dwell = np.full((cameras, cameras), np.nan), _usual_dwell_time(departures, cameras)
+    is_leg = false < FALSE_LEGS
+    lag[source[is_leg], target[is_leg]] = seconds[is_leg]
     far = np.flatnonzero((false < FALSE_PROBABILITY) & (seconds >= LONG_SECONDS_MIN)).tolist()
-    far = [k for k in far if not _is_over(lag, stay, *pairs[k])]
+    far = [k for k in far if not _is_over(lag, dwell, *pairs[k])]
     far = sorted(far, key=lambda k: -nats[k])[:LONG_PATHS_MAX]
     return sorted(LongPath(*pairs[k], float(seconds[k])) for k in far)
 
 
 def clearest_peaks(counts: list[Counts], lag_max: float, longest: float) -> tuple[Floats, Floats]:
-    """How clear, in nats, the clearest peak of each correlogram (P, lags) is, and where, in
-    seconds; (P,) each. There is a correlogram of each half of the time. Beyond ``lag_max`` seconds
-    there is no lag bin, beyond the ``longest`` nothing is looked at.
+    """Return the evidence (P, nats) for the clearest peak of each pair of cameras, and its lag.
 
-    The null model is a Poisson process with the local rate, its log likelihood ratio divided by the
-    dispersion that the negative lags show, where nothing that left can have arrived.
+    counts: correlograms (P, lags) of the P pairs of cameras in each half of the window.
+    lag_max (seconds): longest lag with a lag bin.
+    longest (seconds): largest lag at which peaks are looked for.
+
+    The second result is (P, seconds). The null model is a Poisson process with the local rate. The
+    log likelihood ratio is divided by the dispersion at negative lags, at which no transition can
+    be.
     """
     lag = np.arange(-LAGS, LAGS + 1) * BIN_SECONDS
     before, near = lag < -LONG_SECONDS_MIN, np.abs(lag) < LONG_SECONDS_MIN
@@ -139,20 +151,22 @@ def clearest_peaks(counts: list[Counts], lag_max: float, longest: float) -> tupl
             )
             for halves in (counts, usual)
         )
-        least = ((seen - expected) / np.sqrt(expected)).min(
-            axis=0
-        )  # of the halves, in standard deviations
-        seen, expected = seen.sum(axis=0), expected.sum(axis=0)
-        apart = seen - expected
-        dispersion = np.maximum(
-            np.var((apart / np.sqrt(expected))[:, before], axis=1, keepdims=True), 1.0
-        )
-        nats = (seen * np.log(np.maximum(seen, 1e-9) / expected) - apart) / dispersion
+        # The lower height of the two halves, in standard deviations.
+        least = ((seen - expected) / np.sqrt(expected)).min(axis=0)
 
+        # Log likelihood ratio of both halves together, corrected for dispersion.
+        seen, expected = seen.sum(axis=0), expected.sum(axis=0)
+        excess = seen - expected
+        dispersion = np.maximum(
+            np.var((excess / np.sqrt(expected))[:, before], axis=1, keepdims=True), 1.0
+        )
+        nats = (seen * np.log(np.maximum(seen, 1e-9) / expected) - excess) / dispersion
+
+        # The highest peak, be it at a short lag or at a long one, where both halves must have it.
         sharp = (lag > lag_max) | (width * BIN_SECONDS <= 2 * SHARP_SHARE_MAX * lag)
         far = sharp & (lag > 0) & (lag <= longest)
         peaks = np.where(
-            (near & (apart > 0)) | (far & (least >= HALF_SD_MIN * np.sqrt(dispersion))), nats, 0.0
+            (near & (excess > 0)) | (far & (least >= HALF_SD_MIN * np.sqrt(dispersion))), nats, 0.0
         )
         at = peaks.argmax(axis=1)
         top = peaks[np.arange(len(peaks)), at]
@@ -161,8 +175,8 @@ def clearest_peaks(counts: list[Counts], lag_max: float, longest: float) -> tupl
     return best, where
 
 
-def _usual_stay(departures: Departures, cameras: int) -> Floats:
-    """Median seconds of the passages through each view, (cameras,); 0 where they are not known."""
+def _usual_dwell_time(departures: Departures, cameras: int) -> Floats:
+    """Return the median dwell time in each view (cameras, seconds); 0 where it is unknown."""
     known = np.isfinite(departures.since)
     stay, camera = (departures.t - departures.since)[known], departures.camera[known]
     return np.array(
@@ -170,45 +184,48 @@ def _usual_stay(departures: Departures, cameras: int) -> Floats:
     )
 
 
-def _is_over(lag: Floats, stay: Floats, source: int, target: int) -> bool:
-    """Whether the way between two cameras is as long as that over another: by the ``lag`` (cameras,
-    cameras) from each to each, nan without a way, and the ``stay`` (cameras,) in each view,
-    seconds.
+def _is_over(lag: Floats, dwell: Floats, source: int, target: int) -> bool:
+    """Return True if the path between two cameras is as long as one over a third camera.
+
+    lag (cameras, cameras): transit time from each camera to each, seconds; nan without a path.
+    dwell (cameras,): median dwell time in each view, seconds.
+    source, target: the two cameras.
     """
-    over = lag[source] + stay + lag[:, target]
+    over = lag[source] + dwell + lag[:, target]
     ahead = (lag[source] > 0) & (lag[:, target] > 0)
     apart = np.abs(over - lag[source, target])
     return bool(np.any(ahead & (apart <= SAME_SHARE * lag[source, target] + SAME_SECONDS)))
 
 
 class Delayed(NamedTuple):
-    """The departures of a fit, with a delayed copy of each departure that a long way may start
-    from.
+    """The departures of a fit, with a delayed copy of each departure that may begin a long path.
 
-    The copies of a zone's departures belong to a virtual zone in a virtual view. Only the camera at
-    the end of the long way is reached from there, and that camera is not reached from the zone
-    itself. So the joint fit needs to know nothing of long ways; the methods named `back` translate
-    what it finds to real zones.
+    The copies of a zone's departures belong to a virtual zone in a virtual view; there is one
+    virtual view for each long path. From a virtual view, only the camera at the end of the path can
+    be reached, and that camera cannot be reached from the original view. So the joint fit needs no
+    code for long paths: `links_back`, `changes_back` and `posterior_back` translate its results
+    from virtual zones to the real ones.
     """
 
     departures: Departures
+    """All departures in order of time, copies included; ``of`` gives the original of a copy."""
     camera: Ints
-    """(zones,) view of each zone, virtual ones included."""
+    """(zones,) view of each zone, virtual views and zones included."""
     zone: Ints
     """(zones,) the real zone that each zone stands for."""
     seconds: Floats
-    """(zones,) by which its departures are delayed."""
+    """(zones,) seconds by which the departures of each zone are delayed; 0 for real zones."""
     row: NDArray[np.intp]
-    """(n,) of each departure, its row among the departures without copies."""
+    """(n,) row of each departure, or of its original, among the departures without copies."""
     reached: Bools
-    """(cameras, cameras) whether arrivals at the second may be of departures from the first."""
+    """(views, views) True if arrivals in the second view may be of departures from the first."""
 
     def places(self) -> Iterator[tuple[int, int]]:
-        """View of each zone, and the real zone that it stands for."""
+        """Return the view of each zone, and the real zone that it stands for."""
         return zip(self.camera.tolist(), self.zone.tolist(), strict=True)
 
     def among(self, candidates: Candidates, arrivals: Arrivals) -> Candidates:
-        """The ``candidates`` whose arrival's camera is reached from the departure's."""
+        """Return the candidates whose arrival's view may be reached from the departure's view."""
         if not self.seconds.any():
             return candidates
         left, came = (
@@ -218,21 +235,25 @@ class Delayed(NamedTuple):
         return candidates.take(self.reached[left, came])
 
     def overlapping(self, table: Bools) -> Bools:
-        """The ``table`` (cameras, cameras) of overlapping views, virtual views included: an arrival
-        ahead of a delayed departure is not ahead of the exit, and needs no overlap.
+        """Return a table (views, views) of overlapping views with virtual views included.
+
+        table (cameras, cameras): True where real views overlap.
+
+        A virtual view counts as overlapping: an arrival before a delayed departure is not before
+        the exit itself, so it needs no overlap.
         """
         larger = np.ones(self.reached.shape, np.bool_)
         larger[: len(table), : len(table)] = table
         return larger
 
     def links_back(self, table: LinkTable) -> LinkTable:
-        """The ``table`` by real zones."""
+        """Return a link table with virtual zones replaced by real ones, sorted by zones."""
         source = self.zone[table.source]
         moved = table._replace(source=source, delay=self.seconds[table.source])
         return moved.rows(np.lexsort((table.target, source)))
 
     def changes_back(self, changes: list[Change]) -> list[Change]:
-        """The ``changes`` by real zones."""
+        """Return changes of links with virtual zones replaced by real ones, and times undelayed."""
         return [
             change._replace(
                 source=int(self.zone[change.source]),
@@ -242,7 +263,10 @@ class Delayed(NamedTuple):
         ]
 
     def posterior_back(self, posterior: Posterior, zones: int) -> Posterior:
-        """The ``posterior`` by the ``zones`` real zones."""
+        """Return a posterior with virtual zones replaced by real ones.
+
+        zones: number of real zones.
+        """
         if not self.seconds.any():
             return posterior
         c = posterior.fit.candidates
@@ -260,11 +284,14 @@ class Delayed(NamedTuple):
         )
 
 
-def delayed(departures: Departures, camera: Ints, cameras: int, ways: list[LongPath]) -> Delayed:
-    """The ``departures`` with delayed copies for the long ``ways``; ``camera`` (zones,): view of
-    each zone, a number below ``cameras``.
+def delayed(departures: Departures, camera: Ints, cameras: int, paths: list[LongPath]) -> Delayed:
+    """Add delayed copies for given long paths to the departures of a window.
+
+    camera (zones,): camera of each zone.
+    cameras: number of cameras.
+    paths: the long paths.
     """
-    reached = np.zeros((cameras + len(ways), cameras + len(ways)), np.bool_)
+    reached = np.zeros((cameras + len(paths), cameras + len(paths)), np.bool_)
     reached[:cameras, :cameras] = True
     zone, view, seconds = (
         [np.arange(len(camera), dtype=np.int32)],
@@ -273,22 +300,25 @@ def delayed(departures: Departures, camera: Ints, cameras: int, ways: list[LongP
     )
     row, copies, number = [np.arange(len(departures.t))], [departures], len(camera)
 
-    for k, way in enumerate(ways, start=cameras):
-        reached[way.source, way.target], reached[k, way.target] = False, True
+    for k, path in enumerate(paths, start=cameras):
+        reached[path.source, path.target], reached[k, path.target] = False, True
 
         # Virtual zones for the copies.
-        mine = np.flatnonzero(camera == way.source)
-        zone.append(mine.astype(np.int32))
-        view.append(np.full(len(mine), k, np.int32))
-        seconds.append(np.full(len(mine), way.seconds))
+        zones_of_source = np.flatnonzero(camera == path.source)
+        zone.append(zones_of_source.astype(np.int32))
+        view.append(np.full(len(zones_of_source), k, np.int32))
+        seconds.append(np.full(len(zones_of_source), path.seconds))
 
-        # The copies: no lag is before the exit, and pace says nothing of the rest of the way.
-        some = np.flatnonzero(departures.camera == way.source)
+        # The copies. No lag is before the exit; slowness is not used, as it would scale only the
+        # part of the transit time beyond the delay.
+        some = np.flatnonzero(departures.camera == path.source)
         row.append(some)
         copies.append(
             Departures(
-                t=departures.t[some] + way.seconds,
-                zone=(number + np.searchsorted(mine, departures.zone[some])).astype(np.int32),
+                t=departures.t[some] + path.seconds,
+                zone=(number + np.searchsorted(zones_of_source, departures.zone[some])).astype(
+                    np.int32
+                ),
                 camera=np.full(len(some), k, np.int32),
                 since=np.full(len(some), -np.inf),
                 slow=np.full(len(some), np.nan),
@@ -296,7 +326,7 @@ def delayed(departures: Departures, camera: Ints, cameras: int, ways: list[LongP
                 block=departures.block[some],
             )
         )
-        number += len(mine)
+        number += len(zones_of_source)
 
     columns: list[Any] = [
         np.concatenate(some) for some in zip(*(one[:-1] for one in copies), strict=True)
@@ -305,7 +335,7 @@ def delayed(departures: Departures, camera: Ints, cameras: int, ways: list[LongP
     rows, place = np.concatenate(row)[order], np.argsort(order)
     return Delayed(
         Departures(*(column[order] for column in columns))._replace(
-            of=place[rows] if ways else None
+            of=place[rows] if paths else None
         ),
         np.concatenate(view),
         np.concatenate(zone),
@@ -323,8 +353,15 @@ def with_long_paths(
     bins: LagBins,
     candidates_max: int,
 ) -> Delayed:
-    """The ``departures`` with delayed copies for the long ways that are found; without any where
-    the candidates would have to be screened (`screening`). ``camera`` (zones,): as of `delayed`.
+    """Find the long paths, and add delayed copies of departures for them.
+
+    No copies are added on sites that are so large that candidates are screened (`screening`), or if
+    the copies would make screening necessary.
+
+    camera (zones,): camera of each zone.
+    cameras: number of cameras.
+    bins: bins of the lags.
+    candidates_max: number of candidates beyond which they are screened.
     """
     without = delayed(departures, camera, cameras, [])
     if CandidateScreen.is_needed(departures, arrivals, bins, len(camera), candidates_max):

@@ -1,7 +1,8 @@
-"""What became of earlier exits: at which camera each object appeared next, as a later fit sees it.
+"""Outcomes of earlier exits: the probability of each camera to be the one that saw the object next.
 
-The learner scores its own predictions with this: an outcome is known, as a probability for each
-camera, once the longest lag after the exit has passed.
+The learner scores its own predictions with these (`self_score`). Objects are anonymous, so an
+outcome is never certain, but once the longest lag after an exit has passed, the fit of a later
+version gives the probability of each possible arrival.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ Happened = dict[str, float]
 
 
 class Exit(Protocol):
-    """An exit of an object: its time by the camera's own clock, Unix seconds, and its camera."""
+    """An exit of an object from the view of a camera."""
 
     @property
     def t(self) -> float:
-        """Event time, Unix seconds."""
+        """Event time by the camera's own clock, Unix seconds."""
 
     @property
     def camera(self) -> str:
@@ -40,23 +41,27 @@ def outcomes_of(
     offsets: Floats,
     until: float,
 ) -> list[Happened | None]:
-    """Return the outcome of each of the exits up to ``until``; None where the fit has no such exit.
+    """Return the outcome of each of the exits up to ``until``; None if the fit has no such exit.
 
-    exits: by time.
+    exits: sorted by time.
     departures, arrivals: those of the fit, in corrected time.
-    offsets (cameras,): each camera's clock offset, seconds.
-    until: Unix seconds; later exits may still be followed by an arrival.
+    cameras: names of all cameras.
+    offsets (cameras,): clock offset of each camera, seconds.
+    until (Unix seconds): later exits may still have an arrival, so their outcome is not known.
     """
-    due = []
+    # The exits whose outcome is known.
+    known_exits = []
     for one in exits:
         if one.t > until:
             break
-        due.append(one)
+        known_exits.append(one)
 
-    rows = [_row_of(one, departures, cameras, offsets) for one in due]
+    # The probability of each next camera.
+    rows = [_row_of(one, departures, cameras, offsets) for one in known_exits]
     known = [row for row in rows if row is not None]
     shares = iter(_shares(posterior, arrivals, known, len(cameras)))
 
+    # By name of the camera.
     outcomes: list[Happened | None] = []
     for row in rows:
         if row is None:
@@ -68,7 +73,10 @@ def outcomes_of(
 
 
 def _row_of(one: Exit, departures: Departures, cameras: list[str], offsets: Floats) -> int | None:
-    """Return the departure of an exit; None when it is not in the fit."""
+    """Return the row of an exit in the table of departures; None if it is not there.
+
+    Arguments are as for `outcomes_of`.
+    """
     camera = cameras.index(one.camera)
     t = one.t - offsets[camera]
     low, high = np.searchsorted(departures.t, (t, np.nextafter(t, np.inf)))
@@ -77,9 +85,12 @@ def _row_of(one: Exit, departures: Departures, cameras: list[str], offsets: Floa
 
 
 def _shares(posterior: Posterior, arrivals: Arrivals, rows: list[int], cameras: int) -> Floats:
-    """Return the probability (rows, cameras) that each departure is followed at each camera.
+    """Return the probability of each camera to see the object of a departure next, (k, cameras).
 
-    The spurious share of each candidate is left out.
+    rows: k departures.
+    cameras: number of cameras.
+
+    The spurious share of each candidate does not count.
     """
     result = np.zeros((len(rows), cameras))
     c = posterior.fit.candidates
@@ -88,9 +99,15 @@ def _shares(posterior: Posterior, arrivals: Arrivals, rows: list[int], cameras: 
         if row < len(number):
             number[row] = k
 
-    asked = np.flatnonzero(number[c.departure] >= 0)
-    sure = posterior.fit.responsibility[asked] * (1.0 - posterior.doubt[c.pair[asked]])
-    np.add.at(result, (number[c.departure[asked]], arrivals.camera[c.arrival[asked]]), sure)
+    candidate_rows = np.flatnonzero(number[c.departure] >= 0)
+    sure = posterior.fit.responsibility[candidate_rows] * (
+        1.0 - posterior.doubt[c.pair[candidate_rows]]
+    )
+    np.add.at(
+        result,
+        (number[c.departure[candidate_rows]], arrivals.camera[c.arrival[candidate_rows]]),
+        sure,
+    )
 
     total = result.sum(axis=1, keepdims=True)
     shares: Floats = result / np.maximum(total, 1.0)

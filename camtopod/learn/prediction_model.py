@@ -1,4 +1,8 @@
-"""Convert the posterior into the model that prediction reads from the topology."""
+"""Convert the posterior of a fit into the `Model` that prediction reads from the topology.
+
+`Posterior` has arrays by number of zone; `Model` has records by public id of the zone, without
+negligible items. `build_model` is the entry point; each of its helpers makes one field.
+"""
 
 from __future__ import annotations
 
@@ -29,17 +33,17 @@ from camtopod.records import (
 from camtopod.topology import LagBins, offset_bins, round_significant, step_histogram
 
 OUTCOMES_PER_ZONE_MAX = 24
-"""Zones listed as the next appearance of objects leaving one zone, the likeliest first."""
+"""Largest number of next zones listed for one zone of departure, the likeliest first."""
 ENTRY_KERNELS_PER_ZONE_MAX = 16
-"""Entry kernels listed for one zone of entry, those with the most mass first."""
+"""Largest number of entry kernels listed for one zone of entry, those with the most mass first."""
 SHARE_MIN = 1e-4
-"""Smaller shares and smaller kernels are left out."""
+"""Least share of a listed next zone, and least mass of a listed entry kernel."""
 CONTEXT_DEPARTURES_MIN = 0.5
-"""Contexts with fewer certain departures are left out."""
+"""Least certain departures (see `next_camera.contexts`) of a listed context."""
 CONTEXT_TRANSITIONS_MIN = 0.05
-"""Fewer certain transitions of a context are left out."""
+"""Least certain transitions of a context to a next zone that is listed."""
 SHARE_FLOOR = 1e-3
-"""Lower bound on a share in the window when a changed share is divided by it."""
+"""Lower bound on a share in the window where a changed share is divided by it."""
 
 
 def build_model(
@@ -54,10 +58,12 @@ def build_model(
 ) -> Model:
     """Return the part of the topology, beside the links, that prediction reads.
 
-    posterior: None where nothing has left or arrived yet.
+    cameras: names of all cameras.
+    posterior: result of the fit for prediction; None without any departure or arrival.
+    bins: bins of the lags.
     changes: links whose share has changed within the window.
-    clocks_corrected: whether the links' transit times are in corrected time.
-    overlapping: views that overlap.
+    clocks_corrected: True if the links' transit times are in corrected time.
+    overlapping: pairs of overlapping views.
     """
     ids = [zone_id(cameras, zone) for zone in scene.zones]
     zones = sorted(_zone_models(ids, scene, posterior), key=lambda zone: zone.zone)
@@ -84,7 +90,10 @@ def build_model(
 
 
 def _pace(ids: list[str], scene: Scene, persistence: Persistence) -> Pace | None:
-    """Return how an object's slowness persists; None where it tells nothing about the next view."""
+    """Return how far slowness persists, and usual dwell times; None if slowness does not matter.
+
+    ids: public id of each zone.
+    """
     if persistence.scaling <= 0.0:
         return None
     p = scene.passages
@@ -97,19 +106,22 @@ def _pace(ids: list[str], scene: Scene, persistence: Persistence) -> Pace | None
 
 
 def _zone_models(ids: list[str], scene: Scene, posterior: Posterior | None) -> list[ZoneModel]:
-    """Return each zone's unexplained arrival rate and the deciles of its dwell times."""
+    """Return, for each zone, exits, rate of arrivals from outside, and deciles of dwell times.
+
+    ids: public id of each zone. Dwell times are those of passages that end in the zone.
+    """
     d = scene.departures
     span = max(scene.last - scene.first, 1.0)
     zones = []
     known = np.flatnonzero(np.isfinite(d.since))
-    stays = (d.t - d.since)[known]
-    for index, (name, mine) in enumerate(
+    dwell_times = (d.t - d.since)[known]
+    for index, (name, rows) in enumerate(
         zip(ids, rows_by_group(d.zone[known], len(ids)), strict=True)
     ):
-        stay = stays[mine]
+        dwell = dwell_times[rows]
         deciles = (
-            [round_significant(float(value)) for value in np.quantile(stay, STAY_DECILES)]
-            if len(stay)
+            [round_significant(float(value)) for value in np.quantile(dwell, STAY_DECILES)]
+            if len(dwell)
             else []
         )
         outside = 1.0 if posterior is None else float(posterior.fit.outside[index])
@@ -133,7 +145,7 @@ def _camera_models(cameras: list[str], window: Window) -> list[CameraModel]:
 
 
 def _presently(posterior: Posterior, changes: list[Change]) -> Floats:
-    """Return the factor (P,) from each pair's share in the window to its present share."""
+    """Return the ratio (P,) of each pair's present share to its share in the whole window."""
     c = posterior.fit.candidates
     after = {(change.source, change.target): change.after for change in changes}
     factor = np.ones(len(c.source))
@@ -144,12 +156,17 @@ def _presently(posterior: Posterior, changes: list[Change]) -> Floats:
 
 
 def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) -> list[Onward]:
+    """Return, for each zone of departure, the next zones with shares and lags, sorted by zone.
+
+    ids: public id of each zone.
+    now (P,): factor on the share of each pair of zones (`_presently`).
+    """
     c = posterior.fit.candidates
     share = posterior.share * now
     rows = []
     likely = np.flatnonzero(share > SHARE_MIN)
-    for zone, mine in enumerate(rows_by_group(c.source[likely], len(ids))):
-        pairs = likely[mine]
+    for zone, members in enumerate(rows_by_group(c.source[likely], len(ids))):
+        pairs = likely[members]
         pairs = pairs[np.argsort(-share[pairs], kind="stable")][:OUTCOMES_PER_ZONE_MAX]
         mass = posterior.fit.hazard[pairs] * bins.widths * now[pairs, None]
         outcomes = [
@@ -166,13 +183,17 @@ def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) ->
 
 
 def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryKernel]:
+    """Return the entry kernels with the most mass, sorted by zones.
+
+    ids: public id of each zone.
+    """
     p = posterior
     mass = p.entry_hazard * bins.widths
     total = mass.sum(axis=1)
     rows = []
     likely = np.flatnonzero(total > SHARE_MIN)
-    for zone, mine in enumerate(rows_by_group(p.entry_source[likely], len(ids))):
-        pairs = likely[mine]
+    for zone, members in enumerate(rows_by_group(p.entry_source[likely], len(ids))):
+        pairs = likely[members]
         pairs = pairs[np.argsort(-total[pairs], kind="stable")][:ENTRY_KERNELS_PER_ZONE_MAX]
         rows += [
             EntryKernel(ids[zone], ids[p.entry_target[k]], step_histogram(mass[k], bins))
@@ -184,6 +205,11 @@ def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryK
 def _overlaps(
     cameras: list[str], overlapping: Sequence[OverlappingViews], bins: LagBins
 ) -> list[Overlap]:
+    """Return the records of overlapping views, sorted by cameras.
+
+    cameras: names of all cameras.
+    bins: bins of the offsets.
+    """
     rows = [
         Overlap(
             cameras[one.source],
@@ -200,6 +226,11 @@ def _overlaps(
 def _contexts(
     ids: list[str], cameras: list[str], posterior: Posterior, now: Floats
 ) -> list[Context]:
+    """Return the contexts of all levels, sorted by zone of departure.
+
+    ids, cameras: public id of each zone, and name of each camera.
+    now (P,): factor on the share of each pair of zones (`_presently`).
+    """
     c = posterior.fit.candidates
     changed = {
         (int(c.source[k]), int(c.target[k])): float(now[k]) for k in np.flatnonzero(now != 1.0)

@@ -1,13 +1,13 @@
 """Retire cameras that no longer report.
 
-Camera names may be invented, misspelled or used for a day, and every name costs memory and one of a
-limited number of places.
+Camera names may be invented, misspelled or used for a day only. Every name costs memory and counts
+towards the limit of cameras (``cameras_max``).
 
-A camera is retired when it has had no event for a week and none within the window
-(``window_hours``). Nothing that is learned depends on it any more, so it is forgotten. Only the
+A camera is retired when its last event is more than a week old and older than the window
+(``window_hours``). As nothing that is learned depends on it any more, it is forgotten. Only the
 shapes of its zones are kept, for a limited number of cameras, so that a camera that returns, after
-a holiday say, gets its zone numbers back. When all places (``cameras_max``) are taken, a new camera
-replaces the one with the fewest events in the window among those silent for an hour.
+a holiday for example, gets its zone numbers back. When the limit of cameras is reached, a new
+camera replaces the one with the fewest events in the window among those silent for an hour.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from camtopod.learn.association import FollowedSources, place
 from camtopod.learn.window import FORGOTTEN, ReorderBuffer, Window
 
 RETIRED_AFTER_SECONDS = 7 * 86_400.0
-"""Seconds of event time that a camera without events stays listed, at least."""
+"""Least time, in seconds of event time, without events after which a camera is retired."""
 LEFT_CAMERAS_MAX = 10_000
-"""Retired cameras whose zones are remembered. Beyond that, the one retired first is forgotten."""
+"""Retired cameras whose zones are remembered; beyond, the one retired first is forgotten."""
 REPLACEABLE_AFTER_SECONDS = 3600.0
-"""Seconds of event time after which a silent camera may be replaced by a new one."""
+"""Time, in seconds of event time, without events after which a new camera may replace a camera."""
 _CAMERA_SHIFT = 32
-"""Bits below the camera's index in a zone's key, see `place`."""
+"""Number of bits below the index of the camera in the key of a zone (`place`)."""
 
 
 def cameras_to_retire(
     intake: ReorderBuffer, window: Window, now_us: int, window_us: int
 ) -> set[str]:
-    """Return the cameras to retire.
+    """Return the names of the cameras to retire now.
 
     now_us (microseconds): event time.
     window_us (microseconds): length of the window.
@@ -47,17 +47,17 @@ def cameras_to_retire(
     if not silent:
         return silent
 
-    # Snapshots of older programs do not hold the time of a camera's last event, so the window and
-    # the held events are checked, too.
+    # Snapshots of older programs do not have the time of a camera's last event, so check the window
+    # and the held events, too.
     return silent - window.cameras_present() - intake.cameras_held()
 
 
 def camera_to_replace(intake: ReorderBuffer, window: Window) -> str | None:
-    """Return the camera that a new one replaces; None if none has been silent for long."""
+    """Return the camera to be replaced by a new one; None if none has been silent for long."""
     newest, watermark_us = intake.newest_of, intake.watermark_us
     silent_us = (watermark_us or 0) - round(REPLACEABLE_AFTER_SECONDS * MICROSECONDS)
 
-    # The usual case: `newest_of` begins with the camera that was heard longest ago.
+    # The usual case: `newest_of` begins with the camera whose last event was received first.
     if not newest or newest[next(iter(newest))] >= silent_us:
         return None
 
@@ -75,9 +75,10 @@ def camera_to_replace(intake: ReorderBuffer, window: Window) -> str | None:
 def renumber_followed(
     followed: dict[int, FollowedSources], number: NDArray[np.int64]
 ) -> dict[int, FollowedSources]:
-    """Return the followed sources of each zone after the cameras were renumbered.
+    """Renumber the cameras in the state of `CandidateScreen`.
 
-    followed (by `place`): sources that `CandidateScreen` follows.
+    followed: zones of departure that are followed for each zone of arrival; zones are given by
+        their keys (`place`), which contain the index of the camera.
     number (cameras,): new index of each camera, `FORGOTTEN` for retired ones.
     """
     result = {}
@@ -90,4 +91,5 @@ def renumber_followed(
 
 
 def _moved(old: int, number: NDArray[np.int64]) -> int:
+    """Return the new key of a zone, given its old one and the new index of each camera."""
     return place(int(number[old >> _CAMERA_SHIFT]), old & ((1 << _CAMERA_SHIFT) - 1))

@@ -1,7 +1,8 @@
-"""Rewind a learner's state to an earlier event time.
+"""Rewind the saved state of a learner to an earlier event time.
 
-Needed when a wrong clock has moved event time into the future. What was learned from earlier events
-stays.
+This is needed when a camera's wrong clock has advanced event time into the future, so that all
+correct events are late. `rewind` removes the later events and takes event time back; all that
+follows from earlier events stays.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from camtopod.learn.window import ReorderBufferState, WindowState
 
 
 def rewind(state: LearnerState, to: float) -> LearnerState:
-    """Return the state with event time at ``to`` (seconds) and without later events."""
+    """Return the state with event time taken back to ``to`` (seconds), without later events."""
     to_us, tick_us = microseconds(to), microseconds(state.settings.version_seconds)
     reached = to_us // tick_us * tick_us
     return replace(
@@ -33,6 +34,7 @@ def rewind(state: LearnerState, to: float) -> LearnerState:
 
 
 def _intake(state: LearnerState, to_us: int) -> ReorderBufferState:
+    """Return the state of the reorder buffer with event time and watermark taken back."""
     intake = state.intake
     time = EventTime(state.settings.lateness_seconds, state.settings.ahead_seconds_max)
     time.load(
@@ -53,7 +55,7 @@ def _intake(state: LearnerState, to_us: int) -> ReorderBufferState:
 
 
 def _window(state: WindowState, to_us: int) -> WindowState:
-    """Drop the rows that are later. Rows are in order of time, so these are the last ones."""
+    """Return the state of the window without later rows, which are the last ones."""
     rows = int(np.searchsorted(state.columns["t"], to_us, side="right"))
     return replace(
         state,
@@ -63,6 +65,7 @@ def _window(state: WindowState, to_us: int) -> WindowState:
 
 
 def _alarms(state: AlarmState, to: float) -> AlarmState:
+    """Return the state of the alarms without later alarms."""
     return replace(
         state,
         newest=[alarm for alarm in state.newest if alarm.t <= to],
@@ -71,7 +74,10 @@ def _alarms(state: AlarmState, to: float) -> AlarmState:
 
 
 def _scorer(state: ScorerState, to: float) -> ScorerState:
-    """Drop the predictor, which may have observed later events; the next version makes one."""
+    """Return the state of the scorer without later predictions and without its predictor.
+
+    The predictor may have observed later events; the scorer makes a new one with the next version.
+    """
     return replace(
         state, predictor=None, guesses=[guess for guess in state.guesses if guess.t <= to]
     )

@@ -1,11 +1,12 @@
 """Self-evaluation: the learner scores its own predictions once their outcome is known.
 
-Each prediction is made with the version of its time, before the outcome. Objects are anonymous, so
-the true outcome is never known, but it is far clearer afterwards than before: once the whole lag
-window of a departure has been seen, the joint fit of a later version gives the probability that it
-was each of the arrivals, or none. The prediction gets its expected score under that fit, ``-sum r
-log p`` in place of ``-log p``. An exit event that is of no object counts as an object that leaves
-the site.
+`Scorer.watch` predicts the next camera for a sample of the exits as they are learned, with the
+version of that time. Objects are anonymous, so the true outcome is never known for certain. But
+once the longest lag after an exit has passed, the fit of a later version gives the probability r of
+each next camera, or of none (`outcomes`). `Scorer.mark` then gives the prediction its expected
+score under that fit: the log loss is ``-sum r log p`` in place of ``-log p``. An exit event that is
+of no object counts as an object that leaves the site. The *baseline* for comparison is the Markov
+chain over cameras (thesis 4.6).
 """
 
 from __future__ import annotations
@@ -24,40 +25,45 @@ from camtopod.predict import Predictor, PredictorState
 from camtopod.records import Event, Prediction, SelfScore, Topology
 
 EXITS_PER_VERSION = 100
-"""Exits scored between two versions, approximately; they are evenly spread."""
+"""Approximate number of exits that are predicted between two versions, evenly spread."""
 SCORED_MAX = 2000
-"""Newest scored exits that the score is the mean of."""
+"""Number of the newest scored predictions over which the score is the mean."""
 PENDING_MAX = 2000
-"""Predictions that wait for their outcome; beyond, the oldest is dropped."""
+"""Largest number of predictions that wait for their outcome; beyond, the oldest is dropped."""
 PROBABILITY_FLOOR = 1e-4
 """Lower bound on a predicted probability in the log loss."""
 
 
 class ScoredPrediction(NamedTuple):
-    """One prediction, with probabilities by camera and under "" for leaving the site."""
+    """A prediction that is to be scored.
+
+    Probabilities are by name of the next camera, with "" for leaving the site.
+    """
 
     t: float
     """Time of the exit, seconds."""
     camera: str
     """Camera of the exit."""
     version: int
-    """Version that made the prediction."""
+    """Version with which the prediction was made."""
     said: dict[str, float]
     """Predicted probabilities."""
     baseline: dict[str, float]
-    """Probabilities by the Markov chain over cameras."""
+    """Probabilities of the baseline, the Markov chain over cameras."""
 
 
 class Scores(NamedTuple):
     """Scores of one prediction."""
 
     version: int
+    """Version with which the prediction was made."""
     followed: float
-    """Probability that the object was seen again."""
+    """Probability, by the later fit, that the object appeared again."""
     top1: float
-    """Probability that the next camera was the likeliest one."""
+    """Probability, by the later fit, that it appeared at the camera that was predicted as likeliest.
+    """
     top3: float
-    """Probability that the next camera was among the likeliest three."""
+    """Probability, by the later fit, that it appeared at one of the three likeliest ones."""
     loss: float
     """Expected log loss, nats."""
     baseline_top1: float
@@ -67,18 +73,26 @@ class Scores(NamedTuple):
 
 
 class ScorerState(Struct):
-    """State of a `Scorer`, apart from the topology."""
+    """The saved state of a `Scorer`, apart from the topology that it predicts with."""
 
     predictor: PredictorState | None
     baseline: dict[str, dict[str, float]]
+    """Probabilities of the Markov chain: camera of the exit -> next camera, "" for none."""
     stride: int
+    """Every how many exits one is predicted."""
     exits: int
+    """Number of exits so far."""
     guesses: list[ScoredPrediction]
+    """Predictions that wait for their outcome, oldest first."""
     marks: list[Scores]
+    """Scores of the newest scored predictions, oldest first."""
 
 
 class Scorer:
-    """Predicts a sample of the exits as events come in, and scores them by a later fit."""
+    """Predicts a sample of the exits as events are learned, and scores the predictions later.
+
+    The private attributes are described at `ScorerState`.
+    """
 
     def __init__(self) -> None:
         self._predictor: Predictor | None = None
@@ -89,7 +103,7 @@ class Scorer:
         self._marks: deque[Scores] = deque(maxlen=SCORED_MAX)
 
     def save(self) -> ScorerState:
-        """Return the state that `load` needs to continue, apart from the topology."""
+        """Return the state from which `load` continues, apart from the topology."""
         predictor = None if self._predictor is None else self._predictor.save()
         return ScorerState(
             predictor,
@@ -119,9 +133,9 @@ class Scorer:
         )
 
     def watch(self, batch: Iterable[tuple[int, Event]]) -> None:
-        """Predict some of the exits among new events.
+        """Predict the next camera of some of the exits among new events.
 
-        batch (microseconds, event): events in order of time.
+        batch (microseconds, event): the new events in order of time.
         """
         predictor = self._predictor
         if predictor is None:
@@ -139,7 +153,7 @@ class Scorer:
             predictor.observe(event)
 
     def use(self, topology: Topology, events_due: float) -> None:
-        """Predict with this version from here on.
+        """Predict with the version ``topology`` from here on.
 
         events_due: number of events expected until the next version.
         """
@@ -159,9 +173,10 @@ class Scorer:
         return list(self._guesses)
 
     def mark(self, happened: Sequence[Happened | None]) -> None:
-        """Score the oldest predictions.
+        """Score the oldest waiting predictions, and remove them from those that wait.
 
-        happened: outcome of each; None drops the prediction.
+        happened: outcomes of the oldest predictions, in order; None for a prediction that is
+            dropped without a score.
         """
         for outcome in happened:
             guess = self._guesses.popleft()
@@ -169,14 +184,14 @@ class Scorer:
                 self.note(guess, outcome)
 
     def note(self, guess: ScoredPrediction, happened: dict[str, float]) -> None:
-        """Score one prediction.
+        """Score one prediction, and add its scores to the mean.
 
-        happened (by camera): probability that the object appeared there next.
+        happened: probability, by camera, that the object appeared there next.
         """
         self._marks.append(marks(guess, happened))
 
     def score(self) -> SelfScore | None:
-        """Return the current score; None before any exit has been scored."""
+        """Return the mean of the newest scores; None before any prediction has been scored."""
         if not self._marks:
             return None
         m = Scores(*(np.array(column) for column in zip(*self._marks, strict=True)))  # type: ignore[arg-type]
@@ -193,7 +208,7 @@ class Scorer:
 
 
 def _by_camera(prediction: Prediction) -> dict[str, float]:
-    """Return the probability of each next camera, and of leaving the site under ""."""
+    """Return the probability of each next camera, by name, with "" for leaving the site."""
     said = {"": prediction.leave}
     for choice in prediction.next_:
         said[choice.camera] = said.get(choice.camera, 0.0) + choice.probability
@@ -203,7 +218,7 @@ def _by_camera(prediction: Prediction) -> dict[str, float]:
 def marks(guess: ScoredPrediction, happened: dict[str, float]) -> Scores:
     """Return the scores of a prediction.
 
-    happened (by camera): probability that the object appeared there next.
+    happened: probability, by camera, that the object appeared there next.
     """
     followed = sum(happened.values())
     outcomes = {**happened, "": max(1.0 - followed, 0.0)}
@@ -227,7 +242,11 @@ def _ranked(shares: dict[str, float]) -> list[str]:
 
 
 def _loss(said: dict[str, float], outcomes: dict[str, float]) -> float:
-    """Return the expected -ln(probability of the outcome), nats."""
+    """Return the expected log loss, -ln(predicted probability of the outcome), in nats.
+
+    said: predicted probability of each outcome.
+    outcomes: probability that each outcome has happened.
+    """
     return -sum(
         r * math.log(max(said.get(camera, 0.0), PROBABILITY_FLOOR))
         for camera, r in outcomes.items()

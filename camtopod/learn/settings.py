@@ -1,4 +1,4 @@
-"""Settings of the learner, with their units."""
+"""Settings of the learner, with their units: the ``[learn]`` table of the configuration."""
 
 from __future__ import annotations
 

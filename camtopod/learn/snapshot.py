@@ -1,9 +1,9 @@
-"""Snapshots: the complete state of a learner as bytes, and back.
+"""Snapshots: the complete state of a learner as bytes (`pack`), and back (`unpack`).
 
-A restored learner makes the same versions as one that never stopped. The snapshot leaves out what
-can be derived (sums of the window, keys, indices). It holds everything that affects later versions,
-including events that wait for the watermark and predictions that wait for their outcome. Floats and
-integers are preserved exactly.
+A restored learner makes the same versions as one that never stopped. So the state (`LearnerState`)
+has everything that affects later versions, including events that wait for the watermark and
+predictions that wait for their outcome. It leaves out values that can be computed from others (sums
+of the window, keys, indices). Floats and integers are preserved exactly.
 """
 
 from __future__ import annotations
@@ -26,12 +26,15 @@ from camtopod.publishers import Publisher
 from camtopod.records import Topology
 
 FORMAT = 1
-"""Format of a snapshot; a higher number is refused. There is no lower one yet: a change that raises
-it must migrate from this one.
+"""Format of the snapshots that this program reads and writes; other formats are refused.
+
+There has been no other format yet. A change that raises the number must convert snapshots of this
+format.
 """
 BYTES_MAX = 1 << 30
-"""Largest size of an uncompressed snapshot, bytes. One that unpacks to more is damaged."""
+"""Largest size of an uncompressed snapshot in bytes; a snapshot that unpacks to more is damaged."""
 _COMPRESSION = 1
+"""Level of zlib compression, the fastest."""
 
 
 class SnapshotError(ValueError):
@@ -43,26 +46,38 @@ class NewerSnapshot(SnapshotError):
 
 
 class CameraState(Struct):
-    """State of one camera's zones, see `Learner`."""
+    """State that a `Learner` has of one camera: its zones, and when they were updated."""
 
     zones: ZoneMap
+    """The camera's zones."""
     zoned: int
-    """Positioned events of the camera when its zones were last learned."""
+    """Number of the camera's positioned events so far when its zones were last learned."""
     gone: tuple[ZoneShape, ...]
     """Zones that have vanished, latest first."""
     looked: int
-    """Positioned events of the camera when it was last tested for a move."""
+    """Number of its positioned events so far when it was last tested for having been turned."""
 
 
 class RetiredCamera(Struct):
-    """State kept of a camera that was retired: its zones, and the next free zone number."""
+    """State that is kept of a retired camera: its zones, and the next free zone number."""
 
     zones: tuple[ZoneShape, ...] = ()
     next_number: int = 1
 
 
 class LearnerState(Struct):
-    """Complete state of a `Learner`."""
+    """Complete state of a `Learner`, attribute by attribute.
+
+    intake, window, clocks, alarms, scorer: states of its parts.
+    cameras: state of each camera, by index in the window.
+    moved: cameras turned since the last version: index, time in seconds, move.
+    done_us, fitted_us: last processed tick, and tick of the newest version, microseconds.
+    learned, since_fit: number of events learned so far, and since the newest version.
+    followed: zones of departure that screening follows, by `place` of the zone of arrival.
+    publishers: programs that publish each camera.
+    doubled: cameras found to have two publishers since the last version.
+    left: retired cameras, the one retired last at the end.
+    """
 
     settings: Settings
     site: str
@@ -86,20 +101,22 @@ class LearnerState(Struct):
 
 
 class _Snapshot(Struct):
+    """The outer layer of a snapshot, which can be read whatever the format of the state is."""
+
     format: int
     state: msgspec.Raw
 
 
 def pack(state: LearnerState) -> bytes:
-    """Return the state as compressed bytes."""
+    """Return a learner's state as compressed bytes."""
     raw = msgspec.Raw(_encoder.encode(state))
     return zlib.compress(_encoder.encode(_Snapshot(FORMAT, raw)), _COMPRESSION)
 
 
 def unpack(blob: bytes) -> LearnerState:
-    """Return the state from bytes.
+    """Return a learner's state from bytes made by `pack`.
 
-    Raises `SnapshotError` if they are damaged, and `NewerSnapshot` if a newer program wrote them.
+    Raise `SnapshotError` if the bytes are damaged, `NewerSnapshot` if a newer program wrote them.
     """
     try:
         inflater = zlib.decompressobj()
@@ -119,13 +136,14 @@ def unpack(blob: bytes) -> LearnerState:
 
 
 def _encode_array(array: object) -> tuple[str, tuple[int, ...], bytes]:
+    """Encode a value that msgspec does not know as type, shape and bytes: always an array."""
     if not isinstance(array, np.ndarray):
         raise NotImplementedError(f"{type(array)} cannot be stored in a snapshot")
     return array.dtype.str, array.shape, array.tobytes()
 
 
 def _decode_array(kind: type, packed: Any) -> np.ndarray[Any, Any]:
-    """Decode a field whose type msgspec does not know itself: always an array."""
+    """Decode a field whose type msgspec does not know: always an array."""
     dtype, shape, data = msgspec.convert(packed, tuple[str, tuple[int, ...], bytes])
     try:
         return np.frombuffer(data, np.dtype(dtype)).reshape(shape).copy()

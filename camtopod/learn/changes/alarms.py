@@ -214,7 +214,7 @@ class AlarmLog:
         cameras: list[str],
         begun: float,
     ) -> None:
-        """Raise the alarms for cameras that fell silent after ``begun`` (seconds), or report again."""
+        """Raise alarms for cameras that fell silent after ``begun`` (seconds) or report again."""
         for name, silence in zip(cameras, silences, strict=True):
             ongoing = bool(silence.intervals) and silence.intervals[-1][1] == np.inf
             if silence.lasts and name not in self._silent and silence.intervals[-1][0] >= begun:

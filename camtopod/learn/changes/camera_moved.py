@@ -116,7 +116,7 @@ def _left(before: NDArray[np.int64], newest: NDArray[np.int64], part: NDArray[np
 def _moved(
     before: NDArray[np.int64], newest: NDArray[np.int64], part: NDArray[np.int64], left: float
 ) -> Move | None:
-    """Return the move if other places explain the newest events better than the known ones; or None.
+    """Return the move if other places explain the newest events better than the known ones.
 
     before, newest (n,), (m,): flat grid cells of the earlier and the newest events.
     part (cells,): known zone of each cell, from 1; 0 outside.

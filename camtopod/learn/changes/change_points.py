@@ -89,7 +89,7 @@ class Change(NamedTuple):
 
 
 class Trials(NamedTuple):
-    """Input of the test of one pair: n departures of its first zone, and its J transitions, by time."""
+    """Input of the test of one pair: n departures of its first zone, its J transitions, by time."""
 
     t: Floats
     """(n,) times of departure, seconds."""
@@ -163,9 +163,9 @@ def threshold_nats(series: int, trials: int) -> float:
     series: number of series of departures that are tested for changes.
     trials: number of departures.
 
-    If nothing changes, any series exceeds it in less than `FALSE_ALARM` of the windows. All splits
-    with up to twice the departures after them of another count as one test, as they are nearly the
-    same.
+    If nothing changes, any series exceeds it in less than `FALSE_ALARM` of the windows. Splits of
+    which one has less than twice as many departures after it as the other count as one test, as
+    they are nearly the same.
     """
     splits = max(math.log2(max(trials, 1) / SPLIT_DEPARTURES_MIN), 1.0)
     return float(chdtri(1.0, FALSE_ALARM / (max(series, 1) * splits))) / 2.0
@@ -174,7 +174,7 @@ def threshold_nats(series: int, trials: int) -> float:
 def transitions_by_pair(
     fit: Fit, departures: Departures, arrivals: Arrivals, pairs: NDArray[np.intp]
 ) -> list[tuple[int, Floats, Floats]]:
-    """Return (pair, times of departure (J,), responsibilities (J,)) of the transitions of each pair.
+    """Return the transitions of each pair: (pair, departure times (J,), responsibilities (J,)).
 
     pairs (n,): numbers of the pairs, ascending.
 

@@ -1,14 +1,17 @@
 """The posterior for prediction: in which zone objects appear next, weak evidence included.
 
-A published link must be significant; a prediction uses all evidence according to its weight. In the
-order to read:
+A published link must be significant; a prediction uses all evidence according to its weight. The
+result is a `Posterior`: for every pair of zones, the share of the departures at the first zone that
+appear next at the second, and the hazard (rate of appearing by lag). In the order to read:
 
-* `fit`: the fit, an extension of the joint fit (`association`) by the terms below
-* `prior`: pairs of zones borrow strength from the rest of the view and from the way back
-* `overlapping_views` and `entry_kernels`: appearances in the next view before the exit
-* `skipped_cameras` and `skip_rate`: appearances after a camera that missed the passage
+* `fit`: the fit for prediction, which extends the joint fit (`association`) by what follows
+* `prior`: where data are few, pairs of zones get transitions from other zones of the view and from
+  return traffic
+* `overlapping_views` and `entry_kernels`: objects that appear in the next view before they leave
+  this one
+* `skipped_cameras` and `skip_rate`: objects that appear next after a camera has missed them
 * `contexts`: the zone of entry, the place of exit and the previous camera of a departure
-* `sampling`: Monte Carlo over the sources of arrivals, against overconfidence
+* `sampling`: Monte Carlo samples of which departure caused which arrival, against overconfidence
 * `spurious`: the share of each pair's transitions that may be made by chance
 """
 

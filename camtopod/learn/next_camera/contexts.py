@@ -1,13 +1,19 @@
-"""Contexts of a departure: what else is known of the object, and where such objects appear next.
+"""Contexts of a departure: other known facts about the object, and where such objects appear next.
 
-People and vehicles have a direction. So departures are told apart by the zone where the passage
-began, the exact place of the exit and the camera that the object probably came from. Each level of
-context counts departures and transitions, and backs off to the level before it where counts are
-small: ``p = (f N + k p') / (f n + k)``, the interpolation of the language models of Jelinek and
-Mercer (1980). Here n is the number of departures in the context, N that of their transitions to a
-zone, p' the probability at the level before, and k is `BACK_OFF_DEPARTURES`. As no object is
-identified, n departures carry less information than n tracked ones; ``f`` is the certain share of
-their transitions (the mean responsibility of a transition).
+People and vehicles have a direction. So departures from one zone are told apart by their *context*:
+the zone where the passage began, the block of the image where the object left, and the camera that
+it probably came from. There are four levels of context (`LEVELS`). For each, the departures in a
+context and their transitions to each next zone are counted, and the probability p of a next zone is
+smoothed by *back-off* to the level before: ``p = (f N + k p') / (f n + k)``, the interpolation of
+the language models of Jelinek and Mercer (1980). Here n is the number of departures in the context,
+N the number of their transitions to the zone, p' the probability at the level before, and k is
+`BACK_OFF_DEPARTURES`. As objects are anonymous, n departures carry less information than n
+departures of tracked objects would; the *certain share* ``f`` of their transitions (the mean
+responsibility of a transition) accounts for that. ``f n`` are called certain departures, ``f N``
+certain transitions.
+
+`Contexts.count` counts, `Contexts.judged` gives the probability of each candidate in its context,
+without the candidate's own contribution (leave one out).
 """
 
 from __future__ import annotations
@@ -24,56 +30,65 @@ from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
 LEVELS = ("entry", "block", "entry+block", "previous")
-"""Levels of context; each backs off to the one before. ``block``: image block of the exit."""
+"""Levels of context; each backs off to the one before.
+
+``entry``: zone of entry. ``block``: block of the image where the object left. ``previous``: camera
+that the object came from.
+"""
 PREVIOUS_RESPONSIBILITY_MIN = 0.02
-"""Candidates with a smaller responsibility are ignored when the previous camera is determined."""
+"""Least responsibility of candidates from which the previous camera is determined."""
 
 
 class ContextLevel(NamedTuple):
-    """One level of context, as it is published."""
+    """One level of context, as it is published: C contexts, with R next zones in all."""
 
     zone: Longs
-    """(contexts,) zone of departure."""
+    """(C,) zone of departure."""
     parts: Longs
-    """(contexts, 2): zone of entry or previous camera, and image block; -1 for neither."""
+    """(C, 2) zone of entry or previous camera, and image block; -1 if not part of the context."""
     departures: Floats
-    """(contexts,) certain departures, f n."""
+    """(C,) certain departures, f n."""
     first: Longs
-    """(contexts + 1,) where the rows of each context begin in ``target`` and ``transitions``."""
+    """(C + 1,) where the items of each context begin in ``target`` and ``transitions``."""
     target: Longs
-    """(rows,) zones where departures of a context appear next, ascending within the context."""
+    """(R,) zones where departures of a context appear next, ascending within the context."""
     transitions: Floats
-    """(rows,) certain transitions to that zone, f N."""
+    """(R,) certain transitions to each of these zones, f N."""
 
 
 class ContextCounts(NamedTuple):
-    """Counts of one level of context, in a form for leave-one-out probabilities."""
+    """Counts of one level of context, in a form for leave-one-out probabilities.
+
+    There are C contexts and n departures, each in one of the contexts.
+    """
 
     keys: Longs
-    """(contexts, 3): zone of departure and the two parts, as of `ContextLevel`."""
+    """(C, 3) zone of departure and the two parts of the context, as in `ContextLevel`."""
     departures: Floats
-    """(contexts,) certain departures."""
+    """(C,) certain departures."""
     row: Longs
     """(n,) index of the first column of each departure's context in the flattened ``moved``."""
     mine: Singles
-    """(n,) weight of the departure itself in its context, which leave-one-out removes."""
+    """(n,) weight of each departure in its context, which leave-one-out removes."""
     scale: Singles
-    """(n,) probability of the context over its departures, the departure itself left out and
-    `BACK_OFF_DEPARTURES` included.
+    """(n,) probability that the departure is in the context, divided by the certain departures of
+    the context, without the departure itself and with `BACK_OFF_DEPARTURES` added.
     """
     unsure: Singles
-    """(n,) probability that the departure is not in this context."""
+    """(n,) probability that the departure is not in the context."""
     moved: Singles
-    """(contexts, columns) certain transitions; `Contexts._columns` gives the columns."""
+    """(C, columns) certain transitions to each next zone; `Contexts._columns` gives the columns."""
 
     def cells_of(
         self, departure: NDArray[np.intp], target: Longs, responsibility: Singles
     ) -> tuple[Longs, Singles]:
-        """Return the cells in ``moved`` of some candidates (m,), and their own contributions there.
+        """Return the cells of ``moved`` that m candidates count in, and what they contribute there.
 
-        departure (m,): row of the departure.
-        target (m,): column of the pair of zones.
+        departure (m,): row of each candidate's departure.
+        target (m,): column of its pair of zones.
         responsibility (m,): of the candidate.
+
+        Both results are (m,); a cell is an index in the flattened table.
         """
         cell = self.row.take(departure)
         cell += target
@@ -84,23 +99,26 @@ class ContextCounts(NamedTuple):
     def judged(
         self, departure: NDArray[np.intp], cell: Longs, own: Singles, share: Singles
     ) -> Singles:
-        """Return the leave-one-out probabilities of some candidates (m,) at this level.
+        """Return the leave-one-out probability of each of m candidates at this level, (m,).
 
-        departure (m,): row of the departure. cell, own (m,): results of `cells_of`; ``cell`` is the
-        index in ``moved``, ``own`` is left out. share (m,): probability at the level before, to
-        which this one backs off.
+        departure (m,): row of each candidate's departure.
+        cell, own (m,): results of `cells_of`; ``own`` is what leave-one-out removes.
+        share (m,): probability at the level before, to which this level backs off.
         """
-        here = self.moved.take(cell)
-        here -= own
-        here += BACK_OFF_DEPARTURES * share
-        np.maximum(here, 0.0, out=here)
-        here *= self.scale.take(departure)
-        here += self.unsure.take(departure) * share
-        return here
+        probability = self.moved.take(cell)
+        probability -= own
+        probability += BACK_OFF_DEPARTURES * share
+        np.maximum(probability, 0.0, out=probability)
+        probability *= self.scale.take(departure)
+        probability += self.unsure.take(departure) * share
+        return probability
 
 
 class Contexts:
-    """Contexts of all departures of a fit, and the counts that responsibilities give them."""
+    """Contexts of all n departures of a fit.
+
+    entry (n,): zone of entry of the passage that ends with each departure; -1 if unknown.
+    """
 
     def __init__(
         self, departures: Departures, arrivals: Arrivals, zones: int, cameras: int
@@ -122,14 +140,15 @@ class Contexts:
     def count(
         self, candidates: Candidates, responsibility: Singles, gone: Floats, leave: Floats
     ) -> tuple[list[ContextCounts], Floats]:
-        """Count each level of context; return the counts and each probability to leave the site.
+        """Count departures and transitions by context, for each level.
 
         responsibility (M,): of the candidates.
-        gone (n,): probability that the object of each departure was not seen again.
-        leave (n,): probability of leaving the site without context.
+        gone (n,): probability that the object of each departure does not appear again.
+        leave (n,): probability that an object leaves the site after a departure from the same zone,
+            whatever the context.
 
-        The second result (n,) is the probability of each departure to leave the site, given its
-        context. Each departure is judged by the others in its context (leave one out).
+        Return the counts of each level; and the probability (n,) that the object of each departure
+        leaves the site, by the other departures in its context (leave one out).
         """
         c = candidates
         sure = self._sureness(c, responsibility)[self._zone]
@@ -138,26 +157,30 @@ class Contexts:
         most = max(context_cells_max(self.cameras) // width, 1)
 
         # Departures of each context, and leaving the site as one of their outcomes.
-        for (number, keys), told in self._contexts(c, responsibility):
-            number, keys, told = _commonest(number, keys, told, most)
-            mine = sure * told
-            n = np.bincount(number, mine, minlength=len(keys)).astype(float)
-            below = n[number] - mine + BACK_OFF_DEPARTURES
-            left = np.bincount(number, mine * gone, minlength=len(keys))
-            stays = np.maximum(left[number] - mine * gone + BACK_OFF_DEPARTURES * leave, 0.0)
-            leave = told * stays / below + (1.0 - told) * leave
-            own, scale, unsure = (
-                each.astype(np.float32) for each in (mine, told / below, 1.0 - told)
+        for (number, keys), certainty in self._contexts(c, responsibility):
+            number, keys, certainty = _commonest(number, keys, certainty, most)
+            weight = sure * certainty
+            departures = np.bincount(number, weight, minlength=len(keys)).astype(float)
+            others = departures[number] - weight + BACK_OFF_DEPARTURES
+            leaving = np.bincount(number, weight * gone, minlength=len(keys))
+            leaving_others = np.maximum(
+                leaving[number] - weight * gone + BACK_OFF_DEPARTURES * leave, 0.0
+            )
+            leave = certainty * leaving_others / others + (1.0 - certainty) * leave
+            own_weight, scale, unsure = (
+                each.astype(np.float32) for each in (weight, certainty / others, 1.0 - certainty)
             )
             moved = np.zeros((len(keys), width), np.float32)
-            levels.append(ContextCounts(keys, n, number * width, own, scale, unsure, moved))
+            levels.append(
+                ContextCounts(keys, departures, number * width, own_weight, scale, unsure, moved)
+            )
 
         # Transitions of each context.
         for part in slices_by_arrival(c.arrival):
             departure, target = c.departure[part].astype(np.intp), column.take(c.pair[part])
             for level in levels:
-                cell, own = level.cells_of(departure, target, responsibility[part])
-                np.add.at(level.moved.ravel(), cell, own)
+                cell, own_weight = level.cells_of(departure, target, responsibility[part])
+                np.add.at(level.moved.ravel(), cell, own_weight)
         return levels, leave
 
     def judged(
@@ -167,27 +190,31 @@ class Contexts:
         share: Floats,
         levels: list[ContextCounts],
     ) -> Singles:
-        """Return the leave-one-out probability (M,) of each candidate's transition in its context.
+        """Return the leave-one-out probability (M,) of each candidate's next zone in its context.
 
-        share (P,): the same probability without context.
-        levels: result of `count`.
+        responsibility (M,): of the candidates.
+        share (P,): probability of each pair's second zone after its first, without context.
+        levels: counts of each level (`count`).
         """
         c, column = candidates, self._columns(candidates)[0]
         after, without = np.empty(len(c.lag), np.float32), share.astype(np.float32)
         for part in slices_by_arrival(c.arrival):
             departure, pair = c.departure[part].astype(np.intp), c.pair[part].astype(np.intp)
-            target, here = column.take(pair), without.take(pair)
+            target, probability = column.take(pair), without.take(pair)
             for level in levels:
-                here = level.judged(
-                    departure, *level.cells_of(departure, target, responsibility[part]), here
+                probability = level.judged(
+                    departure, *level.cells_of(departure, target, responsibility[part]), probability
                 )
-            after[part] = here
+            after[part] = probability
         return after
 
     def published_levels(
         self, candidates: Candidates, levels: list[ContextCounts]
     ) -> list[ContextLevel]:
-        """Return the levels in the form that is published."""
+        """Return the levels in the form that is published.
+
+        levels: counts of each level (`count`).
+        """
         first, result = np.searchsorted(candidates.source, np.arange(self.zones)), []
         for level in levels:
             context, at = np.nonzero(level.moved)
@@ -207,9 +234,9 @@ class Contexts:
         return result
 
     def _columns(self, candidates: Candidates) -> tuple[Longs, int]:
-        """Return the column (P,) of each pair of zones in the tables of transitions, and the width.
+        """Return the column (P,) of each pair of zones in tables of transitions, and their width.
 
-        Pairs come in order of their source; those of one source have the columns 0, 1, 2, ...
+        Pairs are in order of their source; the pairs of one source have the columns 0, 1, 2, ...
         """
         source = candidates.source
         column = np.arange(len(source)) - np.searchsorted(source, np.arange(self.zones))[source]
@@ -218,11 +245,12 @@ class Contexts:
     def _contexts(
         self, candidates: Candidates, responsibility: Singles
     ) -> list[tuple[tuple[Longs, Longs], Floats]]:
-        """Return each departure's context number (n,), the keys and the certainty (n,), by level.
+        """Return the contexts of each level, as ((number (n,), keys (C, 3)), certainty (n,)).
 
-        The certainty is the probability that the departure is in this context.
+        They are the number of each departure's context, the keys of the C contexts
+        (`ContextCounts`), and the probability that the departure is in its context.
         """
-        told = [known.astype(float) for known in self._known]
+        certainty = [known.astype(float) for known in self._known]
         camera, sure = self._previous(candidates, responsibility)
         present, number = np.unique(
             self._zone * self.cameras + np.maximum(camera, 0), return_inverse=True
@@ -231,12 +259,13 @@ class Contexts:
             (present // self.cameras, present % self.cameras, np.full(len(present), -1))
         )
         previous = (number.astype(np.int64), keys)
-        return list(zip([*self._fixed, previous], [*told, sure], strict=True))
+        return list(zip([*self._fixed, previous], [*certainty, sure], strict=True))
 
     def _previous(self, candidates: Candidates, responsibility: Singles) -> tuple[Longs, Floats]:
-        """Return the most probable previous camera of each departure (n,) and its probability (n,).
+        """Return the most probable previous camera of each departure and its probability, (n,).
 
-        The camera is -1 where it is unknown.
+        It is the camera from which the object came into the view that it now leaves, by the
+        responsibilities (M,) of the arrival that began the passage; -1 where it is unknown.
         """
         c, d = candidates, self.departures
         likely = np.flatnonzero(responsibility > PREVIOUS_RESPONSIBILITY_MIN)
@@ -253,7 +282,10 @@ class Contexts:
         return best[d.own], np.minimum(sure[d.own], 1.0)
 
     def _sureness(self, candidates: Candidates, responsibility: Singles) -> Floats:
-        """Return the certain share of the transitions from each zone (zones,)."""
+        """Return the certain share of the transitions from each zone, (zones,).
+
+        It is the mean responsibility of a transition, the candidates weighted by responsibility.
+        """
         squares, all_of = np.zeros(self.zones), np.zeros(self.zones)
         for part in slices_by_arrival(candidates.arrival):
             zone, r = (
@@ -267,31 +299,42 @@ class Contexts:
 
 
 def multipliers(before: Floats, after: Floats) -> Floats:
-    """Return the factors by which a context raises or lowers probabilities."""
+    """Return the factors (n,) by which a context changes probabilities, within `MULTIPLIER_MAX`.
+
+    before, after (n,): probabilities without and with the context.
+    """
     ratio: Floats = np.clip(
         after / np.maximum(before, 1e-300), 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX
     )
     return ratio
 
 
-def _commonest(number: Longs, keys: Longs, told: Floats, most: int) -> tuple[Longs, Longs, Floats]:
-    """Keep only the ``most`` contexts with the most departures.
+def _commonest(
+    number: Longs, keys: Longs, certainty: Floats, most: int
+) -> tuple[Longs, Longs, Floats]:
+    """Drop all contexts but the ``most`` frequent ones.
 
-    Returns the context of each departure (n,), the keys and the certainty (n,), which is 0 for
-    departures whose context is dropped.
+    number (n,), keys (C, 3), certainty (n,): context of each departure, keys, and certainty, as
+        returned by `Contexts._contexts`.
+
+    Return the same three after the change; the certainty is 0 for departures whose context is
+    dropped.
     """
     if len(keys) <= most:
-        return number, keys, told
+        return number, keys, certainty
     kept = np.sort(
-        np.argsort(-np.bincount(number, told, minlength=len(keys)), kind="stable")[:most]
+        np.argsort(-np.bincount(number, certainty, minlength=len(keys)), kind="stable")[:most]
     )
     renamed = np.full(len(keys), -1)
     renamed[kept] = np.arange(most)
     number = renamed[number]
-    return np.maximum(number, 0), keys[kept], told * (number >= 0)
+    return np.maximum(number, 0), keys[kept], certainty * (number >= 0)
 
 
 def _numbered(zone: Longs, first: Longs, second: Longs) -> tuple[Longs, Longs]:
-    """Return each departure's context number (n,) and the contexts' keys (contexts, 3)."""
+    """Number the contexts of n departures; return each departure's number and the keys (C, 3).
+
+    zone, first, second (n,): zone of departure and the two parts of its context.
+    """
     keys, number = np.unique(np.column_stack((zone, first, second)), axis=0, return_inverse=True)
     return number.ravel().astype(np.int64), keys.astype(np.int64)

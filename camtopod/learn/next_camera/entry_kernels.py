@@ -1,7 +1,13 @@
 """Entry kernels: where views overlap, the time from entering one view to appearing in the next.
 
+An object that appears in an overlapping view before it leaves this one (a candidate with a negative
+lag) often does so a certain time after it *entered* this view. The *entry kernel* of a zone of
+entry and a zone of the next appearance is the rate of appearing by time from the entry. As a `Term`
+of the EM fit (`association.em`), `EntryKernels` estimates the kernels and gives candidates their
+rates.
+
 There may be twenty thousand pairs of an entry zone and a zone of the next appearance, nearly all of
-them spurious. Only the values that candidates need are kept: a table of all pairs would take more
+them spurious. Only the values at the candidates are kept: a table of all kernels would take more
 memory than the rest of a fit.
 """
 
@@ -21,7 +27,10 @@ from camtopod.topology import LagBins, smooth
 
 
 class EntryKernels:
-    """Candidates that appear before the exit of a passage with a known entry; their kernels."""
+    """Entry kernels of Q pairs of zones, and the m candidates that they apply to.
+
+    These are candidates with a negative lag whose departure ends a passage of known entry.
+    """
 
     def __init__(
         self,
@@ -32,9 +41,11 @@ class EntryKernels:
         bins: LagBins,
         zones: int,
     ) -> None:
-        """Find the candidates and number the pairs of zones.
+        """Select the candidates and number the pairs of zones.
 
+        candidates: all candidates of the fit.
         entry (n,): zone where the passage of each departure began, -1 where unknown.
+        zones: number of zones.
         """
         c, d, a = candidates, departures, arrivals
         self._departures, self._arrivals, self._bins, self._zones = d, a, bins, zones
@@ -46,8 +57,8 @@ class EntryKernels:
         at = bins.index(a.t[c.arrival[early]] - d.since[c.departure[early]])
         early, at = early[at >= 0], at[at >= 0]
 
-        # Pairs of zones; the rarest beyond the limit have no kernel, so their lags count from the
-        # exit.
+        # Pairs of zones; beyond the limit, the rarest have no kernel, so that their candidates only
+        # have rates by lag from the exit.
         key = entry[c.departure[early]] * zones + a.zone[c.arrival[early]]
         present, number, often = np.unique(key, return_inverse=True, return_counts=True)
         most = entry_pairs_max(int(a.camera.max(initial=0)) + 1)
@@ -62,7 +73,7 @@ class EntryKernels:
             )
 
         self.rows: Indices = early
-        """(m,) these candidates, ascending."""
+        """(m,) rows of these candidates, ascending."""
         self.source = (present // max(zones, 1)).astype(np.int32)
         """(Q,) zone of entry of each pair."""
         self.target = (present % max(zones, 1)).astype(np.int32)
@@ -70,15 +81,17 @@ class EntryKernels:
         self.cell = number.astype(np.int64) * bins.size + at
         """(m,) index of each candidate in a flattened table of kernels (Q, bins)."""
         self.hazard, self.own, self.share = np.zeros((3, len(early)))
-        """(m,) each. ``hazard``: hazard by the kernel, per second. ``own``: derivative of the log
-        of the smoothed count by the candidate's own weight (for leave-one-out). ``share``: share of
-        the candidate's hazard that the kernel contributes.
+        """(m,) each. ``hazard``: value of the kernel at the candidate, per second. ``own``: share
+        of that value that the candidate contributes itself if its weight is 1, for leave-one-out.
+        ``share``: share of the candidate's rate that the kernel contributes.
         """
         self._order = np.argsort(self.cell, kind="stable")
         self._reached = self.cell[self._order]
         self._began, self._entered = d.since[tied], entry[tied]
         self.exposure = passages_lasting((d.t - d.since)[tied], self._entered, bins, zones)
-        """(zones, bins) passages still in view when a lag bin, counted from the entry, begins."""
+        """(zones, bins) number of passages from each zone of entry that are still in view when a
+        bin of the time from the entry begins.
+        """
 
     def start(self, noise_sd: float) -> None:
         """Set the first kernels: the excess over the null model.
@@ -91,35 +104,38 @@ class EntryKernels:
         rates = NullRates(
             self._began[order], self._entered[order].astype(np.int32), a.t, a.zone, self._zones
         )
-        for rows, some, seen in self._counts(np.ones(len(self.rows))):
+        for rows, members, counts in self._counts(np.ones(len(self.rows))):
             source = self.source[rows]
             chance = rates.rates_of(source, self.target[rows])
             first = initial_hazards(
-                seen, chance, self.exposure, source, self._bins, noise_sd, START_FLOOR
+                counts, chance, self.exposure, source, self._bins, noise_sd, START_FLOOR
             )
-            self.hazard[some] = first.take(self.cell[some] - rows.start * self._bins.size)
+            self.hazard[members] = first.take(self.cell[members] - rows.start * self._bins.size)
 
     def rates(self, here: slice, responsibility: Singles) -> Floats:
-        """Return the hazards of a slice of `rows`, each by the kernel that the others make."""
+        """Return the values of the kernels at a slice of `rows`, each as the others make it.
+
+        responsibility: of these candidates.
+        """
         others: Floats = np.maximum(1.0 - responsibility * self.own[here], 0.0)
         return self.hazard[here] * others
 
     def after_exit(self, hazard: Singles, rows: slice) -> Singles:
-        """Return the hazards as they are: entry kernels do not count from the exit."""
+        """Return the hazards unchanged, as entry kernels do not count from the exit."""
         return hazard
 
     def learn(self, responsibility: Singles) -> None:
-        """M step: estimate the kernels by the responsibilities (M,) of all candidates."""
-        for rows, some, counts in self._counts(self._weight(responsibility)):
-            cell = self.cell[some] - rows.start * self._bins.size
-            smoothed, stays = smooth(counts)
-            self.own[some] = stays.take(cell // self._bins.size) / np.maximum(
+        """Do the M step: estimate the kernels by the responsibilities (M,) of all candidates."""
+        for rows, members, counts in self._counts(self._weight(responsibility)):
+            cell = self.cell[members] - rows.start * self._bins.size
+            smoothed, own_share = smooth(counts)
+            self.own[members] = own_share.take(cell // self._bins.size) / np.maximum(
                 smoothed.take(cell), 1e-300
             )
-            self.hazard[some] = (smoothed / self._exposed(rows)).take(cell)
+            self.hazard[members] = (smoothed / self._exposed(rows)).take(cell)
 
     def kernels(self, responsibility: Singles) -> Floats:
-        """Return the kernels (Q, bins), per second and passage in view.
+        """Return the kernels (Q, bins) by time from the entry, per second and passage in view.
 
         responsibility (M,): of all candidates.
         """
@@ -128,27 +144,31 @@ class EntryKernels:
         return np.concatenate([np.zeros((0, self._bins.size)), *each])
 
     def _weight(self, responsibility: Singles) -> Floats:
-        """Return how much (m,) each candidate counts for its kernel."""
+        """Return the weight (m,) of each candidate in the count of its kernel.
+
+        responsibility (M,): of all candidates.
+        """
         weight: Floats = responsibility[self.rows] * self.share
         return weight
 
     def _counts(self, weight: Floats) -> Iterator[tuple[slice, NDArray[np.intp], Floats]]:
-        """Yield the counts (rows, bins) of some pairs at a time.
+        """Yield the weights of candidates summed by pair of zones and bin, some pairs at a time.
 
         weight (m,): weight of each candidate.
 
-        Each item is a slice of the pairs, their candidates and the counts.
+        Each item is a slice of the pairs; the indices of their candidates in `rows`; and the sums
+        (pairs of the slice, bins).
         """
         size = self._bins.size
         for rows in row_slices(len(self.source)):
             first, last = np.searchsorted(
                 self._reached, (rows.start * size, rows.stop * size)
             ).tolist()
-            some, cell = self._order[first:last], self._reached[first:last] - rows.start * size
-            counts = np.bincount(cell, weight[some], minlength=(rows.stop - rows.start) * size)
-            yield rows, some, counts.astype(float, copy=False).reshape(-1, size)
+            members, cell = self._order[first:last], self._reached[first:last] - rows.start * size
+            counts = np.bincount(cell, weight[members], minlength=(rows.stop - rows.start) * size)
+            yield rows, members, counts.astype(float, copy=False).reshape(-1, size)
 
     def _exposed(self, rows: slice) -> Floats:
-        """Return the exposure (rows, bins) of some pairs, passages in view times seconds."""
+        """Return the exposure (pairs, bins) of some pairs: passages in view times seconds."""
         exposed: Floats = np.maximum(self.exposure[self.source[rows]], 1.0) * self._bins.widths
         return exposed

@@ -1,21 +1,25 @@
-"""The posterior for prediction: where objects appear next, all weak evidence included.
+"""The fit for prediction: where objects appear next, all weak evidence included.
 
-A published link must be beyond doubt; a prediction uses everything that is known, weighted by its
-evidence. To the joint fit's hazards of pairs of zones (`association.em`) this fit adds
+A published link must be certain beyond reasonable doubt; a prediction uses all evidence by its
+weight. This fit extends EM over candidates (`association.em.Em`) by
 
 * *entry kernels* (`entry_kernels`): where views overlap, an object often appears in the next view a
-  certain time after it *entered* this one, whenever it leaves it;
-* *skipped cameras* (`skip_rate`): an object that a camera misses appears next where that camera
-  would have led;
-* a *prior* (`prior`): departures elsewhere in the view, and return traffic, predict transitions
-  that have not been seen yet;
-* *contexts* of a departure (`contexts`), and leaving the site as an outcome like the others;
+  certain time after it has *entered* this view, whenever it leaves this view;
+* *skipped cameras* (`skipped_cameras`, `skip_rate`): an object that a camera has missed appears
+  next where it would have appeared after that camera;
+* a *prior* (`prior`): departures elsewhere in the view, and return traffic, predict transitions of
+  pairs of zones with few data;
+* *contexts* of a departure (`contexts`), and leaving the site as a possible outcome of each;
 * a test of whether two views overlap at all (`negative_without_overlap`);
 * *sampling* at the end (`sampling`): the posterior is half the fit and half the mean of samples;
 * the *spurious* share of each pair of zones (`spurious`).
 
-Entry kernels and hazards both start from the excess over the null model. Started from the exit
-alone, views that end where another begins would take each other's arrivals from the views between.
+`followed_of` selects the candidates with a few iterations, `fit_followed` runs the whole fit; both
+use `PosteriorFitter`, whose methods are in the order of the steps.
+
+Entry kernels and hazards both start from the excess over the null model. If only hazards did, then
+where one view ends as another begins, departures from the former would be credited with arrivals in
+the latter that belong to a view overlapping both.
 """
 
 from __future__ import annotations
@@ -52,22 +56,24 @@ from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import LEAVE_FLOOR, LagBins
 
 FIRST_NOISE_SD = 3.0
-"""Standard deviations of the null model that a first hazard must exceed."""
+"""Standard deviations of the null model that are subtracted from lag histograms for first hazards.
+"""
 FIRST_ROUNDS, FIRST_ITERATIONS = 3, 5
 """Rounds without contexts, and EM iterations of each; speed is estimated after each round."""
 SCOUT_ITERATIONS = 5
-"""EM iterations before it is decided which candidates are followed."""
+"""EM iterations of `followed_of`, after which candidates are selected."""
 NEGLIGIBLE = 1e-4
-"""Candidates with a smaller responsibility after those are not followed."""
+"""Least responsibility, after these iterations, of a candidate that is selected."""
 ITERATIONS = 8
-"""EM iterations with contexts, which are estimated in every other one."""
+"""EM iterations with contexts; contexts are estimated after every other one."""
 SWEEPS_MIN, SWEEPS_MAX = 12, 30
-"""Samples drawn. The first half of them is burn-in."""
+"""Limits of the number of samples, or sweeps; the first half of the sweeps is burn-in."""
 DRAWN_ARRIVALS = 200_000
-"""Arrivals drawn over all sweeps: with many arrivals fewer sweeps are enough."""
+"""Number of arrivals drawn over all sweeps, as fewer sweeps are enough for many arrivals."""
 SAMPLES_SHARE = 0.5
-"""Weight of the samples in the posterior; the rest is the fit's."""
+"""Weight of the samples in the posterior; the other weight is that of the fit."""
 SAMPLING_SEED = 2011
+"""Seed of the samples, fixed so that versions are reproducible."""
 CONTEXTS_EVERY = 3
 """Sweeps between estimates of the contexts."""
 SKIPS_EVERY = 10
@@ -75,26 +81,28 @@ SKIPS_EVERY = 10
 
 
 class Posterior(NamedTuple):
-    """What prediction needs of a fit."""
+    """Result of the fit for prediction: P pairs of zones and Q entry kernels."""
 
     fit: Fit
-    """Pairs of zones, hazards counted from the exit, responsibilities."""
+    """Candidates, pairs of zones, responsibilities, and hazards by lag from the exit; without
+    counts.
+    """
     share: Floats
     """(P,) share of the departures at the source that appear next at the target."""
     leave: Floats
     """(zones,) share of the departures that leave the site."""
     doubt: Floats
-    """(P,) spurious share of the transitions to the target (`spurious`)."""
+    """(P,) spurious share of the transitions of each pair (`spurious`)."""
     entry_source: Ints
     """(Q,) zone of entry of each entry kernel."""
     entry_target: Ints
     """(Q,) zone of the next appearance of each entry kernel."""
     entry_hazard: Floats
-    """(Q, bins) entry kernels, per second and passage still in view, counted from the entry."""
+    """(Q, bins) entry kernels by time from the entry, per second and passage still in view."""
     delay: Floats
-    """(P,) seconds to add to the lags (`long_paths`)."""
+    """(P,) seconds to add to the lags of each pair's hazards (`long_paths`)."""
     levels: list[ContextLevel]
-    """Departures and transitions by context."""
+    """Departures and transitions by context, one table for each of `contexts.LEVELS`."""
 
 
 def followed_of(
@@ -106,8 +114,10 @@ def followed_of(
     until: float,
     overlapping: NDArray[np.bool_],
 ) -> Candidates:
-    """Return the candidates that `fit_followed` follows.
+    """Select the candidates that are worth using in `fit_followed`.
 
+    zones: number of zones.
+    until (Unix seconds): end of the window.
     overlapping (cameras, cameras): True where two views are known to overlap.
     """
     scout = PosteriorFitter(departures, arrivals, candidates, bins, zones, until)
@@ -125,13 +135,16 @@ def fit_followed(
     evidence: Floats,
     screened: bool = False,
 ) -> Posterior:
-    """Fit the posterior of all departures and arrivals up to ``until`` (Unix seconds).
+    """Fit the posterior of the selected candidates.
 
-    Every fit begins from nothing: one that goes on from the last believes early mistakes ever more.
+    followed: result of `followed_of`.
+    zones: number of zones.
+    until (Unix seconds): end of the window.
+    evidence (k, nats): held-out evidence of k pairs of zones (`cross_evidence`).
+    screened: True if screening has left out pairs of zones, so that paths over skipped cameras to
+        these pairs are added.
 
-    followed: the candidates of `followed_of`.
-    evidence (pairs,): evidence of links, nats (`cross_evidence`).
-    screened: whether unlikely candidates have been left out.
+    Every fit begins from nothing, as a fit that starts from the last one reinforces early mistakes.
     """
     fitter = PosteriorFitter(departures, arrivals, followed, bins, zones, until)
     fitter.learn()
@@ -141,7 +154,12 @@ def fit_followed(
 
 
 class PosteriorFitter:
-    """The fit in progress: EM with its additional terms, and the steps around it."""
+    """The fit for prediction in progress: EM (`em`), the additions to it, and the steps around it.
+
+    share (P,), leave (zones,): as in `Posterior`; the present estimates.
+    contexts: contexts of all departures.
+    entering, skipping: the two additional terms of the EM model.
+    """
 
     def __init__(
         self,
@@ -152,36 +170,38 @@ class PosteriorFitter:
         zones: int,
         until: float,
     ) -> None:
-        """Begin from nothing; arguments as of `fit_followed`."""
+        """Begin without responsibilities; arguments are as for `fit_followed`."""
         self.em = em = Em(departures, arrivals, candidates, bins, zones, until)
         self.hazard: Singles = np.zeros((em.pairs, bins.size), np.float32)
-        """(P, bins) hazards counted from the exit, without those of skipped cameras."""
-        self._left = np.bincount(departures.zone, minlength=zones).astype(float)
+        """(P, bins) hazards by lag from the exit, without those of skipped cameras."""
+        self._departures_of = np.bincount(departures.zone, minlength=zones).astype(float)
         self.share, self.leave = np.zeros(em.pairs), np.ones(zones)
 
-        # Contexts, and what is added to the hazards of pairs of zones.
+        # Contexts, and the additional terms and the prior of the EM model.
         cameras = int(em.camera.max(initial=0)) + 1
         self.contexts = Contexts(departures, arrivals, zones, cameras)
         entry = self.contexts.entry
         self._through = view_paths(departures, entry, em.camera)
         self.entering = EntryKernels(candidates, departures, arrivals, entry, bins, zones)
-        self.skipping = SkippedCameras(bins, self._left[candidates.source])
+        self.skipping = SkippedCameras(bins, self._departures_of[candidates.source])
         em.terms = (self.entering, self.skipping)
         em.prior = Prior(candidates, em.camera, em.exposure, em.arrivals_of_zone)
 
     def scout(self) -> None:
-        """Run a few iterations, enough to decide which candidates are worth following."""
+        """Run a few iterations, enough for `worth_following`."""
         self._start()
         self._iterate(SCOUT_ITERATIONS, contexts=False)
 
-        # Paths over skipped cameras count, too.
+        # Include the hazards of paths over skipped cameras.
         self._find_skips(self.hazard)
         self.em.expect(self.hazard)
 
     def worth_following(self, overlapping: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the candidates (M,) that are neither negligible nor impossible.
+        """Return a mask (M,) of the candidates that are neither negligible nor impossible.
 
-        They are the likeliest `FOLLOWED_MAX` at most.
+        overlapping (cameras, cameras): True where two views are known to overlap.
+
+        Of more than `FOLLOWED_MAX` candidates, the likeliest are returned.
         """
         c, responsibility = self.em.candidates, self.em.responsibility
         impossible = negative_without_overlap(
@@ -194,7 +214,7 @@ class PosteriorFitter:
         return kept
 
     def learn(self) -> None:
-        """Run the whole fit: rounds without contexts, then iterations with them."""
+        """Run the fit: rounds without contexts, then iterations with contexts."""
         self._start()
         for _ in range(FIRST_ROUNDS):
             self._iterate(FIRST_ITERATIONS, contexts=False)
@@ -203,7 +223,10 @@ class PosteriorFitter:
         self._iterate(ITERATIONS, contexts=True)
 
     def sample(self) -> None:
-        """Average the fit with samples of which departure caused which arrival (`sampling`)."""
+        """Average the fit with samples of which departure caused which arrival (`sampling`).
+
+        Afterwards, responsibilities, hazards and the shares of the terms are averages.
+        """
         em, entering, skipping = self.em, self.entering, self.skipping
         fitted = em.responsibility.copy()
         sources = Sources(em.candidates.arrival, len(em.arrivals.t), SAMPLING_SEED)
@@ -213,7 +236,7 @@ class PosteriorFitter:
         burn_in = sweeps // 2
 
         for sweep in range(sweeps):
-            # Estimate everything from one draw, then what each candidate is under that.
+            # Estimate hazards and terms from one draw, then the responsibilities under these.
             em.draw(sources.draw(em.responsibility))
             hazard = self._with_faint(em.maximise())
             if (sweep + 1) % SKIPS_EVERY == 0:
@@ -230,9 +253,12 @@ class PosteriorFitter:
                 entered += em.responsibility[entering.rows] * entering.share
 
         # Shares of the terms on average, and responsibilities averaged with those of the fit.
-        some = np.flatnonzero(skipped)
+        skipping_rows = np.flatnonzero(skipped)
         skipping.believe(
-            some, (skipped[some] / np.maximum(believed[some], NOTHING)).astype(np.float32)
+            skipping_rows,
+            (skipped[skipping_rows] / np.maximum(believed[skipping_rows], NOTHING)).astype(
+                np.float32
+            ),
         )
         entering.share = entered / np.maximum(believed[entering.rows], NOTHING)
         believed *= SAMPLES_SHARE / (sweeps - burn_in)
@@ -241,16 +267,16 @@ class PosteriorFitter:
         self.hazard = self._with_faint(em.maximise())
 
     def posterior(self, evidence: Floats) -> Posterior:
-        """Return the result; there is no further iteration after this.
+        """Return the result of the fit, which is over with this.
 
-        evidence (pairs,): evidence of links, nats (`cross_evidence`).
+        evidence (k, nats): held-out evidence of k pairs of zones (`cross_evidence`).
         """
         em = self.em
         levels = self.contexts.published_levels(em.candidates, self._count_contexts())
         hazard = em.after_exit(self.hazard, slice(0, em.pairs))
-        found = result(em, hazard, np.zeros((0, em.bins.size)))  # nobody asks for the counts
+        found = result(em, hazard, np.zeros((0, em.bins.size)))  # without counts
         doubt = spurious_shares(
-            em.candidates.pair, found.responsibility, em.pairs, evidence, self._left
+            em.candidates.pair, found.responsibility, em.pairs, evidence, self._departures_of
         )
         return Posterior(
             found,
@@ -265,7 +291,11 @@ class PosteriorFitter:
         )
 
     def with_skips(self, posterior: Posterior) -> Posterior:
-        """Return the posterior with paths over skipped cameras to pairs that were not followed."""
+        """Return the posterior with pairs of zones added that only paths over skipped cameras join.
+
+        Screening may have left out all candidates of such pairs.
+        """
+        # Hazards of the additional pairs.
         em, c = self.em, posterior.fit.candidates
         source, target, unit = skip_hazards_elsewhere(
             self._legs(self.hazard), c, self._through, em.bins, em.zones
@@ -301,12 +331,12 @@ class PosteriorFitter:
         )
 
     def _start(self) -> None:
-        """Set the first hazards and entry kernels."""
+        """Set the first hazards and entry kernels, from the excess over the null model."""
         self.entering.start(FIRST_NOISE_SD)
         self.hazard = self.em.start(FIRST_NOISE_SD)
 
     def _iterate(self, iterations: int, contexts: bool) -> None:
-        """Run EM iterations, with an estimate of the contexts after every other one if asked."""
+        """Run EM iterations; with ``contexts``, estimate contexts after every other one."""
         for iteration in range(iterations):
             self.em.expect(self.hazard)
             self.hazard = self.em.maximise()
@@ -314,12 +344,12 @@ class PosteriorFitter:
                 self._learn_contexts()
 
     def _with_faint(self, hazard: Singles) -> Singles:
-        """Return the hazards with faint transitions added at every lag (`sampling`)."""
+        """Return the hazards (P, bins) with faint transitions added at every lag (`sampling`)."""
         em = self.em
         return add_prior_transitions(hazard, em.some_exposed, em.candidates.source, em.bins)
 
     def _find_skips(self, hazard: Singles) -> None:
-        """Find the paths over skipped cameras among links and passages as they are known now."""
+        """Find the paths over skipped cameras that follow from the present hazards (P, bins)."""
         em = self.em
         pair, unit = skip_hazards(
             self._legs(hazard), em.candidates, self._through, em.bins, em.zones
@@ -335,7 +365,7 @@ class PosteriorFitter:
         return legs_of(share, lambda some: em.appears(hazard[some], some), em.candidates, em.bins)
 
     def _learn_contexts(self) -> None:
-        """Estimate by how much its context changes the rate of each candidate."""
+        """Estimate the factor on each candidate's rate by the context of its departure."""
         em, counted = self.em, self._count_contexts()
         multiplier = self.contexts.judged(em.candidates, em.responsibility, self.share, counted)
         for part in em.parts:
@@ -347,16 +377,16 @@ class PosteriorFitter:
     def _count_contexts(self) -> list[ContextCounts]:
         """Estimate `share` and `leave`, and return departures and transitions by context."""
         em, c, zone = self.em, self.em.candidates, self.em.departures.zone
-        below = np.maximum(self._left, 1e-9)
+        departures_of_source = np.maximum(self._departures_of, 1e-9)
 
         # Shares of the departures of each zone: by next zone, and those that leave the site.
-        self.share = em.summed(c.pair, em.pairs) / below[c.source]
-        seen = em.over_copies(em.summed(c.departure, len(zone)))
-        gone = 1.0 - np.minimum(seen, 1.0)
-        leave = np.bincount(zone, gone, minlength=em.zones) / below
+        self.share = em.summed(c.pair, em.pairs) / departures_of_source[c.source]
+        seen_again = em.over_copies(em.summed(c.departure, len(zone)))
+        gone = 1.0 - np.minimum(seen_again, 1.0)
+        leave = np.bincount(zone, gone, minlength=em.zones) / departures_of_source
         self.leave = np.maximum(leave, LEAVE_FLOOR)
 
-        # The same by context.
+        # Shares by context.
         counted, leaving = self.contexts.count(c, em.responsibility, gone, self.leave[zone])
         em.leaving = np.maximum(leaving, LEAVE_FLOOR)
         return counted

@@ -1,14 +1,15 @@
-"""Overlapping views: which cameras see an object at the moment it leaves the view of another.
+"""Overlapping views: which cameras see an object at the moment it leaves another camera's view.
 
-At each exit the passages that are open in other views are counted by *offset*: the seconds by which
-they began later than the passage that ends. Passages of one object begin at nearly constant
-offsets. The null model is the same count with all exits shifted by some seconds, which keeps
-rhythms and platoons and breaks identities. What exceeds it is attributed to the same object. This
-is the cross-correlation of Makris, Ellis and Black (2004), for intervals instead of instants.
+At the moment of each exit, some passages in other views are *open*: begun and not ended. They are
+counted by *offset*, the seconds by which the open passage began later than the passage that ends
+with the exit. Passages of one object begin at nearly constant offsets. The null model is the same
+count with all exits shifted by some seconds, which keeps rhythms and platoons of objects but breaks
+identities. The excess over the null model is attributed to passages of the same object. This is the
+cross-correlation of Makris, Ellis and Black (2004), for intervals instead of instants.
 
-A pair of views overlaps if each half of the exits predicts the offsets of the other half better
-than two null models: no overlap at all, and passages that coexist more often than expected but at
-the null model's offsets. Platoons alone produce the second.
+Two views overlap if the counts of each half of the exits predict the offsets in the other half
+better than two null models do: no overlap at all; and passages that coexist more often than
+expected, but at the offsets of the first null model. Platoons alone produce the second.
 """
 
 from __future__ import annotations
@@ -30,36 +31,37 @@ NULL_SD_BINS = 2.8
 NULL_MIN = 0.02
 """Least number of passages that the null model expects in a bin, over all exits."""
 NOISE_SD = 0.5
-"""An excess over the null model counts from this many standard deviations on."""
+"""Standard deviations of the null model that are subtracted from an excess over it."""
 SCREENED_SD = 3.0
-"""Pairs of cameras are tested if their open passages exceed the null model by this many standard
-deviations.
+"""Least excess of the open passages of a pair of cameras over the null model, in standard
+deviations, for the pair to be tested.
 """
 SCREENED_PER_CAMERA_MAX = 16
-"""Pairs tested for each camera that is left: those with the largest excess."""
+"""Largest number of pairs tested for each camera of the exits, those with the largest excess."""
 FALSE_PROBABILITY = 0.001
 """Probability of any false overlap on a site without overlaps, if passages were independent."""
 OPEN_PAIRS_MAX = 3_000_000
-"""Pairs of an exit and an open passage that are counted, those of the newest exits."""
+"""Largest number of pairs of an exit and an open passage that are counted; the newest exits count.
+"""
 OPEN_PAIRS_AT_ONCE = 1 << 18
-"""Pairs that are in memory at one time."""
+"""Number of such pairs that are in memory at one time."""
 
 
 class OverlappingViews(NamedTuple):
-    """Two overlapping views."""
+    """Two overlapping views: an object that leaves the first may be in the second at that time."""
 
     source: int
-    """Camera whose view the object leaves."""
+    """Index of the camera whose view the object leaves."""
     target: int
-    """Camera that may see the object at that moment."""
+    """Index of the camera that may see the object at that moment."""
     same: Floats
-    """(bins,) open passages of the same object for each exit, by offset."""
+    """(bins,) mean number, per exit, of open passages of the same object, by offset."""
     others: Floats
-    """(bins,) open passages of other objects for each exit, by offset."""
+    """(bins,) mean number, per exit, of open passages of other objects, by offset."""
 
 
 def overlap_table(overlapping: list[OverlappingViews], cameras: int) -> NDArray[np.bool_]:
-    """Return whether objects leaving one camera's view are seen by another, (cameras, cameras)."""
+    """Return a table (cameras, cameras) with True for [source, target] of each overlap."""
     table = np.zeros((cameras, cameras), np.bool_)
     for one in overlapping:
         table[one.source, one.target] = True
@@ -67,7 +69,11 @@ def overlap_table(overlapping: list[OverlappingViews], cameras: int) -> NDArray[
 
 
 class Views(NamedTuple):
-    """Passages (n,) with a known entry and exit, in order of ``left``; times in seconds."""
+    """The n passages with a known entry and exit, in order of their exits; columns are (n,).
+
+    camera: index of the camera.
+    entered, left: times of the entry and of the exit, seconds.
+    """
 
     camera: Longs
     entered: Floats
@@ -83,19 +89,20 @@ def views_of(scene: Scene) -> Views:
 
 
 def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[OverlappingViews]:
-    """Return the overlapping pairs of views, sorted by source, then target.
+    """Find the overlapping pairs of views; return them sorted by source, then target.
 
+    views: the passages in all views.
     cameras: number of cameras.
-    bins: bins of offsets (`offset_bins`).
+    bins: bins of the offsets (`offset_bins`).
     """
     if len(views.left) == 0:
         return []
     newest, end = _newest(views, OPEN_PAIRS_MAX), len(views.left)
 
-    # Screen the pairs of cameras by how many passages are open.
-    seen = _totals(views, slice(newest, end), 0.0, cameras)
-    null = _shifted(lambda shift: _totals(views, slice(newest, end), shift, cameras))
-    source, target = _screened((seen - null) / np.sqrt(null + 1.0))
+    # Select the pairs of cameras with more open passages than under the null model.
+    open_seen = _totals(views, slice(newest, end), 0.0, cameras)
+    open_null = _shifted(lambda shift: _totals(views, slice(newest, end), shift, cameras))
+    source, target = _screened((open_seen - open_null) / np.sqrt(open_null + 1.0))
     if len(source) == 0:
         return []
 
@@ -119,22 +126,30 @@ def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[Overlapp
 
     # Estimate the offsets from both halves.
     same, others = _Counted(first.seen + second.seen, first.null + second.null).split()
-    left = np.maximum(exits[0] + exits[1], 1)[source]
+    exits_of_source = np.maximum(exits[0] + exits[1], 1)[source]
     return [
-        OverlappingViews(int(source[k]), int(target[k]), same[k] / left[k], others[k] / left[k])
+        OverlappingViews(
+            int(source[k]),
+            int(target[k]),
+            same[k] / exits_of_source[k],
+            others[k] / exits_of_source[k],
+        )
         for k in overlap
     ]
 
 
 class _Counted(NamedTuple):
-    """Counts (P, bins) of open passages of some pairs of cameras, by offset."""
+    """Open passages at the exits of P pairs of cameras, counted by offset.
+
+    seen (P, bins): observed counts.
+    null (P, bins): counts under the null model.
+    """
 
     seen: Floats
     null: Floats
-    """The counts that the null model expects."""
 
     def split(self) -> tuple[Floats, Floats]:
-        """Return the counts of the same object and those of other objects, (P, bins) each."""
+        """Return the parts of the counts of the same and of other objects, (P, bins) each."""
         others = np.maximum(
             self.null @ lag_smoothing_matrix(self.null.shape[1], NULL_SD_BINS).T, NULL_MIN
         )
@@ -143,11 +158,14 @@ class _Counted(NamedTuple):
 
 
 def _predicts(known: _Counted, judged: _Counted, ratio: Floats) -> Floats:
-    """Return log likelihood ratios (2, P) in nats of ``judged`` as predicted from ``known``.
+    """Return the log likelihood ratios of counts as predicted from other counts, (2, P), nats.
 
-    The two rows are against the two null models: no overlap, and the null model's offsets.
+    known: counts of one half of the exits, from which the prediction is made.
+    judged: counts of the other half.
+    ratio (P,): number of exits of the other half over that of the first.
 
-    ratio (P,): number of judged exits for each known exit.
+    The two rows are against the two null models: no overlap, and more open passages than expected
+    at the offsets of no overlap.
     """
     same, others = known.split()
     weight = np.log1p(same / others)
@@ -158,9 +176,10 @@ def _predicts(known: _Counted, judged: _Counted, ratio: Floats) -> Floats:
 
 
 def _screened(excess: Floats) -> tuple[Rows, Rows]:
-    """Return the sources and targets (P,) of the pairs worth a test.
+    """Return the sources and the targets of the P pairs of cameras to be tested, (P,) each.
 
-    excess (cameras, cameras): excess over the null model in standard deviations.
+    excess (cameras, cameras): excess of open passages over the null model in standard deviations,
+        by camera of the exit and camera of the passage.
     """
     largest = np.argsort(-excess, axis=1, kind="stable")[:, :SCREENED_PER_CAMERA_MAX]
     kept = np.zeros(excess.shape, np.bool_)
@@ -172,21 +191,28 @@ def _screened(excess: Floats) -> tuple[Rows, Rows]:
 
 
 def _shifted(count: Callable[[float], NDArray[Any]]) -> Floats:
-    """Return the null model of a count: its mean over the shifts."""
+    """Return the mean of a count over `SHIFTS_SECONDS`, which is the null model.
+
+    count: function from a shift in seconds to the counts.
+    """
     mean: Floats = np.mean([count(shift) for shift in SHIFTS_SECONDS], axis=0)
     return mean
 
 
 def _open(views: Views, exits: slice, shift: float) -> Iterator[tuple[Rows, Rows]]:
-    """Yield exits and the passages (m,) of other cameras that are open ``shift`` seconds later.
+    """Yield pairs of an exit and a passage of another camera that is open after it, part by part.
 
-    A passage is open from its entry to its exit. Pairs come in parts of `OPEN_PAIRS_AT_ONCE`.
+    exits: slice of the passages whose exits are used.
+    shift: seconds after the exit at which the passage is open.
+
+    Each part has about `OPEN_PAIRS_AT_ONCE` pairs, as two arrays of rows of ``views``. A passage is
+    open from its entry to its exit.
     """
     left = views.left[exits]
     first, stop = (np.searchsorted(left, t - shift) for t in (views.entered, views.left))
     reached = np.concatenate(([0], np.cumsum(np.maximum(stop - first, 0))))
 
-    # As many passages at a time as memory allows.
+    # Passages with about `OPEN_PAIRS_AT_ONCE` exits together at a time.
     begin = 0
     while begin < len(first):
         end = max(
@@ -208,7 +234,7 @@ def _open(views: Views, exits: slice, shift: float) -> Iterator[tuple[Rows, Rows
 def _newest(views: Views, most: int) -> int:
     """Return the row of the oldest exit that is counted.
 
-    From there on, at most ``most`` passages are open, added up over the exits.
+    From this exit on, the numbers of open passages, added up over the exits, are ``most`` at most.
     """
     begun = np.searchsorted(np.sort(views.entered), views.left, "right")
     over = np.searchsorted(views.left, views.left, "right")
@@ -217,10 +243,9 @@ def _newest(views: Views, most: int) -> int:
 
 
 def _totals(views: Views, exits: slice, shift: float, cameras: int) -> Longs:
-    """Return the number of open passages by camera of the exit and camera of the passage.
+    """Return the number of passages open ``shift`` seconds after an exit, (cameras, cameras).
 
-    A passage is counted if it is open ``shift`` seconds after the exit; the result is (cameras,
-    cameras).
+    The result is by camera of the exit and camera of the open passage, added up over ``exits``.
     """
     total = np.zeros(cameras * cameras, np.int64)
     for exit_, passage in _open(views, exits, shift):
@@ -231,9 +256,11 @@ def _totals(views: Views, exits: slice, shift: float, cameras: int) -> Longs:
 
 
 def _count(views: Views, exits: slice, number: Longs, bins: LagBins) -> _Counted:
-    """Return the counts by offset of the numbered pairs of cameras.
+    """Count open passages by offset, for some pairs of cameras.
 
-    number (cameras, cameras): row of each pair in the result, -1 for none.
+    exits: slice of the passages whose exits are used.
+    number (cameras, cameras): row in the result of each pair (camera of the exit, camera of the
+        passage); -1 for pairs that are not counted.
     """
     return _Counted(
         _offsets(views, exits, 0.0, number, bins),
@@ -242,15 +269,15 @@ def _count(views: Views, exits: slice, number: Longs, bins: LagBins) -> _Counted
 
 
 def _offsets(views: Views, exits: slice, shift: float, number: Longs, bins: LagBins) -> Floats:
-    """Return the passages open ``shift`` seconds after an exit, by pair and offset, (P, bins).
+    """Return the number of passages open ``shift`` seconds after an exit, by offset, (P, bins).
 
-    number (cameras, cameras): row of each pair in the result, -1 for none.
+    number (cameras, cameras): as for `_count`.
     """
     pairs = int(number.max()) + 1
     total = np.zeros(pairs * bins.size)
     for exit_, passage in _open(views, exits, shift):
         pair = number[views.camera[exit_], views.camera[passage]]
         at = bins.index(views.entered[passage] - shift - views.entered[exit_])
-        some = np.flatnonzero((pair >= 0) & (at >= 0))
-        total += np.bincount(pair[some] * bins.size + at[some], minlength=len(total))
+        counted = np.flatnonzero((pair >= 0) & (at >= 0))
+        total += np.bincount(pair[counted] * bins.size + at[counted], minlength=len(total))
     return total.reshape(pairs, bins.size)

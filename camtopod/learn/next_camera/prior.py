@@ -1,12 +1,13 @@
-"""A hierarchical prior over the hazards of pairs of zones.
+"""A hierarchical prior over the transitions of pairs of zones, for zones with few departures.
 
-Two things hold on any site. Objects that leave a camera's view take much the same paths, whichever
-of its zones they left by. And a path is usually taken in both directions, by about the same share
-and in about the same time: when a zone has few departures, the arrivals from another zone say more
-about transitions to that zone than the departures do. Both are counted as transitions of a number
-of additional departures, so they are outweighed once the zone has enough of its own. The share of
-traffic on two-way paths is estimated from the site, so on a one-way site missing return traffic has
-no effect.
+Two things hold on most sites. Objects that leave a camera's view take much the same paths,
+whichever of its zones they leave by. And a path is usually taken in both directions, by about the
+same share of objects and in about the same time, so the transitions from zone v to zone u predict
+those from u to v. The prior counts both as transitions of a number of additional departures of each
+zone, so that they are outweighed once the zone has many departures of its own. The share of traffic
+on two-way paths is estimated from the site: on a one-way site, return traffic is not expected.
+
+`Prior` is a `PairPrior` of the EM fit (`association.em`).
 """
 
 from __future__ import annotations
@@ -21,19 +22,26 @@ from camtopod.learn.association import Candidates
 from camtopod.topology import smooth
 
 POOLING = 1.0
-"""Additional departures of each zone that behave like all departures from its camera's view."""
+"""Number of additional departures of each zone that go where departures from its view go."""
 RETURNING = 10.0
-"""Additional departures of each zone that mirror its arrivals if all paths are two-way."""
+"""Number of additional departures of each zone that go where its arrivals come from, if all paths
+are two-way.
+"""
 TWO_WAY_TRANSITIONS = 20.0
 """Prior weight, in transitions, of the assumption that all paths are two-way."""
 
 
 class Prior:
-    """The prior over the pairs of zones of ``candidates``.
+    """The prior over the P pairs of zones of a fit.
 
+    candidates: the candidates of the fit, which define its pairs of zones.
     camera (zones,): camera of each zone.
-    exposure (zones, bins): departures of each zone that are exposed to a lag bin.
-    came (zones,): arrivals of each zone, at least 1.
+    exposure (zones, bins): exposed departures of each zone.
+    came (zones,): number of arrivals at each zone, at least 1.
+
+    pair (P,): number of each pair's pair of cameras.
+    share (P, 1): share of each pair's target among the arrivals at its camera.
+    back (P,): pair from each pair's target to its source; -1 if there is none.
     """
 
     def __init__(
@@ -48,17 +56,23 @@ class Prior:
         self.back = _leading_back(candidates, len(camera))
 
     def expected(self, counts: Floats) -> PriorTransitions:
-        """Return the prior expectation, given the ``counts`` (P, bins) of transitions."""
+        """Return what the prior adds, given the counted transitions ``counts`` (P, bins)."""
         return PriorTransitions(self, counts)
 
     def two_way(self, transitions: Floats) -> float:
-        """Return the share of the ``transitions`` (P,) that return traffic matches."""
+        """Return the share of all transitions that is matched by transitions in return.
+
+        transitions (P,): number of transitions of each pair.
+        """
         returned = np.where(self.back < 0, 0.0, transitions[self.back])
         both = float(np.minimum(transitions, returned).sum())
         return (both + TWO_WAY_TRANSITIONS) / (float(transitions.sum()) + TWO_WAY_TRANSITIONS)
 
     def pooled(self, counts: Floats) -> Singles:
-        """Return transitions per exposed departure from camera to camera, (camera pairs, bins)."""
+        """Return the transitions per exposed departure from camera to camera, (camera pairs, bins).
+
+        counts (P, bins): transitions of each pair of zones.
+        """
         seen = sum_by_group(counts, self.pair, len(self._views))
         rates = np.empty(seen.shape, np.float32)
         for rows in row_slices(len(seen)):
@@ -67,7 +81,10 @@ class Prior:
 
 
 class PriorTransitions:
-    """Transitions that the prior adds to pairs of zones, and the ``departures`` they belong to."""
+    """Transitions that the prior adds to pairs of zones, given counted transitions (P, bins).
+
+    departures: number of additional departures of each zone, to which these transitions belong.
+    """
 
     def __init__(self, prior: Prior, counts: Floats) -> None:
         self._prior, self._pooled = prior, prior.pooled(counts)
@@ -75,26 +92,26 @@ class PriorTransitions:
         self.departures = POOLING + self._returning
 
     def of(self, rows: slice, rates: Callable[[NDArray[np.int64]], Floats]) -> Floats:
-        """Return the expected transitions (rows, bins) of some pairs of zones.
+        """Return the transitions (pairs, bins) that the prior adds to the pairs ``rows``.
+
+        rates: function from pairs (k,) to the counted transitions per exposed departure (k, bins),
+            smoothed.
 
         They are the sum of two terms: transitions if only the cameras mattered, divided among the
         zones by their arrivals; and transitions if every path were taken equally in both
         directions.
-
-        rates: function from pairs (n,) to their observed transitions per exposed departure,
-            smoothed.
         """
         back = self._prior.back[rows]
-        alike = np.where(back[:, None] < 0, 0.0, rates(back))
-        lent = self._pooled[self._prior.pair[rows]] * self._prior.share[rows]
-        both: Floats = POOLING * lent + self._returning * alike
+        by_return = np.where(back[:, None] < 0, 0.0, rates(back))
+        by_cameras = self._pooled[self._prior.pair[rows]] * self._prior.share[rows]
+        both: Floats = POOLING * by_cameras + self._returning * by_return
         return both
 
 
 def _leading_back(candidates: Candidates, zones: int) -> NDArray[np.int64]:
-    """Return the pair (P,) from each pair's target back to its source, -1 if there is none.
+    """Return the pair (P,) that leads from each pair's target back to its source, -1 if none does.
 
-    Pairs come by source, then target.
+    candidates: define the pairs, which are in order of source, then target.
     """
     source, target = candidates.source.astype(np.int64), candidates.target.astype(np.int64)
     there, back = source * zones + target, target * zones + source

@@ -1,8 +1,10 @@
-"""Monte Carlo over the sources of arrivals (thesis section 4.1; Marinakis and Dudek 2005).
+"""Monte Carlo samples of which departure caused each arrival (thesis 4.1; Marinakis, Dudek 2005).
 
-With little data a converged fit is overconfident, as it reinforces its own first guesses. A sampler
-draws one source for each arrival, estimates the hazards as if the draw were the truth, and draws
-again; the mean over the draws is what the events support.
+With little data a converged EM fit is overconfident, as it reinforces its own first guesses. A
+sampler draws one cause for each arrival (a candidate, or the outside) by the responsibilities,
+estimates the hazards as if the draw were the truth, and draws again. The mean over the draws shows
+what the events support. `fit.PosteriorFitter.sample` runs the loop; this module draws (`Sources`)
+and adds faint transitions to hazards, so that a pair that was not drawn once may be drawn later.
 """
 
 from __future__ import annotations
@@ -13,15 +15,17 @@ from camtopod.arrays import Floats, Indices, Ints, Singles, row_slices
 from camtopod.topology import LagBins
 
 FAINT_TRANSITIONS = 0.2
-"""Prior transitions of every followed pair of zones, spread over the lags after the exit: a pair
-that has not been drawn may still be drawn later.
+"""Prior transitions of every pair of zones in a sample, spread evenly over the lag bins after the
+exit.
 """
 
 
 class Sources:
-    """Random draws of one source, or the outside, for each of ``n`` arrivals.
+    """Draws a cause for each arrival at random: one of its candidates, or the outside.
 
     arrival (M,): arrival of each candidate, ascending.
+    n: number of arrivals.
+    seed: of the random numbers.
     """
 
     def __init__(self, arrival: Indices, n: int, seed: int) -> None:
@@ -30,7 +34,7 @@ class Sources:
         self._random = np.random.default_rng(seed)
 
     def draw(self, responsibility: Singles) -> Indices:
-        """Return the drawn candidates, ascending.
+        """Return the rows of the drawn candidates, ascending; at most one of each arrival.
 
         responsibility (M,): probability with which each candidate is drawn.
         """
@@ -42,7 +46,7 @@ class Sources:
 
 
 def add_prior_transitions(hazard: Singles, exposed: Floats, source: Ints, bins: LagBins) -> Singles:
-    """Add the faint transitions of every pair of zones to its hazard, in place, and return it.
+    """Add `FAINT_TRANSITIONS` of every pair of zones to its hazard, in place; return the hazards.
 
     hazard (P, bins): per second and exposed departure.
     exposed (zones, bins): exposed departures, at least 1.
@@ -52,6 +56,6 @@ def add_prior_transitions(hazard: Singles, exposed: Floats, source: Ints, bins: 
     more = FAINT_TRANSITIONS * np.bincount(source, minlength=len(exposed))
     faint = FAINT_TRANSITIONS * after / (after.sum() * bins.widths)
     for rows in row_slices(len(hazard)):
-        here, zone = exposed[source[rows]], source[rows]
-        hazard[rows] = (hazard[rows] * here + faint) / (here + more[zone][:, None])
+        exposed_here, zone = exposed[source[rows]], source[rows]
+        hazard[rows] = (hazard[rows] * exposed_here + faint) / (exposed_here + more[zone][:, None])
     return hazard

@@ -1,11 +1,14 @@
-"""Skipped cameras: next appearances of objects whose passage a camera missed.
+"""Skipped cameras: where objects appear next after a camera has missed their passage.
 
-An object that takes a link u -> a, passes the view from a to b and takes a link b -> v is seen at u
-and next at v if the camera missed the passage. For every recorded object there are ``odds = m / (1
-- m)`` such objects, m being the share of passages that the camera misses. There are far more such
-pairs (u, v) than links, each with a percent or so of the departures, which is too little to find
-them one by one. But the links and the passages give the probability and the lag of each, and only
-the odds have to be estimated.
+A *path over a skipped camera* consists of a *leg* (a transition from zone u to its next zone a), a
+passage from a to b through a camera's view, and another leg from b to v. An object on this path is
+recorded at u and next at v if the camera misses its passage. For every recorded object there are
+``odds = m / (1 - m)`` such objects, m being the share of passages that the camera misses.
+
+There are far more pairs (u, v) that such paths join than there are links, each with a percent or so
+of the departures, which is too little to find them one by one. But the legs and the passages give
+the probability and the lags of each. `skip_hazards` computes the hazards of these pairs at odds of
+1; `skip_rate` estimates the odds.
 
 `links.missed_detections` uses the same paths to leave out links that they explain.
 """
@@ -25,43 +28,48 @@ from camtopod.learn.traffic import Departures
 from camtopod.topology import UNKNOWN_DWELL_SECONDS, LagBins, lag_smoothing_matrix
 
 PASSAGE_SHARE_MIN = 0.02
-"""Smallest share of the passages from an entry zone that a path through the view must have."""
+"""Least share of the passages from a zone of entry for a path through the view."""
 LINK_SHARE_MIN = 0.05
-"""Smallest share of the departures from a zone that a leg (zone to next zone) must have."""
+"""Least share of the departures from a zone for a leg."""
 WAY_SHARE_MIN = 1e-3
-"""Smallest share of the departures from a zone that a path over a skipped camera must have."""
+"""Least share of the departures from a zone for a path over a skipped camera."""
 TIED_SHARE_MIN = 0.5
-"""Share of a camera's exits that must be tied to entries; below, any entry may lead to any exit."""
+"""Least share of a camera's exits that tracks tie to an entry for its passages to be used as
+recorded. Below, any entry may lead to any exit.
+"""
 LEG_QUANTILES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
-"""Quantiles of a leg's lags. A path's lags are the sums over both legs, plus the dwell time."""
+"""Quantiles that stand for the lags of a leg.
+
+The lags of a path are all sums of a quantile of each leg and the median dwell time.
+"""
 SPREAD_SD_BINS = 2.0
-"""Standard deviation, in lag bins, by which these lags are spread."""
+"""Standard deviation, in lag bins, of the kernel by which the lags of a path are spread."""
 WAYS_AT_ONCE = 1024
-"""Paths worked on together: each takes memory for all pairs of quantiles of its two legs."""
+"""Paths processed together; each takes memory for all pairs of quantiles of its two legs."""
 
 
 class ViewPaths(NamedTuple):
-    """Paths through views, (n,) each."""
+    """Paths through single views, from zone of entry to zone of exit; columns are (n,)."""
 
     entry: Longs
     """Zone of entry."""
     exit: Longs
     """Zone of exit."""
     share: Floats
-    """Share of the objects entering there that leave at ``exit``."""
+    """Share of the objects entering at ``entry`` that leave at ``exit``."""
     seconds: Floats
-    """Median dwell time."""
+    """Median dwell time in seconds."""
 
 
 class Legs(NamedTuple):
-    """Next appearances with a sufficient share of the departures, (n,) each."""
+    """Pairs of zones with a sufficient share of the departures to be legs; columns are (n,)."""
 
     source: Ints
     """Zone of departure."""
     target: Ints
     """Zone of the next appearance."""
     share: Floats
-    """Share of the departures at ``source``."""
+    """Share of the departures at ``source`` that appear next at ``target``."""
     lag: Floats
     """(n, quantiles) lags in seconds at `LEG_QUANTILES`."""
 
@@ -69,70 +77,75 @@ class Legs(NamedTuple):
 def legs_of(
     share: Floats, appears: Callable[[Indices], Floats], candidates: Candidates, bins: LagBins
 ) -> Legs:
-    """Return the legs that paths over a skipped camera may consist of.
+    """Return the pairs of zones that may be legs of paths over a skipped camera.
 
     share (P,): share of the departures at each pair's source that appear next at its target.
-    appears: function from pairs (n,) to that share by lag (n, bins).
+    appears: function from pairs (n,) to this share by lag bin (n, bins).
+    candidates: define the pairs.
     """
-    some = np.flatnonzero(share >= LINK_SHARE_MIN)
-    reached = np.cumsum(appears(some), axis=1) / share[some][:, None]
+    pairs = np.flatnonzero(share >= LINK_SHARE_MIN)
+    reached = np.cumsum(appears(pairs), axis=1) / share[pairs][:, None]
     lag = bins.centres[np.minimum((reached[:, :, None] < LEG_QUANTILES).sum(axis=1), bins.size - 1)]
-    return Legs(candidates.source[some], candidates.target[some], share[some], lag)
+    return Legs(candidates.source[pairs], candidates.target[pairs], share[pairs], lag)
 
 
 def view_paths(departures: Departures, entry: Longs, camera: Longs) -> ViewPaths:
-    """Return the likely paths through all views.
+    """Return the frequent paths through all views, from zone of entry to zone of exit.
 
-    entry (departures,): zone where the passage of each departure began, -1 where unknown.
+    entry (n,): zone where the passage of each departure began, -1 where unknown.
     camera (zones,): camera of each zone.
     """
     zones, cameras, d = len(camera), int(camera.max(initial=-1)) + 1, departures
     tied = (entry >= 0) & np.isfinite(departures.since)
 
-    # Cameras that tie enough of their exits to entries.
+    # Cameras whose tracks tie enough exits to entries.
     of_camera = np.bincount(camera[d.zone], minlength=cameras)
     ties = np.bincount(camera[d.zone], tied, minlength=cameras) >= TIED_SHARE_MIN * np.maximum(
         of_camera, 1
     )
 
-    # Paths through these views as observed, through the other views as any entry to any exit.
+    # Paths through these views as recorded; through other views, from any entry to any exit.
     key, n, seconds = _medians(entry[tied] * zones + d.zone[tied], (d.t - d.since)[tied])
-    came, left = key // zones, key % zones
-    share = n / np.bincount(came, n, minlength=zones)[came]
-    known = ties[camera[came]] & (share >= PASSAGE_SHARE_MIN)
+    entries, exits = key // zones, key % zones
+    share = n / np.bincount(entries, n, minlength=zones)[entries]
+    known = ties[camera[entries]] & (share >= PASSAGE_SHARE_MIN)
     guessed = _any_to_any(departures, camera, ~ties & (of_camera > 0))
     return ViewPaths(
         *(
-            np.concatenate((ours[known], theirs))
-            for ours, theirs in zip((came, left, share, seconds), guessed, strict=True)
+            np.concatenate((recorded[known], assumed))
+            for recorded, assumed in zip((entries, exits, share, seconds), guessed, strict=True)
         )
     )
 
 
 def _any_to_any(departures: Departures, camera: Longs, wanted: NDArray[np.bool_]) -> ViewPaths:
-    """Return paths through the views of some cameras as if the zone of entry did not matter.
+    """Return paths through some views, under the assumption that any entry may lead to any exit.
 
-    wanted (cameras,): whether to include a camera.
+    camera (zones,): camera of each zone.
+    wanted (cameras,): mask of the cameras whose views are included.
     """
     # Median dwell time of each camera.
     d = departures
     timed = np.isfinite(d.since)
-    where, _, stay = _medians(camera[d.zone[timed]], (d.t - d.since)[timed])
+    cameras_timed, _, dwell = _medians(camera[d.zone[timed]], (d.t - d.since)[timed])
     seconds = np.full(len(wanted), UNKNOWN_DWELL_SECONDS)
-    seconds[where] = stay
+    seconds[cameras_timed] = dwell
 
     # Shares of the exits of each camera.
-    left = np.bincount(d.zone, minlength=len(camera))
-    share = left / np.maximum(np.bincount(camera, left)[camera], 1.0)
-    mine = np.flatnonzero(wanted[camera])
-    entry, ends = match_rows(camera[mine], camera[mine])
-    kept = share[mine[ends]] >= PASSAGE_SHARE_MIN
-    came, gone = mine[entry][kept], mine[ends][kept]
-    return ViewPaths(came, gone, share[gone], seconds[camera[gone]])
+    exits_of_zone = np.bincount(d.zone, minlength=len(camera))
+    share = exits_of_zone / np.maximum(np.bincount(camera, exits_of_zone)[camera], 1.0)
+    zones_wanted = np.flatnonzero(wanted[camera])
+    entry, ends = match_rows(camera[zones_wanted], camera[zones_wanted])
+    kept = share[zones_wanted[ends]] >= PASSAGE_SHARE_MIN
+    entries, exits = zones_wanted[entry][kept], zones_wanted[ends][kept]
+    return ViewPaths(entries, exits, share[exits], seconds[camera[exits]])
 
 
 def _medians(key: Longs, seconds: Floats) -> tuple[Longs, Longs, Floats]:
-    """Return the keys that occur, how often each occurs and its (upper) median of ``seconds``."""
+    """Return the keys that occur, how often each occurs, and the upper median of its ``seconds``.
+
+    key, seconds (n,): key and value of n items.
+    """
     present, number, n = np.unique(key, return_inverse=True, return_counts=True)
     order = np.lexsort((seconds, number))
     return present.astype(np.int64), n.astype(np.int64), seconds[order][np.cumsum(n) - n + n // 2]
@@ -141,34 +154,39 @@ def _medians(key: Longs, seconds: Floats) -> tuple[Longs, Longs, Floats]:
 def skip_hazards(
     legs: Legs, candidates: Candidates, through: ViewPaths, bins: LagBins, zones: int
 ) -> tuple[Longs, Floats]:
-    """Return the pairs (K,), ascending, that paths over skipped cameras join, and their hazards.
+    """Return the pairs of zones that paths over skipped cameras join, and their hazards.
 
-    The pairs are indices into the candidates' pairs of zones. The hazards (K, bins) are those of
-    appearing at the target because a camera was skipped, at odds of 1 (if every second passage is
-    missed).
+    legs: the possible legs of such paths.
+    candidates: define the P pairs of zones of the fit.
+    through: paths through single views.
+    zones: number of zones.
+
+    The results are the numbers (K,), ascending, of those pairs of the fit that such paths join; and
+    the hazards (K, bins) of appearing at the target because a camera was skipped, at odds of 1 (if
+    every second passage is missed).
     """
-    ways = _ways(legs, through)
+    paths = _ways(legs, through)
     pair, known = _rows(
-        candidates.source.astype(np.int64) * zones + candidates.target, ways.key(legs, zones)
+        candidates.source.astype(np.int64) * zones + candidates.target, paths.key(legs, zones)
     )
     present, number = np.unique(pair[known], return_inverse=True)
     return present.astype(np.int64), _along(
-        ways.take(known), number, len(present), legs, through, bins
+        paths.take(known), number, len(present), legs, through, bins
     )
 
 
 def skip_hazards_elsewhere(
     legs: Legs, candidates: Candidates, through: ViewPaths, bins: LagBins, zones: int
 ) -> tuple[Ints, Ints, Floats]:
-    """Return sources, targets (X,) and hazards (X, bins) of paths between zones without candidates.
+    """Return sources, targets (X,), hazards (X, bins) of joined pairs of zones without candidates.
 
-    The hazards are as of `skip_hazards`.
+    The fit does not have these pairs; arguments and hazards are as for `skip_hazards`.
     """
-    ways = _ways(legs, through)
-    key = ways.key(legs, zones)
+    paths = _ways(legs, through)
+    key = paths.key(legs, zones)
     _, known = _rows(candidates.source.astype(np.int64) * zones + candidates.target, key)
     present, number = np.unique(key[~known], return_inverse=True)
-    hazard = _along(ways.take(~known), number, len(present), legs, through, bins)
+    hazard = _along(paths.take(~known), number, len(present), legs, through, bins)
     return (
         (present // max(zones, 1)).astype(np.int32),
         (present % max(zones, 1)).astype(np.int32),
@@ -177,14 +195,14 @@ def skip_hazards_elsewhere(
 
 
 class _Ways(NamedTuple):
-    """Paths over one skipped camera, (n,) each: a leg, a path through a view, and a leg."""
+    """Paths over one skipped camera: leg, path through its view, leg; columns are (n,)."""
 
     before: Indices
-    """Row of the leg to that camera."""
+    """Row in `Legs` of the leg to the skipped camera."""
     through: Indices
-    """Row of the path through its view."""
+    """Row in `ViewPaths` of the path through its view."""
     after: Indices
-    """Row of the leg from that camera."""
+    """Row in `Legs` of the leg from the skipped camera."""
     taken: Floats
     """Share of the departures at the start of the path that take it."""
 
@@ -193,12 +211,12 @@ class _Ways(NamedTuple):
         return legs.source[self.before].astype(np.int64) * zones + legs.target[self.after]
 
     def take(self, rows: NDArray[Any] | slice) -> _Ways:
-        """Return some of the paths."""
+        """Return the paths given by their rows."""
         return _Ways(self.before[rows], self.through[rows], self.after[rows], self.taken[rows])
 
 
 def _ways(legs: Legs, through: ViewPaths) -> _Ways:
-    """Return all paths over one skipped camera with a share of at least `WAY_SHARE_MIN`."""
+    """Return all paths over one skipped camera with a sufficient share (`WAY_SHARE_MIN`)."""
     before, way = match_rows(legs.target, through.entry)
     step, after = match_rows(through.exit[way], legs.source)
     before, way = before[step], way[step]
@@ -209,23 +227,25 @@ def _ways(legs: Legs, through: ViewPaths) -> _Ways:
 def _along(
     ways: _Ways, number: NDArray[np.intp], rows: int, legs: Legs, through: ViewPaths, bins: LagBins
 ) -> Floats:
-    """Return the hazards (rows, bins) of the paths at odds of 1.
+    """Return the sums of the hazards of paths at odds of 1, by row of the result, (rows, bins).
 
     number (n,): row of each path in the result.
     """
     mass = np.zeros(rows * bins.size)
     for k in range(0, len(number), WAYS_AT_ONCE):
         part = slice(k, k + WAYS_AT_ONCE)
-        some, middle = ways.take(part), through.seconds[ways.through[part]]
+        part_ways, middle = ways.take(part), through.seconds[ways.through[part]]
         lag = (
-            legs.lag[some.before][:, :, None]
+            legs.lag[part_ways.before][:, :, None]
             + middle[:, None, None]
-            + legs.lag[some.after][:, None, :]
+            + legs.lag[part_ways.after][:, None, :]
         )
         # Cells of the sums of all quantiles of both legs.
         at = bins.index(lag)
         cell = number[part][:, None, None] * bins.size + at
-        weight = np.broadcast_to((some.taken / len(LEG_QUANTILES) ** 2)[:, None, None], lag.shape)
+        weight = np.broadcast_to(
+            (part_ways.taken / len(LEG_QUANTILES) ** 2)[:, None, None], lag.shape
+        )
         np.add.at(mass, cell[at >= 0], weight[at >= 0])
 
     # Spread over neighbouring bins, per second.
@@ -238,6 +258,10 @@ def _along(
 
 
 def _rows(pairs: Longs, wanted: Longs) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the rows of ``pairs`` (ascending) that hold the ``wanted``, and whether they do."""
+    """Return the row in ``pairs`` of each ``wanted`` key, and a mask of the keys that are there.
+
+    pairs (n,): keys, ascending.
+    wanted (m,): keys to look up; the row of a key that is not there is arbitrary.
+    """
     at = np.minimum(np.searchsorted(pairs, wanted), max(len(pairs) - 1, 0))
     return at, pairs[at] == wanted if len(pairs) else np.zeros(len(wanted), bool)

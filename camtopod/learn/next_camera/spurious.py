@@ -1,17 +1,18 @@
-"""Estimate the share of a pair's transitions that is spurious.
+"""Estimate the share of the transitions of each pair of zones that is spurious, made by chance.
 
-Among thousands of pairs of zones, chance produces a few transitions for each. In total these would
-be many: an object that is not seen again would usually be predicted to appear somewhere. A single
-spurious transition cannot be told from a rare path, but it contributes less evidence. Transitions
-of real paths on one site contribute about equally to the likelihood: much where few objects are
-under way at once and transit times are sharp, little in a crowd. Spurious transitions contribute
-far less. So each pair's *evidence per transition* is compared with the site's usual value, allowing
-for the spread among the site's pairs and for transitions that are too few to tell. The width of a
-pair's transit times does not matter in itself: where all are broad, that is usual.
+Among thousands of pairs of zones, chance makes a few transitions for each. In total these would be
+many, and an object that leaves the site would usually be predicted to appear somewhere. A single
+spurious transition cannot be told from one on a rarely used path, but it contributes less evidence.
+Transitions on the real paths of one site contribute about equally to the likelihood: much where few
+objects are under way at once and transit times are sharp, little in a crowd. Spurious transitions
+contribute far less. So `real_probability` compares each pair's *evidence per transition* with the
+site's usual value, allowing for the spread among the site's pairs and for pairs with few
+transitions. Broad transit times do not make a pair spurious: where they are usual, so is their
+evidence per transition.
 
-Where no pair of zones has significant evidence, the usual value has no meaning. Whether there is
-any link at all is decided from all pairs together: the mean of the e-values of all possible pairs
-is an e-value, too (see `links.cross_validation`).
+Where no pair of zones has significant evidence, the usual value has no meaning. So
+`any_link_probability` estimates from all pairs together whether the site has any link at all: the
+mean of the e-values of all possible pairs is an e-value, too (see `links.cross_validation`).
 """
 
 from __future__ import annotations
@@ -23,33 +24,39 @@ from camtopod.arrays import Floats, Ints
 from camtopod.learn.links import evidence_against_unrelated
 
 SPREAD_MIN = 0.7
-"""Least standard deviation of the log of the evidence per transition among real paths."""
+"""Least standard deviation, among real paths, of the log of the evidence per transition."""
 NATS_TO_TELL = 3.0
-"""Evidence of a pair, in nats, at which noise adds 1 to the variance of that log."""
+"""Usual evidence of a pair's transitions, in nats, at which noise adds 1 to the variance of the log
+of its evidence per transition.
+"""
 NORMAL_QUARTILE = 0.6745
 """Upper quartile of the standard normal distribution."""
 CHANCE_PRIOR = 0.1
 """Prior odds of being spurious for a pair with many transitions."""
 CHANCE_TRANSITIONS = 3.0
-"""Transitions at which these odds are doubled: chance makes few transitions of each pair."""
+"""Number of transitions of a pair at which its prior odds of being spurious are doubled, as chance
+makes few transitions of each pair.
+"""
 DEPARTURES_TO_TELL = 10.0
-"""Scale of the departures of a zone that suffice to see whether anything follows them: of n
-departures they suffice with probability ``1 - exp(-n / DEPARTURES_TO_TELL)``.
+"""Scale of the number of departures of a zone that are enough to find a link from there.
+
+n departures are enough with probability ``1 - exp(-n / DEPARTURES_TO_TELL)``.
 """
 REAL_MIN = 0.07
-"""Least share of a pair's transitions that is taken as real, however weak the evidence."""
+"""Lower bound on the share of a pair's transitions that is real."""
 
 
 def spurious_shares(
     pair: Ints, responsibility: Floats, pairs: int, evidence: Floats, left: Floats
 ) -> Floats:
-    """Return the spurious share (P,) of the transitions of each of ``pairs`` pairs of zones.
+    """Return the spurious share of the transitions of each pair of zones, (P,).
 
     pair, responsibility (M,): pair of zones and responsibility of each candidate.
-    evidence (pairs with any, nats): evidence for a link (`cross_evidence`).
-    left (zones,): departures of each zone.
+    pairs: number of pairs, P.
+    evidence (k, nats): held-out evidence of k pairs of zones (`cross_evidence`).
+    left (zones,): number of departures of each zone.
 
-    A pair without a transition of its own gets the probability that there is no link at all.
+    A pair without a transition gets the probability that the site has no link at all.
     """
     transitions: Floats = np.bincount(pair, responsibility, minlength=pairs).astype(float)
     each = evidence_against_unrelated(pair, responsibility, pairs) / np.maximum(transitions, 1e-300)
@@ -59,13 +66,13 @@ def spurious_shares(
 
 
 def real_probability(each: Floats, transitions: Floats) -> Floats:
-    """Return the probability (P,) that a pair is a real path.
+    """Return the probability (P,) that the transitions of each pair of zones are real.
 
-    each (P,): evidence per transition, nats.
+    each (P,): evidence per transition of each pair, nats.
     transitions (P,): number of transitions of each pair.
 
-    The usual evidence is the median over the site's transitions. The spread among pairs is read off
-    the upper half, as that holds no spurious ones.
+    The usual evidence per transition is the median over the site's transitions. The spread among
+    pairs is estimated from the upper half, as that holds no spurious transitions.
     """
     if not transitions.any():
         return np.ones(len(each))
@@ -90,8 +97,8 @@ def real_probability(each: Floats, transitions: Floats) -> Floats:
 def any_link_probability(evidence: Floats, left: Floats) -> float:
     """Return the probability that the site has any link, with prior probability 1/2.
 
-    evidence (pairs with any, nats): evidence for a link.
-    left (zones,): departures of each zone.
+    evidence (k, nats): evidence of the k pairs of zones that have any.
+    left (zones,): number of departures of each zone.
 
     The e-value of a pair without evidence is 0 if there were enough departures to find a link, and
     1 if there were not.

@@ -256,7 +256,7 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
         sources.tolist(),
         SHORT,
         ends.exposure,
-        ends.chance.of,
+        ends.chance.rates_of,
         lambda seen, usual: excess_over_null(seen, usual, SHORT, module.NOISE_SD),
         SMOOTHING_SD_BINS,
         (module.ROUNDS, module.OUTSIDE_FIRST, START_FLOOR, module.LIKELY_MIN),
@@ -297,7 +297,7 @@ def test_what_stands_out_equals_its_slow_twin(
             zone,
             SHORT,
             ends.exposure,
-            ends.chance.of,
+            ends.chance.rates_of,
             seen_min,
             EXCESS_SMOOTHING_SD_BINS,
         )
