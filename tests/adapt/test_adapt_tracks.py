@@ -227,7 +227,7 @@ def test_boxes_are_joined_to_the_nearest_whatever_their_order() -> None:
         }
         names = sorted(places, reverse=n % 2 == 0)
         for name, number in zip(
-            names, joiner.ids([places[name] for name in names], n / 10), strict=True
+            names, joiner.link([places[name] for name in names], n / 10), strict=True
         ):
             found[name].add(number)
     assert sorted(map(len, found.values())) == [1, 1]
@@ -236,14 +236,14 @@ def test_boxes_are_joined_to_the_nearest_whatever_their_order() -> None:
 
 def test_a_track_goes_on_in_one_box_only() -> None:
     joiner = BoxLinker()
-    assert joiner.ids([(0, 0, 40, 100)], 0.0) == [1]
-    assert joiner.ids([(9, 0, 49, 100), (2, 0, 42, 100)], 0.1) == [2, 1]
+    assert joiner.link([(0, 0, 40, 100)], 0.0) == [1]
+    assert joiner.link([(9, 0, 49, 100), (2, 0, 42, 100)], 0.1) == [2, 1]
 
 
 def test_a_box_far_away_or_long_after_is_another() -> None:
     joiner = BoxLinker()
-    assert joiner.ids([(0, 0, 40, 100)], 0.0) == [1]
-    assert joiner.ids([(200, 0, 240, 100)], 0.1) == [2]
-    assert joiner.ids([(0, 0, 40, 100)], 1.9) == [1]
-    assert joiner.ids([(0, 0, 40, 100)], 4.0) == [3]
-    assert joiner.ids([(0, 0, 40, 100)], -50.0) == [4], "a clock set back"
+    assert joiner.link([(0, 0, 40, 100)], 0.0) == [1]
+    assert joiner.link([(200, 0, 240, 100)], 0.1) == [2]
+    assert joiner.link([(0, 0, 40, 100)], 1.9) == [1]
+    assert joiner.link([(0, 0, 40, 100)], 4.0) == [3]
+    assert joiner.link([(0, 0, 40, 100)], -50.0) == [4], "a clock set back"

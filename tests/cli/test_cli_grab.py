@@ -266,7 +266,7 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
     """If it ended as failed, it would be started again, and all events would be duplicated."""
     monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", 0.05)
     ear, said, looks = HeartbeatReceiver(), [], 0
-    really_drained = Publisher.drained
+    really_drained = Publisher.wait_acknowledged
 
     def drained(publisher: Publisher, seconds: float, most: int = 0) -> bool:
         nonlocal looks

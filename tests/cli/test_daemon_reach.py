@@ -62,7 +62,7 @@ def at(endpoint: str, folder: Path) -> Config:
 
 
 def present(daemon: Daemon, *cameras: str) -> bool:
-    return set(cameras) <= set(daemon.bus.present("grabber"))
+    return set(cameras) <= set(daemon.bus.list_alive("grabber"))
 
 
 @pytest.mark.parametrize("alone", [True, False])

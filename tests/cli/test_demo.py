@@ -105,15 +105,15 @@ def test_those_that_are_ahead_wait_for_the_last(tmp_path: Path) -> None:
 
     def say(**reached: float) -> None:
         for camera, t in reached.items():
-            bus.put(f"status/{camera}", {"camera": camera, "last_frame_t": t}, "status")
+            bus.publish(f"status/{camera}", {"camera": camera, "last_frame_t": t}, "status")
         wait_for(
             lambda: {camera: together._reached[camera] for camera in reached} == reached,
             "the statuses",
         )
         assert not together()
 
-    bus.put("status/a", {"camera": "a"}, "status")  # not one frame yet
-    bus.put("status/daemon", {"state": "running"}, "status")
+    bus.publish("status/a", {"camera": "a"}, "status")  # not one frame yet
+    bus.publish("status/daemon", {"state": "running"}, "status")
     say(a=1031.0, b=1029.0)
     wait_for(
         lambda: [state(camera) for camera in "abc"] == ["T", "S", "S"],

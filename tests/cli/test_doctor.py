@@ -101,7 +101,7 @@ def test_no_secret_is_in_it(
 ) -> None:
     config = small_config(tmp_path / "daemon")
     with Daemon(config) as daemon, dial(small_config(tmp_path, daemon.endpoint)) as bus:
-        bus.put(
+        bus.publish(
             "event/yard", {"camera": "yard", "note": f"mqtt://u:{SECRETS['rejected']}@h"}, "event"
         )
         bus.publish_raw("event/yard", f'{{"password":"{SECRETS["rejected"]}"}}'.encode(), "event")
@@ -113,7 +113,7 @@ def test_no_secret_is_in_it(
             "state": "stalled",
             "reason": f"rtsp://u:{SECRETS['status']}@h and {raw}",
         }
-        bus.answer("status/lobby", lambda key, parameters: said, "status")
+        bus.answer_queries("status/lobby", lambda key, parameters: said, "status")
         connect = f"{daemon.endpoint}#connect_private_key_base64={SECRETS['endpoint']}"
         planted.write_text(
             f'{planted.read_text()}[bus]\nconnect_seconds = 0.5\nconnect = ["{connect}"]\n'
@@ -158,7 +158,7 @@ def test_what_is_on_disk_is_counted_and_not_touched(
         publisher = Publisher(spooled, 100)
         publisher.attach(bus)
         publisher.publish(*events)
-        wait_for(lambda: publisher.drained(0.1), "the events to be stored")
+        wait_for(lambda: publisher.wait_acknowledged(0.1), "the events to be stored")
         spooled.close()
         killed = (
             tmp_path / "killed"

@@ -81,7 +81,7 @@ def test_a_file_and_what_could_be_better_about_it(film: Path, tmp_path: Path) ->
         lambda name, probe: None,
     ).values()
     assert good == Probe("", "MPEG-4", 192, 144, FPS)
-    assert good.words == ["MPEG-4, 192x144, 7 frames a second"]
+    assert good.lines == ["MPEG-4, 192x144, 7 frames a second"]
     assert (bad.problem, bad.width, bad.fps) == ("", 2560, 2.0)
     assert [remark.partition(":")[0] for remark in bad.remarks] == [
         "the picture has hardly any contrast",

@@ -131,7 +131,7 @@ def test_a_daemon_that_does_not_count_is_believed_to_have_stored(
 
     def acknowledge(key: str, raw: bytes) -> None:
         event = codec.event_from_bytes(raw)
-        bus.put(
+        bus.publish(
             f"ack/{event.camera}",
             {"camera": event.camera, "boot": event.boot, "seq": event.seq},
             "ack",
@@ -162,11 +162,11 @@ def test_two_events_under_one_number_are_never_silently_one(
             msgspec.structs.replace(small_config(tmp_path, daemon.endpoint), site=SiteSettings("a"))
         )
         for event in (first, second, first, second):
-            publisher.put("event/lobby", event, "event")
+            publisher.publish("event/lobby", event, "event")
         publisher.publish_raw("event/lobby", codec.to_json(first), "event")
         wait_for(lambda: daemon.status()["events"]["duplicate"] == 3, "the duplicates")
         assert (daemon.status()["events"]["contradicted"], daemon.status()["reason"]) == (0, "")
-        publisher.put("event/lobby", other, "event")
+        publisher.publish("event/lobby", other, "event")
         wait_for(
             lambda: daemon.status()["events"]["contradicted"] == 1, "the contradiction to be found"
         )

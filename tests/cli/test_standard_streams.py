@@ -92,10 +92,10 @@ def test_the_daemon_runs_and_ends_though_its_log_is_not_read(
     with running(serving.camtopod(*options, "run", stderr=full[1])) as process:
         wait_for(lambda: answers(health), "the daemon's health")
         with contextlib.closing(buses.dial(small_config(tmp_path, endpoint))) as bus:
-            wait_for(lambda: bool(bus.ask("status/daemon", one=True)), "an answer")
+            wait_for(lambda: bool(bus.query("status/daemon", one=True)), "an answer")
             for number in range(3):  # each is said in the log
                 bus.publish_raw(f"event/cam{number}", b"\xc1" * (number + 1), "event")
-            wait_for(lambda: bool(bus.ask("status/daemon", one=True)), "an answer")
+            wait_for(lambda: bool(bus.query("status/daemon", one=True)), "an answer")
         assert answers(health), "it has lost nothing but lines of its log"
         assert ended(process) == 0
 
@@ -116,7 +116,7 @@ def test_so_do_a_grabber_and_the_page(how: str, full: tuple[int, int], tmp_path:
         if how == "web":
             wait_for(lambda: answers(f"http://{commands[how][-1]}/"), "the page")
         else:
-            wait_for(lambda: bool(bus.ask("status/lobby", one=True)), "the camera's status")
+            wait_for(lambda: bool(bus.query("status/lobby", one=True)), "the camera's status")
         assert ended(process) == 0
 
 
@@ -172,7 +172,7 @@ def test_the_daemon_runs_with_closed_streams(closed: str, tmp_path: Path) -> Non
             "no file has a stream's number"
         )
         with contextlib.closing(buses.dial(small_config(tmp_path, endpoint))) as bus:
-            wait_for(lambda: bool(bus.ask("status/daemon", one=True)), "an answer")
+            wait_for(lambda: bool(bus.query("status/daemon", one=True)), "an answer")
         assert ended(process) == 0
 
 

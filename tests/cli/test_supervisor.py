@@ -329,7 +329,7 @@ def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:
     assert status["state"] in ("restarting", "connecting")
     failed = next(s for s in said if s["state"] == "failed")
     assert failed["reason"] == "refused the configuration (status 78); it is not restarted"
-    answers = [msgspec.msgpack.decode(raw) for _, raw in meeting.ask("status/hopeless")]
+    answers = [msgspec.msgpack.decode(raw) for _, raw in meeting.query("status/hopeless")]
     assert [answer["state"] for answer in answers] == ["failed"]
     assert not any(s["camera"] == "good" for s in said), "it speaks for itself"
     assert box.stop() == 0

@@ -139,12 +139,12 @@ def hostile_site(folder: Path) -> Iterator[tuple[Bus, Daemon]]:
         Daemon(small_config(folder / "state")) as daemon,
         contextlib.closing(buses.dial(small_config(folder, daemon.endpoint))) as bus,
     ):
-        bus.answer("status/cam1", lambda key, parameters: {"state": said, "reason": said}, "status")
-        bus.answer(
+        bus.answer_queries("status/cam1", lambda key, parameters: {"state": said, "reason": said}, "status")
+        bus.answer_queries(
             "status/x\nFORGED", lambda key, parameters: {"state": said, said: said}, "status"
         )
-        bus.appear("grabber", "y\x1b[2J\nFORGED")
-        bus.appear("daemon", "z\x1b[2J\nFORGED")
+        bus.announce("grabber", "y\x1b[2J\nFORGED")
+        bus.announce("daemon", "z\x1b[2J\nFORGED")
         yield bus, daemon
 
 
@@ -171,13 +171,13 @@ def test_a_terminal_gets_none_of_it(
         terminal = Terminal("--connect", daemon.endpoint, "watch", *how, columns=200, rows=50)
 
         def shown() -> bool:
-            bus.put(
+            bus.publish(
                 "status/cam1", {"state": said, "reason": said}, "status"
             )  # as grabbers do, again and again
             return "OWNED" in terminal.text
 
         wait_for(shown, "what it says of itself")
-        bus.put(
+        bus.publish(
             "status/cam1",
             {"state": "\x1b]52;c;ZWNobw==\x07", "reason": "\x1b]0;AGAIN\x07"},
             "status",
@@ -202,13 +202,13 @@ def test_no_name_on_the_bus_makes_a_line_of_the_log(form: str, tmp_path: Path) -
     try:
         wait_for(lambda: "ready at" in log.read_text("utf-8"), "the daemon")
         with contextlib.closing(buses.dial(small_config(tmp_path, endpoint))) as bus:
-            bus.appear("daemon", "x\nFORGED\x1b[2J")
+            bus.announce("daemon", "x\nFORGED\x1b[2J")
             bus.publish_raw(
                 "event/x\n2026-01-01T00:00:00Z error: FORGED\x1b[2J\u202e", b"\xc1", "event"
             )
             bus.publish_raw("event/y", b'{"camera":"y\\nFORGED","kind":"\\u001b[2J\\n"}', "event")
             wait_for(lambda: log.read_text("utf-8").count("rejected") >= 2, "what is rejected")
-            (status,) = [msgspec.msgpack.decode(raw) for _, raw in bus.ask("status/daemon")]
+            (status,) = [msgspec.msgpack.decode(raw) for _, raw in bus.query("status/daemon")]
     finally:
         process.terminate()
         assert process.wait(20) == 0

@@ -130,7 +130,7 @@ def test_of_shards_the_first_is_the_one_that_counts() -> None:
 
 def test_a_prediction_is_the_daemons(hub: Hub, site: Topology) -> None:
     said = site.predict(**LEFT, track="7")
-    (answer,) = hub.bus.ask("predict/a", {"zone": said.zone, "t": NOW})
+    (answer,) = hub.bus.query("predict/a", {"zone": said.zone, "t": NOW})
     asked = read(Prediction, answer[1], pack=True)
     assert (said.camera, said.t, said.track, said.version) == ("a", NOW, "7", site.version)
     assert [one.zone for one in said.next_[:2]] == [one.zone for one in asked.next_[:2]]
@@ -224,7 +224,7 @@ def test_nobody_there_is_said(tmp_path: Path) -> None:
 
 
 def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
-    authority = Authority.make(tmp_path / "keys", "hq", time.time(), 7300, replace=False)
+    authority = Authority.create(tmp_path / "keys", "hq", time.time(), 7300, replace=False)
     for role, name in (("daemon", "daemon"), ("reader", "wall")):
         authority.issue(role, name, 100)
     access = tmp_path / "access.json"

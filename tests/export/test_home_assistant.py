@@ -215,19 +215,19 @@ def test_a_site_in_home_assistant(broker: Broker, bridged: tuple[Daemon, Bridge]
     daemon, bridge = bridged
     events = numbered([*walkers(150), closing_event()])
     for event in events:
-        daemon.bus.put(f"event/{event.camera}", event, "event")
+        daemon.bus.publish(f"event/{event.camera}", event, "event")
     wait_for(lambda: all_out(daemon, len(events)), "all to be learned")
     assert daemon.topology is not None
     assert daemon.topology.score is not None
-    daemon.bus.put(
+    daemon.bus.publish(
         "prediction/a", msgspec.structs.replace(to_hall(0.2, ("b", 0.8)), camera="a"), "prediction"
     )
-    daemon.bus.put("status/c", {"state": "stalled", "reason": "no frame"}, "status")
+    daemon.bus.publish("status/c", {"state": "stalled", "reason": "no frame"}, "status")
     for key in ("status/a", "prediction/a", "status/daemon"):
         daemon.bus.publish_raw(key, b"\xc1", "status")  # nonsense changes nothing
     wild = msgspec.structs.replace(to_hall(1.0), camera="b", t=float("inf"))
-    daemon.bus.put("prediction/b", wild, "prediction")
-    daemon.bus.put("prediction/a", wild, "prediction")
+    daemon.bus.publish("prediction/b", wild, "prediction")
+    daemon.bus.publish("prediction/a", wild, "prediction")
     version, top1 = daemon.topology.version, daemon.topology.score.top1
     with listening(broker) as first:
         wait_for(lambda: first.of("daemon/state", "version") == version, "the version")

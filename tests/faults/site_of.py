@@ -138,7 +138,7 @@ class Site:
             f"{traffic.AFTER}2",
         ):  # event time follows the second camera
             stored = self.status()["events"]["stored"]
-            self._bus.put(f"event/{camera}", traffic.last_event(self.span, camera), "event")
+            self._bus.publish(f"event/{camera}", traffic.last_event(self.span, camera), "event")
             wait_for(
                 lambda before=stored: self.status()["events"]["stored"] > before, "the last event"
             )  # type: ignore[misc]
@@ -185,7 +185,7 @@ class Site:
         assert self._bus is not None
         deadline = time.monotonic() + READY_SECONDS
         while time.monotonic() < deadline:
-            answers = self._bus.ask("status/daemon", seconds=1.0, one=True)
+            answers = self._bus.query("status/daemon", seconds=1.0, one=True)
             if answers:
                 found: dict[str, Any] = msgspec.msgpack.decode(answers[0][1])
                 return found

@@ -386,16 +386,16 @@ def test_reasons_are_recognised_and_nothing_else_is_said(capfd: pytest.CaptureFi
         "",
     ]
     assert reason_in(said[0] + said[1] + said[4]) == words[1], "the last that is known"
-    assert FfmpegLog().take() == ""
+    assert FfmpegLog().newest_reason() == ""
     with captured_log() as complaints:
-        assert complaints.take() == ""
+        assert complaints.newest_reason() == ""
         os.write(1, said[0])
-        assert complaints.take() == words[0]
-        assert complaints.take() == ""
+        assert complaints.newest_reason() == words[0]
+        assert complaints.newest_reason() == ""
         for _ in range(3000):  # nobody asks: nothing waits
             with contextlib.suppress(BlockingIOError):
                 os.write(1, b"[OPENCV:FFMPEG:16] error while decoding\n")
-        assert complaints.take() == ""
+        assert complaints.newest_reason() == ""
     os.write(1, b"data")
     assert capfd.readouterr().out == "data"
 
@@ -406,5 +406,5 @@ def test_nobody_left_to_complain_is_no_reason_to_wait() -> None:
     os.set_blocking(heard, False)
     os.write(written, b"Connection refused\n")
     os.close(written)
-    assert FfmpegLog(heard).take() == "nothing listens at this address and port"
+    assert FfmpegLog(heard).newest_reason() == "nothing listens at this address and port"
     os.close(heard)

@@ -189,7 +189,7 @@ def stops(harm: Harm, state: Path, grabber: Grabber, caplog: pytest.LogCaptureFi
     """Run a daemon, inject the fault, and stop it."""
     with Daemon(small_config(state), clock=lambda: NOW) as daemon, grabber.at(daemon.endpoint):
         grabber.publish(BEFORE)
-        assert grabber.publisher.drained(20)
+        assert grabber.publisher.wait_acknowledged(20)
         harm(state)
         wait_for(lambda: daemon.status()["state"] == "degraded", "it to notice", STOPS_SECONDS)
         grabber.publish(AFTER)
@@ -218,7 +218,7 @@ def test_nothing_is_acknowledged_from_then_on_and_what_the_spools_have_comes_bac
         caplog.clear()
         config = config_at(state, before.endpoint)
         with Daemon(config, clock=lambda: NOW - 1.0) as again, grabber.at(again.endpoint):
-            assert grabber.publisher.drained(20)
+            assert grabber.publisher.wait_acknowledged(20)
             wait_for(lambda: len(again._journal) >= BEFORE + AFTER, "all events to be there again")
             status, name = again.status(), again._name()
     assert status["state"] == "running"
@@ -247,7 +247,7 @@ def test_it_goes_on_by_itself_when_the_file_is_back(
         grabber.at(daemon.endpoint),
     ):
         grabber.publish(BEFORE)
-        assert grabber.publisher.drained(20)
+        assert grabber.publisher.wait_acknowledged(20)
         harm(state)
         wait_for(lambda: daemon.status()["state"] == "degraded", "it to notice", STOPS_SECONDS)
         grabber.publish(AFTER)
@@ -255,7 +255,7 @@ def test_it_goes_on_by_itself_when_the_file_is_back(
             (state / "elsewhere.db").rename(state / "journal.db")
         else:
             (tmp_path / "elsewhere").rename(state)
-        assert grabber.publisher.drained(20)
+        assert grabber.publisher.wait_acknowledged(20)
         assert daemon.status()["state"] == "running"
         epoch = daemon.epoch
     assert "the journal can be written again" in caplog.text
@@ -272,7 +272,7 @@ def test_of_two_daemons_in_one_directory_the_one_whose_lock_is_gone_stops(
     state = tmp_path / "state"
     with Daemon(small_config(state), clock=lambda: NOW) as first, grabber.at(first.endpoint):
         grabber.publish(BEFORE)
-        assert grabber.publisher.drained(20)
+        assert grabber.publisher.wait_acknowledged(20)
         lock_removed(state)
         with Daemon(small_config(state), clock=lambda: NOW) as second:
             wait_for(lambda: first.status()["state"] == "degraded", "it to notice", STOPS_SECONDS)
@@ -284,7 +284,7 @@ def test_of_two_daemons_in_one_directory_the_one_whose_lock_is_gone_stops(
             assert is_clear_about(first.status()["reason"], state)
             assert grabber.publisher.unacknowledged == AFTER
             with grabber.at(second.endpoint):
-                assert grabber.publisher.drained(20)
+                assert grabber.publisher.wait_acknowledged(20)
             assert second.status()["state"] == "running"
     assert [seq for seq, _ in raws(state)] == list(range(1, BEFORE + AFTER + 1))
 
@@ -324,7 +324,7 @@ class Process:
         answers: list[Any] = []
 
         def answered() -> bool:
-            answers[:] = bus.ask("status/daemon", seconds=20.0, one=True)
+            answers[:] = bus.query("status/daemon", seconds=20.0, one=True)
             return bool(answers)  # a bus that does not know the daemon yet has none at once
 
         wait_for(answered, "the daemon's status")
@@ -339,7 +339,7 @@ def test_a_process_that_is_killed_then_has_acknowledged_nothing_that_is_gone(
     process = Process(tmp_path)
     with process.running(), grabber.at(process.endpoint) as bus:
         grabber.publish(BEFORE)
-        assert grabber.publisher.drained(20)
+        assert grabber.publisher.wait_acknowledged(20)
         harm(process.state)
         wait_for(lambda: process.status(bus)["state"] == "degraded", "it to notice")
         grabber.publish(AFTER)
@@ -353,7 +353,7 @@ def test_a_process_that_is_killed_then_has_acknowledged_nothing_that_is_gone(
 
     process.said = b""
     with process.running(), grabber.at(process.endpoint) as bus:
-        assert grabber.publisher.drained(20)
+        assert grabber.publisher.wait_acknowledged(20)
         wait_for(
             lambda: process.status(bus)["journal"]["entries"] == BEFORE + AFTER,
             "all events to be there again",
@@ -401,5 +401,5 @@ def test_the_status_is_answered_while_the_disk_hangs(
             assert daemon.unready() != []
         finally:
             let_out.set()
-        assert grabber.publisher.drained(20)
+        assert grabber.publisher.wait_acknowledged(20)
         wait_for(lambda: Process.status(bus)["state"] == "running", "the disk to answer again")

@@ -78,7 +78,7 @@ class Flooded:
             self.sent += 1
             for camera in QUIET:
                 event = Event(camera, "entry", time.time(), 0.5, 0.5, boot="calm", seq=self.sent)
-                self.bus.put(f"event/{camera}", event, "event")
+                self.bus.publish(f"event/{camera}", event, "event")
 
     def flood(self, seconds: float) -> subprocess.Popen[bytes]:
         """Start a flood."""
@@ -103,7 +103,7 @@ class Flooded:
         answers: list[tuple[str, bytes]] = []
 
         def answered() -> bool:
-            answers[:] = self.bus.ask("status/daemon", one=True)
+            answers[:] = self.bus.query("status/daemon", one=True)
             return bool(answers)
 
         wait_for(answered, "the daemon to answer")
@@ -256,7 +256,7 @@ def test_invented_names_keep_no_camera_out(flooded: Flooded, tmp_path: Path) -> 
     flooded.quiet()
     wait_for(lambda: flooded.stored(QUIET[-1]) == 1, "the quiet cameras to be known")
     for number in range(NAMES):
-        flooded.bus.put(
+        flooded.bus.publish(
             f"event/name{number}", Event(f"name{number}", "entry", time.time(), 0.5, 0.5), "event"
         )
     wait_for(
@@ -264,7 +264,7 @@ def test_invented_names_keep_no_camera_out(flooded: Flooded, tmp_path: Path) -> 
     )
 
     def refused() -> bool:
-        flooded.bus.put("event/gate", Event("gate", "entry", time.time(), 0.5, 0.5), "event")
+        flooded.bus.publish("event/gate", Event("gate", "entry", time.time(), 0.5, 0.5), "event")
         return "camera gate and " in flooded.status()["reason"]
 
     wait_for(refused, "the status to name the camera that is refused")
@@ -282,7 +282,7 @@ def test_invented_names_keep_no_camera_out(flooded: Flooded, tmp_path: Path) -> 
     publisher = Publisher(spool, 100)
     publisher.attach(flooded.bus, ["lobby"])
     publisher.publish(*(Event("lobby", "entry", time.time(), 0.5, 0.5) for _ in range(10)))
-    assert publisher.drained(30.0), "all are acknowledged"
+    assert publisher.wait_acknowledged(30.0), "all are acknowledged"
     wait_for(lambda: flooded.stored("lobby") == 10, "the camera with a grabber to be stored")
     flooded.quiet()
     wait_for(lambda: flooded.stored(QUIET[-1]) == 2, "the quiet cameras to be stored as before")

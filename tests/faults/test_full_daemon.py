@@ -77,7 +77,7 @@ def through_a_full_disk(disk: Path, box: Box, elsewhere: Path) -> None:
     config = small_config(disk / "state")
     with Daemon(config, clock=lambda: NOW) as daemon, box.at(daemon):
         box.publish()
-        assert box.publisher.drained(WAIT_SECONDS)
+        assert box.publisher.wait_acknowledged(WAIT_SECONDS)
         with full(disk):
 
             def degraded() -> bool:
@@ -100,7 +100,7 @@ def through_a_full_disk(disk: Path, box: Box, elsewhere: Path) -> None:
                 wait_for(lambda: again.status()["state"] == "degraded", "it to notice")
                 assert box.acknowledged == acknowledged
     with Daemon(config, clock=lambda: NOW) as daemon, box.at(daemon):
-        assert box.publisher.drained(WAIT_SECONDS)
+        assert box.publisher.wait_acknowledged(WAIT_SECONDS)
         assert daemon.status()["state"] == "running"
     assert stored(disk / "state", elsewhere / "afterwards") == list(range(1, box.made + 1))
     print(
@@ -139,5 +139,5 @@ def test_the_harness_sees_what_is_acknowledged_and_not_there(
         with full(small_disk):
             for _ in range(20):
                 box.publish()
-            assert box.publisher.drained(WAIT_SECONDS)
+            assert box.publisher.wait_acknowledged(WAIT_SECONDS)
         assert len(stored(small_disk / "state", tmp_path / "copy")) < box.acknowledged

@@ -131,7 +131,7 @@ def send_the_rest(path: Path, daemon: Daemon, directory: Path) -> None:
     ):
         publisher = Publisher(spool, 100)
         publisher.attach(bus, [CAMERA])
-        assert publisher.drained(WAIT_SECONDS)
+        assert publisher.wait_acknowledged(WAIT_SECONDS)
 
 
 def await_events(daemon: Daemon, count: int) -> None:

@@ -86,7 +86,7 @@ class Keys:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         now = time.time()
-        self.authority = Authority.make(folder, "hq", now, 7300, replace=False)
+        self.authority = Authority.create(folder, "hq", now, 7300, replace=False)
         self.authority.issue("daemon", "daemon", 100)
         for camera in ("cam1", "cam2"):
             self.authority.issue("camera", camera, 100)
@@ -94,9 +94,9 @@ class Keys:
         self.authority.issue("camera", "gone", 100)
         self.authority.revoke("camera", "gone")
         self.allow(folder / "daemon" / "access.json")
-        other = Authority.make(folder / "other", "hq", now, 7300, replace=False)
+        other = Authority.create(folder / "other", "hq", now, 7300, replace=False)
         other.issue("camera", "cam1", 100)
-        Authority.make(folder / "old", "hq", now, 7300, replace=False)
+        Authority.create(folder / "old", "hq", now, 7300, replace=False)
         for name in ("ca.key", "ca.pem"):
             (folder / "old/authority" / name).write_bytes(
                 (folder / "authority" / name).read_bytes()
@@ -755,19 +755,19 @@ def test_an_authenticated_site_works_as_one_without(
     reader = dial(msgspec.structs.replace(plain, bus=keys.bus("reader/wall", daemon.endpoint)))
     cleanup.callback(reader.close)
     for camera, publisher in publishers.items():
-        assert publisher.drained(WAIT_SECONDS), f"{camera} is not acknowledged"
+        assert publisher.wait_acknowledged(WAIT_SECONDS), f"{camera} is not acknowledged"
     publishers["late"].publish(closing_event())  # not before: who comes behind it is late
-    assert publishers["late"].drained(WAIT_SECONDS)
+    assert publishers["late"].wait_acknowledged(WAIT_SECONDS)
     view = TopologySubscriber(reader)
     assert view.wait_for(1, WAIT_SECONDS) is not None
     assert daemon.status()["events"]["stored"] == len(events) + 1
     exit_at = {"x": 0.9, "y": 0.5}
     wait_for(
-        lambda: [key for key, _ in reader.ask("predict/a", exit_at)] == ["predict/a"],
+        lambda: [key for key, _ in reader.query("predict/a", exit_at)] == ["predict/a"],
         "a prediction",
     )
     wait_for(
-        lambda: "status/daemon" in [key for key, _ in reader.ask("status/*")], "the daemon's status"
+        lambda: "status/daemon" in [key for key, _ in reader.query("status/*")], "the daemon's status"
     )
 
 

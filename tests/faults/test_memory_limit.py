@@ -48,7 +48,7 @@ def running(directory: Path, endpoint: str) -> Iterator[subprocess.Popen[bytes]]
 
 
 def status(bus: Bus) -> dict[str, object]:
-    answers = bus.ask("status/daemon", seconds=5.0, one=True)
+    answers = bus.query("status/daemon", seconds=5.0, one=True)
     return msgspec.msgpack.decode(answers[0][1]) if answers else {}  # type: ignore[no-any-return]
 
 

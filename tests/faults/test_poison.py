@@ -110,7 +110,7 @@ class Poisoner:
             *(msgspec.structs.replace(closing_event(), camera=c) for c in "de"),
         ]
         for event in events:
-            self.bus.put(f"event/{event.camera}", event, "event")
+            self.bus.publish(f"event/{event.camera}", event, "event")
         wait_for(lambda: self.state()["stored"] == len(events), "the good events")
         wait_for(lambda: all_out(self.daemon, len(events)), "its versions")
         assert self.daemon.topology is not None
@@ -179,10 +179,10 @@ class Poisoner:
             return msgspec.Raw(mutant(chance, [to_msgpack(batch)])[:-1] + b"\xc1")
 
         for number in range(cameras):
-            self.bus.answer(f"spool/junk{number}", answer, "spool")
-            self.bus.appear("grabber", f"junk{number}")
+            self.bus.answer_queries(f"spool/junk{number}", answer, "spool")
+            self.bus.announce("grabber", f"junk{number}")
         for name in ("a b", "ü", "x" * 500, "..", "%", "a=b", "lobby;drop", "'"):
-            self.bus.appear("grabber", name)
+            self.bus.announce("grabber", name)
 
     def questions(self, count: int, chance: random.Random) -> None:
         """Send queries with invalid parameters."""
@@ -217,7 +217,7 @@ class Poisoner:
                 ("x", "y", "t", "zone", "format", "version", "from", "max", "boot", "ü", ""), 3
             )
             with suppress(QueryError):
-                bus.ask(key, {name: chance.choice(values) for name in names}, seconds=5.0)
+                bus.query(key, {name: chance.choice(values) for name in names}, seconds=5.0)
 
     @staticmethod
     def _dial(stack: ExitStack, config: Any) -> Bus:
@@ -256,9 +256,9 @@ def poison(one: Poisoner, count: int, seed: int) -> str:
     assert said.total() if isinstance(said, Counter) else sum(said.values()) >= events
     assert all(1 <= len(kept) <= 3 for kept in status["reject_samples"].values())
     assert len(one.spool) == 100
-    one.bus.put("event/a", Event("a", "exit", T0 + 11 * serving.SPAN_SECONDS, 0.9, 0.5), "event")
+    one.bus.publish("event/a", Event("a", "exit", T0 + 11 * serving.SPAN_SECONDS, 0.9, 0.5), "event")
     wait_for(lambda: one.state()["stored"] == before["stored"] + 1, "the next good event")
-    one.elsewhere.put("ack/lobby", Ack("lobby", "b1", 40), "ack")
+    one.elsewhere.publish("ack/lobby", Ack("lobby", "b1", 40), "ack")
     wait_for(lambda: len(one.spool) == 60, "the next good ack")
     return f"{events} events, {acks} acks, {one.answers} answers: {dict(said)}, {dict(one.publisher.rejects.counts)}"
 

@@ -31,7 +31,7 @@ def raws(directory: Path) -> list[tuple[int | None, bytes]]:
 
 def publish(publisher: Publisher, start: int, stop: int) -> None:
     publisher.publish(*[Event("lobby", "entry", T0 + n) for n in range(start, stop)])
-    assert publisher.drained(20)
+    assert publisher.wait_acknowledged(20)
 
 
 def taken_back(state: Path, earlier: Path) -> None:

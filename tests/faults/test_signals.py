@@ -135,7 +135,7 @@ def daemon_at_many_moments(under: Under, count: int, seed: int) -> None:
         first = Publisher(spool, 100)
         first.attach(daemon._bus, ["a", "b", "c"])
         first.publish(*before)
-        assert first.drained(WAIT_SECONDS)
+        assert first.wait_acknowledged(WAIT_SECONDS)
         spool.close()
     spool = Spool(under.directory / "spool.db", "stream", 100_000)
     publisher, stop, published = Publisher(spool, 100), threading.Event(), 0
@@ -165,7 +165,7 @@ def daemon_at_many_moments(under: Under, count: int, seed: int) -> None:
         assert daemon._bus is not None
         last = Publisher(spool, 100)
         last.attach(daemon._bus, ["lobby"])
-        assert last.drained(WAIT_SECONDS)
+        assert last.wait_acknowledged(WAIT_SECONDS)
         assert daemon.failing() == []
     spool.close()
     if publisher._bus is not None:

@@ -123,7 +123,7 @@ class Walks:
             with self._mutex:
                 now = time.monotonic()
                 self._put[camera, event.t] = self._unacknowledged[camera, self._seqs[camera]] = now
-            self._publisher.put(f"event/{camera}", event, "event")
+            self._publisher.publish(f"event/{camera}", event, "event")
 
     @property
     def missing(self) -> int:
@@ -291,7 +291,7 @@ def test_closing_the_connections_of_those_who_stopped_takes_no_time(
             assert puppet.open(**client(hub.endpoint))
             puppet.do("subscribe", key=f"{HQ}/topology/*")
             puppet.do("appear", key=f"{HQ}/alive/reader/stopped{number}")
-        wait_for(lambda: len(hub.present("reader")) == len(puppets), "the readers")
+        wait_for(lambda: len(hub.list_alive("reader")) == len(puppets), "the readers")
         with dial(Config(bus=BusSettings(connect=(hub.endpoint,)), site=site)) as healthy:
             healthy.subscribe(
                 "ack/a", lambda key, payload: (came.append(time.monotonic()), heard.set())

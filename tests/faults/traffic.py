@@ -102,7 +102,7 @@ def publish(
 
     # Wait for acknowledgements.
     if publisher is not None and keep is not None:
-        while not publisher.drained(0.5):
+        while not publisher.wait_acknowledged(0.5):
             publisher.retry()
         keep.close()
     bus.close()

@@ -197,5 +197,5 @@ def test_events_pass_a_router(tmp_path: Path) -> None:
     ):
         events = numbered(walkers(5))
         for event in events:
-            bus.put(f"event/{event.camera}", event, "event")
+            bus.publish(f"event/{event.camera}", event, "event")
         wait_for(lambda: daemon.status()["events"]["stored"] == len(events), "the events")

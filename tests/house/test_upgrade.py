@@ -46,14 +46,14 @@ def test_its_state_directory_goes_on(written: Path) -> None:
         assert (daemon.topology.version, daemon.topology.digest) == (VERSION, DIGEST), (
             "answered at once"
         )
-        wait_for(lambda: len(bus.ask("predict/a", {"zone": "a/1", "t": T0})) == 1, "a prediction")
+        wait_for(lambda: len(bus.query("predict/a", {"zone": "a/1", "t": T0})) == 1, "a prediction")
         assert daemon.status()["learner"]["accepted"] == EVENTS
 
         with contextlib.closing(open_spool(written / "state", "site", "a", config.limits)) as spool:
             publisher = Publisher(spool, 100)
             assert publisher.unacknowledged == 1, "what was left in its spool"
             publisher.attach(bus)
-            assert publisher.drained(20)
+            assert publisher.wait_acknowledged(20)
         wait_for(lambda: daemon.status()["learner"]["accepted"] == EVENTS + 1, "it to be learned")
         assert daemon.status()["events"]["refilled"] == 0
         epoch = daemon.epoch
@@ -107,11 +107,11 @@ def test_its_grabbers_talk_to_this_daemon(tmp_path: Path) -> None:
         Daemon(small_config(tmp_path), clock=lambda: NOW) as daemon,
         buses.dial(small_config(tmp_path, daemon.endpoint)) as bus,
     ):
-        bus.answer("spool/a", answer, "spool")
+        bus.answer_queries("spool/a", answer, "spool")
         bus.subscribe(
             "ack/a", lambda key, raw: acks.append(msgspec.msgpack.decode(raw, type=OldAck))
         )
-        bus.appear("grabber", "a")
+        bus.announce("grabber", "a")
         for event in (events[0], events[1], events[4]):  # two are lost on the way
             bus.publish_raw("event/a", spool[event.seq or 0], "event")
         wait_for(lambda: bool(acks) and acks[-1].seq == 5, "all to be stored")
@@ -127,6 +127,6 @@ def test_events_of_before_the_upgrade_count_once(written: Path) -> None:
             (e for e in [*walkers(60), closing_event()] if e.camera == "a"),
             key=lambda event: event.t,
         )
-        bus.put("event/a", msgspec.structs.replace(first, boot="01BOOT", seq=1), "event")
+        bus.publish("event/a", msgspec.structs.replace(first, boot="01BOOT", seq=1), "event")
         wait_for(lambda: daemon.status()["events"]["duplicate"] == 1, "the duplicate")
         assert daemon.status()["events"]["contradicted"] == 0

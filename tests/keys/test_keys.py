@@ -34,7 +34,7 @@ DAY = 86400.0
 
 @pytest.fixture
 def authority(tmp_path: Path) -> Authority:
-    made = Authority.make(tmp_path / "keys", "hq", NOW, 7300, replace=False)
+    made = Authority.create(tmp_path / "keys", "hq", NOW, 7300, replace=False)
     made.issue("daemon", "daemon", 1825, hosts=["hub.example", "192.0.2.1"])
     made.issue("camera", "lobby", 1825)
     made.issue("reader", "wall", 30)
@@ -84,7 +84,7 @@ def test_certificates_say_who_and_for_what(authority: Authority) -> None:
 def test_the_chain_verifies_and_another_authority_does_not(
     authority: Authority, tmp_path: Path
 ) -> None:
-    other = Authority.make(tmp_path / "other", "hq", NOW, 7300, replace=False)
+    other = Authority.create(tmp_path / "other", "hq", NOW, 7300, replace=False)
     trusted = x509.load_pem_x509_certificate(
         (authority.folder / "camera/lobby/ca.pem").read_bytes()
     )
@@ -117,7 +117,7 @@ def test_nobody_else_can_read_it(authority: Authority) -> None:
 def test_a_folder_that_was_open_is_closed(tmp_path: Path) -> None:
     folder = tmp_path / "keys"
     (folder / "camera").mkdir(parents=True, mode=0o755)
-    made = Authority.make(folder, "hq", NOW, 7300, replace=False)
+    made = Authority.create(folder, "hq", NOW, 7300, replace=False)
     made.issue("camera", "lobby", 10)
     assert {stat.S_IMODE(path.stat().st_mode) for path in [folder, folder / "camera"]} == {0o700}
 
@@ -129,12 +129,12 @@ def test_a_folder_that_was_open_is_closed(tmp_path: Path) -> None:
 def test_nothing_is_overwritten_unless_told(authority: Authority) -> None:
     before = {path: path.read_bytes() for path in authority.folder.rglob("*.key")}
     with pytest.raises(KeysError, match="holds an authority already; --replace"):
-        Authority.make(authority.folder, "hq", NOW, 7300, replace=False)
+        Authority.create(authority.folder, "hq", NOW, 7300, replace=False)
     for role, name in (("camera", "lobby"), ("reader", "wall"), ("daemon", "daemon")):
         with pytest.raises(KeysError, match=r"until 20\d\d-\d\d-\d\d\); --replace"):
             authority.issue(role, name, 10)
     assert {path: path.read_bytes() for path in authority.folder.rglob("*.key")} == before
-    Authority.make(authority.folder, "hq", NOW, 7300, replace=True)
+    Authority.create(authority.folder, "hq", NOW, 7300, replace=True)
     assert (authority.folder / "authority/ca.key").read_bytes() != before[
         authority.folder / "authority/ca.key"
     ]
@@ -192,7 +192,7 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     (folder / "camera" / "holiday.jpg").write_bytes(b"x")
     for replace in (False, True):
         with pytest.raises(KeysError, match="holds other files; name an empty or a new folder"):
-            Authority.make(folder, "hq", NOW, 7300, replace=replace)
+            Authority.create(folder, "hq", NOW, 7300, replace=replace)
     assert (folder / "camera" / "holiday.jpg").read_bytes() == b"x"
     assert stat.S_IMODE(folder.stat().st_mode) == 0o755
     assert not (folder / "authority").exists()

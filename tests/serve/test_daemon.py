@@ -78,7 +78,7 @@ def site(tmp_path: Path) -> Iterator[Site]:
 
 def put(bus: Bus, *events: Event) -> None:
     for event in events:
-        bus.put(f"event/{event.camera}", event, "event")
+        bus.publish(f"event/{event.camera}", event, "event")
 
 
 def stored(daemon: Daemon, count: int) -> None:
@@ -207,7 +207,7 @@ def test_old_versions_can_be_asked_for(site: Site) -> None:
     )
 
     def asked(**parameters: object) -> Topology:
-        return codec.read(Topology, bus.ask("topology", parameters)[0][1], pack=True)
+        return codec.read(Topology, bus.query("topology", parameters)[0][1], pack=True)
 
     first = asked(version=1)
     assert (first.version, first.digest) == (1, digest_of(first))
@@ -215,7 +215,7 @@ def test_old_versions_can_be_asked_for(site: Site) -> None:
     assert asked() == asked(version=last) == daemon.topology
     for nonsense in ({"version": 999}, {"version": "x"}, {"version": 1, "epoch": "other"}):
         with pytest.raises(QueryError, match="is not kept"):
-            bus.ask("topology", nonsense)
+            bus.query("topology", nonsense)
     before = daemon.status()["journal"]
     daemon.stop()
     again = site.daemon()
@@ -226,7 +226,7 @@ def test_old_versions_can_be_asked_for(site: Site) -> None:
 
 def asked_of(site: Site, daemon: Daemon, version: int) -> Topology:
     return codec.read(
-        Topology, site.client(daemon).ask("topology", {"version": version})[0][1], pack=True
+        Topology, site.client(daemon).query("topology", {"version": version})[0][1], pack=True
     )
 
 
@@ -261,19 +261,19 @@ def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:
         0
     ].leave == pytest.approx(1)
 
-    [(key, raw)] = bus.ask("predict/a", {"x": 0.9, "y": 0.5, "t": t})
+    [(key, raw)] = bus.query("predict/a", {"x": 0.9, "y": 0.5, "t": t})
     asked = codec.read(Prediction, raw, pack=True)
     assert (key, asked.camera, asked.zone) == ("predict/a", "a", predictions[0].zone)
-    [(_, raw)] = bus.ask("predict/a", {"zone": asked.zone, "t": t, "format": "application/json"})
+    [(_, raw)] = bus.query("predict/a", {"zone": asked.zone, "t": t, "format": "application/json"})
     assert codec.read(Prediction, raw).zone == asked.zone
     for parameters in ({"zone": "b/1"}, {"x": 0.5}, {"t": "noon"}, {"zone": "a/99"}):
         with pytest.raises(QueryError):
-            bus.ask("predict/a", parameters)
+            bus.query("predict/a", parameters)
     asked_again(bus, daemon, t + 100)
 
-    [(key, raw)] = bus.ask("topology", {"format": "application/json"})
+    [(key, raw)] = bus.query("topology", {"format": "application/json"})
     assert codec.read(Topology, raw).digest == daemon.topology.digest
-    [(key, raw)] = bus.ask("status/*")
+    [(key, raw)] = bus.query("status/*")
     assert key == "status/daemon"
     assert msgspec.msgpack.decode(raw)["state"] == "running"
 
@@ -282,7 +282,7 @@ def asked_again(bus: Bus, daemon: Daemon, t: float) -> None:
     """Predict again for an object that left a at ``t``, and usually appears at b or c 9 s later."""
 
     def said(**parameters: object) -> Prediction:
-        return codec.read(Prediction, bus.ask("predict/a", {"t": t, **parameters})[0][1], pack=True)
+        return codec.read(Prediction, bus.query("predict/a", {"t": t, **parameters})[0][1], pack=True)
 
     def at(prediction: Prediction, camera: str) -> float:
         return sum(
@@ -316,7 +316,7 @@ def test_nothing_learned_yet_is_an_answer(site: Site) -> None:
     bus = site.client(site.daemon())
     for key in ("topology", "predict/a"):
         with pytest.raises(QueryError, match="nothing has been learned yet"):
-            bus.ask(key)
+            bus.query(key)
 
 
 def test_status_is_published(site: Site) -> None:
@@ -370,7 +370,7 @@ def test_garbage_is_counted_quoted_once_and_survived(
             "event",
         )
         put(bus, Event("hall", "entry", T0))
-        bus.put("event/lobby", Event("hall", "entry", T0), "event")
+        bus.publish("event/lobby", Event("hall", "entry", T0), "event")
         good = Event("lobby", "entry", T0)
         bus.publish_raw("event/lobby", codec.to_json(good), "event")
         stored(daemon, 2)
@@ -517,7 +517,7 @@ def test_what_the_network_lost_is_pulled_from_the_spool(
     events = walkers(50)
     for event in events:
         publisher.publish(event)
-    assert publisher.drained(20), "everything is acknowledged"
+    assert publisher.wait_acknowledged(20), "everything is acknowledged"
     stored(daemon, len(events))
     assert (daemon.status()["events"]["lost"], daemon.status()["events"]["unknown"]) == (0, 0)
     daemon.stop()
@@ -537,7 +537,7 @@ def test_events_from_before_the_daemon_wait_in_the_spool(site: Site) -> None:
     publisher.publish(*events)
     assert publisher.unacknowledged == 250
     publisher.attach(site.client(daemon))
-    assert publisher.drained(20)
+    assert publisher.wait_acknowledged(20)
     stored(daemon, 250)
     spool.close()
 
@@ -551,7 +551,7 @@ def test_a_lost_ack_is_given_again(site: Site) -> None:
     stored(daemon, 5)
     time.sleep(0.2)  # the ack has gone by
     publisher.publish(*events)
-    assert publisher.drained(20)
+    assert publisher.wait_acknowledged(20)
     stored(daemon, 5)
 
 
@@ -563,7 +563,7 @@ def test_poison_in_a_spool_does_not_stop_the_stream(site: Site) -> None:
     row = ("lobby", spool.boot, 2, b"\xc1\xff")
     spool._db.execute("UPDATE event SET raw = ?, crc = ? WHERE seq = 2", (row[3], crc(*row)))
     publisher.attach(site.client(daemon), ["lobby"])
-    assert publisher.drained(20)
+    assert publisher.wait_acknowledged(20)
     stored(daemon, 3)
     assert daemon.status()["rejects"] == {"malformed": 1}
     daemon.stop()
@@ -594,7 +594,7 @@ def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(
     assert "disk is full" in daemon.status()["reason"]
     assert publisher.unacknowledged == 20
     full = False
-    assert publisher.drained(20)
+    assert publisher.wait_acknowledged(20)
     assert daemon.status()["state"] == "running"
     stored(daemon, 20)
 
@@ -621,16 +621,16 @@ def test_a_disk_that_cannot_be_read_for_a_while_ends_nothing(
         )
         assert not daemon.wait(1.0), "no part of it has failed"
         with pytest.raises(QueryError, match="disk I/O error"):
-            bus.ask("topology", older)
+            bus.query("topology", older)
     wait_for(lambda: daemon.status()["journal"].get("bytes", 0) > 0, "the disk to be read again")
-    assert bus.ask("topology", older)
+    assert bus.query("topology", older)
 
 
 def test_what_waits_for_other_backlogs_is_in_the_status(site: Site) -> None:
     daemon = site.daemon()
     receiver = daemon._receiver
     assert daemon.status()["events"]["merging"] == 0
-    receiver.merge.answered("lobby", [T0, T0 + 60], True, 0.0)
+    receiver.merge.note_answer("lobby", [T0, T0 + 60], True, 0.0)
     receiver.merge.release([Received(Entry("refused", "lobby", "b", 1, b""))], 0.0, lambda: 10)
     assert receiver.merge.waiting == 1
     assert daemon.status()["events"]["merging"] == 1
@@ -671,10 +671,10 @@ def test_what_nobody_takes_for_its_size_is_said_once(
         config, bus=msgspec.structs.replace(config.bus, message_bytes_max=1000)
     )
     with buses.open_daemon_session(config) as bus:
-        bus.answer("topology", lambda key, parameters: "y" * 2000, "topology")
+        bus.answer_queries("topology", lambda key, parameters: "y" * 2000, "topology")
         for size in (990, 1500, 1600):
             bus.publish_raw("part/1", b"x" * size, "part")
-        bus.ask("topology")
+        bus.query("topology")
     said = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
     assert [line.partition(",")[0] for line in said] == [
         "a message on part/1 has 1500 bytes",
@@ -704,8 +704,8 @@ def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> 
     assert len(versions) >= 4
     bus = buses.open_daemon_session(small_config(site.directory))
     whole = versions[0]
-    bus.answer("topology", lambda key, parameters: whole, "topology")
-    bus.appear("daemon", "site")
+    bus.answer_queries("topology", lambda key, parameters: whole, "topology")
+    bus.announce("daemon", "site")
     client = buses.dial(small_config(site.directory, bus.endpoint))
     told: list[str] = []
 
@@ -724,7 +724,7 @@ def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> 
     fetched = view.fetched
 
     def delta(old: Topology, new: Topology) -> Callable[[], bool]:
-        bus.put("topology/delta", make_delta(old, new), "topology-delta")
+        bus.publish("topology/delta", make_delta(old, new), "topology-delta")
         return lambda: view.update() is not None
 
     wait_for(delta(versions[0], versions[1]), "the delta")

@@ -54,11 +54,11 @@ def test_a_loop_that_does_not_get_on_is_named_and_one_that_does_is_not() -> None
     learn.beat_as_of(now - 10.0)
     receive.beat_as_of(now - 31.0)
     assert [reason.split()[0] for reason in progress.stalled()] == ["receive"]
-    progress.allow("receive", 60.0)
+    progress.set_limit("receive", 60.0)
     assert progress.stalled() == []
     now += 1e6
-    progress.forget("receive")
-    progress.forget("receive")
+    progress.unwatch("receive")
+    progress.unwatch("receive")
     assert [reason.split()[0] for reason in progress.stalled()] == ["learn"]
 
 
@@ -81,7 +81,7 @@ def daemon(tmp_path: Path) -> Iterator[Daemon]:
 def put(daemon: Daemon, *events: Event) -> None:
     assert daemon._bus is not None
     for event in events:
-        daemon._bus.put(f"event/{event.camera}", event, "event")
+        daemon._bus.publish(f"event/{event.camera}", event, "event")
 
 
 def stuck_in(owner: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:

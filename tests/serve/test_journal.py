@@ -332,7 +332,7 @@ def versions_left(journal: Journal, clocks: list[tuple[float, float]]) -> list[i
         told.append(wall_and_steady)
         storing.on_snapshot(Snapshot(0, "E", b"state"))
         assert storing.store([], threading.Event())
-        storing.forget_old()
+        storing.prune()
         left.append(len(journal.versions("E")))
     return left
 

@@ -77,9 +77,9 @@ def test_the_figures_are_those_of_the_status(daemon: Daemon, tmp_path: Path) -> 
     events = numbered([*walkers(150), closing_event()])
     with buses.dial(small_config(tmp_path, daemon.endpoint)) as bus:
         for event in [*events, *events[:10]]:
-            bus.put(f"event/{event.camera}", event, "event")
+            bus.publish(f"event/{event.camera}", event, "event")
         bus.publish_raw("event/a", b"\xc1", "event")
-        bus.put("event/b", Event("a", "entry", 1.0), "event")
+        bus.publish("event/b", Event("a", "entry", 1.0), "event")
     wait_for(lambda: daemon.status()["events"]["received"] == len(events) + 12, "all that was sent")
     wait_for(lambda: all_out(daemon, len(events)), "all to be learned")
     moments: list[tuple[Samples, dict[str, Any]]] = []
@@ -161,10 +161,10 @@ def test_the_cameras_processes_are_asked(daemon: Daemon, tmp_path: Path) -> None
         }
 
     with buses.dial(small_config(tmp_path, daemon.endpoint)) as bus:
-        bus.answer("status/lobby", lambda key, parameters: status("lobby"), "status")
-        bus.answer("status/hall", lambda key, parameters: {"state": "connecting"}, "status")
-        bus.answer("status/broken", lambda key, parameters: [1, 2], "status")
-        bus.answer("status/no camera", lambda key, parameters: status("x"), "status")
+        bus.answer_queries("status/lobby", lambda key, parameters: status("lobby"), "status")
+        bus.answer_queries("status/hall", lambda key, parameters: {"state": "connecting"}, "status")
+        bus.answer_queries("status/broken", lambda key, parameters: [1, 2], "status")
+        bus.answer_queries("status/no camera", lambda key, parameters: status("x"), "status")
         wait_for(lambda: len(metrics.grabbers(daemon.bus)) == 2, "the answers")
         samples = scraped(daemon)
     assert {(name, camera): value for (name, camera), value in samples.items() if camera} == {
@@ -197,8 +197,8 @@ def test_with_certificates_the_cameras_are_asked_all_the_same(tmp_path: Path) ->
         )
         for camera in ("lobby", "hall"):
             bus = stack.enter_context(buses.dial(of(keys / "camera" / camera, "connect")))
-            bus.answer(f"status/{camera}", lambda key, parameters: {"state": "running"}, "status")
-            bus.answer(
+            bus.answer_queries(f"status/{camera}", lambda key, parameters: {"state": "running"}, "status")
+            bus.answer_queries(
                 "status/yard", lambda key, parameters: {"state": "running"}, "status"
             )  # not its own
         reader = stack.enter_context(buses.dial(of(keys / "reader" / "wall", "connect")))
@@ -210,7 +210,7 @@ def test_with_certificates_the_cameras_are_asked_all_the_same(tmp_path: Path) ->
             "status/hall",
         }  # the reader may not know of all at once
         wait_for(
-            lambda: {key for key, _ in reader.ask("status/*")} == answering,
+            lambda: {key for key, _ in reader.query("status/*")} == answering,
             "all of them to answer the reader",
         )
 
@@ -218,8 +218,8 @@ def test_with_certificates_the_cameras_are_asked_all_the_same(tmp_path: Path) ->
 def test_the_number_of_cameras_has_a_limit(daemon: Daemon, tmp_path: Path) -> None:
     with buses.dial(small_config(tmp_path, daemon.endpoint)) as bus:
         for number in range(20):
-            bus.put(f"event/c{number:02}", Event(f"c{number:02}", "entry", 1.0), "event")
-            bus.answer(
+            bus.publish(f"event/c{number:02}", Event(f"c{number:02}", "entry", 1.0), "event")
+            bus.answer_queries(
                 f"status/c{number:02}", lambda key, parameters: {"state": "running"}, "status"
             )
         wait_for(lambda: len(daemon.status()["cameras"]) == 20, "the cameras")

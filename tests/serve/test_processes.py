@@ -86,7 +86,7 @@ class Installation:
         return bus
 
     def status(self, bus: Bus) -> dict[str, Any]:
-        answers = bus.ask("status/daemon", one=True)
+        answers = bus.query("status/daemon", one=True)
         return (
             msgspec.msgpack.decode(answers[0][1])
             if answers
@@ -163,7 +163,7 @@ def test_three_publishers_one_daemon_two_subscribers_and_a_late_one(
             "ends when all of its events are acknowledged"
         )
     bus = installation.client()
-    bus.put("event/late", closing_event(), "event")
+    bus.publish("event/late", closing_event(), "event")
     for subscriber in subscribers:
         wait_for(lambda one=subscriber: one.newest == expected, "the last version")  # type: ignore[misc]
     late = installation.subscriber()
@@ -230,7 +230,7 @@ def test_a_killed_daemon_has_lost_nothing_it_acknowledged(installation: Installa
     finally:
         stop.set()
         streaming.join()
-    assert publisher.drained(serving.WAIT_SECONDS), "the rest is acknowledged"
+    assert publisher.wait_acknowledged(serving.WAIT_SECONDS), "the rest is acknowledged"
     spool.close()
     last = installation._started[-1]
     last.terminate()

@@ -74,7 +74,7 @@ class Bench:
             self.receiver.on_event(f"event/{event.camera}", to_msgpack(event))
 
     def round(self) -> None:
-        self.receiver._round(self.receiver._take())
+        self.receiver._round(self.receiver._take_messages())
         self.receiver._store_waiting(self.stopping)
 
     def work(self, beat: Beat = no_beat) -> None:
@@ -355,7 +355,7 @@ def test_a_disk_that_does_not_answer_holds_up_no_prediction_and_bounds_what_wait
     bench = Bench(tmp_path, commit_events_max=10)
     for first in range(1, 100, 10):
         bench.hear(*events(first, first + 9))
-        bench.receiver._round(bench.receiver._take())
+        bench.receiver._round(bench.receiver._take_messages())
     assert len(bench.seen) == 20, "a transaction's worth, and another"
     bench.round()
     bench.round()
@@ -436,7 +436,7 @@ def test_a_camera_whose_place_was_given_away_may_still_have_something_under_way(
     bench.hear(*events(5, 6))
     bench.receiver._limits = Limits(gap_seconds=1e6)
     bench.round()
-    assert bench.receiver.cameras.admit("other", 1e9), "it has been silent for long"
+    assert bench.receiver.cameras.register("other", 1e9), "it has been silent for long"
     bench.receiver._limits = Limits(gap_seconds=1e-9)
     bench.round()
     assert [entry.seq for _, entry in bench.journal.entries() if entry is not None] == [5, 6]
@@ -450,7 +450,7 @@ def test_after_a_start_the_cameras_heard_last_have_their_places(tmp_path: Path) 
         bench.round()
     bench.journal.close()
     again = Bench(tmp_path, cameras_max=2, streams_max=2)
-    assert again.receiver.crowded == "", "those that found no place have not been refused"
+    assert again.receiver.refused_reason == "", "those that found no place have not been refused"
     assert "new" in again.receiver.cameras
     assert "newer" in again.receiver.cameras
     again.hear(*events(1, 2, "newer"))
@@ -468,7 +468,7 @@ def test_a_camera_with_a_grabber_is_stored_beside_any_number_of_names(tmp_path: 
     bench.hear(*events(1, 1, "plain"))
     bench.round()
     assert bench.receiver.rejects.counts == {"too-many-cameras": 5}
-    assert "camera plain and 2 others are refused" in bench.receiver.crowded
+    assert "camera plain and 2 others are refused" in bench.receiver.refused_reason
     bench.receiver.with_spool.add("lobby")
     bench.hear(*events(1, 3, "lobby"))
     bench.round()

@@ -55,7 +55,7 @@ def daemon_on(state: Path, events: list[Event]) -> Daemon:
     bus = buses.dial(small_config(state, daemon.endpoint))
     try:
         for event in events:
-            bus.put(f"event/{event.camera}", event, "event")
+            bus.publish(f"event/{event.camera}", event, "event")
         wait_for(
             lambda: (
                 sum(daemon.status()["events"][name] for name in ("stored", "duplicate"))

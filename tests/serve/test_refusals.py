@@ -44,10 +44,10 @@ def test_what_is_not_allowed_is_counted_and_said_once(caplog: pytest.LogCaptureF
     refusals = Refusals()
     for _ in range(5):
         for line in (allowed(16), denied(16), dropped(16), allowed(16)):
-            refusals.hear(line)
+            refusals.read_line(line)
     assert refusals.counts == {"denied": 5}
     with caplog.at_level(logging.INFO):
-        refusals.hear(denied(17))
+        refusals.read_line(denied(17))
     assert (
         caplog.text.count("the certificate of lobby does not allow Put on camtopo/hq/event/hall")
         == 1
@@ -57,7 +57,7 @@ def test_what_is_not_allowed_is_counted_and_said_once(caplog: pytest.LogCaptureF
 def test_what_is_over_a_limit_and_dropped_is_too_large(caplog: pytest.LogCaptureFixture) -> None:
     refusals = Refusals()
     for line in (allowed(16), over_limit(16), denied(17), dropped(16), dropped(17)):
-        refusals.hear(line)
+        refusals.read_line(line)
     assert refusals.counts == {"denied": 1, "too-large": 1}
     said = "a put from lobby on camtopo/hq/event/lobby was dropped at 2026-11-21T19:07:34Z: it has more than 16384 bytes"
     assert said in caplog.text
@@ -75,10 +75,10 @@ def test_without_certificates_it_is_said_from_where_and_over_which_limit(
     priority: str, expected: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     refusals = Refusals()
-    refusals.came("b037bdf0", None, "tcp/192.0.2.9:4711")
-    refusals.came("a7fa790031fb2b3f6fa1bb9e2a7ba4f", None, "tcp/192.0.2.7:4711")
-    refusals.hear(over_limit(16, priority))
-    refusals.hear(dropped(16))
+    refusals.on_session("b037bdf0", None, "tcp/192.0.2.9:4711")
+    refusals.on_session("a7fa790031fb2b3f6fa1bb9e2a7ba4f", None, "tcp/192.0.2.7:4711")
+    refusals.read_line(over_limit(16, priority))
+    refusals.read_line(dropped(16))
     assert refusals.counts == {"too-large": 1}
     assert expected in caplog.text
 
@@ -89,14 +89,14 @@ def test_a_question_that_is_not_answered_in_time_is_no_message_too_large(
     """Its session reports it without a key; nothing else is logged."""
     refusals = Refusals()
     for line in (dropped(18), allowed(18), over_limit(16), dropped(18), dropped(16), dropped(16)):
-        refusals.hear(line)
+        refusals.read_line(line)
     assert refusals.counts == {"too-large": 1}
 
 
 def test_what_may_not_go_out_to_somebody_is_nothing_to_count() -> None:
     refusals = Refusals()
     for line in (allowed(16), denied(16, "egress"), dropped(16)):
-        refusals.hear(line)
+        refusals.read_line(line)
     assert refusals.counts == {}
 
 
@@ -117,10 +117,10 @@ def declares(refusals: Refusals, key: str, allowed_are: str) -> None:
     """Return zenoh's log of a session that declares a key, and whether each message is allowed."""
     control = f"{STAMP.format(16)}::access_control:"
     for way in ("ingress", "egress"):
-        refusals.hear(f"{control} ACL ({way}): caching permissions for `{key}` ...")
+        refusals.read_line(f"{control} ACL ({way}): caching permissions for `{key}` ...")
         for action in ACTIONS:
             allowed = "authorized" if action == allowed_are else "unauthorized"
-            refusals.hear(f"{control} {SUBJECT} is {allowed} to {action} ({way}) on {key}")
+            refusals.read_line(f"{control} {SUBJECT} is {allowed} to {action} ({way}) on {key}")
 
 
 def test_what_would_not_be_allowed_is_no_refusal_until_it_comes(
@@ -129,20 +129,20 @@ def test_what_would_not_be_allowed_is_no_refusal_until_it_comes(
     refusals = Refusals()
     control = f"{STAMP.format(16)}::access_control:"
     declares(refusals, "camtopo/hq/status/lobby", "Put")
-    refusals.hear(
+    refusals.read_line(
         f"{control} Using cached result: a7fa79 is authorized to Put (ingress) on camtopo/hq/status/lobby"
     )
     assert refusals.counts == {}
     declares(refusals, "camtopo/hq/event/hall", "none")
     for _ in range(3):
-        refusals.hear(
+        refusals.read_line(
             f"{control} Using cached result: a7fa79 is unauthorized to Put (ingress) on camtopo/hq/event/hall"
         )
-        refusals.hear(dropped(16))
+        refusals.read_line(dropped(16))
     assert refusals.counts == {"denied": 3}
     assert "the certificate of lobby does not allow Put on camtopo/hq/event/hall" in caplog.text
-    refusals.hear(over_limit(16))
-    refusals.hear(dropped(16))
+    refusals.read_line(over_limit(16))
+    refusals.read_line(dropped(16))
     assert refusals.counts == {"denied": 3, "too-large": 1}
 
 
@@ -150,8 +150,8 @@ def test_names_are_not_remembered_without_end(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(module, "NAMES_MAX", 10)
     refusals = Refusals()
     for number in range(100):
-        refusals.hear(denied(16).replace("a7fa79", f"{number:x}"))
-        refusals.came(f"a{number:x}", None, "tcp/192.0.2.7:4711")
+        refusals.read_line(denied(16).replace("a7fa79", f"{number:x}"))
+        refusals.on_session(f"a{number:x}", None, "tcp/192.0.2.7:4711")
     assert refusals.counts == {"denied": 100}
     assert len(refusals._names) <= 10
 
@@ -159,10 +159,10 @@ def test_names_are_not_remembered_without_end(monkeypatch: pytest.MonkeyPatch) -
 def test_handshakes_by_reason_and_the_rest_as_it_is(caplog: pytest.LogCaptureFixture) -> None:
     refusals = Refusals()
     with caplog.at_level(logging.INFO):
-        refusals.hear("WARN zenoh_link_tls::unicast: peer sent no certificates. Hint: none")
-        refusals.hear("WARN zenoh_link_tls::unicast: invalid peer certificate: UnknownIssuer")
-        refusals.hear("something else")
-        refusals.hear("")
+        refusals.read_line("WARN zenoh_link_tls::unicast: peer sent no certificates. Hint: none")
+        refusals.read_line("WARN zenoh_link_tls::unicast: invalid peer certificate: UnknownIssuer")
+        refusals.read_line("something else")
+        refusals.read_line("")
     assert refusals.counts == {"no-certificate": 1, "wrong-authority": 1}
     assert "zenoh: something else" in caplog.text
 

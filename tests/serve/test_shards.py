@@ -312,7 +312,7 @@ def test_who_gets_on_is_waited_for(
         for first, second in zip([*(pair[0] for pair in said), None], [None, *late], strict=True):
             for one in (first, second):
                 if one is not None:
-                    merger.tell(one)
+                    merger.add_update(one)
             one_round(merger)
             now[0] += 0.6 * mergers.PATIENCE_SECONDS
     assert len(made) > 5
@@ -373,9 +373,9 @@ def test_of_what_waits_too_long_the_newest_is_kept(
     with contextlib.closing(
         SiteMerger(tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 1, lambda: NOON, made.append)
     ) as merger:
-        merger.tell(newest)
-        merger.tell(course(1).early)
-        merger.tell(msgspec.structs.replace(newest, parts=[]))
+        merger.add_update(newest)
+        merger.add_update(course(1).early)
+        merger.add_update(msgspec.structs.replace(newest, parts=[]))
         one_round(merger)
     assert course(1).versions[0].links != course(1).versions[-1].links
     assert made[-1].newest.topology.links == course(1).versions[-1].links
@@ -390,7 +390,7 @@ def test_too_much_at_a_time_costs_versions_and_nothing_else(
     )
     for step in [*course(2).steps, course(2).rest]:
         for one in step:
-            merger.tell(one)
+            merger.add_update(one)
     stopping = threading.Event()
     worker = threading.Thread(target=merger.work, args=(stopping,))
     worker.start()
@@ -425,10 +425,10 @@ def test_what_a_shard_hears() -> None:
     cameras = [f"cam{number}" for number in range(300)]
     own = {camera for camera in cameras if share.owns(camera)}
     assert 40 < len(own) < 110
-    assert all(share.hears(camera, NOON) for camera in cameras)  # none of them is known yet
+    assert all(share.needs(camera, NOON) for camera in cameras)  # none of them is known yet
     share.strangers = frozenset(cameras)
     heard = [
-        {camera for camera in cameras if share.hears(camera, NOON + hour * 3600.0)}
+        {camera for camera in cameras if share.needs(camera, NOON + hour * 3600.0)}
         for hour in range(6)
     ]
     assert all(own <= one for one in heard)
@@ -436,7 +436,7 @@ def test_what_a_shard_hears() -> None:
     assert max(map(len, heard)) < 0.7 * len(cameras)
     stranger = min(set(cameras) - heard[0])
     share.strangers -= {stranger}
-    assert share.hears(stranger, NOON)
+    assert share.needs(stranger, NOON)
 
 
 def test_each_camera_is_owned_once() -> None:
@@ -458,15 +458,15 @@ def test_subscriptions_follow_turns_and_neighbours() -> None:
     )
     few = [f"c{number}" for number in range(SMALL_CAMERAS_MAX)]
     hearing.add_cameras(few)
-    hearing.look()
-    assert hearing.heard == set(few)  # a small site
+    hearing.update()
+    assert hearing.cameras == set(few)  # a small site
     for number in range(500):
         hearing.on_alive(f"cam{number}", True)
-    hearing.look()
-    assert len(hearing.heard) == len(few) + 500  # all are new
-    share.strangers = frozenset(hearing.heard)
-    hearing.look()
-    before = hearing.heard
+    hearing.update()
+    assert len(hearing.cameras) == len(few) + 500  # all are new
+    share.strangers = frozenset(hearing.cameras)
+    hearing.update()
+    before = hearing.cameras
     assert sorted(bus.keys) == sorted(f"event/{camera}" for camera in before)
     assert len(before) < 300
     ended = {camera for camera, alive in said if not alive}
@@ -475,27 +475,27 @@ def test_subscriptions_follow_turns_and_neighbours() -> None:
     }
     said.clear()
     now[0] += 6 * 3600.0
-    hearing.look()
-    gone = before - hearing.heard
+    hearing.update()
+    gone = before - hearing.cameras
     assert len(gone) > 20
     assert {camera for camera, alive in said if not alive} == {
         camera for camera in gone if camera.startswith("cam")
     }
-    assert all(share.hears(camera, now[0]) for camera in hearing.heard)
+    assert all(share.needs(camera, now[0]) for camera in hearing.cameras)
     hearing.on_alive("no/camera", True)
-    assert "no/camera" not in hearing.heard
+    assert "no/camera" not in hearing.cameras
 
 
 def test_shards_of_one_site_are_no_rivals() -> None:
     bus = FakeBus()
     first = OtherDaemons(bus, "A", (0, 2))  # type: ignore[arg-type]
     first.appear()
-    OtherDaemons(bus, "B", (1, 2)).refuse(0.0, threading.Event())  # type: ignore[arg-type]
+    OtherDaemons(bus, "B", (1, 2)).require_none(0.0, threading.Event())  # type: ignore[arg-type]
     assert first.reason == ""
     for name, shard in (("B", (0, 2)), ("B", (1, 3)), ("B", None)):
         with pytest.raises(OSError, match="another daemon"):
-            OtherDaemons(bus, name, shard).refuse(0.0, threading.Event())  # type: ignore[arg-type]
-    OtherDaemons(bus, "A", (0, 2)).refuse(0.0, threading.Event())  # type: ignore[arg-type]  # its own trace
+            OtherDaemons(bus, name, shard).require_none(0.0, threading.Event())  # type: ignore[arg-type]
+    OtherDaemons(bus, "A", (0, 2)).require_none(0.0, threading.Event())  # type: ignore[arg-type]  # its own trace
 
 
 def test_what_is_told_travels() -> None:
@@ -540,7 +540,7 @@ def published(folder: Path, endpoint: str, events: list[Event]) -> Iterator[tupl
         publisher = Publisher(spool, 100)
         publisher.attach(bus)
         publisher.publish(*events)
-        assert publisher.drained(WAIT_SECONDS)
+        assert publisher.wait_acknowledged(WAIT_SECONDS)
         yield bus, publisher
         spool.close()
 
@@ -587,12 +587,12 @@ def test_daemons_that_share_a_site_have_one_topology(
             Event(camera, "exit", T0 + 30_000.0, 0.9, 0.5, boot="b2", seq=1) for camera in "abc"
         ]
         for event in later:
-            bus.put(f"event/{event.camera}", event, "event")
+            bus.publish(f"event/{event.camera}", event, "event")
         wait_for(lambda: len(predictions) >= 3, "a prediction for each exit")
         assert sorted(predictions) == [f"prediction/{camera}" for camera in "abc"]
         for camera in "abc":
-            assert len(bus.ask(f"predict/{camera}", {"x": 0.9, "y": 0.5})) == 1
-        assert len(bus.ask("topology")) == 1
+            assert len(bus.query(f"predict/{camera}", {"x": 0.9, "y": 0.5})) == 1
+        assert len(bus.query("topology")) == 1
 
 
 def _cameras(seen: TopologySubscriber) -> set[str]:
@@ -617,13 +617,13 @@ def test_a_shard_that_was_away_goes_on(tmp_path: Path) -> None:
             publisher.attach(bus)
             with Daemon(at, shard=(1, 2)):
                 publisher.publish(*events[:half])
-                assert publisher.drained(WAIT_SECONDS)
+                assert publisher.wait_acknowledged(WAIT_SECONDS)
             publisher.publish(*events[half:])
             left = len(events) - half - len(mine)
-            assert publisher.drained(WAIT_SECONDS, left)
+            assert publisher.wait_acknowledged(WAIT_SECONDS, left)
             assert publisher.unacknowledged == left > 0
             with Daemon(at, shard=(1, 2)):
-                assert publisher.drained(WAIT_SECONDS)
+                assert publisher.wait_acknowledged(WAIT_SECONDS)
                 seen = TopologySubscriber(bus)
                 wait_for(lambda: len(_cameras(seen)) == 3, "all cameras")
             spool.close()

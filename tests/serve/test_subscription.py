@@ -21,31 +21,31 @@ def bus(tmp_path: Path) -> Iterator[buses.Bus]:
 def taken(ear: buses.Subscription) -> list[buses.Heard]:
     """Read all messages until it is closed."""
     heard = []
-    while (some := ear.take()) is not None:
+    while (some := ear.receive()) is not None:
         heard += some
     return heard
 
 
 def test_what_came_is_there_in_order_also_after_the_end(bus: buses.Bus) -> None:
-    ear = bus.listen("event/*", 5_000)
+    ear = bus.open_subscription("event/*", 5_000)
     said = [(f"event/c{n % 7}", b"%d" % n) for n in range(3_000)]
     for key, payload in said:
         bus.publish_raw(key, payload, "event")
     bus.publish_raw("status/c1", b"", "status")
     ear.close()
     assert taken(ear) == [(key, payload, b"") for key, payload in said]
-    assert ear.take() is None
-    assert ear.take(wait=False) is None
+    assert ear.receive() is None
+    assert ear.receive(wait=False) is None
 
 
 def test_without_waiting_there_may_be_nothing(bus: buses.Bus) -> None:
-    assert bus.listen("event/*", 10).take(wait=False) == []
+    assert bus.open_subscription("event/*", 10).receive(wait=False) == []
 
 
 @pytest.mark.parametrize("closers", [1, 4])
 def test_who_waits_is_told_the_end(bus: buses.Bus, closers: int) -> None:
     """Whether the bus closes or several threads close it at once."""
-    ear, heard = bus.listen("event/*", 10), []
+    ear, heard = bus.open_subscription("event/*", 10), []
     waiting = threading.Thread(target=lambda: heard.append(taken(ear)))
     waiting.start()
     if closers == 1:

@@ -35,7 +35,7 @@ LEFT: dict[str, Any] = {"camera": "a", "t": NOW, "x": 0.9, "y": 0.5}
 
 def there(site: Topology | aio.Topology) -> None:
     """Wait until the daemon has processed earlier subscriptions: a query takes the same route."""
-    site._bus.ask("topology")
+    site._bus.query("topology")
 
 
 @contextlib.contextmanager
@@ -58,7 +58,7 @@ def running(
 def put(bus: Bus, *events: Event) -> None:
     """Publish events."""
     for event in events:
-        bus.put(f"event/{event.camera}", event, "event")
+        bus.publish(f"event/{event.camera}", event, "event")
 
 
 def later(events: list[Event], spans: int) -> list[Event]:

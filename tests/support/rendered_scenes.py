@@ -86,7 +86,7 @@ class Scene:
         watcher = ViewPipeline("cam", settings or VisionSettings())
         events = []
         for k in range(round(seconds * FPS)):
-            events += watcher.see(k / FPS, self.picture(k / FPS))
+            events += watcher.process(k / FPS, self.picture(k / FPS))
         return events + watcher.finish()
 
 

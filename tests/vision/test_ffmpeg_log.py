@@ -33,7 +33,7 @@ def test_a_reason_is_heard_and_standard_output_is_itself_again(
 ) -> None:
     with captured_log() as complaints:
         said("[rtsp] method DESCRIBE failed: 401 Unauthorized\n")
-        assert "user name or password" in complaints.take()
+        assert "user name or password" in complaints.newest_reason()
     said("data\n")
     assert capfd.readouterr().out == "data\n"
 

@@ -15,7 +15,7 @@ def errors(stamps: np.ndarray, captured: np.ndarray, delays: np.ndarray) -> np.n
     clock = StampClock()
     found = []
     for stamp, t, delay in zip(stamps, captured, delays, strict=True):
-        clock.see(float(stamp), float(t + delay))
+        clock.record(float(stamp), float(t + delay))
         found.append(clock.captured(float(stamp), float(t + delay)))
     return np.array(found) - captured
 
@@ -54,7 +54,7 @@ def test_a_new_time_base_begins_anew() -> None:
 @pytest.mark.parametrize("stamp", [0.0, -1.0, float("nan"), float("inf")])
 def test_without_a_stamp_it_is_the_arrival(stamp: float) -> None:
     clock = StampClock()
-    clock.see(stamp, 50.0)
+    clock.record(stamp, 50.0)
     assert clock.captured(stamp, 50.0) == 50.0
     assert clock.untrusted == 1
 
@@ -63,7 +63,7 @@ def test_never_later_than_the_arrival() -> None:
     rng = np.random.default_rng(5)
     clock = StampClock()
     for stamp, arrival in rng.uniform(0.1, 100, (500, 2)):
-        clock.see(stamp, arrival)
+        clock.record(stamp, arrival)
         assert clock.captured(stamp, arrival) <= arrival
 
 

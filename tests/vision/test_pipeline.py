@@ -42,7 +42,7 @@ def test_an_entry_is_reported_soon_after_it_happened() -> None:
     scene = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0))])
     watcher = ViewPipeline("cam", VisionSettings())
     for k in range(round(12 * FPS)):
-        if watcher.see(k / FPS, scene.picture(k / FPS)):
+        if watcher.process(k / FPS, scene.picture(k / FPS)):
             assert k / FPS < 5.0 + 1.5
             return
     pytest.fail("no entry")
@@ -151,7 +151,7 @@ def test_another_picture_altogether_is_learned_anew() -> None:
     watcher, events = ViewPipeline("cam", VisionSettings()), []
     for k in range(round(34 * FPS)):
         t = k / FPS
-        events += watcher.see(t, first.picture(t) if t < 10 else second.picture(t))
+        events += watcher.process(t, first.picture(t) if t < 10 else second.picture(t))
     events += watcher.finish()
     assert watcher.statistics()["relearned"] == 1
     assert [event.kind for event in events] == ["entry", "exit"]
@@ -163,7 +163,7 @@ def test_a_gap_in_the_stream_makes_no_events() -> None:
     for k in range(round(60 * FPS)):
         t = k / FPS
         if not 15 < t < 30:  # meanwhile somebody came and stands there
-            events += watcher.see(t, scene.picture(t))
+            events += watcher.process(t, scene.picture(t))
     assert events + watcher.finish() == []
 
 
@@ -194,7 +194,7 @@ def test_large_pictures_are_scaled_down() -> None:
     watcher = ViewPipeline("cam", VisionSettings(working_width=96))
     scene, events = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), tall=0.3)]), []
     for k in range(round(18 * FPS)):
-        events += watcher.see(k / FPS, scene.picture(k / FPS).repeat(2, axis=0).repeat(2, axis=1))
+        events += watcher.process(k / FPS, scene.picture(k / FPS).repeat(2, axis=0).repeat(2, axis=1))
     assert passages(events + watcher.finish()) == [("entry", "left"), ("exit", "right")]
     assert (WIDTH, HEIGHT) == (192, 144)
 
@@ -208,7 +208,7 @@ def test_a_camera_that_shakes_by_a_pixel_sees_nothing_in_an_empty_scene_and_peop
         rng = np.random.default_rng(4)
         for k in range(round(18 * FPS)):
             picture = np.roll(scene.picture(k / FPS), rng.integers(-1, 2, 2), axis=(0, 1))
-            events += watcher.see(k / FPS, picture)
+            events += watcher.process(k / FPS, picture)
         assert passages(events + watcher.finish()) == expected
 
 
@@ -236,7 +236,7 @@ def test_whatever_the_pictures_events_are_well_formed(seed: int) -> None:
             )
         )
         flash = rng.random() < 0.01
-        events += watcher.see(
+        events += watcher.process(
             t, np.full((HEIGHT, WIDTH), 255, np.uint8) if flash else scene.picture(t)
         )
     events += watcher.finish()

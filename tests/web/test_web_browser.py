@@ -102,7 +102,7 @@ class Site:
             for event in (*walkers(60), closing_event())
         ]
         for event in numbered(events):
-            bus.put(f"event/{event.camera}", event, "event")
+            bus.publish(f"event/{event.camera}", event, "event")
         wait_for(
             lambda: bool(self.daemon.topology and len(self.daemon.topology.pairs) == 2), "two pairs"
         )
@@ -116,7 +116,7 @@ class Site:
             if event.camera == "late":
                 self._skipped += 5 * SPAN_SECONDS
             name = DOTTED if event.camera == "b" else event.camera
-            bus.put(
+            bus.publish(
                 f"event/{name}",
                 msgspec.structs.replace(event, camera=name, t=event.t + later),
                 "event",
@@ -177,7 +177,7 @@ def shown(site: Site, browser: Browser) -> Iterator[Browser]:
 
 def leave(site: Site, bus: Bus, camera: str = "a", seq: int = 0) -> None:
     """Publish an exit now."""
-    bus.put(
+    bus.publish(
         f"event/{camera}",
         Event(camera, "exit", site.now(), 0.9, 0.5, "x", f"live{seq}", 1),
         "event",
@@ -224,7 +224,7 @@ def test_who_sees_somebody_now_is_in_the_list_and_at_the_camera(site: Site, show
     with site.client() as bus:
         shown.go("#/camera/a")
         shown.wait(lambda: shown.count(".scene") > 0, "the camera's panel")
-        bus.put("prediction/a", said, "prediction")
+        bus.publish("prediction/a", said, "prediction")
         shown.wait(
             lambda: "a → c 83 %, in view now" in shown.text(".predictions"),
             "who sees them in the list",
@@ -298,7 +298,7 @@ def test_a_cameras_page_has_its_picture_zones_and_live_events(site: Site, shown:
 
 def test_hostile_text_and_odd_names_stay_text(site: Site, shown: Browser) -> None:
     with site.client() as bus:
-        bus.put(
+        bus.publish(
             f"status/{DOTTED}",
             {"camera": DOTTED, "state": "stalled", "reason": HOSTILE, "t": 0.0},
             "status",

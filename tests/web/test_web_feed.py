@@ -78,9 +78,9 @@ def prediction(camera: str, *probabilities: float) -> Prediction:
 
 def test_versions_are_told_as_changes_and_a_new_epoch_anew() -> None:
     rig = Rig()
-    rig.feed.use(SITE)
-    rig.feed.use(NEWER)
-    rig.feed.use(msgspec.structs.replace(SITE, epoch="02K"))
+    rig.feed.show(SITE)
+    rig.feed.show(NEWER)
+    rig.feed.show(msgspec.structs.replace(SITE, epoch="02K"))
     assert [name for name, _ in rig.hub.told] == ["resync", "map", "resync"]
     (told,) = rig.hub.of("map")
     assert (told["since"], told["version"]) == (1, 2)
@@ -155,7 +155,7 @@ def test_it_says_since_when_and_why_it_is_not_live() -> None:
 
 def test_health_has_every_camera_that_anybody_knows_and_its_reason() -> None:
     with Rig() as rig:
-        rig.feed.use(SITE)
+        rig.feed.show(SITE)
         counted = {"b": {"events": 7, "newest": 990.0, "ahead": None, "alive": True}}
         rig.bus.put(
             "status/daemon", {"state": "running", "cameras": counted, "reject_samples": ["secret"]}
@@ -295,8 +295,8 @@ def test_messages_come_in_order_from_any_thread_to_those_they_are_for() -> None:
         empty = await plain.take(0.01)
 
         def tell() -> None:
-            hub.tell("map", b"1")
-            hub.tell("event", b"2", camera="a", passing=True)
+            hub.send("map", b"1")
+            hub.send("event", b"2", camera="a", passing=True)
 
         threading.Thread(target=tell).start()
         taken = b""

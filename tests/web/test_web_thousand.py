@@ -76,7 +76,7 @@ def test_a_thousand_cameras_are_shown_live(
         browser.wait(lambda: browser.text("#live") == "live · version 1", "the page to be live")
         assert browser.count(".edge") == len(SITE.pairs)
 
-        bus.put(
+        bus.publish(
             f"event/{FROM}",
             Event(FROM, "exit", daemon._clock(), *zone_of(PATH.from_), "x", "b1", 1),
             "event",

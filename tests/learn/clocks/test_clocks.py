@@ -50,13 +50,13 @@ def counted(seed: int, labels: int, bin_seconds: float) -> np.ndarray:
         a.ravel().astype(np.int32) for a in np.meshgrid(np.arange(labels), np.arange(labels))
     )
     left, came = some_events(seed, 150, labels, 7000.0), some_events(seed + 1, 170, labels, 7000.0)
-    return correlograms(left, came, labels, bin_seconds).of(source, target)
+    return correlograms(left, came, labels, bin_seconds).correlograms_of(source, target)
 
 
 @pytest.mark.parametrize("bin_seconds", [1.0, 4.0])
 def test_lags_are_counted_one_by_one(bin_seconds: float) -> None:
     left, came = some_events(5, 60, 2, 3000.0), some_events(6, 50, 2, 3000.0)
-    found = correlograms(left, came, 2, bin_seconds).of(np.array([0, 1]), np.array([1, 1]))
+    found = correlograms(left, came, 2, bin_seconds).correlograms_of(np.array([0, 1]), np.array([1, 1]))
     first = min(left[0][0], came[0][0])
     slow = np.zeros((2, 2 * LAGS + 1))
     for t, zone in zip(*left, strict=True):
@@ -90,7 +90,7 @@ def test_no_more_transforms_are_kept_than_said(monkeypatch: pytest.MonkeyPatch) 
     assert isinstance(seen, correlogram.ByTransform)
     a, b = (ends.ravel() for ends in np.meshgrid(labels, labels))
     for k in correlogram.cache_friendly_order(a, b, seen.at_once):
-        seen.of(a[k : k + 1], b[k : k + 1])
+        seen.correlograms_of(a[k : k + 1], b[k : k + 1])
         assert sum(len(blocks) for blocks in seen._spectra.values()) <= 40
 
 
@@ -106,7 +106,7 @@ def test_beyond_the_limit_the_newest_time_counts(monkeypatch: pytest.MonkeyPatch
     t = np.arange(0.0, 10 * correlogram.BLOCK, 50.0)
     zone = np.zeros(len(t), np.int32)
     monkeypatch.setattr(correlogram, "SPECTRA_MAX", 2)
-    found = correlograms((t, zone), (t, zone), 1, 1.0).of(
+    found = correlograms((t, zone), (t, zone), 1, 1.0).correlograms_of(
         np.zeros(1, np.int32), np.zeros(1, np.int32)
     )
     assert found[0, LAGS] == np.sum(t >= t[-1] - 2 * correlogram.BLOCK)
@@ -389,15 +389,15 @@ def test_the_keeper_looks_when_there_is_enough_new() -> None:
     scene = ring([0.0, 0.0, -25.0, 0.0]).scene()
     events = len(scene.departures.t) + len(scene.arrivals.t)
     keeper = ClockTracker()
-    assert keeper.look(scene, 4, events)
+    assert keeper.update(scene, 4, events)
     first = keeper.clocks
     assert np.flatnonzero(first.offset).tolist() == [2]
-    assert not keeper.look(scene, 4, events + int(0.9 * REFRESH_SHARE * events))
+    assert not keeper.update(scene, 4, events + int(0.9 * REFRESH_SHARE * events))
     assert keeper.clocks is first
-    assert not keeper.look(scene, 4, events + int(1.1 * REFRESH_SHARE * events))
+    assert not keeper.update(scene, 4, events + int(1.1 * REFRESH_SHARE * events))
     assert keeper.clocks is not first
     assert keeper.clocks.offset.tolist() == first.offset.tolist()
-    assert not keeper.look(scene, 5, events)  # a new camera
+    assert not keeper.update(scene, 5, events)  # a new camera
     assert len(keeper.clocks.offset) == 5
 
 

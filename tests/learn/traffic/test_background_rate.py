@@ -119,9 +119,9 @@ def test_chance_equals_its_slow_twin_as_a_table_and_pair_by_pair(
             limits.setattr(module, "TABLE_ZONES_MAX", table_max)
             limits.setattr(module, "PAIRS_AT_ONCE", at_once)
             found = NullRates(*left, *came, 3)
-            assert found.of(source, target) == pytest.approx(slow.ravel())
-            assert found.of(target, source) == pytest.approx(slow.T.ravel())
-            assert len(found.of(source[:0], target[:0])) == 0
+            assert found.rates_of(source, target) == pytest.approx(slow.ravel())
+            assert found.rates_of(target, source) == pytest.approx(slow.T.ravel())
+            assert len(found.rates_of(source[:0], target[:0])) == 0
 
 
 def test_chance_has_no_table_of_many_zones() -> None:
@@ -138,4 +138,4 @@ def test_chance_has_no_table_of_many_zones() -> None:
     )
     assert max(part.size for part in vars(large).values() if part is not None) < 20 * (zones + 1)
     pairs = np.array([0, 1, 2]), np.array([2, 0, zones - 1])
-    assert large.of(*pairs) == pytest.approx(small.of(*pairs))
+    assert large.rates_of(*pairs) == pytest.approx(small.rates_of(*pairs))

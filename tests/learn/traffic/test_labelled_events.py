@@ -55,7 +55,7 @@ def seen(events: list[Event], forget: int = 0) -> tuple[Window, list[ZoneMap], S
     window = Window(10_000)
     window.append([(microseconds(e.t), e) for e in events])
     if forget:
-        window.forget(microseconds(events[forget].t))
+        window.forget_old(microseconds(events[forget].t))
     maps = [find_zones(window.cell_sums(k)) for k in range(len(window.cameras))]
     return window, maps, label_events(window, maps)
 

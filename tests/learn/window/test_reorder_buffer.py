@@ -23,7 +23,7 @@ def event(t: float, camera: str = "a", kind: str = "entry", **rest: object) -> E
 
 
 def out(intake: ReorderBuffer) -> list[Event]:
-    return [event for _, event in intake.take(10**18)]
+    return [event for _, event in intake.take_until(10**18)]
 
 
 # --- numbers of one incarnation ---
@@ -80,7 +80,7 @@ def test_verdicts_and_counts() -> None:
     assert intake.receive(event(94.9, boot="x", seq=2)) == "late"
     assert intake.receive(event(94.9, boot="x", seq=2)) == "duplicate"
     assert intake.counts == {"accepted": 4, "duplicate": 2, "late": 2, "refused": 1}
-    assert intake.held == 4
+    assert intake.held_count == 4
 
 
 def test_an_event_without_a_number_is_never_a_duplicate() -> None:
@@ -117,10 +117,10 @@ def test_take_is_inclusive_and_leaves_the_rest() -> None:
     intake = ReorderBuffer(100.0, 9)
     for t in (3, 1, 2, 2.000001):
         intake.receive(event(t))
-    assert [e.t for _, e in intake.take(microseconds(2))] == [1, 2]
-    assert intake.held == 2
-    assert [t for t, _ in intake.take(microseconds(3))] == [2_000_001, 3_000_000]
-    assert intake.take(10**18) == []
+    assert [e.t for _, e in intake.take_until(microseconds(2))] == [1, 2]
+    assert intake.held_count == 2
+    assert [t for t, _ in intake.take_until(microseconds(3))] == [2_000_001, 3_000_000]
+    assert intake.take_until(10**18) == []
 
 
 @given(st.floats(-1e11, 1e11))

@@ -70,7 +70,7 @@ def test_sums_equal_a_recount(steps: list[tuple[list[Event], int, bool]], events
             remaining = bounded(
                 [(t, e) for t, e in kept if t >= microseconds(now - age)], events_max, seen
             )
-            assert window.forget(microseconds(now - age)) == len(kept) - len(remaining)
+            assert window.forget_old(microseconds(now - age)) == len(kept) - len(remaining)
             kept = remaining
         assert len(window) == len(kept)
         assert window.column("t").tolist() == [t for t, _ in kept]
@@ -95,7 +95,7 @@ def test_what_is_forgotten_leaves_no_trace(steps: list[tuple[list[Event], int, b
     for batch, age, _ in steps:
         now += 5
         window.append(at(now, batch))
-        window.forget(microseconds(now - age))
+        window.forget_old(microseconds(now - age))
         kept = [(t, e) for t, e in kept + at(now, batch) if t >= microseconds(now - age)]
     fresh = Window(1000)
     fresh.append(kept)
@@ -120,7 +120,7 @@ def test_mates(steps: list[tuple[list[Event], int, bool]]) -> None:
         now += 5
         window.append(at(now, batch))
         events += batch
-        window.forget(microseconds(now - age))
+        window.forget_old(microseconds(now - age))
     base = len(events) - len(window)
     assert window.base == base
     found = window.column("mate").tolist()
@@ -144,19 +144,19 @@ def test_columns_grow_and_are_reused() -> None:
     window, one = Window(10_000), Event("a", "entry", 0.0, 0.5, 0.5)
     for k in range(200):
         window.append(at(k, [one] * 100))
-        window.forget(microseconds(k - 4))
+        window.forget_old(microseconds(k - 4))
         assert len(window) == min(k + 1, 5) * 100
     assert len(window.column("t").base) <= 4096  # type: ignore[arg-type]
     assert window.base == 19_500
     assert window.count_with_position(0) == 500
     window.append([])
-    assert window.forget(0) == 0
+    assert window.forget_old(0) == 0
 
 
 def test_at_most_so_many_events() -> None:
     window = Window(7)
     window.append(at(1, [Event("a", "entry", 1)] * 20))
-    assert window.forget(0) == 13
+    assert window.forget_old(0) == 13
     assert len(window) == 7
     assert window.unplaced[0].tolist() == [7, 0]
     assert window.camera_index("b") is None
@@ -170,7 +170,7 @@ def test_at_most_so_many_of_each_camera_if_that_is_more() -> None:
             window.append(
                 at(now, [Event(f"c{(k + c) % cameras}", "entry", now) for c in range(cameras)])
             )
-            window.forget(0)
+            window.forget_old(0)
         assert window.events_max == len(window) == held
     for most, held in ((1000, 18), (10, 10)):
         again = Window(most, 7, 3)
@@ -186,7 +186,7 @@ def test_rows_of_cameras_are_where_their_events_are(
     for batch, age, turned in steps:
         now += 5
         window.append(at(now, batch))
-        window.forget(microseconds(now - age))
+        window.forget_old(microseconds(now - age))
         if turned and window.cameras:
             window.forget_camera(0, window.base + len(window) // 2)
         camera = window.column("camera").tolist()
@@ -213,7 +213,7 @@ def test_a_camera_that_floods_displaces_only_itself() -> None:
     for first in range(0, 20_000, 500):
         batch = [row for row in quiet + flood if first <= row[0] < first + 500]
         window.append(sorted(batch, key=lambda row: row[0]))
-        window.forget(0)
+        window.forget_old(0)
     assert len(window) == 1000
     placed = {
         name: int(sums[0].sum()) for name, sums in zip(window.cameras, window.sums, strict=True)
@@ -229,7 +229,7 @@ def test_two_busy_cameras_and_a_busy_one_of_two_are_no_flood() -> None:
         chance = np.random.default_rng(1)
         chosen = chance.choice(list(names), 2000, p=share)
         window.append([(k, Event(str(name), "entry", k)) for k, name in enumerate(chosen)])
-        window.forget(0)
+        window.forget_old(0)
         assert window.column("t").tolist() == list(range(1500, 2000))
 
 
@@ -239,7 +239,7 @@ def test_passages_whose_entry_is_forgotten_are_no_longer_open(turned: bool) -> N
     for t in range(50):
         window.append(at(t, [Event(camera, "entry", t, 0.5, 0.5, str(t)) for camera in "ab"]))
         window.append(at(t, [Event("a", "entry", t, 0.5, 0.5, "again")]))
-        window.forget(microseconds(t - 10))
+        window.forget_old(microseconds(t - 10))
         if turned and t == 25:
             window.forget_camera(0, window.base + len(window) - 4)
     passages = window.save().open

@@ -91,7 +91,7 @@ def test_window_forgets_one_camera_and_keeps_the_passages_of_the_others() -> Non
             str(rng.integers(3)),
         )
         window.append([(k, Event(camera, kind, float(k), *rng.random(2), track=track))])
-    window.forget(3)
+    window.forget_old(3)
     t, camera, mate, base = (
         *(window.column(c).copy() for c in ("t", "camera", "mate")),
         window.base,
