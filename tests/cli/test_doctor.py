@@ -221,10 +221,10 @@ class _Blind(contextlib.AbstractContextManager["_Blind"]):
 
     endpoint, site = "tls/hub:7447", "hq"
 
-    def present(self, role: str) -> list[str]:
+    def list_alive(self, role: str) -> list[str]:
         return []
 
-    def ask(self, key: str) -> list[tuple[str, bytes]]:
+    def query(self, key: str) -> list[tuple[str, bytes]]:
         return []
 
     def __exit__(self, *_: object) -> None:

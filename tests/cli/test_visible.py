@@ -139,7 +139,9 @@ def hostile_site(folder: Path) -> Iterator[tuple[Bus, Daemon]]:
         Daemon(small_config(folder / "state")) as daemon,
         contextlib.closing(buses.dial(small_config(folder, daemon.endpoint))) as bus,
     ):
-        bus.answer_queries("status/cam1", lambda key, parameters: {"state": said, "reason": said}, "status")
+        bus.answer_queries(
+            "status/cam1", lambda key, parameters: {"state": said, "reason": said}, "status"
+        )
         bus.answer_queries(
             "status/x\nFORGED", lambda key, parameters: {"state": said, said: said}, "status"
         )

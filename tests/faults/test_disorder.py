@@ -51,10 +51,10 @@ class Shelf:
         self.entries += entries
         self._numbers |= {(entry.camera, entry.boot, entry.seq): entry for entry in entries}
 
-    def numbered(self, camera: str, boot: str, seq: int) -> Any:
+    def find_entry(self, camera: str, boot: str, seq: int) -> Any:
         return self._numbers.get((camera, boot, seq))
 
-    def usual_stamp(self) -> float | None:
+    def median_stored_time(self) -> float | None:
         return None
 
     def prune(self, now: float) -> None:
@@ -67,7 +67,7 @@ class Line:
     def __init__(self) -> None:
         self.acks: dict[str, int] = {}
 
-    def put(self, key: str, ack: Ack, schema: str) -> None:
+    def publish(self, key: str, ack: Ack, schema: str) -> None:
         self.acks[ack.camera] = ack.seq
 
 

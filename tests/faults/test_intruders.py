@@ -767,7 +767,8 @@ def test_an_authenticated_site_works_as_one_without(
         "a prediction",
     )
     wait_for(
-        lambda: "status/daemon" in [key for key, _ in reader.query("status/*")], "the daemon's status"
+        lambda: "status/daemon" in [key for key, _ in reader.query("status/*")],
+        "the daemon's status",
     )
 
 

@@ -256,7 +256,9 @@ def poison(one: Poisoner, count: int, seed: int) -> str:
     assert said.total() if isinstance(said, Counter) else sum(said.values()) >= events
     assert all(1 <= len(kept) <= 3 for kept in status["reject_samples"].values())
     assert len(one.spool) == 100
-    one.bus.publish("event/a", Event("a", "exit", T0 + 11 * serving.SPAN_SECONDS, 0.9, 0.5), "event")
+    one.bus.publish(
+        "event/a", Event("a", "exit", T0 + 11 * serving.SPAN_SECONDS, 0.9, 0.5), "event"
+    )
     wait_for(lambda: one.state()["stored"] == before["stored"] + 1, "the next good event")
     one.elsewhere.publish("ack/lobby", Ack("lobby", "b1", 40), "ack")
     wait_for(lambda: len(one.spool) == 60, "the next good ack")

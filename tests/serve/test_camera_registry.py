@@ -145,7 +145,9 @@ def test_a_camera_that_two_programs_publish_is_named_for_a_while() -> None:
             cameras.is_future(
                 Event(camera, "entry", T0 + n, boot=boot, seq=n), T0 + n, float(n), True
             )
-    assert "two programs at the same time publish camera a:" in cameras.double_publishers_reason(8.0)
+    assert "two programs at the same time publish camera a:" in cameras.double_publishers_reason(
+        8.0
+    )
     assert cameras.double_publishers_reason(8.0 + DOUBLED_SECONDS) == ""
 
 
@@ -295,7 +297,9 @@ def test_an_event_a_little_ahead_of_a_clock_that_jumped_forward_waits() -> None:
 def test_why_what_comes_is_not_learned() -> None:
     cameras = admitted("a")
     assert cameras.clock_reason(0.0, T0) == cameras.clock_reason(T0 + 60, T0) == ""
-    assert "event time is 3600 s ahead of this machine's clock" in cameras.clock_reason(T0 + 3600, T0)
+    assert "event time is 3600 s ahead of this machine's clock" in cameras.clock_reason(
+        T0 + 3600, T0
+    )
     for now, step in ((0.0, 0.0), (1.0, 30.0)):
         cameras.release_due([], T0 + step + now, now)
     assert cameras.clock_reason(T0, T0 + 31) == "", "nothing is set aside"
@@ -356,7 +360,7 @@ def test_whoever_makes_up_the_time_makes_it_up_for_all() -> None:
 class Nowhere:
     """A bus without clients."""
 
-    def put(self, key: str, noun: Any, schema: str) -> None:
+    def publish(self, key: str, noun: Any, schema: str) -> None:
         """Discard the message."""
 
 
@@ -440,7 +444,9 @@ def test_learning_goes_on_after_a_jump_forward_and_a_replay_learns_the_same(tmp_
 
 def test_a_camera_has_so_many_events_a_second_and_no_more() -> None:
     cameras = admitted("a", "b", camera_events_per_second_max=3)
-    assert [cameras.count_event(at("a", T0 + 0.1 * n)) for n in range(5)] == [True] * 3 + [False] * 2
+    assert [cameras.count_event(at("a", T0 + 0.1 * n)) for n in range(5)] == [True] * 3 + [
+        False
+    ] * 2
     assert cameras.count_event(at("b", T0))
     assert cameras.count_event(at("a", T0 + 1))
     for second in range(FLOOD_SECONDS_KEPT + 10):
@@ -624,7 +630,7 @@ class Watched:
     def watch_alive(self, role: str, on_change: Any) -> None:
         self.on_change = on_change
 
-    def appear(self, role: str, name: str) -> None:
+    def announce(self, role: str, name: str) -> None:
         """Do nothing."""
 
 

@@ -282,7 +282,9 @@ def asked_again(bus: Bus, daemon: Daemon, t: float) -> None:
     """Predict again for an object that left a at ``t``, and usually appears at b or c 9 s later."""
 
     def said(**parameters: object) -> Prediction:
-        return codec.read(Prediction, bus.query("predict/a", {"t": t, **parameters})[0][1], pack=True)
+        return codec.read(
+            Prediction, bus.query("predict/a", {"t": t, **parameters})[0][1], pack=True
+        )
 
     def at(prediction: Prediction, camera: str) -> float:
         return sum(
@@ -754,7 +756,7 @@ class Answering:
     def watch_alive(self, role: str, on_change: Any) -> None:
         self.on_daemon = on_change
 
-    def ask(self, key: str, one: bool = False) -> list[tuple[str, bytes]]:
+    def query(self, key: str, one: bool = False) -> list[tuple[str, bytes]]:
         answer = self._versions.pop(0)
         if self._versions:
             self.on_daemon("daemon", True)
@@ -785,7 +787,7 @@ def test_a_view_whose_delta_was_lost_fetches_the_whole_when_the_status_names_a_n
     bus.kept[2] = versions[1]
 
     def told_and_updated() -> bool:
-        bus.put("status/daemon", {"epoch": "01A", "version": 2, "state": "running"})
+        bus.publish("status/daemon", {"epoch": "01A", "version": 2, "state": "running"})
         return view.update() == versions[1]
 
     assert not told_and_updated(), "the delta may still come"

@@ -197,7 +197,9 @@ def test_with_certificates_the_cameras_are_asked_all_the_same(tmp_path: Path) ->
         )
         for camera in ("lobby", "hall"):
             bus = stack.enter_context(buses.dial(of(keys / "camera" / camera, "connect")))
-            bus.answer_queries(f"status/{camera}", lambda key, parameters: {"state": "running"}, "status")
+            bus.answer_queries(
+                f"status/{camera}", lambda key, parameters: {"state": "running"}, "status"
+            )
             bus.answer_queries(
                 "status/yard", lambda key, parameters: {"state": "running"}, "status"
             )  # not its own

@@ -40,7 +40,7 @@ class Acks:
     def __init__(self) -> None:
         self.seen: list[Ack] = []
 
-    def put(self, key: str, noun: Any, schema: str) -> None:
+    def publish(self, key: str, noun: Any, schema: str) -> None:
         if schema == "ack":
             self.seen.append(noun)
 
@@ -110,7 +110,7 @@ class Mouth:
     def say(self, *events: Event) -> None:
         self._said.put([*events])
 
-    def take(self, wait: bool = True) -> list[tuple[str, bytes]] | None:
+    def receive(self, wait: bool = True) -> list[tuple[str, bytes]] | None:
         try:
             events = None if self._over else self._said.get(block=wait)
         except queue.Empty:

@@ -60,14 +60,14 @@ class FakeBus:
         self.keys.append(key)
         return lambda: self.keys.remove(key)
 
-    def present(self, role: str) -> list[str]:
+    def list_alive(self, role: str) -> list[str]:
         return self.there
 
     def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
         for name in self.there:
             on_change(name, True)
 
-    def appear(self, role: str, name: str) -> None:
+    def announce(self, role: str, name: str) -> None:
         self.there.append(name)
 
 

@@ -27,7 +27,7 @@ class OneBus:
     def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
         on_change("daemon", True)
 
-    def ask(
+    def query(
         self, key: str, parameters: dict[str, Any] | None = None, one: bool = False
     ) -> list[tuple[str, bytes]]:
         self.asked.append((key, parameters))
@@ -38,7 +38,7 @@ class OneBus:
             raise QueryError("not kept")
         return [(key, codec.to_msgpack(self.kept[wanted]))]
 
-    def put(self, key: str, noun: object) -> None:
+    def publish(self, key: str, noun: object) -> None:
         pattern = key.split("/")[0] + "/*"
         for receive in [*self.subscribed.get(key, []), *self.subscribed.get(pattern, [])]:
             receive(key, codec.to_msgpack(noun))

@@ -39,11 +39,11 @@ class Shown:
     def publish(self, topology: Topology) -> None:
         """Publish a new version; the page's server fetches it as a whole."""
         self.bus.kept[topology.version] = topology
-        self.bus.put("topology/delta", "not a delta")
+        self.bus.publish("topology/delta", "not a delta")
 
     def status(self, **cameras: dict[str, Any]) -> None:
         """Publish the status of the daemon and its cameras."""
-        self.bus.put("status/daemon", {"state": "running", "reason": "", "cameras": cameras})
+        self.bus.publish("status/daemon", {"state": "running", "reason": "", "cameras": cameras})
 
 
 def opened(browser: Browser, shown: Shown, place: str = "#/map") -> None:

@@ -194,7 +194,9 @@ def test_large_pictures_are_scaled_down() -> None:
     watcher = ViewPipeline("cam", VisionSettings(working_width=96))
     scene, events = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), tall=0.3)]), []
     for k in range(round(18 * FPS)):
-        events += watcher.process(k / FPS, scene.picture(k / FPS).repeat(2, axis=0).repeat(2, axis=1))
+        events += watcher.process(
+            k / FPS, scene.picture(k / FPS).repeat(2, axis=0).repeat(2, axis=1)
+        )
     assert passages(events + watcher.finish()) == [("entry", "left"), ("exit", "right")]
     assert (WIDTH, HEIGHT) == (192, 144)
 

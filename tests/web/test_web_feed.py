@@ -29,7 +29,7 @@ class Heard(PageQueues):
         super().__init__()
         self.told: list[tuple[str, Any]] = []
 
-    def tell(
+    def send(
         self, name: str, content: bytes, camera: str | None = None, passing: bool = False
     ) -> None:
         self.told.append((name, json.loads(content)))
@@ -91,12 +91,12 @@ def test_versions_are_told_as_changes_and_a_new_epoch_anew() -> None:
 def test_predictions_are_told_without_who_it_was_and_so_many_a_second() -> None:
     with Rig() as rig:
         for _ in range(feed.PREDICTIONS_PER_SECOND_MAX + 10):
-            rig.bus.put("prediction/a", prediction("a", 0.4, 0.2, 0.1, 0.05))
-        rig.bus.put("prediction/a", {"not": "one"})
-        rig.bus.put("status/a", {"state": "stalled"})
+            rig.bus.publish("prediction/a", prediction("a", 0.4, 0.2, 0.1, 0.05))
+        rig.bus.publish("prediction/a", {"not": "one"})
+        rig.bus.publish("status/a", {"state": "stalled"})
         wait_for(lambda: bool(rig.hub.of("health")), "what came behind them")
         rig.now += 1
-        rig.bus.put("prediction/b", prediction("b", 0.5))
+        rig.bus.publish("prediction/b", prediction("b", 0.5))
         wait_for(
             lambda: any(one["camera"] == "b" for one in rig.hub.of("prediction")),
             "the next second's",
@@ -117,7 +117,9 @@ def test_who_sees_somebody_now_is_told_by_camera_and_not_by_track() -> None:
         InView("b", "too", 5.0, 0.25),
     ]
     with Rig() as rig:
-        rig.bus.put("prediction/a", msgspec.structs.replace(prediction("a", 0.4), in_view=in_view))
+        rig.bus.publish(
+            "prediction/a", msgspec.structs.replace(prediction("a", 0.4), in_view=in_view)
+        )
         wait_for(lambda: bool(rig.hub.of("prediction")), "the prediction")
         (told,) = rig.hub.of("prediction")
     assert told["now"] == [{"camera": "b", "probability": 0.75}]
@@ -129,7 +131,7 @@ def test_events_are_passed_on_while_somebody_watches_without_who_it_was() -> Non
     with Rig() as rig, rig.feed.watching("a"):
         with rig.feed.watching("a"):
             assert len(rig.bus.subscribed["event/a"]) == 1, "two pages, one subscription"
-        rig.bus.put("event/a", event)
+        rig.bus.publish("event/a", event)
         wait_for(lambda: bool(rig.hub.of("event")), "the event")
     assert rig.hub.of("event") == [{"camera": "a", "kind": "exit", "t": 5.0, "x": 0.1, "y": 0.2}]
     assert rig.bus.subscribed["event/a"] == []
@@ -137,7 +139,7 @@ def test_events_are_passed_on_while_somebody_watches_without_who_it_was() -> Non
 
 def test_it_says_since_when_and_why_it_is_not_live() -> None:
     with Rig() as rig:
-        rig.bus.put("status/daemon", {"state": "running"})
+        rig.bus.publish("status/daemon", {"state": "running"})
         wait_for(lambda: [one["live"] for one in rig.hub.of("live")][-1:] == [True], "live")
         rig.now += feed.SILENT_STATUSES + 1
         wait_for(lambda: len(rig.hub.of("live")) == 2, "not live")
@@ -145,7 +147,7 @@ def test_it_says_since_when_and_why_it_is_not_live() -> None:
         rig.bus.connected = False
         wait_for(lambda: len(rig.hub.of("live")) == 3, "another reason")
         rig.bus.connected = True
-        rig.bus.put("status/daemon", {"state": "running"})
+        rig.bus.publish("status/daemon", {"state": "running"})
         wait_for(lambda: rig.hub.of("live")[-1]["live"] is True, "live again")
     silent, away = rig.hub.of("live")[1:3]
     assert "no status from" in silent["reason"]
@@ -157,15 +159,15 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason() -> None:
     with Rig() as rig:
         rig.feed.show(SITE)
         counted = {"b": {"events": 7, "newest": 990.0, "ahead": None, "alive": True}}
-        rig.bus.put(
+        rig.bus.publish(
             "status/daemon", {"state": "running", "cameras": counted, "reject_samples": ["secret"]}
         )
-        rig.bus.put("status/no name", {"state": "stalled"})
-        rig.bus.put("status/c", ["not", "a", "status"])
-        rig.bus.put("status/a", {"state": "stalled", "reason": "no frame"})
+        rig.bus.publish("status/no name", {"state": "stalled"})
+        rig.bus.publish("status/c", ["not", "a", "status"])
+        rig.bus.publish("status/a", {"state": "stalled", "reason": "no frame"})
         wait_for(lambda: len(rig.hub.of("health")) == 1, "the change")
-        rig.bus.put("status/a", {"state": "stalled", "reason": "no frame", "events": 3})
-        rig.bus.put("status/a", {"state": "running", "reason": ""})
+        rig.bus.publish("status/a", {"state": "stalled", "reason": "no frame", "events": 3})
+        rig.bus.publish("status/a", {"state": "running", "reason": ""})
         wait_for(lambda: len(rig.hub.of("health")) == 2, "the next change, not what stayed")
         health = rig.feed.health()
     rows = {row["id"]: row for row in health["cameras"]}
@@ -185,9 +187,9 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason() -> None:
 
 def test_a_page_that_has_just_begun_does_not_blame_a_daemon_it_has_given_no_time() -> None:
     with Rig() as rig:
-        rig.bus.put("status/a", {"state": "running"})
+        rig.bus.publish("status/a", {"state": "running"})
         wait_for(lambda: bool(rig.hub.of("health")), "the first look")
-        rig.bus.put("status/a", {"state": "stalled"})
+        rig.bus.publish("status/a", {"state": "stalled"})
         wait_for(lambda: len(rig.hub.of("health")) == 2, "the next look")
         assert rig.hub.of("live") == []
         rig.now += feed.SILENT_STATUSES + 1
@@ -205,13 +207,13 @@ def test_a_grabber_that_says_nothing_more_is_silent_whatever_it_said_last() -> N
         return [(one["id"], one["state"]) for one in rig.hub.of("health")]
 
     with Rig() as rig:
-        rig.bus.put("status/a", {"state": "running", "reason": ""})
-        rig.bus.put("status/film", {"state": "ended", "reason": "the file is at its end"})
+        rig.bus.publish("status/a", {"state": "running", "reason": ""})
+        rig.bus.publish("status/film", {"state": "ended", "reason": "the file is at its end"})
         wait_for(lambda: len(told()) == 2, "both")
         rig.now += feed.SILENT_STATUSES + 1
         wait_for(lambda: len(told()) == 3, "the silence")
         rows = {row["id"]: row for row in rig.feed.health()["cameras"]}
-        rig.bus.put("status/a", {"state": "running", "reason": ""})
+        rig.bus.publish("status/a", {"state": "running", "reason": ""})
         wait_for(lambda: len(told()) == 4, "that it speaks again")
     assert told()[2:] == [("a", "silent"), ("a", "running")]
     assert (rows["a"]["state"], rows["film"]["state"]) == ("silent", "ended"), (
@@ -222,8 +224,8 @@ def test_a_grabber_that_says_nothing_more_is_silent_whatever_it_said_last() -> N
 
 def test_nobody_is_silent_while_the_bus_is_not_reached() -> None:
     with Rig() as rig:
-        rig.bus.put("status/daemon", {"state": "running"})
-        rig.bus.put("status/a", {"state": "running", "reason": ""})
+        rig.bus.publish("status/daemon", {"state": "running"})
+        rig.bus.publish("status/a", {"state": "running", "reason": ""})
         wait_for(lambda: bool(rig.hub.of("health")), "its word")
         rig.bus.connected = False
         rig.now += 100
@@ -238,11 +240,11 @@ def test_nobody_is_silent_while_the_bus_is_not_reached() -> None:
 
 def test_a_status_of_odd_types_ends_nothing() -> None:
     with Rig() as rig:
-        rig.bus.put(
+        rig.bus.publish(
             "status/a",
             {"state": ["x"], "reason": {"a": 1}, "restarts": msgspec.msgpack.Ext(5, b"x")},
         )
-        rig.bus.put("status/b", {"state": "running"})
+        rig.bus.publish("status/b", {"state": "running"})
         wait_for(lambda: len(rig.hub.of("health")) == 2, "what came behind it")
         assert len(rig.feed.health()["cameras"]) == 2
 

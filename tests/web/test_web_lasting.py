@@ -89,7 +89,7 @@ def test_a_cameras_page_follows_the_versions_and_keeps_its_events(browser: Brows
     with shown.serving():
         opened(browser, shown, f"#/camera/{FIRST}")
         browser.wait(lambda: bool(shown.bus.subscribed.get(f"event/{FIRST}")), "the page to watch")
-        shown.bus.put(f"event/{FIRST}", Event(FIRST, "exit", time.time(), 0.5, 0.5))
+        shown.bus.publish(f"event/{FIRST}", Event(FIRST, "exit", time.time(), 0.5, 0.5))
         browser.wait(lambda: browser.count(".event.exit") == 1, "the event")
         zones = [msgspec.structs.replace(zone, entries=777_777) for zone in SITE.zones]
         shown.publish(newer(2, zones=zones))
@@ -152,8 +152,8 @@ def test_cameras_that_need_attention_are_marked_on_a_map_that_comes_later(browse
     shown = Shown()
     with shown.serving():
         opened(browser, shown)
-        shown.bus.put(f"status/{FIRST}", {"state": "stalled", "reason": "no frame"})
-        shown.bus.put(
+        shown.bus.publish(f"status/{FIRST}", {"state": "stalled", "reason": "no frame"})
+        shown.bus.publish(
             f"status/{SITE.cameras[1].id}", {"state": "ended", "reason": "the file is at its end"}
         )
         shown.publish(SITE)
@@ -171,7 +171,7 @@ def test_when_a_camera_was_heard_is_as_of_now(browser: Browser) -> None:
     shown = Shown(SITE)
     with shown.serving():
         shown.status(**{FIRST: {"events": 1, "newest": time.time() - 7200}})
-        shown.bus.put(f"status/{FIRST}", {"state": "running", "reason": ""})
+        shown.bus.publish(f"status/{FIRST}", {"state": "running", "reason": ""})
         browser.open(shown.address)
         browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
         shown.status(**{FIRST: {"events": 2, "newest": time.time() - 1200}})
@@ -181,7 +181,7 @@ def test_when_a_camera_was_heard_is_as_of_now(browser: Browser) -> None:
             "what the daemon knows now",
         )
         browser.wait(lambda: bool(shown.bus.subscribed.get(f"event/{FIRST}")), "the page to watch")
-        shown.bus.put(f"event/{FIRST}", Event(FIRST, "exit", time.time(), 0.5, 0.5))
+        shown.bus.publish(f"event/{FIRST}", Event(FIRST, "exit", time.time(), 0.5, 0.5))
         browser.wait(lambda: seconds_ago(browser) is not None, "the event to count")
         first = seconds_ago(browser) or 0
         browser.wait(lambda: (seconds_ago(browser) or 0) > first, "its age to grow")

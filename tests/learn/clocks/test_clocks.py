@@ -56,7 +56,9 @@ def counted(seed: int, labels: int, bin_seconds: float) -> np.ndarray:
 @pytest.mark.parametrize("bin_seconds", [1.0, 4.0])
 def test_lags_are_counted_one_by_one(bin_seconds: float) -> None:
     left, came = some_events(5, 60, 2, 3000.0), some_events(6, 50, 2, 3000.0)
-    found = correlograms(left, came, 2, bin_seconds).correlograms_of(np.array([0, 1]), np.array([1, 1]))
+    found = correlograms(left, came, 2, bin_seconds).correlograms_of(
+        np.array([0, 1]), np.array([1, 1])
+    )
     first = min(left[0][0], came[0][0])
     slow = np.zeros((2, 2 * LAGS + 1))
     for t, zone in zip(*left, strict=True):
