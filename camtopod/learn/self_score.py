@@ -60,8 +60,7 @@ class Scores(NamedTuple):
     followed: float
     """Probability, by the later fit, that the object appeared again."""
     top1: float
-    """Probability, by the later fit, that it appeared at the camera that was predicted as likeliest.
-    """
+    """Probability, by the later fit, that it appeared at the likeliest predicted camera."""
     top3: float
     """Probability, by the later fit, that it appeared at one of the three likeliest ones."""
     loss: float

@@ -1,9 +1,11 @@
 """Predict where and when an object that leaves a zone appears next, by one topology version.
 
-Reading order: `predictor` (events in, predictions out), `odds` (the outcomes of an exit, weighted
-by what has been seen), `hazards`, `contexts`, `speed` and `time_windows` (what the version knows),
-`recent_events` and `open_passages` (what has been observed), `zone_lookup` (zones of events), and
-`hand_over` (which other cameras see the object at the exit).
+Reading order: `predictor` takes events and returns predictions. `odds` computes the odds of the
+possible next zones after an exit, from the version and from the observed arrivals. `hazards`,
+`contexts`, `speed` and `time_windows` read the version: rates of appearing by lag, the effect of an
+exit's context, and time windows for an object of some speed. `recent_events` and `open_passages`
+store the observed events. `zone_lookup` finds the zone of an event, and `hand_over` the other
+cameras that see the object at the exit.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""The effect of an exit's context on where the object goes, read off a topology version.
+"""The effect of an exit's context on where the object appears next.
 
-A context is what is known of an exit beside its zone: zone of entry, block of the image, and camera
-before. `camtopod.learn.next_camera.contexts` learns them.
+The *context* of an exit is what is known beside its zone: the zone where the object entered the
+view, the block of the image where it left, and the camera where it was before. The topology version
+has counts of departures and transitions by context, which `camtopod.learn.next_camera.contexts` has
+learned. `ContextMultipliers.multipliers` turns them into factors on the odds of each next zone.
 """
 
 from __future__ import annotations
@@ -17,13 +19,13 @@ from camtopod.records import Context, Topology
 from camtopod.topology import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 
 Key = tuple[int | None, int | None, str | None]
-"""A context of a zone: zone of entry, block and camera before; None where any."""
+"""A context: zone of entry, block of the image and camera before; None for parts that it lacks."""
 
 
 class ContextMultipliers:
-    """Contexts by zone index (the order of ``topology.zones``).
+    """The contexts of a topology version; zones are indices into ``topology.zones``.
 
-    There are thousands, so their counts are kept in columns.
+    There are thousands of contexts, so their counts are stored as columns.
     """
 
     def __init__(self, topology: Topology) -> None:
@@ -36,8 +38,8 @@ class ContextMultipliers:
             "d", [max(row.departures - sum(row.to.values()), 0.0) for row in rows]
         )
 
-        # Transitions of all contexts one after the other; those of context k end at `_end[k + 1]`.
-        # Zones that this version does not have get the number behind the last zone.
+        # Transitions of all contexts one after the other; those of context k begin at `_end[k]`.
+        # Zones that this version does not have get the number after the last zone.
         self._end = array("l", itertools.accumulate((len(row.to) for row in rows), initial=0))
         self._to = np.array([index.get(to, len(index)) for row in rows for to in row.to], np.int32)
         self._transitions = np.array([number for row in rows for number in row.to.values()])
@@ -59,12 +61,17 @@ class ContextMultipliers:
         previous: str | None,
         sure: float,
     ) -> tuple[Floats, float]:
-        """Return by how much a context raises each target's odds, and the probability of leaving.
+        """Return the factor on each target's odds by an exit's context, and the odds of leaving.
 
-        The multipliers (targets,) are relative to a departure of which only the zone is known.
-
+        zone: zone of the exit.
+        outcomes: its targets, and shares without context.
+        block, entry: block of the image where the object left, and its zone of entry; None if
+            unknown.
         previous: camera where the object probably was before; None if unknown.
         sure: probability that ``previous`` is right.
+
+        The factors (targets,) are relative to an exit of which only the zone is known. The second
+        result is the share of such exits after which objects leave the site.
         """
         numbers = self._numbers.get(zone)
         if numbers is None:
@@ -81,7 +88,7 @@ class ContextMultipliers:
         if previous is not None:
             keys.append(((None, None, previous), min(sure, 1.0)))
 
-        # Each backs off to what is expected without it. Contexts without departures say nothing.
+        # Each context backs off to the coarser ones before it; unknown contexts change nothing.
         targets = np.array(outcomes.targets)
         share, leave = outcomes.share, outcomes.leave
         for key, probability in keys:
@@ -101,7 +108,10 @@ class ContextMultipliers:
         return limited, max(leave, LEAVE_FLOOR)
 
     def _transitions_to(self, number: int, targets: Longs) -> Floats:
-        """Return the number of transitions (targets,) to each target in a context."""
+        """Return the number of transitions to each target in a context, (targets,).
+
+        number: number of the context.
+        """
         of_context = slice(self._end[number], self._end[number + 1])
         by_zone = np.zeros(self._zones + 1)
         by_zone[self._to[of_context]] = self._transitions[of_context]

@@ -1,9 +1,11 @@
-"""Hand-over: the open passages in other views that may be of the object that is leaving one.
+"""Hand-over: which open passages in other views may be of the object that leaves a view.
 
-At most one of the open passages in an overlapping view is of the same object. Each is weighted by
-its offset, the seconds by which it began later than the passage that ends: the rate of passages of
-the same object at that offset over the rate of passages of others. Topology versions carry both
-(`camtopod.records.Overlap`).
+A passage is *open* while its object is in the view. At most one of the open passages in an
+overlapping view is of the object that leaves. Each is weighted by its *offset*, the seconds by
+which it began later than the passage that ends: the rate of passages of the same object at that
+offset over the rate of passages of other objects. A topology version has both rates
+(`camtopod.records.Overlap`). `HandOver.in_view` finds the passages, `cameras_to_watch` the cameras
+to look at.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from camtopod.records import InView, Look, NextCamera, Topology
 from camtopod.topology import LAG_SCALE_SECONDS, LAG_STEP, STEPS, masses_on_bins, offset_bins
 
 SHARE_MAX = 0.98
-"""Largest probability that another camera sees the object, before its open passages are known."""
+"""Largest prior probability that another camera sees the object at the exit."""
 PROBABILITY_MIN = 1e-3
 """Least probability of passages and cameras that are reported."""
 SEEN_NOW_MIN = 0.3
@@ -28,13 +30,17 @@ RATE_MIN = 1e-9
 
 
 class _Overlap(NamedTuple):
-    """A view that overlaps the one that is left."""
+    """A view that overlaps the view of another camera."""
 
     camera: str
+    """Name of its camera."""
     share: float
-    """Probability that its camera sees the object at the exit."""
+    """Prior probability that it sees an object that leaves the other view."""
     odds: list[float]
-    """(bins + 1,) rate of the same object over the rate of others, by offset; 0 beyond the bins."""
+    """(bins + 1,) rate of passages of the same object over that of others, by bin of the offset.
+
+    The last element is 0, for offsets without a bin.
+    """
 
 
 class HandOver:
@@ -59,7 +65,7 @@ class HandOver:
             )
 
     def overlaps(self, camera: str) -> bool:
-        """Return True if any view overlaps the camera's."""
+        """Return True if any view overlaps that of the camera."""
         return camera in self._from
 
     def in_view(
@@ -67,15 +73,17 @@ class HandOver:
     ) -> list[InView]:
         """Return the open passages that may be of the object whose passage ends, likeliest first.
 
-        t: corrected time of the exit, seconds.
-        offsets: clock offset of each camera, seconds.
+        passage: the passage that ends.
+        t (seconds): corrected time of its exit.
+        open_passages: the open passages of all cameras.
+        offsets (seconds): clock offset by camera.
         """
         found: list[InView] = []
         for camera, share, odds in self._from.get(passage.camera, ()):
             offset = offsets.get(camera, 0.0)
             tracks = open_passages.open_at(camera, t, t + offset)
 
-            # Odds of each against all others and against none.
+            # Odds of each open passage against all others and against none of them.
             weights = [odds[self._bins.bin_of(other.t - passage.t)] for _, other in tracks]
             total = 1.0 - share + sum(weights)
             for (track, other), weight in zip(tracks, weights, strict=True):
@@ -85,9 +93,13 @@ class HandOver:
 
 
 def cameras_to_watch(in_view: Iterable[InView], following: Iterable[NextCamera]) -> list[Look]:
-    """Return the cameras by the probability that they see the object now or are the next to see it.
+    """Return the cameras that see the object now, or are the next to see it, likeliest first.
 
-    The latter counts only if no camera sees it now. Views are taken as independent of each other.
+    in_view: open passages that may be of the object.
+    following: the cameras where it appears next, with probabilities.
+
+    The next camera counts only if no camera sees the object now. Views are taken as independent of
+    each other.
     """
     # Cameras that see the object now.
     now = sum_by_camera((one.camera, one.probability) for one in in_view)
@@ -95,7 +107,7 @@ def cameras_to_watch(in_view: Iterable[InView], following: Iterable[NextCamera])
     for probability in now.values():
         unseen *= 1.0 - min(probability, 1.0)
 
-    # Cameras where it appears next, if none sees it now.
+    # Cameras where the object appears next, if no camera sees it now.
     following_unseen = ((one.camera, unseen * one.probability) for one in following)
     seen = sum_by_camera([*now.items(), *following_unseen])
     looks = [Look(camera, min(p, 1.0)) for camera, p in seen.items() if p >= PROBABILITY_MIN]
@@ -103,9 +115,9 @@ def cameras_to_watch(in_view: Iterable[InView], following: Iterable[NextCamera])
 
 
 def seen_now(in_view: Iterable[InView]) -> list[Look]:
-    """Return the cameras that probably see the object now, the most probable first.
+    """Return the cameras that probably see the object now, likeliest first.
 
-    The probabilities of a camera's open passages are added.
+    in_view: open passages that may be of the object; those of one camera are added up.
     """
     now = sum_by_camera((one.camera, one.probability) for one in in_view)
     likely = [Look(camera, min(p, 1.0)) for camera, p in now.items() if p >= SEEN_NOW_MIN]
@@ -113,7 +125,7 @@ def seen_now(in_view: Iterable[InView]) -> list[Look]:
 
 
 def sum_by_camera(shares: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """Return the sum of each camera's probabilities."""
+    """Return the sum of probabilities by camera, from (camera, probability)."""
     total: dict[str, float] = {}
     for camera, probability in shares:
         total[camera] = total.get(camera, 0.0) + probability

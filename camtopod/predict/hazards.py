@@ -1,6 +1,11 @@
-"""The hazards of a topology version, ready for prediction: where and when objects appear next.
+"""The hazards of a topology version, prepared for prediction: where and when objects appear next.
 
-They are read off the model that the version carries; if it carries none, off its links.
+The *hazard* of a pair of zones is the rate at which an object that left the first appears at the
+second, by lag. `Hazards` reads hazards from the model of a version, or from its links if it has no
+model. It answers two kinds of questions: the possible next zones of an exit (`Hazards.outcomes`),
+and the rates at which known objects cause an arrival: objects that have left a zone (`rates`,
+`rates_from`) and objects that are still in an overlapping view (`rate_entered`, by the time since
+their entry, and `rate_before_exit`, the mean over the passage).
 """
 
 from __future__ import annotations
@@ -23,37 +28,38 @@ from camtopod.topology import (
 )
 
 EXPOSURE_MIN = 0.02
-"""Least share of departures that count as exposed to a lag before the exit."""
+"""Lower bound on the share of departures that are exposed to a lag before the exit."""
 NORMAL_Q90 = 1.2816
 """0.9 quantile of the standard normal distribution."""
 LEAVE_MIN = 1e-6
-"""Least probability of not being seen again, so that some outcome is always possible."""
+"""Lower bound on the probability of leaving the site, so that some outcome is always possible."""
 ARRIVAL_RATE_MIN = 1e-6
-"""Added to the learned rate of arrivals from outside at each zone (1/s)."""
+"""Rate that is added to the learned rate of arrivals from outside at each zone, 1/s."""
 
 
 class Outcomes(NamedTuple):
-    """Where objects that leave one zone appear next."""
+    """Possible next zones, the targets, of objects that leave one zone."""
 
     targets: list[int]
-    """Zones (indices)."""
+    """Indices of the targets."""
     share: Floats
-    """(targets,) share of the departures."""
+    """(targets,) share of the departures that appear next at each target."""
     leave: float
-    """Share of the departures that are not seen again."""
+    """Share of the departures after which objects leave the site."""
     hazard: Singles
-    """(targets, bins) arrivals per second and exposed departure."""
+    """(targets, bins) hazard of each target by lag, per second and exposed departure."""
     exposure: Floats
     """(bins,) share of the departures of this zone that are exposed to each lag."""
     doubt: Floats
     """(targets,) share of the transitions that may be spurious."""
     delay: Floats
-    """(targets,) seconds to add to the lags of the bins, for long paths."""
+    """(targets,) seconds to add to the lags of the bins; above 0 for long paths."""
 
     def exposure_by_target(self, exposure: Floats) -> Floats:
-        """Return the exposure (targets, bins), given that (bins,) of lags counted from the exit.
+        """Return the exposure by target and lag, (targets, bins).
 
-        Transitions over a long path are always exposed.
+        exposure (bins,): exposure to lags from the exit. Transitions over a long path are always
+            exposed.
         """
         is_long = (self.delay > 0.0).astype(float)
         either: Floats = np.maximum(exposure, is_long[:, None])
@@ -61,7 +67,10 @@ class Outcomes(NamedTuple):
 
 
 class Hazards:
-    """Hazards by zone index (the order of ``topology.zones``)."""
+    """All hazards of a topology version; zones are indices into ``topology.zones``.
+
+    outcomes: targets and hazards by zone of departure; zones without targets are left out.
+    """
 
     def __init__(self, topology: Topology) -> None:
         model = topology.model
@@ -79,13 +88,13 @@ class Hazards:
 
         # Zones: arrivals, dwell times and departures.
         self.arrival_rate = [ARRIVAL_RATE_MIN] * len(index)
-        """(zones,) arrivals per second from outside."""
+        """(zones,) rate of arrivals from outside at each zone, 1/s."""
         self.stay: list[list[float]] = [[] for _ in index]
-        """(zones,) deciles of the dwell times (seconds) of passages that end there; empty if
-        unknown.
+        """(zones,) deciles of the dwell times, in seconds, of passages that end in each zone; empty
+        if unknown.
         """
         self.departures = [0] * len(index)
-        """(zones,) exits in the window that the hazards were learned from."""
+        """(zones,) number of exits at each zone from which the hazards were learned."""
         for known in model.zones if model else []:
             self.departures[index[known.zone]] = known.departures
             self.arrival_rate[index[known.zone]] += known.arrival_rate
@@ -99,9 +108,9 @@ class Hazards:
             self.outcomes = self._from_posterior(model.onward, index)
         self._index_by_target(len(index))
         self.lag_max = self.bins.lag_max + float(self._delay.max())
-        """Longest lag with a bin, seconds."""
+        """Longest lag with a bin, delays of long paths included, seconds."""
 
-        # Hazards that count from the entry, and rates before the exit.
+        # Entry kernels, and mean rates before the exit.
         self._entered: dict[int, dict[int, list[float]]] = {}
         for kernel in (model.entered if model else None) or []:
             hazard = masses_on_bins(kernel.hazard, self.bins) / self.bins.widths
@@ -110,21 +119,26 @@ class Hazards:
         self._index_overlaps(topology)
 
     def rates(self, sources: Ints, target: int, lag: Floats) -> tuple[Ints, Floats]:
-        """Return the hazards (1/s) from several zones to one.
+        """Return the hazards at which objects that left several zones appear at one zone.
 
-        Only zones from which there is a hazard are in the result: the zones (m,), theirs (m,).
+        sources (n,): zones that the objects left.
+        target: the zone.
+        lag (n, seconds): time since each object has left.
 
-        sources (n,): zones (indices); lag (n,): seconds.
+        Return zones (m,) and hazards (m, 1/s) of the sources from which there is any hazard.
         """
         if target not in self._into:
             return sources[:0], lag[:0]
         zones, rows = self._into[target]
         row = self._rows_of(zones, rows, sources)
-        [some] = row.nonzero()
-        return sources.take(some), self._at(row.take(some), lag.take(some))
+        [with_hazard] = row.nonzero()
+        return sources.take(with_hazard), self._at(row.take(with_hazard), lag.take(with_hazard))
 
     def rates_from(self, source: int, targets: Ints, lag: Floats) -> Floats:
-        """Return the hazards (n,) in 1/s from one zone to several (n,) at lags (n,) in seconds."""
+        """Return the hazards (n, 1/s) at which an object that left one zone appears at others.
+
+        targets (n,), lag (n, seconds): zones, and the time since the object has left.
+        """
         if source not in self.outcomes:
             return np.zeros(len(lag))
         reached, first = self.outcomes[source].targets, self._first_row[source]
@@ -132,7 +146,7 @@ class Hazards:
         return self._at(row, lag)
 
     def rates_entered(self, entry: int, targets: Ints, elapsed: Floats) -> Floats:
-        """Return `rate_entered` for several zones (n,) and times (n,) since the entry."""
+        """Return `rate_entered` (n, 1/s) for several targets and times (n, s) since the entry."""
         if entry not in self._entered:
             return np.zeros(len(elapsed))
         pairs = zip(targets.tolist(), elapsed.tolist(), strict=True)
@@ -141,8 +155,10 @@ class Hazards:
     def rate_entered(self, entry: int | None, target: int, elapsed: float) -> float:
         """Return the rate (1/s) at which an object that is still in a view appears at a zone.
 
-        entry: zone where it entered the view, ``elapsed`` seconds ago; None if unknown.
-        target: a zone of another view.
+        entry: zone where the object entered the view, ``elapsed`` seconds ago; None if unknown.
+        target: zone of another view.
+
+        It is the entry kernel of the two zones at ``elapsed``.
         """
         row = self._entered.get(entry, {}).get(target) if entry is not None else None
         if row is None or elapsed < 0.0:
@@ -151,45 +167,56 @@ class Hazards:
         return row[at] if at >= 0 else 0.0
 
     def entries_before(self, target: int) -> Set[int]:
-        """Return the zones of entry for which `rate_entered` may be above 0."""
+        """Return the zones of entry from which `rate_entered` for a target may be above 0."""
         return self._entries_before.get(target, frozenset())
 
     def rates_before_exit(self, camera: str, targets: Ints) -> Floats:
-        """Return `rate_before_exit` for several zones (n,)."""
+        """Return `rate_before_exit` (n, 1/s) for several targets (n,)."""
         return np.array([self.rate_before_exit(camera, target) for target in targets.tolist()])
 
     def rate_before_exit(self, camera: str, target: int) -> float:
         """Return the rate (1/s) at which an object in a camera's view appears at a zone.
 
-        It is the mean over the passage; the zone is one of another view.
+        target: zone of another view.
+
+        It is the mean over the object's passage, as the time of its exit is not known yet.
         """
         return self._rate_before_exit.get((camera, target), 0.0)
 
     def cameras_before(self, target: int) -> list[str]:
-        """Return the cameras from whose views objects may appear at a zone before they leave."""
+        """Return the cameras whose objects may appear at a target before they leave the view."""
         return self._cameras_before.get(target, [])
 
     def seen_before(self, zone: int) -> Bools:
-        """Return (zones,) where objects may appear before they leave at a zone.
+        """Return a mask (zones,) of zones where objects may appear before they leave at ``zone``.
 
-        True only for zones of other cameras.
+        These are zones of other cameras.
         """
         possible: Bools = self._seen_before[zone]
         return possible
 
     def exposure_of_passage(self, stay: float) -> Floats:
-        """Return the share (bins,) of each lag bin that lies within a passage, or after it.
+        """Return the exposure of one passage to each lag, (bins,).
 
-        stay: dwell time, seconds.
+        stay (seconds): dwell time of the passage.
+
+        It is the share of the bin that lies within the passage, and 1 after the exit.
         """
         begun = (self.bins.edges[1:] + stay) / self.bins.widths
         return np.where(self.past, np.minimum(np.maximum(begun, 0.0), 1.0), 1.0)
 
     def longest_dwell(self, zones: list[int]) -> float | None:
-        """Return the longest known dwell time that ended at one of the zones, in seconds."""
+        """Return the longest known dwell time (seconds) of passages that end in any of the zones.
+
+        None if no dwell time is known.
+        """
         return max((self.stay[zone][-1] for zone in zones if self.stay[zone]), default=None)
 
     def _from_posterior(self, rows: list[Onward], index: dict[str, int]) -> dict[int, Outcomes]:
+        """Return the outcomes by zone from the records of a model.
+
+        index: index of each zone by its id.
+        """
         outcomes = {}
         for row in rows:
             if not row.next_:
@@ -208,7 +235,10 @@ class Hazards:
         return outcomes
 
     def _from_links(self, links: list[Link], index: dict[str, int]) -> dict[int, Outcomes]:
-        """Take the histograms of links for hazards."""
+        """Return the outcomes by zone from the histograms of links.
+
+        index: index of each zone by its id.
+        """
         # Links by their source.
         grouped: dict[int, list[Link]] = {}
         for link in links:
@@ -221,7 +251,7 @@ class Hazards:
             spread = smooth(np.stack([_counts(link, self.bins) for link in out]))[0]
             share = spread / np.maximum(spread.sum(axis=1, keepdims=True), 1e-300)
 
-            # Hazard: what is expected per second, over the share that is exposed.
+            # Hazard: expected arrivals per second, over the share of departures that is exposed.
             probability = np.array([link.probability for link in out])
             delay = np.array([link.histogram.delay if link.histogram else 0.0 for link in out])
             exposure = self._exposure(zone)
@@ -240,9 +270,10 @@ class Hazards:
         return outcomes
 
     def _exposure(self, zone: int) -> Floats:
-        """Return the share (bins,) of the passages ending at a zone that had begun by each lag.
+        """Return the share of the departures at a zone that are exposed to each lag, (bins,).
 
-        It is 1 for lags after the exit.
+        For lags before the exit, it is the share of the passages that had begun by then; for lags
+        after the exit, it is 1.
         """
         stay = self.stay[zone]
         if not stay:
@@ -251,10 +282,10 @@ class Hazards:
         return np.where(self.past, np.clip(begun, EXPOSURE_MIN, 1.0), 1.0)
 
     def _index_by_target(self, zones: int) -> None:
-        """Put all hazards into one table, with the rows of each target.
+        """Put all hazards into one table, with a row for each pair of zones, for quick look-up.
 
-        Row 0 is all zeros, for pairs of zones without a hazard; so is the last column, for lags
-        without a bin.
+        Row 0 is all zeros, for pairs of zones without a hazard; the last column is all zeros, too,
+        for lags without a bin.
         """
         # The table; `outcomes` refer to its rows, so that hazards are kept once.
         first_rows = np.cumsum([1, *(len(o.targets) for o in self.outcomes.values())]).tolist()
@@ -278,17 +309,20 @@ class Hazards:
         self._row_of_zone = np.zeros(zones, np.int32)  # all 0 between calls
 
     def _rows_of(self, zones: list[int] | Ints, rows: Ints | Rows, wanted: Ints) -> Ints:
-        """Return the row (n,) of each wanted zone, given those of some zones; 0 for the others."""
+        """Return the row of each of the ``wanted`` zones (n,); 0 for zones without a row.
+
+        zones, rows (k,): the zones that have rows, and these rows.
+        """
         self._row_of_zone[zones] = rows
         row = self._row_of_zone.take(wanted)
         self._row_of_zone[zones] = 0
         return row
 
     def _at(self, row: Ints, lag: Floats) -> Floats:
-        """Return the hazards (n,) of rows (n,) of the table at lags (n,) in seconds.
+        """Return the hazards (n, 1/s) in given rows (n,) of the table at given lags (n, seconds).
 
-        Lags before the first bin get column -1 and those behind the last one more than its number:
-        both are last columns, of the row before or of this one.
+        In the flattened table, a lag before the first bin gets the last column of the row before,
+        and a lag after the last bin the last column of its own row; both are zero.
         """
         at = self._limits.searchsorted(lag - self._delay.take(row), "right")
         at += row * np.intp(self._table.shape[1])
@@ -296,10 +330,10 @@ class Hazards:
         return self._table.take(at).astype(float)
 
     def _mean_rates_before_exit(self, topology: Topology) -> dict[tuple[str, int], float]:
-        """Return `rate_before_exit` by camera and zone.
+        """Return the values of `rate_before_exit` by (camera, target).
 
-        It is the number of appearances expected before the exit over the dwell time, weighted by
-        the exits at each zone of the camera.
+        Each is the expected number of appearances before the exit over the median dwell time,
+        averaged over the zones of the camera by their exits.
         """
         exits: dict[str, int] = {}
         for zone in topology.zones:
@@ -319,7 +353,7 @@ class Hazards:
         return rates
 
     def _index_overlaps(self, topology: Topology) -> None:
-        """Prepare `entries_before`, `cameras_before` and `seen_before`."""
+        """Compute the tables behind `entries_before`, `cameras_before` and `seen_before`."""
         # Zones of entry by target.
         self._entries_before: dict[int, set[int]] = {}
         for entry, targets in self._entered.items():
@@ -338,7 +372,8 @@ class Hazards:
             for target in sorted(zones):
                 self._cameras_before.setdefault(target, []).append(camera)
 
-        # For each zone also those of its own outcomes that are possible before the exit.
+        # For each zone, all targets of its camera, and its own targets that are possible before the
+        # exit.
         offset = {camera.id: camera.clock_offset for camera in topology.cameras}
         offsets = np.array([offset.get(zone.camera, 0.0) for zone in topology.zones])
         cameras = np.array([zone.camera for zone in topology.zones])
@@ -354,10 +389,11 @@ class Hazards:
             self._seen_before[k] &= cameras != zone.camera
 
     def _possible_before(self, hazard: Singles, shift: Floats) -> Bools:
-        """Return for which targets (n,) an arrival may be reported before the exit.
+        """Return a mask (n,) of the targets at which an arrival may be reported before the exit.
 
-        hazard (n, bins): hazards of the targets.
-        shift (n, seconds): added to lags to get the time at which arrivals are reported.
+        hazard (n, bins): hazards of n targets.
+        shift (n, seconds): to be added to a lag to get the time, in seconds after the exit, at
+            which the arrival is reported.
         """
         reported: Bools = self.bins.edges[:-1] < -shift[:, None]
         possible: Bools = np.any(reported & (hazard > 0.0), axis=1)
@@ -365,14 +401,14 @@ class Hazards:
 
 
 def _lag_range(topology: Topology) -> tuple[float, float]:
-    """Return the lags to consider (seconds) when the topology does not say: what its links need."""
+    """Return the range of lags (seconds) that the links of a topology without a model need."""
     low = min((link.transit.q10 for link in topology.links), default=0.0)
     high = max((link.transit.q90 for link in topology.links), default=60.0)
     return min(2.0 * low, 0.0), max(2.0 * high, 1.0)
 
 
 def _counts(link: Link, bins: LagBins) -> Floats:
-    """Return a link's histogram (bins,); without one, a normal density with its quantiles."""
+    """Return the transitions of a link by lag (bins,); without histogram, normally distributed."""
     if link.histogram is not None:
         return masses_on_bins(link.histogram, bins)
     sd = max((link.transit.q90 - link.transit.q10) / (2 * NORMAL_Q90), 0.5)

@@ -1,12 +1,17 @@
-"""Odds of where and when the object of an exit appears, by what has been seen when this is asked.
+"""Odds of where and when the object of an exit appears next, given the events observed so far.
 
-Odds are masses over targets and lag bins, relative to the probability of not being seen again. Each
-is the sum of two parts:
+The *targets* of an exit are the zones where its object may appear next. The odds are masses by
+target and lag bin, relative to the probability of leaving the site (`find_odds`). Each is the sum
+of two parts:
 
-* arrivals that would not be known yet: their hazards, in lag bins that are still to come;
-* arrivals that are known: for each, the hazard of the object over the rate of all other causes.
+* from arrivals that would not be observed yet: the hazard in lag bins that are still to come;
+* from arrivals that have been observed: for each, the hazard of the object over the rate of all
+  other causes of the arrival.
 
-A target's odds are reduced if its camera may have stopped reporting.
+The first part of a target's odds is reduced if its camera may have stopped reporting.
+
+`Site` and `ExitTable` hold what these computations need from the topology version, `Query` is one
+question and `SeenArrivals` the observed arrivals that matter for it.
 """
 
 from __future__ import annotations
@@ -23,24 +28,24 @@ from camtopod.predict.time_windows import scale_lags, unknown_share
 from camtopod.records import Topology, Zone
 
 RATE_MIN = 1e-6
-"""Least rate (1/s) of other causes of an arrival."""
+"""Lower bound on the rate (1/s) of the other causes of an arrival."""
 
 
 class Query(NamedTuple):
-    """An exit, and the moment at which its object's next appearance is asked for."""
+    """A question: an exit, and the moment at which its object's next appearance is asked for."""
 
     zone: int
-    """Zone of the exit."""
+    """Index of the zone of the exit."""
     t: float
     """Corrected time of the exit, seconds."""
     passage: Passage | None
-    """The passage that ended; None if it is not known."""
+    """The passage that ends with the exit; None if it is not known."""
     is_observed: bool
-    """True if the exit has been observed, so that it is among the causes of arrivals."""
+    """True if the exit has been observed, so that it is among the known causes of arrivals."""
     elapsed: float = 0.0
     """Seconds from the exit to the moment of the question; 0 means just before the exit."""
     slowness: float = 1.0
-    """Expected transit times of the object over the usual ones; counts only after the exit."""
+    """Expected transit times of the object over the usual ones; applies to lags after the exit."""
 
     @property
     def began(self) -> float:
@@ -54,21 +59,21 @@ class Query(NamedTuple):
 
 
 class SeenArrivals(NamedTuple):
-    """Observed arrivals that may be of the object of a query."""
+    """The n observed arrivals that may be of the object of a query."""
 
     zone: Ints
-    """(n,) zone."""
+    """(n,) index of the zone of each arrival."""
     t: Floats
     """(n,) corrected time, seconds."""
     rate: Floats
-    """(n,) rate (1/s) of all their causes."""
+    """(n,) rate (1/s) of all known causes of the arrival, the object of the query included."""
     before: Bools
-    """(n,) True if before the exit."""
+    """(n,) True for arrivals before the exit."""
     remembered: float = -math.inf
-    """Seconds after the exit from which on all arrivals are remembered."""
+    """Time, in seconds after the exit, since which all arrivals are remembered."""
 
     def take(self, rows: Rows) -> SeenArrivals:
-        """Return some of the arrivals."""
+        """Return the arrivals given by their rows."""
         return SeenArrivals(
             self.zone[rows], self.t[rows], self.rate[rows], self.before[rows], self.remembered
         )
@@ -78,9 +83,9 @@ class Odds(NamedTuple):
     """Odds of the targets of one zone."""
 
     mass: Floats
-    """(targets, bins) relative to the probability of not being seen again."""
+    """(targets, bins) odds by target and lag bin, relative to those of leaving the site."""
     edges: Floats
-    """(bins + 1,) edges of the lag bins in seconds, for an object of this pace."""
+    """(bins + 1,) edges of the lag bins in seconds, for an object of the query's slowness."""
 
     def by_target(self) -> Floats:
         """Return the odds (targets,) of each target."""
@@ -89,7 +94,11 @@ class Odds(NamedTuple):
 
 
 class ExitTable:
-    """What a topology version knows of the objects that leave at one zone."""
+    """Figures of a topology version about objects that leave at one zone.
+
+    site: all zones of the version.
+    zone: index of the zone.
+    """
 
     def __init__(self, site: Site, zone: int) -> None:
         outcomes = site.hazards.outcomes[zone]
@@ -99,24 +108,26 @@ class ExitTable:
         self.target_cameras = site.camera_of[outcomes.targets]
         """(targets,) number of each target's camera."""
         self.transitions = outcomes.share * site.hazards.departures[zone]
-        """(targets,) transitions that the hazards were learned from."""
+        """(targets,) expected transitions that the hazards were learned from."""
         self.row_of = np.full(len(site.zones), -1, np.int32)
-        """(zones,) each zone's row among the targets; -1 if it is none."""
+        """(zones,) row of each zone among the targets; -1 for zones that are no targets."""
         self.row_of[outcomes.targets] = np.arange(len(outcomes.targets))
 
         # Clocks of the targets relative to that of this camera.
         offsets = site.offset_of[outcomes.targets] - site.offset_of[zone]
         self.report_shift = offsets + outcomes.delay
-        """(targets, seconds) added to the lags of the bins to get when an arrival is reported."""
+        """(targets, seconds) to be added to a lag to get the difference of the event times of exit
+        and arrival, each by its camera's clock, after which an arrival counts as reported.
+        """
         self.window_shift = np.where(site.is_corrected, 0.0, offsets) + outcomes.delay
-        """(targets, seconds) added to the lags of the bins to get the lags that are published."""
+        """(targets, seconds) to be added to a lag to get the lag that is published."""
 
 
 class Site:
     """The zones of a topology version, with their cameras, clocks and hazards.
 
-    The table of a zone is made at its first exit. It does not refer to the site: without reference
-    cycles the memory of a version is free as soon as it is no longer used.
+    The `ExitTable` of a zone is made at its first exit. It does not refer to the site: without
+    reference cycles the memory of a version is free as soon as the version is no longer used.
     """
 
     def __init__(self, topology: Topology, hazards: Hazards) -> None:
@@ -143,10 +154,10 @@ class Site:
         """(zones,) number of each zone's camera."""
         share = {row.camera: row.share for row in (model.cameras if model else [])}
         self.event_share = np.array([share.get(camera, 0.0) for camera in self.cameras])
-        """(cameras,) share of all events that come from each camera."""
+        """(cameras,) share of each camera in all events of the site."""
 
     def table(self, zone: int) -> ExitTable | None:
-        """Return the table of a zone; None if no object is known to go anywhere from there."""
+        """Return the table of a zone, given by its index; None if the zone has no targets."""
         if zone not in self._tables and zone in self.hazards.outcomes:
             self._tables[zone] = ExitTable(self, zone)
         return self._tables.get(zone)
@@ -157,23 +168,25 @@ def find_odds(
 ) -> Odds:
     """Return the odds of where and when the object of a query appears next.
 
+    site: all zones of the version.
+    table: the table of the zone of the exit.
     is_alive (targets,): probability that each target's camera still reports.
     seen: observed arrivals that may be of the object.
     """
     hazards, outcomes = site.hazards, table.outcomes
 
-    # Exposure, and the lag bins of an object of this pace.
+    # Exposure, and the lag bins of an object of this slowness.
     exposure = (
         outcomes.exposure if query.dwell is None else hazards.exposure_of_passage(query.dwell)
     )
     exposure = outcomes.exposure_by_target(exposure)
     edges = scale_lags(hazards.bins.edges, query.slowness)
 
-    # Mass of arrivals that would not be known yet.
+    # Mass of arrivals that would not be observed yet.
     mass = prior_mass(query, hazards, table, exposure, edges, seen.remembered)
     mass *= is_alive[:, None]
 
-    # Known arrivals at targets, at lags that have a bin.
+    # Observed arrivals at targets, at lags that have a bin.
     row = table.row_of[seen.zone]
     lag = seen.t - query.t - np.where(row >= 0, outcomes.delay[row], 0.0)
     at = hazards.bins.index(scale_lags(lag, 1.0 / query.slowness))
@@ -182,7 +195,7 @@ def find_odds(
         return Odds(mass, edges)
     seen, row, at = seen.take(fits), row[fits], at[fits]
 
-    # Each has the object's hazard over the rate of all other causes.
+    # The mass of each is the object's hazard over the rate of all other causes.
     hazard = outcomes.hazard[row, at] * exposure[row, at]
     hazard *= hazards.bins.widths[at] / (edges[at + 1] - edges[at])
     entered = rate_entered(query, hazards, seen)
@@ -199,44 +212,45 @@ def prior_mass(
     edges: Floats,
     remembered: float,
 ) -> Floats:
-    """Return the mass (targets, bins) of arrivals that would not be known yet.
+    """Return the mass (targets, bins) of arrivals that would not be observed yet.
 
     exposure (targets, bins): share of departures exposed to each lag.
-    edges (bins + 1, seconds): edges of the lag bins at the object's pace.
-    remembered: see `SeenArrivals`.
+    edges (bins + 1, seconds): edges of the lag bins for the object's slowness.
+    remembered: as in `SeenArrivals`.
     """
     mass: Floats = table.outcomes.hazard * hazards.bins.widths * exposure
     if query.elapsed:
         return mass * unknown_share(edges, query.elapsed, remembered, table.report_shift)
-    # At the exit, bins count whole if any arrival in them would be reported later.
+    # At the exit, a bin counts as a whole if any arrival in it would be reported later.
     mass *= edges[1:] > -table.report_shift[:, None]
     return mass
 
 
 def rate_entered(query: Query, hazards: Hazards, seen: SeenArrivals) -> Floats:
-    """Return the rates (n,) in 1/s of arrivals that follow from the object's zone of entry."""
+    """Return the rate (n, 1/s) of each seen arrival by the entry kernels of the object's entry."""
     if query.passage is None:
         return np.zeros(len(seen.t))
     return hazards.rates_entered(query.passage.entry, seen.zone, seen.t - query.passage.t)
 
 
 def own_rate(query: Query, site: Site, seen: SeenArrivals, entered: Floats) -> Floats:
-    """Return the object's own part (n,) of the rates of arrivals, in 1/s.
+    """Return the part (n, 1/s) that the object of the query has in the rate of each seen arrival.
 
-    While a passage is open, arrivals count it as a cause by its zone of entry and as an object in
-    view. When its exit is observed, the hazard of the exit takes the place of the latter.
+    entered (n, 1/s): result of `rate_entered`.
 
-    entered (n, 1/s): see `rate_entered`.
+    While its passage is open, the object is a cause of arrivals in two ways: by its zone of entry,
+    and as an object in view. When its exit is observed, the hazard of the exit takes the place of
+    the latter (`Predictor`). This part is subtracted to get the rate of all other causes.
     """
-    own = np.zeros(len(seen.t))
+    rate = np.zeros(len(seen.t))
     camera = site.zones[query.zone].camera
     if query.is_observed:
-        own += site.hazards.rates_from(query.zone, seen.zone, seen.t - query.t)
+        rate += site.hazards.rates_from(query.zone, seen.zone, seen.t - query.t)
     if query.passage is not None:
         if query.is_observed:
-            own += entered * seen.before
+            rate += entered * seen.before
         else:
             # The passage is still open, also for arrivals after the exit, but in other views only.
             in_other_views = site.camera_of[seen.zone] != site.camera_of[query.zone]
-            own += (entered + site.hazards.rates_before_exit(camera, seen.zone)) * in_other_views
-    return own
+            rate += (entered + site.hazards.rates_before_exit(camera, seen.zone)) * in_other_views
+    return rate

@@ -1,4 +1,8 @@
-"""Open passages: objects that entered a view and have not left it, and passages that just ended."""
+"""Open passages: objects that have entered a view and not left it; and passages that just ended.
+
+A passage is known by the track of its object: it begins with the entry and ends with the exit of
+the same track at the same camera.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from msgspec import Struct
 from camtopod.predict.recent_events import RECENT_MAX
 
 OPEN_MAX = RECENT_MAX
-"""Number of open passages, and of ended ones, that are remembered."""
+"""Largest number of open passages, and of ended passages, that are remembered."""
 OPEN_SECONDS_MAX = 600.0
 """Seconds after which a passage without an exit is forgotten, if its camera's longest dwell time is
 not known.
@@ -18,41 +22,47 @@ not known.
 
 
 class Passage(Struct):
-    """A passage through a view, as far as it is known when it begins. Never changed."""
+    """A passage through a view, with what is known of it at its entry; it is never changed."""
 
     t: float
     """Corrected time of the entry, seconds."""
     camera: str
+    """Name of the camera."""
     entry: int
-    """Zone of entry."""
+    """Index of the zone of entry."""
     previous: str | None = None
-    """Camera where the object most probably was before."""
+    """Name of the camera where the object most probably was before; None if unknown."""
     sure: float = 0.0
     """Probability that ``previous`` is right."""
 
 
 class OpenPassages:
-    """Passages by camera and track, in the order in which they began."""
+    """The open passages by camera and track, in the order in which they began.
+
+    longest (seconds): longest known dwell time by camera, after which a passage without an exit is
+        forgotten.
+    """
 
     def __init__(self, longest: dict[str, float]) -> None:
-        """``longest``: the longest known dwell time of cameras, in seconds."""
         self._longest = longest
         self._passages: dict[tuple[str, str], Passage] = {}
+        """Open passages by (camera, track), in the order in which they began."""
         self._in_view: dict[str, dict[str, tuple[int, Passage]]] = {}
-        """The same by camera and track, each with its number in the order of all."""
+        """The open passages by camera, then track; each with its number in the order of all."""
         self._begun = 0
         """Number of passages that have begun."""
         self._ended: dict[tuple[str, str], tuple[float, Passage | None]] = {}
-        """The newest exits, oldest first: their time by the camera's clock, and the passage that
-        ended, None if it is not known.
+        """The newest exits by (camera, track), oldest first.
+
+        Each is the time by the camera's clock, and the passage that ended; None if unknown.
         """
         self._last_exits: dict[str, tuple[float, list[tuple[str, Passage]]]] = {}
-        """By camera: the time of its newest exits by its clock, and the passages that ended then,
-        with their tracks.
+        """By camera: time of its newest exits by its clock, and (track, passage) of the passages
+        that ended then.
         """
 
     def begin(self, camera: str, track: str, passage: Passage) -> None:
-        """Add a passage. It replaces one of the same track, and takes its place in the order."""
+        """Add a passage; it takes the place of an open passage of the same track, if any."""
         self._passages[camera, track] = passage
         in_view = self._in_view.setdefault(camera, {})
         self._begun += 1
@@ -60,7 +70,7 @@ class OpenPassages:
         in_view[track] = number, passage
 
     def end(self, camera: str, track: str, t: float) -> Passage | None:
-        """End a track's passage at ``t`` by the camera's clock, and return it if it was open."""
+        """End the passage of a track at ``t`` by the camera's clock; return it if it was open."""
         passage = self._remove(camera, track)
         self._ended.pop((camera, track), None)  # the newest come last
         self._ended[camera, track] = t, passage
@@ -70,22 +80,24 @@ class OpenPassages:
         return passage
 
     def get(self, camera: str, track: str) -> Passage | None:
-        """Return a track's open passage."""
+        """Return the open passage of a track; None if there is none."""
         return self._passages.get((camera, track))
 
     def left_at(self, camera: str, track: str, t: float) -> Passage | None:
-        """Return the passage that ended at ``t`` by the camera's clock, or is about to end."""
-        left, passage = self._ended.get((camera, track), (None, None))
-        return passage if left == t else self.get(camera, track)
+        """Return the passage that ended at ``t`` by the camera's clock, or that is still open."""
+        ended_at, passage = self._ended.get((camera, track), (None, None))
+        return passage if ended_at == t else self.get(camera, track)
 
     def in_view(self, camera: str) -> Collection[tuple[int, Passage]]:
         """Return a camera's open passages, each with its number in the order of all."""
         return self._in_view.get(camera, {}).values()
 
     def was_in_view(self, camera: str, entry: int, began: float, t: float) -> bool:
-        """Return True if a passage that began then and there had not ended before ``t``.
+        """Return True if a given passage was open until ``t`` at least.
 
-        entry: its zone of entry; began: corrected time, seconds; t: seconds by the camera's clock.
+        camera, entry: camera and zone of entry of the passage.
+        began (seconds): corrected time of its entry.
+        t (seconds): by the camera's clock.
         """
         still_open = (passage for _, passage in self.in_view(camera))
         ended = (
@@ -96,12 +108,12 @@ class OpenPassages:
         return any(one.t == began and one.entry == entry for one in (*still_open, *ended))
 
     def open_at(self, camera: str, t: float, by_clock: float) -> list[tuple[str, Passage]]:
-        """Return the passages of a camera, with their tracks, that are open at the present moment.
+        """Return the passages of a camera that are open at the present moment, as (track, passage).
 
-        Passages that end at this moment are included, those that begin are not, so the order of
+        t, by_clock: the present moment, as corrected time and by the camera's clock, seconds.
+
+        Passages that end at this moment are included and those that begin are not, so the order of
         simultaneous events does not matter.
-
-        t, by_clock: the present moment, as corrected time and by the camera's clock.
         """
         still_open = [(track, one) for track, (_, one) in self._in_view.get(camera, {}).items()]
         last, ended = self._last_exits.get(camera, (None, []))
@@ -109,7 +121,10 @@ class OpenPassages:
         return [each for each in [*still_open, *just_ended] if each[1].t < t]
 
     def forget_stale(self, now: float) -> None:
-        """Forget the oldest passages: those that last too long, and those above the limit."""
+        """Forget the oldest open passages as long as they last too long or are too many.
+
+        now (seconds): corrected time.
+        """
         while self._passages:
             key, oldest = next(iter(self._passages.items()))
             is_fresh = now - oldest.t <= self._longest.get(oldest.camera, OPEN_SECONDS_MAX)
@@ -122,9 +137,9 @@ class OpenPassages:
         return [(camera, track, passage) for (camera, track), passage in self._passages.items()]
 
     def take_over(self, older: OpenPassages, moved: dict[int, int]) -> None:
-        """Replace all passages by those of an older version.
+        """Replace all passages by those stored for an older version.
 
-        moved: the present number of each zone by its older number; zones that are gone are missing.
+        moved: new index of each zone by its old index, without zones that are gone.
         """
         # Open passages, except those whose zone of entry is gone.
         self._passages = {
@@ -148,12 +163,14 @@ class OpenPassages:
             self._note_last_exit(camera, track, t, ended)
 
     def _note_last_exit(self, camera: str, track: str, t: float, passage: Passage | None) -> None:
+        """Add an exit to the newest exits of its camera, or let it replace earlier ones."""
         if camera not in self._last_exits or self._last_exits[camera][0] != t:
             self._last_exits[camera] = t, []
         if passage is not None:
             self._last_exits[camera][1].append((track, passage))
 
     def _remove(self, camera: str, track: str) -> Passage | None:
+        """Remove the open passage of a track and return it; None if there is none."""
         passage = self._passages.pop((camera, track), None)
         if passage is not None:
             in_view = self._in_view[camera]
@@ -164,6 +181,9 @@ class OpenPassages:
 
 
 def _with_moved_entry(passage: Passage, moved: dict[int, int]) -> Passage:
-    """Return the passage with the present number of its zone of entry; most stay the same."""
+    """Return the passage with the new index of its zone of entry.
+
+    moved: new index of each zone by its old index.
+    """
     entry = moved[passage.entry]
     return passage if entry == passage.entry else msgspec.structs.replace(passage, entry=entry)

@@ -1,25 +1,27 @@
 """Predict where an object that has just left a zone appears next, and when.
 
-The outcomes of an exit compete: the object appears at one of the zones with some lag, or is not
-seen again. Their prior odds are the learned hazards of all links, also those with weak evidence.
-At the exit five things change them:
+A `Predictor` reads one topology version, observes events (`Predictor.observe`) and answers for an
+exit (`Predictor.predict`). The possible outcomes of an exit compete: the object appears at one of
+the zones after some lag, or leaves the site. Their prior odds are the learned hazards (rates of
+appearing by lag) of all pairs of zones, weak evidence included. At the exit, the odds are changed
+by five things:
 
-* *context*: where the object entered the view, where exactly it left it, and at which camera it
-  probably was before (`contexts`);
+* *context*: where the object entered the view, where exactly it left the view, and at which camera
+  it probably was before (`contexts`);
 * *exposure*: a lag of -L is only possible if the passage has lasted L;
 * *seen arrivals*: where views overlap, the object may already have appeared. Each recent arrival
-  counts with its hazard over the rate of all its other causes; an overlapping view without an
-  arrival loses its share (`odds`);
-* *speed*: an object that was slow in this view takes longer to the next (`speed`);
+  counts with the hazard of this object over the rate of all other causes of the arrival; the
+  odds of an overlapping view without an arrival are reduced (`odds`);
+* *speed*: an object that was slow in this view takes longer to the next view (`speed`);
 * *silent cameras*: a camera that is silent for far longer than its traffic explains has probably
   stopped reporting.
 
-If the same question is asked later, arrivals that should have been seen by then lose their odds to
-the rest, and arrivals since the exit count like those before it. The time windows are those of the
-odds that remain.
+If the question is asked again later, outcomes that would have been observed by then have lost their
+odds, and arrivals since the exit count like those before it. The time windows of the answer are
+those of the remaining odds.
 
-Events have the times of their cameras' clocks. Inside, all times are corrected for the clock
-offsets that the topology knows.
+Events have the times of their cameras' clocks. All times inside are *corrected times*: less the
+clock offset of the camera, as given in the topology.
 """
 
 from __future__ import annotations
@@ -48,13 +50,19 @@ DEAD_PRIOR = 1e-3
 SILENCE_NATS_MAX = 50.0
 """Largest evidence (nats) of a camera's silence that counts."""
 NEXT_PROBABILITY_MIN = 1e-4
-"""Least probability of the outcomes in a prediction."""
+"""Least probability of an outcome that is listed in a prediction."""
 
 
 class PredictorState(Struct):
-    """What a `Predictor` has observed; the rest of it follows from its topology.
+    """The saved state of a `Predictor`: the observed events; the rest follows from its topology.
 
-    Ended passages are left out: they only matter if an exit is asked about again.
+    arrivals: the newest arrivals, oldest first.
+    exit_times, exit_zones (n,): corrected times (seconds) and zones of the newest exits.
+    under_way: open passages, as (camera, track, passage).
+    events: number of observed events.
+    last_event: number of each camera's last event in the order of all events.
+
+    Ended passages are left out: they only matter if a prediction is asked for again.
     """
 
     arrivals: list[Arrival]
@@ -66,16 +74,16 @@ class PredictorState(Struct):
 
 
 class Predictor:
-    """Predictions by one topology version: feed events to `observe`, ask for exits with `predict`.
+    """Predicts by one topology version: give events to `observe`, and ask for exits with `predict`.
 
-    Ask for an exit before it is observed, else it competes with itself; this does not hold if
-    `predict` is given the time of the question. Of the topology only the zones are kept.
+    Ask for an exit before it is observed: otherwise the observed exit competes with the one that is
+    asked for. This does not hold if `predict` is given the time of the question.
     """
 
     def __init__(self, topology: Topology) -> None:
         self.version, self.as_of, self.zones = topology.version, topology.as_of, topology.zones
 
-        # What the version knows.
+        # Figures of the version, in a form for prediction.
         self._hazards = Hazards(topology)
         self._surroundings = ContextMultipliers(topology)
         self._paces = PaceModel(topology)
@@ -88,11 +96,11 @@ class Predictor:
         }
         self._longest_stay = {camera: stay for camera, stay in longest.items() if stay}
 
-        # What has been observed.
+        # Observed events.
         self.forget()
 
     def forget(self) -> None:
-        """Forget all that has been observed, as when event time has gone back."""
+        """Forget all observed events; needed when event time has been taken back."""
         self._open_passages = OpenPassages(self._longest_stay)
         self._arrivals, self._exits = RecentEvents(), RecentEvents()
         self._events = 0
@@ -100,13 +108,13 @@ class Predictor:
         """Number of each camera's last event in the order of all events."""
 
     def follow(self, topology: Topology) -> Predictor:
-        """Return a predictor by a newer version that remembers what this one has observed."""
+        """Return a predictor by a newer version that has observed the same events as this one."""
         newer = Predictor(topology)
         newer.take_over(self)
         return newer
 
     def take_over(self, older: Predictor) -> None:
-        """Remember what a predictor by an older version has observed; this one must be new."""
+        """Take over the observed events from a predictor by an older version; this must be new."""
         moved = moved_zones(older.zones, self.zones)
         self._arrivals.take_over(older._arrivals, moved)
         self._exits.take_over(older._exits, moved)
@@ -115,7 +123,7 @@ class Predictor:
         self._set_last_events(older._last_events())
 
     def save(self) -> PredictorState:
-        """Return all that `load` needs, beside the topology, to continue from here."""
+        """Return the state from which `load` continues, given the same topology."""
         return PredictorState(
             arrivals=self._arrivals.arrivals(),
             exit_times=self._exits.t.copy(),
@@ -126,7 +134,7 @@ class Predictor:
         )
 
     def load(self, state: PredictorState) -> None:
-        """Continue from a state that was saved by the same topology; this one must be new."""
+        """Continue from a state saved with the same topology; this predictor must be new."""
         for arrival in state.arrivals:
             self._arrivals.append(arrival.t, arrival.zone, arrival.rate)
         self._exits.load(state.exit_times, state.exit_zones)
@@ -136,7 +144,7 @@ class Predictor:
         self._set_last_events(state.last_event)
 
     def observe(self, event: Event) -> None:
-        """Take an event into account; as far as possible events must come in order of time."""
+        """Observe an event; events should be given in order of time as far as possible."""
         self._events += 1
         zone = self.zone_of(event)
         if zone is None:
@@ -149,15 +157,18 @@ class Predictor:
             self._observe_exit(event, zone, t)
 
     def zone_of(self, event: Event) -> int | None:
-        """Return the zone (index) that an event belongs to; None if its camera has none."""
+        """Return the zone (index) that an event belongs to; None if its camera has no zone."""
         return self._lookup.zone_of(event)
 
     def predict(self, event: Event, now: float | None = None) -> Prediction:
-        """Return where the object of an exit appears next, by what is known at the exit.
+        """Return the prediction where and when the object of an exit appears next.
 
-        With ``now`` (seconds by the same camera's clock), by what is known then. The exit may have
-        been observed by then. Where an arrival may have been the object's, the window may lie
-        before ``now``. Raises ValueError for a ``now`` before the exit.
+        event: the exit.
+        now (seconds by the camera's clock): moment of the question; None for the moment of the
+            exit. Later, the exit may have been observed, too, and windows may lie before ``now``
+            where an arrival may have been that of the object.
+
+        Raise ValueError for a ``now`` before the exit.
         """
         _check(event.t, now)
         zone = self.zone_of(event)
@@ -181,10 +192,15 @@ class Predictor:
         block: int | None = None,
         now: float | None = None,
     ) -> Prediction:
-        """Return the prediction for an exit whose zone (index) is known; see `predict`.
+        """Return the prediction for an exit whose zone is known; see `predict`.
 
-        t: seconds by the clock of the zone's camera.
-        passage, block: the passage that ended, and the block of the image where; None if unknown.
+        zone: index of the zone of the exit.
+        t (seconds by the clock of the zone's camera): time of the exit.
+        passage: the passage that ends with the exit; None if unknown.
+        track: track of the exit, for the record only.
+        block: block of the image where the object left (`camtopod.topology.block_of`); None if
+            unknown.
+        now: as for `predict`.
         """
         _check(t, now)
         here, table = self.zones[zone], self._site.table(zone)
@@ -197,12 +213,13 @@ class Predictor:
         query = Query(zone, corrected, passage, is_observed)
         odds = self._odds(query, table)
 
-        # The context multiplies them. Spurious mass counts as "not seen again", from the exit on.
+        # The context multiplies the odds. Odds that may be spurious count as leaving the site, from
+        # the exit on.
         multiplier, leave = self._multipliers(query, table, block)
         spurious = table.outcomes.doubt
         leave += float(spurious @ (multiplier * odds.by_target()))
 
-        # Odds at a later moment. The lag bins are already at the object's pace then.
+        # Odds at a later moment; their lag bins are those of the object's pace already.
         pace = self._pace(query)
         if now is not None and now > t:
             slowness = 1.0 if pace is None else pace.factor
@@ -217,7 +234,7 @@ class Predictor:
         total = leave + float(by_target[order].sum())
         probabilities = (by_target[order] / total).tolist()
 
-        # Their time windows.
+        # The time windows of these outcomes.
         lags = quantiles(odds.mass[order], odds.edges)
         lags = windows_at_pace(pace, lags, table.transitions[order])
         windows = np.round(lags + table.window_shift[order, None], 3).tolist()
@@ -239,7 +256,13 @@ class Predictor:
         next_: list[NextCamera],
         passage: Passage | None,
     ) -> Prediction:
-        """Return a prediction, with the hand-over if the passage is known and views overlap."""
+        """Return the record of a prediction, with the hand-over if views overlap.
+
+        here, t, track: zone, time and track of the exit.
+        leave: probability that the object leaves the site.
+        next_: the other outcomes.
+        passage: the passage that ends with the exit; None to leave out the hand-over.
+        """
         if passage is None or not self._hand_over.overlaps(here.camera):
             return Prediction(here.camera, here.id, t, track, self.version, leave, next_)
         offsets = self._site.clock_offset
@@ -250,7 +273,7 @@ class Predictor:
             here.camera, here.id, t, track, self.version, leave, next_, looks, in_view
         )
 
-    # --- What is known of an exit ---
+    # --- The question ---
 
     def _odds(self, query: Query, table: ExitTable) -> Odds:
         """Return the odds of where and when the object of a query appears next."""
@@ -260,7 +283,11 @@ class Predictor:
     def _multipliers(
         self, query: Query, table: ExitTable, block: int | None
     ) -> tuple[Floats, float]:
-        """Return the context's effect on each target (targets,), and the odds of leaving."""
+        """Return the factor (targets,) of an exit's context on each target's odds, and the odds of
+        leaving the site.
+
+        block: as for `predict_from`.
+        """
         entry, previous, sure = None, None, 0.0
         if query.passage is not None:
             passage = query.passage
@@ -301,27 +328,35 @@ class Predictor:
     def _arrivals_before(self, zone: int, t: float, began: float) -> Rows:
         """Return the arrivals (rows) that may be of an object leaving at a zone.
 
-        These are in other views, not before its passage, and reported before the exit.
+        zone: index of the zone.
+        t (seconds): corrected time of the exit.
+        began (seconds): corrected time of the object's entry into the view; minus infinity if
+            unknown.
 
-        t: corrected time of the exit; began: that of the entry, minus infinity if unknown.
+        These are arrivals in other views, since the entry, and reported before the exit.
         """
         # Recent enough.
         times, zones = self._arrivals.t, self._arrivals.zone
         oldest = max(t + self._hazards.bins.lag_min, began)
         [rows] = (times >= oldest).nonzero()
 
-        # At zones where objects may appear before they leave here, and reported before the exit.
+        # At zones where objects may appear before they leave at ``zone``, and reported before the
+        # exit.
         offsets = self._site.offset_of
-        there = zones[rows]
-        fits = self._hazards.seen_before(zone)[there]
-        fits &= times[rows] + (offsets[there] - offsets[zone]) < t
+        arrival_zones = zones[rows]
+        fits = self._hazards.seen_before(zone)[arrival_zones]
+        fits &= times[rows] + (offsets[arrival_zones] - offsets[zone]) < t
         before: Rows = rows[fits]
         return before
 
     def _is_open(self, row: int, t: float) -> bool:
-        """Return True if the passage that began with an arrival (row) had not ended before ``t``.
+        """Return True if the passage that began with an arrival had not ended before ``t``.
 
-        Of two passages that begin together, the one that ends first was the earlier one.
+        row: row of the arrival.
+        t (seconds): corrected time.
+
+        It decides which of two passages that begin together was the earlier one: the one that ends
+        first.
         """
         zone, began = int(self._arrivals.zone[row]), float(self._arrivals.t[row])
         camera = self.zones[zone].camera
@@ -335,7 +370,7 @@ class Predictor:
     def _is_alive(self) -> Floats:
         """Return the probability (cameras,) that each camera still reports.
 
-        It follows from the events of others since a camera's last event.
+        It is computed from the number of other cameras' events since the camera's last event.
         """
         nats = (self._events - self._last_event) * self._site.event_share
         is_alive: Floats = 1.0 / (1.0 + DEAD_PRIOR * np.exp(np.minimum(nats, SILENCE_NATS_MAX)))
@@ -344,7 +379,10 @@ class Predictor:
     # --- Observed events ---
 
     def _observe_entry(self, event: Event, zone: int, t: float) -> None:
-        """Note an arrival with its possible causes, and the passage that begins."""
+        """Store an arrival with the rate of its possible causes, and the passage that begins.
+
+        zone, t: index of the zone, and corrected time.
+        """
         causes = self._causes(zone, t)
         rate = self._hazards.arrival_rate[zone] + sum(causes.values())
         self._arrivals.append(t, zone, rate)
@@ -359,7 +397,10 @@ class Predictor:
         self._open_passages.forget_stale(t)
 
     def _observe_exit(self, event: Event, zone: int, t: float) -> None:
-        """Note an exit, and that it may be the cause of arrivals before it."""
+        """Store an exit, and add it to the possible causes of arrivals before it.
+
+        zone, t: index of the zone, and corrected time.
+        """
         passage = None
         if event.track is not None:
             passage = self._open_passages.end(event.camera, str(event.track), event.t)
@@ -386,19 +427,22 @@ class Predictor:
                 arrivals.rate[row] += before_exit + entered
 
     def _causes(self, zone: int, t: float) -> dict[str, float]:
-        """Return by camera the rate (1/s) of its objects that arrive now at a zone.
+        """Return, by camera, the rate (1/s) at which objects known from it arrive at a zone.
 
-        They have left its view, or are in it. Objects from outside are not included.
+        zone, t: index of the zone, and corrected time of the arrival.
+
+        These objects have left the camera's view, or are still in it. Objects from outside the site
+        are not included.
         """
         # Objects that have left.
         hazards, site = self._hazards, self._site
         oldest = t - hazards.lag_max - site.offset_range
-        left, zones = self._exits.after(oldest)
-        sources, rates = hazards.rates(zones, zone, t - left)
+        exit_times, zones = self._exits.after(oldest)
+        sources, rates = hazards.rates(zones, zone, t - exit_times)
         total = np.bincount(site.camera_of[sources], rates, minlength=len(site.cameras))
         causes = {site.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
 
-        # Objects in views from which they may appear here before they leave.
+        # Objects in other views that may appear at the zone before they leave.
         here, entries, in_views = self.zones[zone].camera, hazards.entries_before(zone), []
         for camera in hazards.cameras_before(zone):
             if camera == here:
@@ -406,25 +450,25 @@ class Predictor:
             before_exit = hazards.rate_before_exit(camera, zone)
             rate, first = causes.get(camera, 0.0), None
             for number, passage in self._open_passages.in_view(camera):
-                one = before_exit
+                passage_rate = before_exit
                 if passage.entry in entries:
-                    one += hazards.rate_entered(passage.entry, zone, t - passage.t)
-                if one:
-                    rate += one
+                    passage_rate += hazards.rate_entered(passage.entry, zone, t - passage.t)
+                if passage_rate:
+                    rate += passage_rate
                     first = number if first is None else first
             if first is not None:
                 in_views.append((first, camera, rate))
 
-        # In the order in which they came, as sums depend on the order.
+        # In the order in which passages began, as sums of floats depend on the order.
         causes.update((camera, rate) for _, camera, rate in sorted(in_views))
         return causes
 
     def _last_events(self) -> dict[str, int]:
-        """Return the number of each camera's last event."""
+        """Return the number of each camera's last event in the order of all events."""
         return dict(zip(self._site.cameras, self._last_event.tolist(), strict=True))
 
     def _set_last_events(self, known: dict[str, int]) -> None:
-        """Set the numbers of the cameras' last events; new cameras count as just heard from."""
+        """Set the number of each camera's last event; a new camera counts as if it just had one."""
         numbers = [known.get(camera, self._events) for camera in self._site.cameras]
         self._last_event = np.array(numbers, np.int64)
 

@@ -1,4 +1,4 @@
-"""The newest exits or arrivals in columns, so that those that matter are found quickly."""
+"""Storage of the newest exits or arrivals as columns, so that they can be searched quickly."""
 
 from __future__ import annotations
 
@@ -13,17 +13,21 @@ RECENT_MAX = 2000
 
 
 class Arrival(Struct):
-    """An entry into a view."""
+    """An arrival: the entry of an object into a view."""
 
     t: float
     """Corrected time, seconds."""
     zone: int
+    """Index of the zone."""
     rate: float
     """Rate (1/s) of all causes of the arrival that are known so far."""
 
 
 class RecentEvents:
-    """The newest exits or arrivals, in the order in which they came."""
+    """The `RECENT_MAX` newest exits, or arrivals, in the order in which they were observed.
+
+    The columns are views of arrays with some room at the end; see `append`.
+    """
 
     def __init__(self) -> None:
         self._t = np.zeros(2 * RECENT_MAX)
@@ -38,46 +42,50 @@ class RecentEvents:
 
     @property
     def zone(self) -> Ints:
-        """Zones (n,)."""
+        """Indices of the zones (n,)."""
         return self._zone[self._first : self._stop]
 
     @property
     def rate(self) -> Floats:
-        """Rates (n,) of arrivals, see `Arrival`; 0 for exits."""
+        """Rates (n, 1/s) of all known causes of arrivals; 0 for exits."""
         return self._rate[self._first : self._stop]
 
     @property
     def is_full(self) -> bool:
-        """Return True if older ones may have been forgotten."""
+        """Return True if older events may have been forgotten."""
         return self._stop >= RECENT_MAX
 
     def append(self, t: float, zone: int, rate: float = 0.0) -> None:
-        """Add the newest one: corrected time, zone, and rate if it is an arrival."""
+        """Add an event at corrected time ``t``, with its rate if it is an arrival."""
         if self._stop == len(self._t):
             self.load(self.t, self.zone, self.rate)
         self._t[self._stop], self._zone[self._stop], self._rate[self._stop] = t, zone, rate
         self._stop += 1
 
     def load(self, t: Floats, zone: Ints, rate: Floats | float = 0.0) -> None:
-        """Replace all by these (n,), oldest first."""
+        """Replace all events by the given ones (n,), oldest first."""
         self._stop = len(t)
         self._t[: self._stop], self._zone[: self._stop] = t, zone
         self._rate[: self._stop] = rate
 
     def after(self, t: float) -> tuple[Floats, Ints]:
-        """Return times and zones (n,) of those later than ``t``, if all came in order of time."""
+        """Return times and zones (n,) of the events from ``t`` on.
+
+        The result is exact if all events were added in order of time.
+        """
         first = max(int(self._t[: self._stop].searchsorted(t)), self._first)
         return self._t[first : self._stop], self._zone[first : self._stop]
 
     def arrivals(self) -> list[Arrival]:
-        """Return all as arrivals, oldest first."""
+        """Return all events as records of arrivals, oldest first."""
         columns = (column.tolist() for column in (self.t, self.zone, self.rate))
         return [Arrival(*one) for one in zip(*columns, strict=True)]
 
     def take_over(self, older: RecentEvents, moved: dict[int, int]) -> None:
-        """Replace all by those of an older version, except those at zones that are gone.
+        """Replace all events by those stored for an older version, without those at zones that are
+        gone.
 
-        moved: see `moved_zones`.
+        moved: new index of each zone by its old index (`moved_zones`).
         """
         # New number of each old zone; -1 if it is gone.
         number = np.full(int(older.zone.max(initial=0)) + 1, -1, np.int32)
@@ -91,14 +99,14 @@ class RecentEvents:
 
     @property
     def _first(self) -> int:
-        """Place of the oldest that is remembered; those before it make room for newer ones."""
+        """Index of the oldest remembered event in the arrays."""
         return max(self._stop - RECENT_MAX, 0)
 
 
 def moved_zones(before: list[Zone], now: list[Zone]) -> dict[int, int]:
-    """Return the number of each zone of an older version in the present one, by its number there.
+    """Return the index in the present version of each zone of an older version, by its old index.
 
-    Zones that are gone are left out.
+    before, now: zones of the older and of the present version. Zones that are gone are left out.
     """
     index = {zone.id: k for k, zone in enumerate(now)}
     return {k: index[zone.id] for k, zone in enumerate(before) if zone.id in index}

@@ -1,7 +1,9 @@
-"""Adjust the time windows of a prediction to an object's speed, read off a topology version.
+"""Adjust the time windows of a prediction to an object's speed.
 
-Slowness is the log of a dwell time over the usual one of its route through the view
-(`camtopod.learn.traffic.speed`). It persists in part from one view to the next.
+The slowness of an object is the log of its dwell time over the usual one for the same zones of
+entry and exit (`camtopod.learn.traffic.speed`). It persists in part from one view to the next; the
+topology version says how far. `PaceModel` computes the expected `Pace` of an object after a
+passage, and `windows_at_pace` changes time windows accordingly.
 """
 
 from __future__ import annotations
@@ -24,24 +26,27 @@ from camtopod.topology import (
 NORMAL_Q90 = 1.2816
 """0.9 quantile of the standard normal distribution."""
 SHARP_MIN = 0.5
-"""Least share of a window's width that is left when the effect of smoothing is taken out."""
+"""Least share of a window's width that remains when the effect of smoothing is removed."""
 _SMOOTHING_TRANSITIONS = np.array([least for least, _ in SMOOTHING_SD_BINS])
-"""Least number of transitions for each amount of smoothing, descending."""
+"""Least number of transitions for each kernel of `camtopod.topology.smooth`, descending."""
 _SMOOTHING_WIDTHS = np.array([NORMAL_Q90 * LAG_STEP * sd_bins for _, sd_bins in SMOOTHING_SD_BINS])
-"""Distance from the median to the 0.9 quantile that each amount of smoothing adds (log scale)."""
+"""Distance from the median to the 0.9 quantile of each of these kernels, difference of logs."""
 
 
 class Pace(NamedTuple):
-    """An object's expected speed on its way to the next view, relative to the usual speed."""
+    """The expected transit time of an object to the next view, relative to the usual one."""
 
     factor: float
     """Expected transit time over the usual one."""
     spread: float
-    """Uncertainty of ``factor``: its 0.9 quantile over the median, log scale."""
+    """Uncertainty of ``factor``: log of its 0.9 quantile over its median."""
 
 
 class PaceModel:
-    """The learned persistence of speed at a site; without one, windows are not adjusted."""
+    """Persistence of speed and usual dwell times at a site, as a topology version has them.
+
+    If the version has none, windows are not adjusted.
+    """
 
     def __init__(self, topology: Topology) -> None:
         index = {zone.id: k for k, zone in enumerate(topology.zones)}
@@ -52,14 +57,14 @@ class PaceModel:
         }
 
     def of_passage(self, entry: int | None, exit_: int, dwell: float | None) -> Pace | None:
-        """Return the pace expected after a passage; None if none has been learned.
-
-        Transit times were learned as proportional to the mean slowness of the views before and
-        after. At best the slowness before is known. The one after is expected to be a share of it;
-        the rest of its variance widens the window.
+        """Return the expected pace of an object after a passage; None if the version has none.
 
         entry, exit_: zones (indices) of the passage; the entry is None if unknown.
         dwell (seconds): duration of the passage; None if unknown.
+
+        The log of a transit time was learned as proportional to the mean of the slownesses in the
+        views before and after. At best the slowness before is known. The slowness after is expected
+        to be a share of it, and the rest of its variance widens the window.
         """
         if self._pace is None:
             return None
@@ -79,11 +84,12 @@ class PaceModel:
 
 
 def windows_at_pace(pace: Pace | None, lags: Floats, transitions: Floats) -> Floats:
-    """Return the lag quantiles (n, 3) of an object of some pace from those of one of usual pace.
+    """Return the time windows (n, 3, seconds) of an object of a given pace.
 
-    lags (n, 3, seconds): 0.1, 0.5 and 0.9 quantiles.
-    transitions (n,): transitions that the quantiles rest on, which decide how much the hazards
-        were smoothed.
+    pace: the expected pace; None for the usual pace.
+    lags (n, 3, seconds): windows of an object of usual pace, as 0.1, 0.5 and 0.9 quantiles of lags.
+    transitions (n,): number of transitions from which the lags were learned; it decides how widely
+        they have been smoothed.
     """
     if pace is None:
         return lags
@@ -93,12 +99,12 @@ def windows_at_pace(pace: Pace | None, lags: Floats, transitions: Floats) -> Flo
     logs = np.log(bounded)
     width = logs[:, 1:] - logs[:, :-1]
 
-    # Take out what smoothing the hazards has added, and add the uncertainty of the pace.
+    # Subtract the width that smoothing has added, and add the uncertainty of the pace.
     smoothing = np.count_nonzero(transitions[:, None] < _SMOOTHING_TRANSITIONS, axis=1)
     added = _SMOOTHING_WIDTHS[smoothing, None]
     width = np.sqrt(np.maximum(width**2 - added**2, (SHARP_MIN * width) ** 2) + pace.spread**2)
 
-    # The quantiles at this pace. Lags before the exit keep their width.
+    # The quantiles at this pace; a quantile before the exit is scaled only.
     adjusted = lags * pace.factor
     adjusted[:, 2] = adjusted[:, 1] * np.exp(width[:, 1])
     low = adjusted[:, 1] * np.exp(-width[:, 0])

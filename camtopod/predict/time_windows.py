@@ -1,4 +1,4 @@
-"""Masses over lag bins: the share still possible as time passes, and the windows they make."""
+"""Time windows from masses over lag bins, and the share of each bin that is still possible."""
 
 from __future__ import annotations
 
@@ -7,23 +7,29 @@ import numpy as np
 from camtopod.arrays import Floats
 
 WINDOW = (0.1, 0.5, 0.9)
-"""Shares of the mass at whose lags a window has its beginning, median and end."""
+"""Quantiles of the lag at which a time window has its beginning, median and end."""
 
 
 def scale_lags(lags: Floats, factor: float) -> Floats:
-    """Return lags (seconds) times a factor; lags before the exit do not scale with speed."""
+    """Return lags (n, seconds) times a factor, except for lags before the exit.
+
+    factor: expected transit time of an object over the usual one; lags before the exit do not scale
+        with speed.
+    """
     return lags if factor == 1.0 else np.where(lags > 0, factor * lags, lags)
 
 
 def unknown_share(edges: Floats, elapsed: float, remembered: float, shift: Floats) -> Floats:
-    """Return the share (targets, bins) of each bin at whose lags an arrival would not be known.
-
-    Those are lags after ``elapsed``, and lags after the exit that are no longer remembered.
+    """Return the share of each lag bin in which an arrival would not be known, (targets, bins).
 
     edges (bins + 1, seconds): edges of the lag bins.
     elapsed: seconds since the exit.
-    remembered: seconds after the exit from which on arrivals are remembered.
-    shift (targets, seconds): added to lags to get the time at which arrivals are reported.
+    remembered: time, in seconds after the exit, since which all arrivals are remembered.
+    shift (targets, seconds): to be added to a lag to get the seconds from the exit to the report of
+        the arrival.
+
+    An arrival would not be known if it is still to come, or if it was reported after the exit and
+    is no longer remembered.
     """
     # Bounds in lags of each target; those before the exit do not matter.
     by_target = shift[:, None]
@@ -38,19 +44,19 @@ def unknown_share(edges: Floats, elapsed: float, remembered: float, shift: Float
 
 
 def quantiles(mass: Floats, edges: Floats) -> Floats:
-    """Return the lags (targets, 3) below which the shares `WINDOW` of the mass lie.
+    """Return the lags below which the shares `WINDOW` of each target's mass lie, (targets, 3).
 
-    Within a bin the mass is taken as uniform, as in `np.interp`.
-
-    mass (targets, bins): each row with a sum above 0.
+    mass (targets, bins): mass of each lag bin; the sum of each row is above 0.
     edges (bins + 1, seconds): edges of the lag bins.
+
+    Within a bin, the mass is taken as uniform.
     """
     # Mass below each edge, and the mass to be reached.
     below = np.zeros((len(mass), len(edges)))
     np.cumsum(mass, axis=1, out=below[:, 1:])
     wanted = np.array(WINDOW) * below[:, -1:]
 
-    # Bin in which it is reached.
+    # Bin in which that mass is reached.
     row = np.arange(len(mass))[:, None]
     at = np.argmax(below[:, None, :] > wanted[:, :, None], axis=2) - 1
 

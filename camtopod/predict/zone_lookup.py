@@ -1,4 +1,4 @@
-"""Find the zone of its camera that an event belongs to."""
+"""Find the zone that an event belongs to, by its camera and position (thesis 2.8)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,13 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 
 class _Shape(NamedTuple):
-    """A zone's weighted normal density (thesis 2.8), ready to be evaluated at a point."""
+    """A zone's weighted normal density, prepared for evaluation at a point.
+
+    zone: index of the zone.
+    x, y: mean, image units.
+    xx, two_xy, yy, det: covariance (with twice xy) and its determinant.
+    weight: log of the weighted density at the mean, up to a constant.
+    """
 
     zone: int
     x: float
@@ -20,11 +26,10 @@ class _Shape(NamedTuple):
     yy: float
     det: float
     weight: float
-    """Log of the density at the mean, up to a constant."""
 
 
 class ZoneLookup:
-    """The zones of a topology (indices) by camera."""
+    """Finds the zones of events; zones are indices into ``zones``."""
 
     def __init__(self, zones: list[Zone]) -> None:
         self.of_camera: dict[str, list[int]] = {}
@@ -40,18 +45,18 @@ class ZoneLookup:
         }
 
     def zone_of(self, event: Event) -> int | None:
-        """Return the zone that an event most probably belongs to; None if its camera has none.
+        """Return the zone that an event most probably belongs to; None if its camera has no zones.
 
-        Without a position it is the camera's busiest zone. A zone without a shape is chosen only if
-        no zone of the camera has one.
+        An event without a position belongs to the camera's busiest zone. A zone of unknown position
+        is chosen only if no zone of the camera has a known one.
         """
-        own = self.of_camera.get(event.camera)
-        if not own:
+        camera_zones = self.of_camera.get(event.camera)
+        if not camera_zones:
             return None
         if event.x is None or event.y is None:
             return self._busiest[event.camera]
 
-        likeliest, most = own[0], -math.inf
+        likeliest, most = camera_zones[0], -math.inf
         for zone, x, y, xx, two_xy, yy, det, weight in self._shapes[event.camera]:
             dx, dy = event.x - x, event.y - y
             density = weight - 0.5 * ((yy * dx * dx - two_xy * dx * dy + xx * dy * dy) / det)
@@ -61,7 +66,7 @@ class ZoneLookup:
 
 
 def _shape(k: int, zone: Zone) -> _Shape | None:
-    """Return the density of a zone; None if its position is not known."""
+    """Return the density of a zone with index ``k``; None if the zone has no position."""
     if zone.cov is None or zone.x is None or zone.y is None:
         return None
 

@@ -1,13 +1,15 @@
 """Learn a site that is too large for one learner, on several machines.
 
-The cameras are assigned to districts and the districts to shards; each district learns the links
-into its own cameras, and the parts of all districts are merged into one topology. In the order to
-read:
+The cameras are assigned to *districts* and the districts to *shards*, the daemons of the site. Each
+district learns the links into its own cameras, for which it also receives events of neighbouring
+cameras. With each version it publishes a *part*; the parts of all districts are merged into one
+topology. In the order to read:
 
-* `assignment`: cameras to districts, districts to shards, and guests
-* `district_learner`: the learner of one district; `neighbour_scan` finds the cameras it needs
-* `parts`: what a district publishes with each version
-* `match_zones`, `rename_zones`, `merge`: parts of all districts to one topology
+* `assignment`: which cameras belong to which district, and which districts to which shard
+* `district_learner`: the learner of one district; `neighbour_scan` finds other cameras it needs
+* `parts`: the part that a district publishes with each version
+* `merge`: merges the parts of all districts into one topology; `match_zones` and `rename_zones`
+  make their zone ids the same
 * `version_line`: the versions of the merged topology
 * `shard_learner`: the districts of one shard, with the methods of a `Learner`
 """

@@ -1,12 +1,12 @@
-"""A district: a learner of the links into its own cameras.
+"""A district: a learner of the links into its own cameras, the cameras that are assigned to it.
 
-A district receives the events of four kinds of cameras: its own; its *neighbours*, from which
-objects come to its own; the guests of the turn (`assignment`); and new cameras. While one of its
-own cameras is new, it receives every camera of the site.
+All other cameras are *foreign*. A district receives the events of four kinds of cameras: its own;
+its *neighbours*, from which objects come to its own; the guests of the turn (`assignment`); and new
+cameras. While one of its own cameras is new, it receives every camera of the site.
 
 The joint fit uses the district's own cameras, its neighbours, and the few others that a coarse scan
-finds (`neighbour_scan`): their departures explain arrivals that would otherwise be credited to a
-neighbour. Only what belongs to the district's own cameras is published (`parts`).
+finds (`neighbour_scan`), whose departures explain arrivals that would otherwise be credited to a
+neighbour. The district publishes what belongs to its own cameras (`parts`).
 
 When a turn of event time ends, the newest version decides which cameras are neighbours in the next
 turn, and the events of all other foreign cameras are dropped. In the long run the cost of a
@@ -31,49 +31,59 @@ from camtopod.sharding.neighbour_scan import find_nearby, with_cameras
 from camtopod.sharding.parts import Part, part_of
 
 NEIGHBOUR_TRANSITIONS_MIN = 2.0
-"""Transitions to the district, spurious ones left out, that a neighbour has at least."""
+"""Least number of transitions, spurious ones left out, from a neighbour to an own camera."""
 NEIGHBOUR_ARRIVALS_SHARE = 0.02
-"""Share of the arrivals at an own camera that makes its source a neighbour."""
+"""Share of the arrivals at an own camera that makes the camera they come from a neighbour."""
 NEIGHBOUR_DEPARTURES_SHARE = 0.1
-"""Share of a camera's departures to an own camera that makes it a neighbour."""
+"""Share of a camera's departures, to an own camera, that makes the former a neighbour."""
 NEIGHBOURS_PER_CAMERA_MAX = 12
-"""Neighbours for each own camera, those with the most transitions to the district first."""
+"""Largest number of neighbours, per own camera; of more, those with the most transitions count."""
 
 REGULAR_EVENTS_MIN = 20
-"""A camera with fewer events stays new, for at most one round of guests. An own camera with fewer
-does not make the district receive all cameras, as names may be invented.
+"""Least number of events of a camera that is no longer new after a turn.
+
+A camera with fewer events stays new for at most one round of guests. An own camera with fewer
+events does not make the district receive all cameras, as names may be invented.
 """
 NEWCOMERS_MAX = 8
-"""Foreign cameras with fewer events that may be new at a time, after a district's first turn."""
+"""Largest number of foreign cameras with fewer than `REGULAR_EVENTS_MIN` events that may be new at
+a time, after a district's first turn.
+"""
 
 MET_MAX = 10_000
-"""Foreign cameras that are remembered; the one met first is forgotten, and new when met again."""
+"""Largest number of cameras that are remembered.
+
+Beyond, the foreign camera that was met first is forgotten; it is new when it is received again.
+"""
 
 
 class NewCamera(Struct):
-    """A new camera: new up to the turn one turn length after its first event, or longer."""
+    """What a district remembers of a camera that it has received.
+
+    The camera is new up to the turn one turn length after its first event, plus ``longer`` turns.
+    """
 
     since_us: int
-    """Time of its first event, microseconds."""
+    """Time of the camera's first event, microseconds."""
     events: int = 0
-    """Events that were learned from."""
+    """Number of its events that were learned."""
     longer: int = 0
-    """Additional turns for which it stays new."""
+    """Number of additional turns for which it stays new."""
 
 
 class Membership(Struct):
-    """State of a `District` apart from its learner's."""
+    """State of a `District` beside the state of its `Learner`."""
 
     turn: int | None = None
     """Newest turn for which the neighbours have been determined."""
     neighbours: list[str] = []
-    """Neighbours, those with the most transitions to the district first."""
+    """Names of the neighbours, those with the most transitions to the district first."""
     learned: int = 0
-    """Events of own cameras that were learned from."""
+    """Number of events of own cameras that were learned."""
     owner: bool = False
-    """Whether an own camera has been received. Until then no part is to be expected."""
+    """True once an event of an own camera has been received; before that, no part is made."""
     met: dict[str, NewCamera] = {}
-    """Cameras that have been received, in the order in which they were met."""
+    """Cameras that have been received, in the order of their first events."""
 
 
 class DistrictState(Struct):
@@ -84,7 +94,13 @@ class DistrictState(Struct):
 
 
 class District(Learner):
-    """A `Learner` of the events that concern one district; makes a `Part` with each version."""
+    """A `Learner` of the events that concern one district; makes a `Part` with each version.
+
+    dealing: the assignment of cameras to districts.
+    number: number of this district.
+
+    hearing: state beside that of the learner.
+    """
 
     def __init__(
         self, settings: Settings, site: str, epoch: str, dealing: Assignment, number: int
@@ -94,17 +110,17 @@ class District(Learner):
         self.hearing = Membership()
         self._dealing = dealing
         self._parts: list[Part] = []
-        self._new: dict[str, NewCamera] = {}  # those of `Membership.met` that may be new
+        self._new: dict[str, NewCamera] = {}  # the cameras in ``hearing.met`` that may be new
 
     def owns(self, camera: str) -> bool:
-        """Return True if the camera is assigned to this district."""
+        """Return True if a camera is assigned to this district."""
         return self._dealing.district(camera) == self.number
 
     def listens(self, camera: str, t: float) -> bool:
-        """Return True if an event of the camera at ``t`` (seconds) may be of use.
+        """Return True if an event of a camera at ``t`` (seconds) may be of use.
 
-        Until a turn is reached, cameras of use in the last determined turn are accepted, too: they
-        may be neighbours then.
+        If the neighbours in the turn of ``t`` are not determined yet, cameras of use in the last
+        determined turn are accepted, too, as they may be neighbours again.
         """
         turn, decided = self._turn_of(microseconds(t)), self.hearing.turn
         searching = any(
@@ -115,7 +131,7 @@ class District(Learner):
         return decided is not None and turn > decided and self._uses(camera, decided, searching)
 
     def receive(self, event: Event) -> str:
-        """Take one event, as `Learner.receive`; ``unheard`` if it is of no use."""
+        """Receive one event, as `Learner.receive`; return ``unheard`` if it is of no use."""
         if self.owns(event.camera):
             self.hearing.owner = True
             met = self._meet(event.camera, microseconds(event.t))
@@ -129,7 +145,7 @@ class District(Learner):
 
     @property
     def watermark_us(self) -> int | None:
-        """Watermark in microseconds: older events are late. None before the first event."""
+        """The watermark in microseconds: older events are late. None before the first event."""
         return self._intake.watermark_us
 
     @property
@@ -140,14 +156,14 @@ class District(Learner):
 
     @property
     def phase(self) -> tuple[int | None, int, bool]:
-        """State that `strangers` depends on: turn, number of new cameras, all are received."""
+        """State that `strangers` depends on: turn, number of new cameras, whether all are received."""
         regular = any(
             one.events >= REGULAR_EVENTS_MIN and self.owns(name) for name, one in self._new.items()
         )
         return self.hearing.turn, len(self._new), regular
 
     def strangers(self) -> set[str]:
-        """Return the cameras of use as guests only; none while all cameras are received."""
+        """Return the known cameras that are of use as guests only; none while all are received."""
         _, _, searching = self.phase
         return (
             set()
@@ -156,12 +172,12 @@ class District(Learner):
         )
 
     def parts(self) -> list[Part]:
-        """Return the part of each version made since the last call, oldest first."""
+        """Return the parts of the versions made since the last call, oldest first."""
         made, self._parts = self._parts, []
         return made
 
     def save_all(self) -> DistrictState:
-        """Return the state that `load_all` needs to continue, without parts not yet fetched."""
+        """Return the state from which `load_all` continues, without parts not fetched yet."""
         return DistrictState(self.save(), self.hearing)
 
     def load_all(self, state: DistrictState) -> None:
@@ -178,7 +194,8 @@ class District(Learner):
     def change(self, change: Callable[[LearnerState], LearnerState]) -> None:
         """Continue with a changed state.
 
-        change: function from the present state to the new one; it may take event time back.
+        change: function from the present state of the learner to the new one; it may take event
+            time back.
         """
         state = change(self.save())
 
@@ -203,11 +220,12 @@ class District(Learner):
             self._new.pop(name, None)
 
     def _turn_of(self, t_us: int) -> int:
-        """Return the turn of an event: that of its tick, which is learned as a whole."""
+        """Return the turn of an event at a time: that of its tick, which is learned as a whole."""
         tick = -(-t_us // self._tick_us) * self._tick_us
         return (tick - 1) // self._dealing.turn_us
 
     def _take(self, until_us: int) -> list[tuple[int, Event]]:
+        """Return the held events up to ``until_us`` that are of use, as `Learner._take`."""
         batch = super()._take(until_us)
         turn = self._turn_of(until_us)
 
@@ -216,20 +234,22 @@ class District(Learner):
             self._end_turn(self.hearing.turn, turn, until_us)
         self.hearing.turn = turn
 
-        # Learn from the events that are of use; without own cameras there is nothing to learn.
+        # The events that are of use; none before the first event of an own camera.
         searching = self._searches(until_us, turn)
-        heard = [
+        useful = [
             (t_us, event)
             for t_us, event in batch
             if self._admit(event.camera, t_us, turn, searching)
         ]
-        self.hearing.learned += sum(self.owns(event.camera) for _, event in heard)
-        return heard if self.hearing.learned else []
+        self.hearing.learned += sum(self.owns(event.camera) for _, event in useful)
+        return useful if self.hearing.learned else []
 
     def _uses(self, camera: str, turn: int, searching: bool) -> bool:
-        """Return True if events of the camera are of use in a turn.
+        """Return True if events of a camera are of use in a turn.
 
-        They are if it is an own camera, a neighbour, a guest or new; all are when ``searching``.
+        They are if the camera is own, a neighbour, a guest or new.
+
+        searching: True if all cameras are received, because an own camera is new.
         """
         if (
             searching
@@ -242,13 +262,17 @@ class District(Learner):
         return met is None or self._is_new(met, turn)
 
     def _is_new(self, camera: NewCamera, turn: int) -> bool:
+        """Return True if a camera is new in a turn."""
         return turn <= self._turn_of(camera.since_us + self._dealing.turn_us) + camera.longer
 
     def _searches(self, tick_us: int, turn: int) -> bool:
-        """Return True if all cameras are received in this tick, because an own camera is new.
+        """Return True if all cameras are received in a tick, because an own camera is new.
 
-        Its first event must lie more than the lateness before the tick: then no event of the tick
-        was refused before that camera was known, in whatever order events arrived.
+        tick_us, turn: the tick, and the turn that it belongs to.
+
+        The first event of the own camera must lie more than the lateness before the tick: then no
+        event of the tick was refused before that camera was known, in whatever order events were
+        received.
         """
         before = tick_us - self._tick_us - 2 * self._intake.lateness_us
         return any(
@@ -258,14 +282,17 @@ class District(Learner):
         )
 
     def _admit(self, camera: str, t_us: int, turn: int, searching: bool) -> bool:
-        """Return True if an event is to be learned from, and count it for its camera."""
+        """Return True if an event is of use, and count it for its camera.
+
+        turn, searching: as for `_uses`.
+        """
         if not self._uses(camera, turn, searching):
             return False
         met = self.hearing.met
         if camera not in met and not (
             searching or self.owns(camera) or self._dealing.is_guest(camera, turn)
         ):
-            # Too many new foreign cameras at a time.
+            # Refuse a further new foreign camera if there are too many at a time.
             begun = next(iter(met.values())).since_us if met else t_us
             few = sum(
                 one.events < REGULAR_EVENTS_MIN and not self.owns(name)
@@ -277,7 +304,7 @@ class District(Learner):
         return True
 
     def _meet(self, camera: str, t_us: int) -> NewCamera:
-        """Remember a camera that has an event at ``t_us`` and return its record."""
+        """Return the record of a camera; make one if this event, at ``t_us``, is its first."""
         met = self.hearing.met.get(camera)
         if met is None:
             if len(self.hearing.met) >= MET_MAX:
@@ -290,6 +317,9 @@ class District(Learner):
 
     def _end_turn(self, ended: int, following: int, tick_us: int) -> None:
         """Determine the neighbours of the next turn, and forget cameras of no more use.
+
+        ended, following: the turn that ends, and the next one with events.
+        tick_us: the tick at which the next turn begins.
 
         A version is made at this tick first, as the newest one may be as of any earlier moment.
         """
@@ -311,32 +341,35 @@ class District(Learner):
             super().forget(gone)
 
     def _find_neighbours(self, topology: Topology) -> list[str]:
-        """Return the foreign cameras with transitions to own ones, those with the most first."""
+        """Return the foreign cameras with enough transitions to own cameras, the most first."""
         # Transitions, arrivals and departures by camera.
-        sent = transitions_between(topology)
-        came, left = Counter[str](), Counter[str]()
+        transitions = transitions_between(topology)
+        arrivals_of, departures_of = Counter[str](), Counter[str]()
         for zone in topology.zones:
-            came[zone.camera] += zone.entries
-            left[zone.camera] += zone.exits
-        heard, linked = self._heard(), linked_cameras(topology)
+            arrivals_of[zone.camera] += zone.entries
+            departures_of[zone.camera] += zone.exits
+        time_share, linked = self._heard(), linked_cameras(topology)
 
         # Transitions of each neighbour, scaled to the whole window.
-        most: dict[str, float] = {}
-        for (source, target), number in sent.items():
+        scaled: dict[str, float] = {}
+        for (source, target), number in transitions.items():
             if self.owns(source) or not self.owns(target):
                 continue
-            arrivals = came[target] * heard.get(source, 0.0)
+            arrivals = arrivals_of[target] * time_share.get(source, 0.0)
             least = min(
-                NEIGHBOUR_ARRIVALS_SHARE * arrivals, NEIGHBOUR_DEPARTURES_SHARE * left[source]
+                NEIGHBOUR_ARRIVALS_SHARE * arrivals,
+                NEIGHBOUR_DEPARTURES_SHARE * departures_of[source],
             )
             if (source, target) in linked or number >= max(least, NEIGHBOUR_TRANSITIONS_MIN):
-                most[source] = most.get(source, 0.0) + number / max(heard.get(source, 0.0), 1e-9)
+                scaled[source] = scaled.get(source, 0.0) + number / max(
+                    time_share.get(source, 0.0), 1e-9
+                )
 
-        order = sorted(most, key=lambda camera: (-most[camera], camera))
+        order = sorted(scaled, key=lambda camera: (-scaled[camera], camera))
         return order[: NEIGHBOURS_PER_CAMERA_MAX * self.cameras_own]
 
     def _heard(self) -> dict[str, float]:
-        """Return the share of the window's time since the first event of each camera."""
+        """Return, by camera, the share of the window's duration since the camera's first event."""
         t, cameras = self._window.column("t"), self._window.cameras
         present, first = np.unique(self._window.column("camera"), return_index=True)
         span = max(int(t[-1] - t[0]), 1) if len(t) else 1
@@ -346,16 +379,17 @@ class District(Learner):
         }
 
     def _refit(self, tick_us: int) -> None:
+        """Make a version as of ``tick_us`` and its part."""
         if not len(self._window):
             return
         super()._refit(tick_us)
         self._parts += [self._part(topology) for topology in self.updates()]
 
     def _to_fit(self, scene: Scene) -> Scene:
-        """Return the scene with the cameras that are fitted.
+        """Return the scene with the departures and arrivals of the cameras that are fitted only.
 
-        They are the own cameras, the neighbours, the sources of the newest version's links into own
-        cameras, and the cameras nearby.
+        They are the own cameras, the neighbours, cameras with links into own cameras in the newest
+        version, and cameras that `neighbour_scan` finds.
         """
         cameras = self._window.cameras
         own = np.array([self.owns(camera) for camera in cameras], np.bool_)
@@ -371,6 +405,7 @@ class District(Learner):
         return with_cameras(scene, kept | find_nearby(scene, own, self.bins))
 
     def _part(self, topology: Topology) -> Part:
+        """Return the part of a version, with the rate of events of each own camera."""
         t = self._window.column("t")
         span = max(float(t[-1] - t[0]) / MICROSECONDS, 1.0)
         count = (
@@ -383,13 +418,13 @@ class District(Learner):
 
 
 def linked_cameras(topology: Topology) -> set[tuple[str, str]]:
-    """Return the pairs of cameras, from and to, that published links connect."""
+    """Return the pairs (from, to) of cameras that published links join."""
     camera_of = {zone.id: zone.camera for zone in topology.zones}
     return {(camera_of[link.from_], camera_of[link.to]) for link in topology.links}
 
 
 def transitions_between(topology: Topology) -> dict[tuple[str, str], float]:
-    """Return the expected transitions between each pair of cameras, spurious ones left out."""
+    """Return the expected transitions from camera to camera, spurious ones left out."""
     camera_of = {zone.id: zone.camera for zone in topology.zones}
     model = topology.model
     onward = (model.onward if model else None) or []

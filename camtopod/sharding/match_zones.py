@@ -1,8 +1,9 @@
-"""Match the zones that two learners found in one camera.
+"""Match the zones that two districts have found in the view of one camera.
 
-Both received the camera's events, but not exactly the same ones, and each numbers zones in the
-order it finds them. So zones are matched by position. A zone that is two zones for the other
-learner stands for both.
+Both districts received the camera's events, but not exactly the same ones, and each numbers zones
+in the order in which it finds them. So zones are matched by position. The *owner* is the district
+that the camera is assigned to; a zone of the other district that is two zones of the owner stands
+for both.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from camtopod.records import Zone
 
 
 class OwnedZones:
-    """Zones of a site under the ids that their owners gave them."""
+    """All zones of a site, with the ids that their owners gave them."""
 
     def __init__(self, zones: Iterable[Zone]) -> None:
         self._of_camera: dict[str, list[Zone]] = defaultdict(list)
@@ -23,24 +24,29 @@ class OwnedZones:
             self._of_camera[zone.camera].append(zone)
 
     def names(self, others: Iterable[Zone]) -> dict[str, list[str]]:
-        """Return the owners' ids for zones that other learners found in their cameras.
+        """Return the owners' ids for the zones that another district has found, by its ids.
 
-        The owner's zone at the same position comes first, then those that have no nearer zone among
-        the others. Zones without a match are left out.
+        others: zones of foreign cameras, as found by the other district.
+
+        The owner's zone at the same position is first. After it come owner's zones that are not at
+        the position of any other zone, and for which this zone is the nearest one. Zones without a
+        match are left out.
         """
-        theirs: dict[str, list[Zone]] = defaultdict(list)
+        others_of_camera: dict[str, list[Zone]] = defaultdict(list)
         for zone in others:
-            theirs[zone.camera].append(zone)
+            others_of_camera[zone.camera].append(zone)
         names: dict[str, list[str]] = {}
-        for camera, zones in theirs.items():
-            # Each zone to the nearest of the owner.
+        for camera, zones in others_of_camera.items():
+            # For each zone, the nearest zone of the owner.
             owned = self._of_camera.get(camera, [])
-            met = {zone.id: near for zone in zones if (near := nearest(zone, owned)) is not None}
-            names |= {other: [zone.id] for other, zone in met.items()}
+            nearest_owned = {
+                zone.id: near for zone in zones if (near := nearest(zone, owned)) is not None
+            }
+            names |= {other: [zone.id] for other, zone in nearest_owned.items()}
 
-            # Owner's zones that are nobody's nearest, to the nearest of the others.
+            # For each zone of the owner that has not been matched, the nearest of the other zones.
             for zone in owned:
-                if all(zone.id != other.id for other in met.values()):
+                if all(zone.id != other.id for other in nearest_owned.values()):
                     other = nearest(zone, zones)
                     if other is not None:
                         names.setdefault(other.id, []).append(zone.id)
@@ -48,9 +54,9 @@ class OwnedZones:
 
 
 def nearest(zone: Zone, among: Sequence[Zone]) -> Zone | None:
-    """Return the zone at the position of another; None if there is none.
+    """Return the zone of ``among`` that is at the position of a zone; None if there is none.
 
-    A zone without position covers its whole camera; it matches the zone with the most events.
+    A zone without position covers the whole view; it matches the zone with the most events.
     """
     if not among or zone.x is None or any(other.x is None for other in among):
         return max(among, key=lambda other: other.entries + other.exits, default=None)

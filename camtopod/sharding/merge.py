@@ -1,9 +1,10 @@
 """Merge the parts of all districts into one topology, as if one learner had made it.
 
-The merge is a pure function and does not depend on the order of the parts, as everything has one
-owner: a camera and its zones belong to their district, a link to the district of the camera where
-it ends. Only departures are shared: each district predicts the share that appears next at its own
-cameras, the merged topology lists all of them, and the remaining share leaves the site.
+`merge` is a pure function and does not depend on the order of the parts, as every item has one
+*owner*: a camera and its zones belong to the district of the camera, a link to the district of the
+camera where it ends. Only predictions are shared: each district predicts which share of the
+departures from a zone appears next at its own cameras; the merged topology lists the next
+appearances of all districts, and the remaining share leaves the site.
 """
 
 from __future__ import annotations
@@ -46,13 +47,15 @@ from camtopod.topology import (
 ContextKey = tuple[str, str | None, int | None, str | None]
 """Zone, zone of entry, image block and previous camera of a context."""
 PACE_SHARE_MIN = 0.5
-"""Districts with a pace must have at least this share of all departures; else none is published."""
+"""Least share of all departures that districts with a pace (the persistence of speed) must have for
+a pace to be published.
+"""
 
 
 def merge(parts: Iterable[Part], settings: Settings) -> Topology:
-    """Return the content of one version, without site, epoch, version and digest.
+    """Return the topology merged from the newest part of every district.
 
-    Alarms have the version 0.
+    Site, epoch, version and digest are left out, and alarms have the version 0.
     """
     # Parts with the owners' zone ids.
     ordered = sorted(parts, key=lambda part: part.district)
@@ -68,10 +71,10 @@ def merge(parts: Iterable[Part], settings: Settings) -> Topology:
     )
     links, weak = _links(known)
 
-    # Links in corrected time, for the relations of camera pairs.
-    right = links
+    # Convert links to corrected time, for the relations of camera pairs.
+    corrected_links = links
     if not settings.correct_clocks:
-        right = with_clock_offsets(
+        corrected_links = with_clock_offsets(
             links, zones, {camera.id: -camera.clock_offset for camera in cameras}
         )
 
@@ -90,7 +93,7 @@ def merge(parts: Iterable[Part], settings: Settings) -> Topology:
         cameras=cameras,
         zones=zones,
         links=links,
-        pairs=find_camera_pairs(zones, right, settings.overlap_tolerance_seconds),
+        pairs=find_camera_pairs(zones, corrected_links, settings.overlap_tolerance_seconds),
         weak_links=weak,
         chain=estimate_markov_chain(zones, [*links, *weak], DIGITS),
         model=_model(ordered, known, zones),
@@ -100,19 +103,24 @@ def merge(parts: Iterable[Part], settings: Settings) -> Topology:
 
 
 def _names(part: Part, places: OwnedZones) -> Names:
-    """Return the owners' ids of all zones that the part names."""
+    """Return the owners' ids of all zones in a part, by the district's ids.
+
+    places: all zones of the site with their owners' ids.
+    """
     own: Names = {zone.id: [zone.id] for zone in part.topology.zones if zone.camera in part.rates}
     return own | places.names(zone for zone in part.topology.zones if zone.camera not in part.rates)
 
 
 def _links(known: Sequence[Topology]) -> tuple[list[Link], list[Link]]:
-    """Return the links and the weak links, sorted by key.
+    """Return the links and the weak links of all parts, sorted by key.
 
-    Where several districts have links from one zone, the shares of the links are scaled to at most
-    1, and weak links share the rest.
+    known: topologies of the parts, with the owners' ids.
+
+    Where several districts have links from one zone, the shares of its links are scaled down to at
+    most 1 together, and those of its weak links to the remaining share.
     """
     # Number of districts with links from each zone.
-    told = Counter(
+    districts_with = Counter(
         zone for one in known for zone in _leaving([*one.links, *(one.weak_links or [])])
     )
 
@@ -124,19 +132,22 @@ def _links(known: Sequence[Topology]) -> tuple[list[Link], list[Link]]:
 
     # Limit the shares, links first.
     strong = _leaving(links)
-    links = _within(links, {zone: 1.0 for zone, districts in told.items() if districts > 1})
-    left = {
+    links = _within(
+        links, {zone: 1.0 for zone, districts in districts_with.items() if districts > 1}
+    )
+    remaining = {
         zone: max(1.0 - strong.get(zone, 0.0), 0.0)
-        for zone, districts in told.items()
+        for zone, districts in districts_with.items()
         if districts > 1
     }
-    return sorted(links, key=link_key), sorted(_within(weak, left), key=link_key)
+    return sorted(links, key=link_key), sorted(_within(weak, remaining), key=link_key)
 
 
 def _within(links: Iterable[Link], room: dict[str, float]) -> list[Link]:
-    """Return the links, those leaving a view scaled to the ``room`` of their zone.
+    """Return links with their shares scaled down to the limit of their zone of departure.
 
-    room (by zone): largest sum of their shares; no limit for zones that are not in it.
+    room: largest sum of the shares by zone; zones that are not in it have no limit. Visible links
+        stay as they are.
     """
     links = list(links)
     taken = _leaving(links)
@@ -152,7 +163,7 @@ def _within(links: Iterable[Link], room: dict[str, float]) -> list[Link]:
 
 
 def _leaving(links: Iterable[Link]) -> dict[str, float]:
-    """Return the share of the departures of each zone that links to other views take."""
+    """Return the sum of the shares of links between views, by zone of departure."""
     taken: dict[str, float] = defaultdict(float)
     for link in links:
         if link.relation != "visible":
@@ -161,6 +172,11 @@ def _leaving(links: Iterable[Link]) -> dict[str, float]:
 
 
 def _model(parts: Sequence[Part], known: Sequence[Topology], zones: Sequence[Zone]) -> Model | None:
+    """Return the merged model; None if no part has one.
+
+    known: topologies of the parts, with the owners' ids.
+    zones: all zones of the site.
+    """
     models = [one.model for one in known if one.model is not None]
     if not models:
         return None
@@ -208,13 +224,14 @@ def _onward(models: Iterable[Model]) -> list[Onward]:
 
 
 def _outcomes(zone: str, rows: Sequence[Onward]) -> Onward:
+    """Return the next appearances from one zone by all districts, given those by each."""
     appear = sum(1.0 - row.leave for row in rows)
     outcomes = sorted(
         (outcome for row in rows for outcome in row.next_), key=lambda outcome: -outcome.share
     )
     outcomes = outcomes[:OUTCOMES_PER_ZONE_MAX]
 
-    # Leave room for leaving the site.
+    # Scale shares down so that the least share leaves the site.
     most = 1.0 - LEAVE_FLOOR
     if appear > most + 1e-9:
         outcomes, appear = [_scaled(outcome, most / appear) for outcome in outcomes], most
@@ -222,6 +239,7 @@ def _outcomes(zone: str, rows: Sequence[Onward]) -> Onward:
 
 
 def _scaled(outcome: Outcome, factor: float) -> Outcome:
+    """Return an outcome with share and hazard times a factor."""
     return replace(
         outcome,
         share=round_significant(outcome.share * factor),
@@ -230,7 +248,13 @@ def _scaled(outcome: Outcome, factor: float) -> Outcome:
 
 
 def _contexts(known: Sequence[Topology]) -> list[Context]:
-    """Return the owners' contexts, with the transitions that other districts predict added."""
+    """Return the contexts of all zones, with transitions to the cameras of all districts.
+
+    known: topologies of the parts, with the owners' ids.
+
+    Departures and transitions to own cameras are those counted by the owner of the zone;
+    transitions to other cameras follow from the predictions of other districts.
+    """
     # Owners of zones, shares and contexts of each district.
     owners = {
         zone: k for k, one in enumerate(known) for camera in one.cameras for zone in camera.zones
@@ -244,8 +268,8 @@ def _contexts(known: Sequence[Topology]) -> list[Context]:
 
     # Each owner's contexts, with transitions to other districts' cameras.
     result = []
-    for k, own in enumerate(rows):
-        for key, row in own.items():
+    for k, contexts in enumerate(rows):
+        for key, row in contexts.items():
             if owners[row.zone] == k:
                 others = [
                     _expected(row, rows[other].get(key), share)
@@ -267,18 +291,19 @@ def _contexts(known: Sequence[Topology]) -> list[Context]:
 
 
 def _context_key(row: Context) -> ContextKey:
+    """Return the key of a context, which is the same in all districts."""
     return row.zone, row.entry, row.block, row.previous
 
 
 def _expected(own: Context, other: Context | None, share: dict[str, float]) -> dict[str, float]:
-    """Return the departures of a context that appear next at another district's cameras.
+    """Return the transitions of a context to another district's cameras, by target.
 
-    The shares are those of the other district's same context, or of all departures of the zone if
-    it has no such context.
+    own: the context, as counted by the zone's owner.
+    other: the same context, as counted by the other district; None if it has none.
+    share: share of all departures of the zone by target, as predicted by the other district.
 
-    own: context of the zone's owner.
-    other: same context of the other district, if any.
-    share: share of all departures of the zone, by target.
+    The departures are the owner's. The share of each target is that in the other district's
+    context, or else its share of all departures of the zone.
     """
     if other is None or other.departures <= 0.0:
         return {target: own.departures * part for target, part in share.items()}
@@ -288,7 +313,11 @@ def _expected(own: Context, other: Context | None, share: dict[str, float]) -> d
 
 
 def _with(row: Context, others: Iterable[dict[str, float]]) -> Context:
-    """Return the context with transitions to other districts added, scaled to its departures."""
+    """Return a context with transitions to other districts' cameras added.
+
+    others: these transitions, by target. If all transitions are more than the departures, they are
+        scaled down.
+    """
     to = dict(row.to)
     for other in others:
         to |= other
@@ -302,28 +331,31 @@ def _with(row: Context, others: Iterable[dict[str, float]]) -> Context:
 
 
 def _pace(models: Sequence[Model]) -> Pace | None:
-    """Return the mean of the districts' paces, weighted by departures."""
+    """Return the mean of the districts' paces (the persistence of speed), weighted by departures.
+
+    None if too few districts have one (`PACE_SHARE_MIN`).
+    """
     weighed = [
         (model.pace, float(sum(zone.departures for zone in model.zones))) for model in models
     ]
-    some = [(pace, weight) for pace, weight in weighed if pace is not None and weight > 0.0]
-    told = sum(weight for _, weight in some)
-    if not some or told < PACE_SHARE_MIN * sum(weight for _, weight in weighed):
+    known = [(pace, weight) for pace, weight in weighed if pace is not None and weight > 0.0]
+    total = sum(weight for _, weight in known)
+    if not known or total < PACE_SHARE_MIN * sum(weight for _, weight in weighed):
         return None
     scaling, correlation, sd = (
-        round_significant(sum(getattr(pace, name) * weight for pace, weight in some) / told)
+        round_significant(sum(getattr(pace, name) * weight for pace, weight in known) / total)
         for name in ("scaling", "correlation", "sd")
     )
     ways = sorted(
-        (way for pace, _ in some for way in pace.ways), key=lambda way: (way.entry, way.exit)
+        (way for pace, _ in known for way in pace.ways), key=lambda way: (way.entry, way.exit)
     )
     return Pace(scaling, correlation, sd, ways)
 
 
 def _score(known: Iterable[Topology]) -> SelfScore | None:
-    """Return the mean of the districts' scores, weighted by exits.
+    """Return the mean of the districts' scores of their own predictions, weighted by exits.
 
-    Each district predicts from what it has learned itself.
+    Each district predicts with its own versions.
     """
     scores = [one.score for one in known if one.score is not None]
     if not scores:

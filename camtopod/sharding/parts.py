@@ -1,4 +1,9 @@
-"""Parts: what one district knows of its own cameras and of the links into them."""
+"""Parts: the share of one district in the topology of the site.
+
+A district fits more cameras than its own. `part_of` takes from its topology what belongs to its own
+cameras: the cameras with their zones, the links that end there, and the predictions of objects that
+appear there. `merge` puts the parts of all districts together.
+"""
 
 from __future__ import annotations
 
@@ -13,24 +18,26 @@ from camtopod.topology import round_significant, with_digest
 
 
 class Part(Struct, frozen=True):
-    """What a district publishes with each version.
+    """The part that a district publishes with each version.
 
-    ``topology`` holds the district's own cameras, their zones and the links that end there, and the
-    zones of other cameras where these links begin, under the numbers that this district gave them
-    (`match_zones` finds the owner's). Next appearances are listed as far as they are at own
-    cameras; ``leave`` covers all others.
+    district: number of the district.
+    topology: the district's own cameras, their zones and the links that end there; and the zones of
+        other cameras where these links begin, under the ids that this district gave them
+        (`match_zones` finds the ids of their owners). In the model, next appearances are listed if
+        they are at own cameras; all others are included in ``leave``.
+    rates: events per second of each own camera in the window.
     """
 
     district: int
     topology: Topology
     rates: dict[str, float]
-    """Events per second of each own camera in the window."""
 
 
 def part_of(topology: Topology, district: int, rates: dict[str, float], events: int) -> Part:
-    """Return the part of a district's topology that is its own.
+    """Return the part of a district, taken from the topology that it has learned.
 
-    rates (by own camera, 1/s): events per second.
+    district: number of the district.
+    rates: events per second of each own camera; defines which cameras are own.
     events: number of events of own cameras so far.
     """
     zones = {zone.id for zone in topology.zones if zone.camera in rates}
@@ -38,7 +45,7 @@ def part_of(topology: Topology, district: int, rates: dict[str, float], events: 
     weak = [link for link in topology.weak_links or [] if link.to in zones]
     model = None if topology.model is None else _own_model(topology.model, zones, rates.keys())
 
-    # Zones of other cameras that links, next appearances or entry kernels begin at.
+    # Zones of other cameras where links, next appearances or entry kernels begin.
     named = {link.from_ for link in (*links, *weak)} | {
         row.zone for row in (model and model.onward) or []
     }
@@ -61,22 +68,25 @@ def part_of(topology: Topology, district: int, rates: dict[str, float], events: 
 
 
 def is_assigned(part: Part, dealing: Assignment) -> bool:
-    """Return True if all cameras of the part are assigned to its district."""
-    here = range(dealing.sharding.districts)
-    return part.district in here and all(
+    """Return True if all cameras of a part are assigned to its district."""
+    districts = range(dealing.sharding.districts)
+    return part.district in districts and all(
         dealing.district(camera) == part.district for camera in part.rates
     )
 
 
 def _own_model(model: Model, zones: Set[str], cameras: Set[str]) -> Model:
-    """Return the model with next appearances at the own ``zones`` of the own ``cameras`` only."""
+    """Return the part of a model that concerns a district's own cameras.
+
+    zones, cameras: ids of the own zones, and names of the own cameras.
+    """
     onward = [_own_outcomes(row, zones) for row in model.onward or []]
     onward = [row for row in onward if row.next_ or row.zone in zones]
-    told = {row.zone for row in onward}
+    zones_told = {row.zone for row in onward}
     contexts = [
         replace(row, to={zone: number for zone, number in row.to.items() if zone in zones})
         for row in model.contexts or []
-        if row.zone in told
+        if row.zone in zones_told
     ]
     ways = [way for way in model.pace.ways if way.exit in zones] if model.pace else []
 
@@ -97,7 +107,11 @@ def _own_model(model: Model, zones: Set[str], cameras: Set[str]) -> Model:
 
 
 def _own_outcomes(row: Onward, zones: Set[str]) -> Onward:
-    """Count objects that appear next elsewhere as leaving, as other districts predict those."""
+    """Return the next appearances from one zone at own zones only.
+
+    zones: ids of the own zones. Objects that appear next elsewhere count as leaving the site, as
+        other districts predict these.
+    """
     elsewhere = sum(outcome.share for outcome in row.next_ if outcome.to not in zones)
     if not elsewhere:
         return row
@@ -109,5 +123,5 @@ def _own_outcomes(row: Onward, zones: Set[str]) -> Onward:
 
 
 def _is_of(alarm: Alarm, cameras: Set[str]) -> bool:
-    """Return True if the alarm's subject (camera, zone, or link into one) is of the ``cameras``."""
+    """Return True if an alarm's subject (camera, zone, or link to a zone) is of the ``cameras``."""
     return alarm.subject.split("->")[-1].split("/")[0] in cameras

@@ -1,8 +1,9 @@
 """Rename the zones of foreign cameras in a part to the ids that their owners gave them.
 
-Several zones of the district that are one zone of the owner's are combined, weighted by their
-number of events. Where one zone is several of the owner's, its predictions are used for each of
-them.
+The *owner* of a zone is the district of its camera. Each district finds the zones of a foreign
+camera on its own, so its zones may differ from the owner's. If several zones of the district are
+one zone of the owner, their links and predictions are combined, weighted by number of events. If
+one zone of the district is several zones of the owner, its predictions are used for each of these.
 """
 
 from __future__ import annotations
@@ -26,11 +27,14 @@ from camtopod.records import (
 from camtopod.topology import LinkKey, link_key, round_significant, sum_as_counts, sum_as_steps
 
 Names = dict[str, list[str]]
-"""Owners' ids of each zone, the one at its position first; others are unknown to their owner."""
+"""Owners' ids of each zone, by the district's id; the owner's zone at the same position is first.
+
+Zones that are not in it are unknown to their owner.
+"""
 
 
 def with_owners_ids(part: Topology, names: Names) -> Topology:
-    """Return the topology of a part with the owners' ids.
+    """Return the topology of a part with the owners' ids of its zones.
 
     Links, next appearances and contexts that begin at zones unknown to their owner are left out.
     """
@@ -55,6 +59,10 @@ def with_owners_ids(part: Topology, names: Names) -> Topology:
 
 
 def _links(links: Iterable[Link], names: Names, exits: dict[str, float]) -> list[Link]:
+    """Return links with the owners' ids, combined where these are the same.
+
+    exits: number of exits by the district's id of the zone.
+    """
     leaving: dict[str, float] = defaultdict(float)
     for zone, (first, *_) in names.items():
         leaving[first] += exits[zone]
@@ -66,9 +74,13 @@ def _links(links: Iterable[Link], names: Names, exits: dict[str, float]) -> list
 
 
 def _one_link(source: str, links: list[Link], exits: dict[str, float], leaving: float) -> Link:
-    """Combine links from several zones that are one of the owner's.
+    """Combine links from several zones of the district that are one zone of the owner.
 
-    Transit times are those of the strongest link.
+    source: the owner's id.
+    exits: number of exits by the district's id of the zone.
+    leaving: number of exits at all zones of the district that are this zone of the owner.
+
+    The transit times are those of the link with the most transitions.
     """
     if len(links) == 1 and exits[links[0].from_] == leaving:
         return replace(links[0], from_=source)
@@ -86,6 +98,10 @@ def _one_link(source: str, links: list[Link], exits: dict[str, float], leaving: 
 
 
 def _model(part: Topology, model: Model, names: Names, exits: dict[str, float]) -> Model:
+    """Return the model of a part with the owners' ids.
+
+    exits: number of exits by the district's id of the zone.
+    """
     members: dict[str, list[str]] = defaultdict(list)
     for zone, owned in names.items():
         for owner in owned:
@@ -102,6 +118,11 @@ def _model(part: Topology, model: Model, names: Names, exits: dict[str, float]) 
 def _onward(
     rows: Iterable[Onward], members: dict[str, list[str]], exits: dict[str, float]
 ) -> list[Onward]:
+    """Return the next appearances by the owners' zones.
+
+    members: ids of the district's zones by the owner's id.
+    exits: number of exits by the district's id of the zone.
+    """
     row_of = {row.zone: row for row in rows}
     result = []
     for owner, zones in members.items():
@@ -114,6 +135,12 @@ def _onward(
 
 
 def _one_row(owner: str, rows: list[tuple[float, Onward]], leaving: float) -> Onward:
+    """Return the mean of next appearances from several zones, weighted by exits.
+
+    owner: the owner's id.
+    rows: (exits, next appearances) of each zone.
+    leaving: exits of all these zones.
+    """
     to: dict[str, list[tuple[float, Outcome]]] = defaultdict(list)
     for number, row in rows:
         for outcome in row.next_:
@@ -127,6 +154,7 @@ def _one_row(owner: str, rows: list[tuple[float, Onward]], leaving: float) -> On
 
 
 def _one_outcome(target: str, outcomes: list[tuple[float, Outcome]]) -> Outcome:
+    """Return the weighted sum of outcomes, given as (weight, outcome), at one next zone."""
     share = sum(weight * outcome.share for weight, outcome in outcomes)
     doubt = sum(weight * outcome.share * outcome.doubt for weight, outcome in outcomes) / max(
         share, 1e-300
@@ -138,6 +166,11 @@ def _one_outcome(target: str, outcomes: list[tuple[float, Outcome]]) -> Outcome:
 def _entered(
     kernels: Iterable[EntryKernel], members: dict[str, list[str]], entries: dict[str, float]
 ) -> list[EntryKernel]:
+    """Return the entry kernels by the owners' zones, as means weighted by entries.
+
+    members: ids of the district's zones by the owner's id.
+    entries: number of entries by the district's id of the zone.
+    """
     of_zone: dict[str, dict[str, Histogram]] = defaultdict(dict)
     for kernel in kernels:
         of_zone[kernel.zone][kernel.to] = kernel.hazard
@@ -157,7 +190,7 @@ def _entered(
 
 
 def _contexts(rows: Iterable[Context], names: Names) -> list[Context]:
-    """Return the contexts with owners' ids; counts of those that are one for the owner add up."""
+    """Return contexts with the owners' ids, adding up counts of contexts that become the same."""
     result: dict[tuple[str, str | None, int | None, str | None], Context] = {}
     for row in rows:
         entry = None if row.entry is None else names.get(row.entry, [None])[0]
@@ -179,5 +212,6 @@ def _contexts(rows: Iterable[Context], names: Names) -> list[Context]:
 
 
 def _alarm(alarm: Alarm, names: Names) -> Alarm:
+    """Return an alarm with the owner's id of the zone where its link begins, if it is of a link."""
     source, arrow, target = alarm.subject.partition("->")
     return replace(alarm, subject=f"{names.get(source, [source])[0]}->{target}") if arrow else alarm

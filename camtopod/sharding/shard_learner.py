@@ -1,7 +1,9 @@
-"""One shard of a site: the districts it works, with the methods of a `Learner`.
+"""One shard of a site: the learners of its districts, with the methods of a `Learner`.
 
-What a district learns does not depend on which others are in the same shard, so the parts of all
-shards merge into the same topology, however many shards there are.
+`ShardLearner` gives each event to those of its districts that it is of use to, collects the parts
+that they make, and merges them into versions. What a district learns does not depend on which other
+districts are in the same shard, so the parts of all shards merge into the same topology, however
+many shards there are.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from camtopod.sharding.parts import Part
 from camtopod.sharding.version_line import VersionLine, VersionLineState
 
 FORMAT = 1
-"""Format of a shard's snapshot; a higher number is refused."""
+"""Format of the snapshots that this program reads and writes; other formats are refused."""
 VERDICTS = ("accepted", "duplicate", "late", "refused", "unheard")
 """Verdicts of `ShardLearner.receive`; an ``unheard`` event is of no use to any district."""
 
@@ -41,14 +43,19 @@ class ShardState(Struct):
     shard: tuple[int, int]
     """Number of the shard, from 0, and number of shards."""
     districts: list[DistrictState]
+    """State of each district of the shard."""
     line: VersionLineState
+    """State of the versions merged from the shard's own districts."""
     counts: dict[str, int]
+    """Number of events by verdict."""
 
 
 class ShardLearner:
-    """Learner of shard ``shard`` = (i, n) of a site, i from 0 to n - 1.
+    """Learner of one shard of a site: of all districts that the shard runs.
 
-    Its versions are those of its own districts alone. The versions of the site are made by a
+    shard: number of the shard, from 0, and number of shards.
+
+    Its versions are merged from its own districts alone. The versions of the site are made by a
     `VersionLine` from the parts of all shards.
     """
 
@@ -73,9 +80,10 @@ class ShardLearner:
         self.counts = dict.fromkeys(VERDICTS, 0)
         self._line = VersionLine(self.settings, site, epoch)
         self._parts: list[Part] = []
-        # States of the districts for which `_strangers` was determined.
-        self._phases: list[tuple[int | None, int, bool]] = []
+        # Cached result of `strangers`, and the states of the districts (`District.phase`) that it
+        # belongs to.
         self._strangers: frozenset[str] = frozenset()
+        self._phases: list[tuple[int | None, int, bool]] = []
 
     @property
     def topology(self) -> Topology | None:
@@ -88,24 +96,24 @@ class ShardLearner:
         return self._line.epoch
 
     def listens(self, camera: str, t: float) -> bool:
-        """Return True if an event of the camera at ``t`` (seconds) is of use to any district."""
+        """Return True if an event of a camera at ``t`` (seconds) may be of use to any district."""
         return any(district.listens(camera, t) for district in self.districts)
 
     def owns(self, camera: str) -> bool:
-        """Return True if the camera is assigned to one of this shard's districts."""
+        """Return True if a camera is assigned to one of this shard's districts."""
         return any(district.owns(camera) for district in self.districts)
 
     def receive(self, event: Event) -> str:
-        """Take one event and return the verdict.
+        """Receive one event and return the verdict.
 
-        It is the verdict of the camera's own district; if that is in another shard, of the first
-        district here that takes the event; else ``unheard``.
+        It is the verdict of the camera's own district. If that is in another shard, it is the
+        verdict of the first district to which the event is of use; else ``unheard``.
         """
         verdict = "unheard"
         for district in self.districts:
-            said = district.receive(event)
+            of_district = district.receive(event)
             if district.owns(event.camera) or verdict == "unheard":
-                verdict = said
+                verdict = of_district
         self.counts[verdict] += 1
         self._merge()
         return verdict
@@ -136,12 +144,12 @@ class ShardLearner:
         return made
 
     def newest_parts(self) -> list[Part]:
-        """Return the newest part of each of its districts."""
+        """Return the newest part of each district of the shard."""
         return self._line.parts()
 
     @property
     def strangers(self) -> frozenset[str]:
-        """Cameras that are of use as guests only, to all districts with own cameras."""
+        """Cameras that all districts of the shard with own cameras use as guests only."""
         owners = [district for district in self.districts if district.hearing.owner]
         phases = [district.phase for district in owners]
         if phases != self._phases:
@@ -152,14 +160,14 @@ class ShardLearner:
     def reached(self) -> float | None:
         """Return the event time (seconds) up to which all parts are made; None before any event.
 
-        Districts without own cameras make no parts, so they are not waited for.
+        Districts without own cameras make no parts, so they do not count.
         """
         owners = [district for district in self.districts if district.hearing.owner]
         if not owners:
-            heard = [
+            watermarks = [
                 mark for district in self.districts if (mark := district.watermark_us) is not None
             ]
-            return max(heard) / MICROSECONDS if heard else None
+            return max(watermarks) / MICROSECONDS if watermarks else None
 
         marks = [mark for district in owners if (mark := district.watermark_us) is not None]
         if not marks:
@@ -168,7 +176,7 @@ class ShardLearner:
         return min([max(marks), *held]) / MICROSECONDS
 
     def save(self) -> ShardState:
-        """Return the state that `load` needs, without updates and parts not yet fetched."""
+        """Return the state from which `load` continues, without versions or parts not fetched."""
         districts = [district.save_all() for district in self.districts]
         return ShardState(
             self.sharding, self.shard, districts, self._line.save(), dict(self.counts)
@@ -177,7 +185,7 @@ class ShardLearner:
     def load(self, state: ShardState) -> None:
         """Continue from a saved state; this learner must be new.
 
-        Raises ValueError if the state is of another shard or of other ``[shards]`` settings.
+        Raise ValueError if the state is of another shard or of other ``[shards]`` settings.
         """
         if (state.sharding, state.shard) != (self.sharding, self.shard):
             raise ValueError(f"the state is of shard {state.shard} of {state.sharding}")
@@ -187,7 +195,7 @@ class ShardLearner:
         self.counts = dict(state.counts)
 
     def change(self, change: Callable[[LearnerState], LearnerState]) -> None:
-        """Continue with a changed state in each district, as `District.change`."""
+        """Continue with a changed state in each district (`District.change`)."""
         for district in self.districts:
             district.change(change)
 
@@ -197,18 +205,15 @@ class ShardLearner:
             district.forget(names)
 
     def begin_epoch(self, epoch: str) -> None:
-        """Begin a new epoch: versions count from 1 again, what is known stays."""
+        """Begin an epoch: the learned state stays, versions count from 1 again."""
         self._line.begin_epoch(epoch)
 
     def refresh(self) -> None:
-        """Make the first version of the epoch from what is known, if anything is."""
+        """Make the first version of the epoch from the newest parts, if there are any."""
         self._line.refresh()
 
     def next_deadline(self) -> float | None:
-        """Return the event time (seconds) that `advance` must reach for anything to be learned.
-
-        None if no events are held.
-        """
+        """Return the event time (seconds) at which the next held event is learned; None without."""
         waiting = [
             due for district in self.districts if (due := district.next_deadline()) is not None
         ]
@@ -223,7 +228,7 @@ class ShardLearner:
     def statistics(self) -> dict[str, int | float]:
         """Return counts and sizes, for display and health checks.
 
-        Cameras are own ones; windows are those of all districts together.
+        ``cameras`` counts own cameras; ``window`` adds up the events of all districts' windows.
         """
         each = [district.statistics() for district in self.districts]
         return {
@@ -237,7 +242,7 @@ class ShardLearner:
         }
 
     def _merge(self) -> None:
-        """Add new parts to the version line, and make the versions that are due."""
+        """Collect new parts, and make versions up to the event time that all districts reached."""
         made = [part for district in self.districts for part in district.parts()]
         self._parts += made
         self._line.take(made)
@@ -248,6 +253,8 @@ class ShardLearner:
 
 
 class _Snapshot(Struct):
+    """A snapshot as encoded: `ShardState` with the packed state of each learner."""
+
     format: int
     sharding: Sharding
     shard: tuple[int, int]
@@ -257,16 +264,16 @@ class _Snapshot(Struct):
 
 
 def pack_shard(state: ShardState) -> bytes:
-    """Return the state as compressed bytes."""
+    """Return a shard's state as compressed bytes."""
     districts = [(pack(district.learner), district.hearing) for district in state.districts]
     plain = _Snapshot(FORMAT, state.sharding, state.shard, districts, state.line, state.counts)
     return zlib.compress(msgspec.msgpack.encode(plain), 1)
 
 
 def unpack_shard(blob: bytes) -> ShardState:
-    """Return the state from bytes.
+    """Return a shard's state from bytes made by `pack_shard`.
 
-    Raises `SnapshotError` if they are damaged, and `NewerSnapshot` if a newer program wrote them.
+    Raise `SnapshotError` if the bytes are damaged, `NewerSnapshot` if a newer program wrote them.
     """
     try:
         inflater = zlib.decompressobj()

@@ -1,8 +1,9 @@
-"""The version line of a site that is learned in districts: parts in, merged versions out.
+"""The version line of a site that is learned in districts: receives parts, makes merged versions.
 
-A version is made for each moment of event time as of which there are new parts, once all districts
-have reached that moment. So versions, too, depend on the events alone. A part that arrives later,
-from a shard that was away, is included from the next version on.
+Each part is as of some moment of event time. For each such moment, a version is made once all
+districts have reached it. So versions depend on the events alone, not on the order in which parts
+are received. A part that is received later, from a shard that was not running, is included from the
+next version on.
 """
 
 from __future__ import annotations
@@ -24,10 +25,11 @@ AlarmKey = tuple[float, str, str, str]
 
 
 class VersionLineState(Struct):
-    """State of a `VersionLine`."""
+    """The saved state of a `VersionLine`."""
 
     epoch: str
     topology: Topology | None
+    """The newest version."""
     parts: list[Part]
     """Newest merged part of each district."""
     waiting: list[Part]
@@ -37,7 +39,10 @@ class VersionLineState(Struct):
 
 
 class VersionLine:
-    """The version line: merges the newest part of every district."""
+    """Merges the newest part of every district into versions of the site.
+
+    topology: the newest version; None before the first one of the epoch.
+    """
 
     def __init__(self, settings: Settings, site: str, epoch: str) -> None:
         self.settings, self.site, self.epoch = settings, site, epoch
@@ -48,11 +53,11 @@ class VersionLine:
         self._updates: list[Topology] = []
 
     def take(self, parts: Iterable[Part]) -> None:
-        """Add new parts."""
+        """Add new parts; versions are made of them by `reach`."""
         self._waiting += parts
 
     def reach(self, until: float) -> None:
-        """Make the versions up to ``until``.
+        """Make the versions as of moments up to ``until``.
 
         until (seconds): event time that all districts have reached.
         """
@@ -79,7 +84,7 @@ class VersionLine:
         return [newest[district] for district in sorted(newest)]
 
     def flush(self) -> None:
-        """Make versions of all remaining parts."""
+        """Make versions of all waiting parts."""
         self.reach(math.inf)
 
     def updates(self) -> list[Topology]:
@@ -88,19 +93,22 @@ class VersionLine:
         return made
 
     def begin_epoch(self, epoch: str) -> None:
-        """Begin a new epoch: versions count from 1 again, what is known stays."""
+        """Begin an epoch: the parts stay, versions count from 1 again."""
         self._past = {
             key_of(alarm) for part in self._parts.values() for alarm in part.topology.alarms or []
         }
         self.epoch, self.topology = epoch, None
 
     def refresh(self) -> None:
-        """Make the first version of the epoch from the known parts, if there are any."""
+        """Make the first version of the epoch from the merged parts, if there are any.
+
+        If the epoch has a version already, do nothing.
+        """
         if self.topology is None and self._parts:
             self._make()
 
     def save(self) -> VersionLineState:
-        """Return the state that `load` needs to continue, without updates not yet fetched."""
+        """Return the state from which `load` continues, without versions not fetched yet."""
         parts = [self._parts[district] for district in sorted(self._parts)]
         return VersionLineState(
             self.epoch, self.topology, parts, list(self._waiting), sorted(self._past)
@@ -113,15 +121,16 @@ class VersionLine:
         self._past = set(state.past)
 
     def _make(self) -> None:
+        """Make the next version from the newest parts."""
         version = 1 if self.topology is None else self.topology.version + 1
         merged = merge(self._parts.values(), self.settings)
 
         # Alarms keep the version that first raised them.
-        said = {
+        first_raised = {
             key_of(alarm): alarm.version for alarm in (self.topology and self.topology.alarms) or []
         }
         alarms = [
-            replace(alarm, version=said.get(key_of(alarm), version))
+            replace(alarm, version=first_raised.get(key_of(alarm), version))
             for alarm in merged.alarms or []
             if key_of(alarm) not in self._past
         ]
@@ -135,7 +144,7 @@ class VersionLine:
 
 
 def age_of(part: Part) -> tuple[float, int]:
-    """Return the age of a part: as-of time and version, to compare it with others of its district.
+    """Return (as-of time, version) of a part, by which parts of one district are ordered.
 
     A district may make two versions as of one moment.
     """
@@ -143,5 +152,5 @@ def age_of(part: Part) -> tuple[float, int]:
 
 
 def key_of(alarm: Alarm) -> AlarmKey:
-    """Return the content of an alarm, without the version."""
+    """Return the key by which an alarm is recognised in a later version: all but its version."""
     return alarm.t, alarm.kind, alarm.subject, alarm.detail

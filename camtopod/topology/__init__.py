@@ -1,10 +1,10 @@
-"""The topology's vocabulary, shared by learning, prediction, sharding and the web view.
+"""Basics of the camera network topology, shared by learning, prediction, sharding and the web page.
 
-Reading order: `lag_bins` (the time scale of transit times), `histograms` (transit-time histograms
-as a version stores them), `grid` (image positions as integers), `shared_constants`, then what is
-derived from links: `find_camera_pairs` (overlapped views or unseen paths) and
-`estimate_markov_chain` (the chain over cameras). `versions` compares versions: keys, digests and
-deltas.
+The records of a topology are in `camtopod.records`. Reading order: `lag_bins` (bins for transit
+times), `histograms` (transit-time histograms as a version stores them), `grid` (image positions as
+integers, and blocks of the image) and `shared_constants`. `camera_pairs` (overlapped views or
+unseen paths) and `markov_chain` (the chain over cameras) are computed from links. `versions` has
+digests of versions and the deltas between them.
 """
 
 from __future__ import annotations

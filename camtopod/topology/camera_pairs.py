@@ -1,14 +1,15 @@
 """Relation of two cameras: overlapped views, an unseen path, or none (thesis 4.5, table 4.4).
 
-Two tests are made, and the views count as overlapped if either finds an overlap:
+Two cameras are related if a link joins zones of the two. Two tests of overlap are made from these
+links, and the views count as overlapped if either finds an overlap:
 
-* *Sum rule* (thesis): an object enters the one view during its passage through the other.
-* *Lags*: most transitions on a link have a negative lag, so the object enters the one view before
-  it leaves the other.
+* *Sum rule* (thesis): an object enters the second view during its passage through the first.
+* *Lags*: most transitions on a link have a negative lag, so the object enters the second view
+  before it leaves the first.
 
-The tests differ for views that touch, as the sum rule has a tolerance. They also differ where
-negative lags are longer than the passages (groups, or a wrong clock): passages there then begin
-before the passages here.
+The results differ for views that touch, as the sum rule has a tolerance. They also differ where
+negative lags are longer than the passages (of groups, or by a wrong clock): passages through the
+second view then begin before those through the first.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from collections.abc import Iterable
 from camtopod.records import Link, Pair, PairRelation, Relation, Zone
 
 NEGATIVE_LAG_SHARE_MIN = 0.5
-"""A link is overlapped if more than this share of its transitions have a negative lag."""
+"""Share of transitions with a negative lag above which a link is overlapped."""
 
 
 def relation_of(ahead: float) -> Relation:
@@ -31,24 +32,26 @@ def relation_of(ahead: float) -> Relation:
 
 
 def find_camera_pairs(zones: Iterable[Zone], links: Iterable[Link], tolerance: float) -> list[Pair]:
-    """Return each related pair of cameras once, ids sorted, with both test results.
+    """Return each related pair of cameras once, ids sorted, with the results of both tests.
 
-    Where the tests differ, the pair carries the reason. Entries and exits take the place of the
-    thesis's sightings: t(A,B) is the passage from A to B through the view, t(B,C) the transit time
-    of the link B -> C (negative if C is entered before B is left), and t(A,C) their sum.
-
+    zones, links: all zones, and the links between them with transit times in corrected time.
     tolerance (seconds): T of the sum rule.
+
+    If the results differ, the pair has the reason. Entries and exits take the place of the thesis's
+    sightings: t(A,B) is the dwell time of the passage from A to B through the first view, t(B,C)
+    the transit time of the link B -> C (negative if C is entered before B is left), and t(A,C) the
+    sum of the two.
     """
     # Collect the median dwell times by zone of exit, and the links by pair of cameras.
     camera_of = {zone.id: zone.camera for zone in zones}
     passages: dict[str, list[float]] = defaultdict(list)
     between: dict[tuple[str, str], list[Link]] = defaultdict(list)
     for link in links:
-        here, there = camera_of[link.from_], camera_of[link.to]
+        source, target = camera_of[link.from_], camera_of[link.to]
         if link.relation == "visible":
             passages[link.to].append(link.transit.q50)
-        elif here != there:
-            between[min(here, there), max(here, there)].append(link)
+        elif source != target:
+            between[min(source, target), max(source, target)].append(link)
     return [_pair(cameras, between[cameras], passages, tolerance) for cameras in sorted(between)]
 
 
@@ -57,12 +60,14 @@ def _pair(
 ) -> Pair:
     """Return the relation of two cameras from the links between them.
 
-    passages: median dwell times (seconds) of the passages that end at each zone.
+    links: the links that join zones of the two.
+    passages: by zone, the median dwell times (seconds) of the visible links that end there.
+    tolerance (seconds): T of the sum rule.
     """
-    # The two tests: lags, and the sum rule on every passage followed by a link.
+    # The two tests: lags, and the sum rule on every passage with a link that continues it.
     ahead = any(link.relation == "overlapped" for link in links)
-    tested = [(stay, link.transit.q50) for link in links for stay in passages.get(link.from_, [])]
-    during = any(sum_rule(stay, abs(stay + lag), abs(lag), tolerance) for stay, lag in tested)
+    tested = [(dwell, link.transit.q50) for link in links for dwell in passages.get(link.from_, [])]
+    during = any(sum_rule(dwell, abs(dwell + lag), abs(lag), tolerance) for dwell, lag in tested)
 
     # Explain a difference.
     reason = None
@@ -89,7 +94,7 @@ def _relation(overlapped: bool) -> PairRelation:
 
 
 _ROUNDING = 1e-9
-"""Seconds allowed for rounding.
+"""Seconds allowed for rounding in the sum rule.
 
 In table 5.4, |4.45 - (1.6 + 3.3)| is exactly T = 0.45 and must pass.
 """

@@ -1,7 +1,9 @@
 """Transit-time histograms over lag bins, as topology versions store them.
 
-A `Histogram` holds either *counts* (expected transitions, three significant digits) or *steps*
-(whole multiples of a unit, at most `STEPS` of them per bin).
+A `Histogram` has the number of its first bin, a mass for each bin from there on, a unit by which
+masses are multiplied, and a delay in seconds to be added to lags (on long paths). Masses are either
+*counts* (expected transitions, three significant digits) or *steps* (whole multiples of the unit,
+at most `STEPS` per bin). The functions make such histograms, scale and add them, and read them.
 """
 
 from __future__ import annotations
@@ -19,19 +21,19 @@ Weighed = tuple[float, Histogram]
 """A weight and the histogram that it multiplies."""
 
 MASS_MIN = 1e-3
-"""Bins at either end with at most this share of the total mass are left off."""
+"""Share of the total mass up to which bins at either end of a histogram are left out."""
 STEPS = 250
-"""Whole steps in the highest bin of a histogram in steps.
+"""Number of steps in the highest bin of a histogram in steps.
 
-A version holds a histogram for each pair of zones that may be linked, thousands of them. Integers
-this small take one or two bytes in a message and no memory of their own in Python.
+A version has a histogram for each pair of zones that may be linked, thousands of them. Integers of
+this size take one or two bytes in a message and no memory of their own in Python.
 """
 
 
 def counts_histogram(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
-    """Return a histogram of counts, trimmed to the bins that matter.
+    """Return a histogram of counts, without negligible bins at either end (`MASS_MIN`).
 
-    counts (bins,): expected transitions.
+    counts (bins,): expected transitions in each of ``bins``.
     delay (seconds): to be added to the lags.
     """
     first, last = _ends(counts)
@@ -41,9 +43,9 @@ def counts_histogram(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histo
 
 
 def step_histogram(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
-    """Return a histogram in whole steps, trimmed to the bins that matter.
+    """Return a histogram in steps, without negligible bins at either end (`MASS_MIN`).
 
-    mass (bins,): masses in any unit.
+    mass (bins,): mass in each of ``bins``, in any unit.
     delay (seconds): to be added to the lags.
     """
     first, last = _ends(mass)
@@ -51,7 +53,7 @@ def step_histogram(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram
 
 
 def scale_histogram(histogram: Histogram, factor: float) -> Histogram:
-    """Return the histogram times a factor."""
+    """Return the histogram with all masses times a factor."""
     return replace(histogram, unit=round_significant(histogram.unit * factor))
 
 
@@ -62,15 +64,15 @@ def sum_as_counts(histograms: Iterable[Weighed]) -> Histogram:
 
 
 def sum_as_steps(histograms: Iterable[Weighed]) -> Histogram:
-    """Return the weighted sum of histograms in whole steps."""
+    """Return the weighted sum of histograms in steps."""
     first, mass, delay = _sum(histograms)
     return _late(_stepped(first, mass), delay)
 
 
 def masses_on_bins(histogram: Histogram, bins: LagBins) -> Floats:
-    """Return the masses (bins,) of a histogram on the given bins; mass outside them is dropped.
+    """Return the mass of a histogram in each of the given bins, (bins,).
 
-    The histogram's delay is not applied.
+    Mass outside the bins is dropped; the histogram's delay is not applied.
     """
     result = np.zeros(bins.size)
     start = histogram.first - bins.first
@@ -82,10 +84,10 @@ def masses_on_bins(histogram: Histogram, bins: LagBins) -> Floats:
 
 
 def _sum(histograms: Iterable[Weighed]) -> tuple[int, Floats, float]:
-    """Return first bin, masses and delay of a weighted sum.
+    """Return first bin, masses and delay (seconds) of a weighted sum of histograms.
 
-    Lags with different delays cannot be added bin by bin, so only the histograms with the delay of
-    the heaviest one are summed.
+    Histograms of different delays cannot be added bin by bin, so only those with the delay of the
+    heaviest one are summed.
     """
     # Keep the histograms with the delay of the heaviest.
     known = [(weight, one) for weight, one in histograms if one.mass]
@@ -111,7 +113,7 @@ def _ends(mass: Floats) -> tuple[int, int]:
 
 
 def _stepped(first: int, mass: Floats) -> Histogram:
-    """Return masses as a histogram in whole steps, empty if all are zero."""
+    """Return masses, from bin number ``first`` on, as a histogram in steps."""
     unit = round_significant(float(mass.max(initial=0.0)) / STEPS)
     if unit == 0.0:
         return Histogram(0, [])
@@ -124,6 +126,7 @@ def _late(histogram: Histogram, delay: float) -> Histogram:
 
 
 def _three_digits(counts: Floats) -> list[int | float]:
+    """Return counts rounded to three significant digits."""
     return [float(f"{n:.3g}") for n in counts]
 
 

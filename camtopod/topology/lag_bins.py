@@ -1,8 +1,9 @@
-"""Lag bins: a time scale for lags that is fine near zero and coarse far from it.
+"""Lag bins: bins for lags (seconds from departure to arrival), fine near zero, coarse far from it.
 
 Bins are uniform in asinh(lag / scale): about ``scale * step`` seconds wide near zero, and a
-constant share of the lag far from it, as the spread of transit times grows with their length. Lags
-outside the range have no bin (-1): in an end bin they would look like a peak.
+constant share of the lag far from zero, as the spread of transit times grows with their length.
+Lags outside the range have no bin (-1): if they were counted in the end bins, these would look like
+peaks. `smooth` smooths histograms over the bins.
 """
 
 from __future__ import annotations
@@ -17,17 +18,23 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats, row_slices
 
 LAG_SCALE_SECONDS = 4.0
-"""Lag at which bins change from constant width to a constant share of the lag, seconds."""
+"""Lag, in seconds, around which bins change from constant width to a constant share of the lag."""
 LAG_STEP = 0.1
-"""Width of a bin in asinh(lag / scale): about 0.4 s near zero, a tenth of the lag far from it."""
+"""Width of a bin in asinh(lag / scale): about 0.4 s near zero, a tenth of the lag far from zero."""
 CELLS_PER_BIN = 1.001
-"""Cells of the lookup table per width of the narrowest bin; above 1, so no cell has two edges."""
+"""Cells of the lookup table of `LagBins.index` per width of the narrowest bin.
+
+It is above 1, so that at most one edge of a bin lies within a cell.
+"""
 OFFSET_SECONDS_MAX = 600.0
-"""Largest offset between the beginnings of two passages that is compared, seconds."""
+"""Largest offset between the beginnings of two passages that has a bin, seconds."""
 
 
 class LagBins:
-    """Bins that cover lags from ``lag_min`` to ``lag_max`` seconds, both included."""
+    """Bins that cover lags from ``lag_min`` to ``lag_max`` seconds, both included.
+
+    scale (seconds), step: as `LAG_SCALE_SECONDS` and `LAG_STEP`, which are the defaults.
+    """
 
     def __init__(
         self,
@@ -43,6 +50,7 @@ class LagBins:
         """Number of the first bin, counted from the bin that starts at a lag of 0."""
         last = int(np.floor(np.arcsinh(lag_max / scale) / step))
         self.size = last - self.first + 1
+        """Number of bins."""
         self.edges: NDArray[np.float64] = scale * np.sinh(step * np.arange(self.first, last + 2))
         """Bin edges in seconds, (size + 1,)."""
         self.widths: NDArray[np.float64] = np.diff(self.edges)
@@ -72,12 +80,15 @@ class LagBins:
         )
 
     def bin_of(self, lag: float) -> int:
-        """Return the bin of one lag (seconds); -1 outside the range."""
+        """Return the index of the bin of one lag (seconds); -1 if it is outside the range."""
         at = bisect_right(self.limits, lag) - 1
         return at if at < self.size else -1
 
     def index(self, lag: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Return the bin of each lag (n,) in seconds; -1 outside the range."""
+        """Return the index of the bin of each lag, (n,); -1 for lags outside the range.
+
+        lag (n, seconds): the lags; any shape is possible.
+        """
         cell = ((lag - self.lag_min) * self._cells_per_second).astype(np.intp)
         k: NDArray[np.int32] = self._bin_of_cell.take(cell, mode="clip")
         k += lag >= self._ends.take(k)  # whether the edge within the cell has been passed
@@ -86,7 +97,10 @@ class LagBins:
 
 
 def offset_bins(scale: float, step: float) -> LagBins:
-    """Return bins for the offset between the beginnings of two passages."""
+    """Return bins for offsets: seconds by which one passage begins later than another.
+
+    scale, step: as for `LagBins`.
+    """
     return LagBins(-OFFSET_SECONDS_MAX, OFFSET_SECONDS_MAX, scale, step)
 
 
@@ -94,9 +108,10 @@ def offset_bins(scale: float, step: float) -> LagBins:
 def lag_smoothing_matrix(size: int, sd_bins: float) -> NDArray[np.float64]:
     """Return a Gaussian kernel (size, size) that spreads the mass of each bin over its neighbours.
 
-    Columns sum to 1, so mass is kept.
+    size: number of bins.
+    sd_bins: standard deviation of the kernel, in bins.
 
-    sd_bins: standard deviation, in bins.
+    Columns sum to 1, so the total mass stays the same.
     """
     offset = np.arange(size)[:, None] - np.arange(size)[None, :]
     kernel: NDArray[np.float64] = np.exp(-0.5 * (offset / sd_bins) ** 2)
@@ -106,29 +121,34 @@ def lag_smoothing_matrix(size: int, sd_bins: float) -> NDArray[np.float64]:
 
 
 SMOOTHING_SD_BINS = ((50.0, 1.2), (12.0, 1.8), (0.0, 2.8))
-"""Pairs (least expected transitions, standard deviation in bins): fewer are smoothed more."""
+"""Kernels of `smooth`: (least number of transitions, standard deviation in bins) of each.
+
+Histograms of fewer transitions are smoothed more widely.
+"""
 
 
 def smooth(counts: Floats, total: Floats | None = None) -> tuple[Floats, Floats]:
-    """Smooth counts (P, bins) over neighbouring bins; rows with fewer transitions more widely.
+    """Smooth histograms over neighbouring lag bins, those of fewer transitions more widely.
 
-    Returns the smoothed counts, and for each row (P,) the share of a bin's mass that stays in it.
+    counts (P, bins): P histograms of transitions.
+    total (P,): number of transitions that decides the width of the kernel; None for the row sums.
 
-    total (P,): transitions that decide the width; by default the row sums.
+    Return the smoothed counts, and for each histogram (P,) the share of a bin's count that stays in
+    the bin.
     """
     size = counts.shape[1]
     total = counts.sum(axis=1) if total is None else total
     result = np.zeros_like(counts)
-    stays = np.zeros(len(total))
+    own_share = np.zeros(len(total))
     above = np.full(len(total), False)
 
-    # Each row is smoothed once, with the width of the highest threshold that it reaches.
+    # Each row is smoothed once, with the kernel of the highest threshold that it reaches.
     for least, sd_bins in SMOOTHING_SD_BINS:
-        few = np.flatnonzero((total >= least) & ~above)
-        above[few] = True
+        reached = np.flatnonzero((total >= least) & ~above)
+        above[reached] = True
         spread = lag_smoothing_matrix(size, sd_bins)
-        for part in row_slices(len(few)):
-            rows = few[part]
+        for part in row_slices(len(reached)):
+            rows = reached[part]
             result[rows] = counts[rows] @ spread.T
-            stays[rows] = spread[size // 2, size // 2]
-    return result, stays
+            own_share[rows] = spread[size // 2, size // 2]
+    return result, own_share

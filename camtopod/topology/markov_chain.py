@@ -1,4 +1,7 @@
-"""The Markov chain over cameras (thesis 4.6): the next camera of objects that leave a view."""
+"""The Markov chain over cameras (thesis 4.6): which camera sees an object next after another.
+
+It is computed from the links of a version, and says nothing about times or zones.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +16,12 @@ def estimate_markov_chain(
 ) -> list[ChainEdge]:
     """Return the transition probabilities between cameras, sorted by camera.
 
-    The remainder to 1 is the probability that an object leaves the site or is not seen again. A
-    camera may follow itself, as objects come back.
-
+    zones: all zones, with their exits.
+    links: the links to use; visible links do not count, as they lead through one view.
     digits: decimals of the probabilities.
+
+    The probabilities of a camera add up to at most 1; the rest is the probability that an object
+    leaves the site. A camera may follow itself, as objects come back.
     """
     # Exits of each camera.
     zone_of = {zone.id: zone for zone in zones}
@@ -24,7 +29,7 @@ def estimate_markov_chain(
     for zone in zone_of.values():
         leaving[zone.camera] += zone.exits
 
-    # Expected transitions between cameras, over all links that leave a view.
+    # Expected transitions between cameras, summed over links.
     moved: dict[tuple[str, str], float] = defaultdict(float)
     for link in links:
         if link.relation != "visible":
@@ -32,7 +37,7 @@ def estimate_markov_chain(
             moved[source.camera, zone_of[link.to].camera] += link.probability * source.exits
 
     return [
-        ChainEdge(here, there, round(min(number / leaving[here], 1.0), digits))
-        for (here, there), number in sorted(moved.items())
-        if leaving[here] > 0
+        ChainEdge(camera, next_camera, round(min(number / leaving[camera], 1.0), digits))
+        for (camera, next_camera), number in sorted(moved.items())
+        if leaving[camera] > 0
     ]

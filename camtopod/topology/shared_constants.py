@@ -1,18 +1,21 @@
-"""Limits that learning and prediction share, so that both treat the same figures alike."""
+"""Limits that learning and prediction share, so that both treat a figure in the same way."""
 
 from __future__ import annotations
 
 LEAVE_FLOOR = 0.02
-"""Smallest probability that an object which leaves a view is not seen again."""
+"""Smallest probability that an object which leaves a view leaves the site."""
 UNKNOWN_DWELL_SECONDS = 10.0
-"""Dwell time assumed for a view where none has been observed, seconds."""
+"""Dwell time, in seconds, assumed for a view of unknown dwell times."""
 DWELL_SECONDS_MIN = 0.2
-"""Smallest dwell time, seconds; shorter ones count as this."""
+"""Smallest dwell time in seconds; shorter ones count as this long."""
 SLOWNESS_MAX = 1.5
-"""Largest absolute slowness (natural log); beyond are loiterers and fragments of tracks."""
+"""Largest absolute slowness (natural log of a dwell time over the usual one).
+
+Larger values come from loiterers and fragments of tracks.
+"""
 LAG_SECONDS_MIN = 2.0
-"""Largest lag, in seconds, that is taken not to scale with an object's speed."""
+"""Lag in seconds above which lags are taken to scale with an object's speed."""
 BACK_OFF_DEPARTURES = 5.0
-"""Weight of a coarser context beside a finer one, in departures."""
+"""Weight, in departures, of a coarser context of a departure beside a finer one."""
 MULTIPLIER_MAX = 100.0
-"""Largest factor by which a context raises a hazard; its inverse is the smallest."""
+"""Largest factor by which a context raises a probability; the smallest factor is its inverse."""

@@ -1,4 +1,9 @@
-"""Topology versions: keys of items, digest of the content, and deltas between versions."""
+"""Topology versions: the digest of a version's content, and deltas between versions.
+
+A delta lists the items (cameras, zones, links, pairs) that were added or changed since the version
+before, and the keys of those that are gone. A receiver applies it (`apply_delta`) and checks the
+digest, so that it has exactly the publisher's version.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +25,7 @@ from camtopod.records import (
 )
 
 NOT_CONTENT = ("schema", "site", "epoch", "version", "digest")
-"""Fields outside the digest, so that daemons that learned the same events agree on it."""
+"""Fields that the digest does not cover, so that it depends on the learned events alone."""
 
 ALARMS_KEPT_MAX = 50
 """Largest number of alarms in a topology; the oldest are dropped."""
@@ -43,7 +48,8 @@ def zone_key(zone: Zone) -> str:
 def link_key(link: Link) -> LinkKey:
     """Return the key of a link in a delta.
 
-    The relation is part of it, as a passage and a return to the same view may join the same zones.
+    The relation is part of the key: a visible link (a passage through a view) and a link of objects
+    that return to the view may join the same zones.
     """
     return (link.from_, link.to, link.relation)
 
@@ -54,27 +60,30 @@ def pair_key(pair: Pair) -> tuple[str, str]:
 
 
 def digest_of(topology: Topology) -> str:
-    """Return ``sha256:...`` over the content in canonical JSON (sorted keys, shortest decimals)."""
+    """Return the digest of a version: ``sha256:`` and the hash of its content in canonical JSON.
+
+    Canonical JSON has sorted keys and shortest decimals.
+    """
     content = {
         name: getattr(topology, name)
         for name in topology.__struct_fields__
         if name not in NOT_CONTENT
     }
     content = {name: value for name, value in content.items() if value is not None}
-    if not topology.weak_links:  # an optional list that is empty or left out is the same content
+    if not topology.weak_links:  # an empty list and no list are the same content
         content.pop("weak_links", None)
     return "sha256:" + hashlib.sha256(msgspec.json.encode(content, order="sorted")).hexdigest()
 
 
 def with_digest(topology: Topology) -> Topology:
-    """Return the topology with its digest and schema set."""
+    """Return the topology with its fields ``digest`` and ``schema`` set."""
     return msgspec.structs.replace(topology, schema=TOPOLOGY_SCHEMA, digest=digest_of(topology))
 
 
 def make_delta(old: Topology, new: Topology) -> Delta:
-    """Return the changes from one version to the next.
+    """Return the delta from one version to the next.
 
-    Raises ValueError if ``new`` is not the next version of ``old`` in the same epoch.
+    Raise ValueError if ``new`` is not the next version after ``old`` in the same epoch.
     """
     if (old.epoch, old.version + 1) != (new.epoch, new.version):
         raise ValueError(
@@ -114,10 +123,10 @@ def make_delta(old: Topology, new: Topology) -> Delta:
 
 
 def apply_delta(old: Topology, delta: Delta) -> Topology:
-    """Return the next version.
+    """Return the next version after ``old``.
 
-    Raises ValueError if the delta does not follow ``old``, or if the result does not have its
-    digest.
+    Raise ValueError if the delta is not for the version after ``old``, or if the digest of the
+    result is not that of the delta.
     """
     if (old.epoch, old.version + 1) != (delta.epoch, delta.version):
         raise ValueError(
@@ -154,9 +163,11 @@ def apply_delta(old: Topology, delta: Delta) -> Topology:
 def _changes(
     old: Iterable[_Item], new: Iterable[_Item], key: Callable[[_Item], Any]
 ) -> tuple[list[_Item], list[Any]]:
-    """Return the items that are new or differ, and the keys of those that are gone.
+    """Return the items that were added or changed, and the keys of the items that are gone.
 
-    Items are compared as the digest sees them, so -0.0 differs from 0.0.
+    key: function from an item to its key.
+
+    Items are compared by their JSON, as in the digest, so -0.0 differs from 0.0.
     """
     before = {key(item): msgspec.json.encode(item) for item in old}
     after = {key(item): item for item in new}
@@ -167,7 +178,11 @@ def _changes(
 def _merged(
     old: Iterable[_Item], changed: Iterable[_Item], gone: Iterable[Any], key: Callable[[_Item], Any]
 ) -> list[_Item]:
-    """Return the items after a change, sorted by key as all lists of a topology are."""
+    """Return the items after a change, sorted by key, as all lists of a topology are.
+
+    changed: items that were added or changed.
+    gone: keys of the items that are gone.
+    """
     items = {key(item): item for item in old}
     for k in gone:
         items.pop(tuple(k) if isinstance(k, list) else k, None)
