@@ -145,22 +145,22 @@ def clearest_peaks(counts: list[Counts], lag_max: float, longest: float) -> tupl
     ]
     best, where = np.zeros(len(counts[0])), np.zeros(len(counts[0]))
     for width in WIDTHS_BINS:
-        seen, expected = (
+        observed, expected = (
             np.stack(
                 [width * uniform_filter1d(half.astype(float), width, axis=1) for half in halves]
             )
             for halves in (counts, usual)
         )
         # The lower height of the two halves, in standard deviations.
-        least = ((seen - expected) / np.sqrt(expected)).min(axis=0)
+        least = ((observed - expected) / np.sqrt(expected)).min(axis=0)
 
         # Log likelihood ratio of both halves together, corrected for dispersion.
-        seen, expected = seen.sum(axis=0), expected.sum(axis=0)
-        excess = seen - expected
+        observed, expected = observed.sum(axis=0), expected.sum(axis=0)
+        excess = observed - expected
         dispersion = np.maximum(
             np.var((excess / np.sqrt(expected))[:, before], axis=1, keepdims=True), 1.0
         )
-        nats = (seen * np.log(np.maximum(seen, 1e-9) / expected) - excess) / dispersion
+        nats = (observed * np.log(np.maximum(observed, 1e-9) / expected) - excess) / dispersion
 
         # The highest peak, be it at a short lag or at a long one, where both halves must have it.
         sharp = (lag > lag_max) | (width * BIN_SECONDS <= 2 * SHARP_SHARE_MAX * lag)
@@ -178,9 +178,9 @@ def clearest_peaks(counts: list[Counts], lag_max: float, longest: float) -> tupl
 def _usual_dwell_time(departures: Departures, cameras: int) -> Floats:
     """Return the median dwell time in each view (cameras, seconds); 0 where it is unknown."""
     known = np.isfinite(departures.since)
-    stay, camera = (departures.t - departures.since)[known], departures.camera[known]
+    dwell, camera = (departures.t - departures.since)[known], departures.camera[known]
     return np.array(
-        [np.median(stay[rows]) if len(rows) else 0.0 for rows in rows_by_group(camera, cameras)]
+        [np.median(dwell[rows]) if len(rows) else 0.0 for rows in rows_by_group(camera, cameras)]
     )
 
 
@@ -228,11 +228,11 @@ class Delayed(NamedTuple):
         """Return the candidates whose arrival's view may be reached from the departure's view."""
         if not self.seconds.any():
             return candidates
-        left, came = (
+        view_left, view_reached = (
             self.departures.camera[candidates.departure],
             arrivals.camera[candidates.arrival],
         )
-        return candidates.take(self.reached[left, came])
+        return candidates.take(self.reached[view_left, view_reached])
 
     def overlapping(self, table: Bools) -> Bools:
         """Return a table (views, views) of overlapping views with virtual views included.
@@ -311,25 +311,25 @@ def delayed(departures: Departures, camera: Ints, cameras: int, paths: list[Long
 
         # The copies. No lag is before the exit; slowness is not used, as it would scale only the
         # part of the transit time beyond the delay.
-        some = np.flatnonzero(departures.camera == path.source)
-        row.append(some)
+        originals = np.flatnonzero(departures.camera == path.source)
+        row.append(originals)
         copies.append(
             Departures(
-                t=departures.t[some] + path.seconds,
-                zone=(number + np.searchsorted(zones_of_source, departures.zone[some])).astype(
+                t=departures.t[originals] + path.seconds,
+                zone=(number + np.searchsorted(zones_of_source, departures.zone[originals])).astype(
                     np.int32
                 ),
-                camera=np.full(len(some), k, np.int32),
-                since=np.full(len(some), -np.inf),
-                slow=np.full(len(some), np.nan),
-                own=departures.own[some],
-                block=departures.block[some],
+                camera=np.full(len(originals), k, np.int32),
+                since=np.full(len(originals), -np.inf),
+                slow=np.full(len(originals), np.nan),
+                own=departures.own[originals],
+                block=departures.block[originals],
             )
         )
         number += len(zones_of_source)
 
     columns: list[Any] = [
-        np.concatenate(some) for some in zip(*(one[:-1] for one in copies), strict=True)
+        np.concatenate(originals) for originals in zip(*(one[:-1] for one in copies), strict=True)
     ]
     order = np.argsort(columns[0], kind="stable")
     rows, place = np.concatenate(row)[order], np.argsort(order)

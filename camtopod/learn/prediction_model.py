@@ -97,12 +97,13 @@ def _pace(ids: list[str], scene: Scene, persistence: Persistence) -> Pace | None
     if persistence.scaling <= 0.0:
         return None
     p = scene.passages
-    stays = usual_dwell_times(p.source, p.target, p.left - p.entered)
-    ways = [
-        Way(ids[entry], ids[left], round_significant(stay)) for (entry, left), stay in stays.items()
+    dwell_times = usual_dwell_times(p.source, p.target, p.left - p.entered)
+    routes = [
+        Way(ids[entry], ids[exit_], round_significant(seconds))
+        for (entry, exit_), seconds in dwell_times.items()
     ]
     scaling, correlation, sd = (round_significant(value) for value in persistence)
-    return Pace(scaling, correlation, sd, sorted(ways, key=lambda way: (way.entry, way.exit)))
+    return Pace(scaling, correlation, sd, sorted(routes, key=lambda way: (way.entry, way.exit)))
 
 
 def _zone_models(ids: list[str], scene: Scene, posterior: Posterior | None) -> list[ZoneModel]:

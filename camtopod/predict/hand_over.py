@@ -109,8 +109,8 @@ def cameras_to_watch(in_view: Iterable[InView], following: Iterable[NextCamera])
 
     # Cameras where the object appears next, if no camera sees it now.
     following_unseen = ((one.camera, unseen * one.probability) for one in following)
-    seen = sum_by_camera([*now.items(), *following_unseen])
-    looks = [Look(camera, min(p, 1.0)) for camera, p in seen.items() if p >= PROBABILITY_MIN]
+    total = sum_by_camera([*now.items(), *following_unseen])
+    looks = [Look(camera, min(p, 1.0)) for camera, p in total.items() if p >= PROBABILITY_MIN]
     return sorted(looks, key=lambda one: (-one.probability, one.camera))
 
 

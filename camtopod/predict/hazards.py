@@ -195,14 +195,14 @@ class Hazards:
         possible: Bools = self._seen_before[zone]
         return possible
 
-    def exposure_of_passage(self, stay: float) -> Floats:
+    def exposure_of_passage(self, dwell: float) -> Floats:
         """Return the exposure of one passage to each lag, (bins,).
 
-        stay (seconds): dwell time of the passage.
+        dwell (seconds): duration of the passage.
 
         It is the share of the bin that lies within the passage, and 1 after the exit.
         """
-        begun = (self.bins.edges[1:] + stay) / self.bins.widths
+        begun = (self.bins.edges[1:] + dwell) / self.bins.widths
         return np.where(self.past, np.minimum(np.maximum(begun, 0.0), 1.0), 1.0)
 
     def longest_dwell(self, zones: list[int]) -> float | None:
@@ -275,10 +275,10 @@ class Hazards:
         For lags before the exit, it is the share of the passages that had begun by then; for lags
         after the exit, it is 1.
         """
-        stay = self.stay[zone]
-        if not stay:
+        deciles = self.stay[zone]
+        if not deciles:
             return np.ones(self.bins.size)
-        begun = 1.0 - np.interp(-self.bins.centres, stay, np.linspace(0.0, 1.0, len(stay)))
+        begun = 1.0 - np.interp(-self.bins.centres, deciles, np.linspace(0.0, 1.0, len(deciles)))
         return np.where(self.past, np.clip(begun, EXPOSURE_MIN, 1.0), 1.0)
 
     def _index_by_target(self, zones: int) -> None:

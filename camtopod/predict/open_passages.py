@@ -102,8 +102,8 @@ class OpenPassages:
         still_open = (passage for _, passage in self.in_view(camera))
         ended = (
             passage
-            for (of, _), (left, passage) in self._ended.items()
-            if of == camera and passage is not None and left >= t
+            for (of, _), (ended_at, passage) in self._ended.items()
+            if of == camera and passage is not None and ended_at >= t
         )
         return any(one.t == began and one.entry == entry for one in (*still_open, *ended))
 

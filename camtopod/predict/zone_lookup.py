@@ -36,12 +36,12 @@ class ZoneLookup:
         for k, zone in enumerate(zones):
             self.of_camera.setdefault(zone.camera, []).append(k)
         self._busiest = {
-            camera: max(own, key=lambda k: zones[k].entries + zones[k].exits)
-            for camera, own in self.of_camera.items()
+            camera: max(camera_zones, key=lambda k: zones[k].entries + zones[k].exits)
+            for camera, camera_zones in self.of_camera.items()
         }
         self._shapes = {
-            camera: [shape for k in own if (shape := _shape(k, zones[k])) is not None]
-            for camera, own in self.of_camera.items()
+            camera: [shape for k in camera_zones if (shape := _shape(k, zones[k])) is not None]
+            for camera, camera_zones in self.of_camera.items()
         }
 
     def zone_of(self, event: Event) -> int | None:

@@ -134,8 +134,8 @@ class District(Learner):
         """Receive one event, as `Learner.receive`; return ``unheard`` if it is of no use."""
         if self.owns(event.camera):
             self.hearing.owner = True
-            met = self._meet(event.camera, microseconds(event.t))
-            met.since_us = min(met.since_us, microseconds(event.t))
+            record = self._meet(event.camera, microseconds(event.t))
+            record.since_us = min(record.since_us, microseconds(event.t))
         return super().receive(event) if self.listens(event.camera, event.t) else "unheard"
 
     @property
@@ -156,7 +156,7 @@ class District(Learner):
 
     @property
     def phase(self) -> tuple[int | None, int, bool]:
-        """State that `strangers` depends on: turn, number of new cameras, whether all are received."""
+        """State that `strangers` depends on: turn, number of new cameras, if all are received."""
         regular = any(
             one.events >= REGULAR_EVENTS_MIN and self.owns(name) for name, one in self._new.items()
         )

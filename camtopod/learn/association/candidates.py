@@ -87,17 +87,17 @@ def newest_within_limit(
 
 
 def departures_in_reach(
-    left: Floats, came: Floats, bins: LagBins
+    departure_times: Floats, arrival_times: Floats, bins: LagBins
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the range of departures within the lags of each arrival: first, and one past the last.
 
-    left (n,): times of departures in seconds, ascending.
-    came (m,): times of arrivals in seconds, ascending.
+    departure_times (n,): times of departures in seconds, ascending.
+    arrival_times (m,): times of arrivals in seconds, ascending.
 
     Both results are rows of departures, (m,).
     """
-    low = np.searchsorted(left, came - bins.lag_max, side="left")
-    high = np.searchsorted(left, came - bins.lag_min, side="right")
+    low = np.searchsorted(departure_times, arrival_times - bins.lag_max, side="left")
+    high = np.searchsorted(departure_times, arrival_times - bins.lag_min, side="right")
     return low, high
 
 
@@ -225,27 +225,27 @@ def runs_of(arrival: Indices) -> ArrivalRuns:
     return ArrivalRuns(arrival[first], first, np.diff(first, append=len(arrival)))
 
 
-def excess_over_null(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floats:
+def excess_over_null(observed: Floats, expected: Floats, bins: LagBins, noise_sd: float) -> Floats:
     """Return by how many counts smoothed lag histograms exceed the null model and its noise.
 
-    seen (P, bins): observed candidates of each pair of zones by lag bin.
-    chance (P, bins): expected candidates under the null model.
+    observed (P, bins): candidates of each pair of zones by lag bin.
+    expected (P, bins): expected candidates under the null model.
     noise_sd: standard deviations of the smoothed null model that are subtracted as noise.
 
     The result is (P, bins), at least 0. This is a cross-correlation (Makris, Ellis and Black 2004)
     at several smoothing widths, as the spread of transit times differs between links; of the
     widths, the largest excess counts.
     """
-    result = np.zeros_like(seen)
+    result = np.zeros_like(observed)
     for sd_bins in EXCESS_SMOOTHING_SD_BINS:
         spread = lag_smoothing_matrix(bins.size, sd_bins)
-        noise = np.sqrt(np.maximum(chance, 0.5) @ (spread**2).T)
-        result = np.maximum(result, (seen - chance) @ spread.T - noise_sd * noise)
+        noise = np.sqrt(np.maximum(expected, 0.5) @ (spread**2).T)
+        result = np.maximum(result, (observed - expected) @ spread.T - noise_sd * noise)
     return result
 
 
 def initial_hazards(
-    seen: Floats,
+    counts: Floats,
     rates: Floats,
     exposure: Floats,
     source: Ints,
@@ -253,30 +253,32 @@ def initial_hazards(
     noise_sd: float,
     least: float,
 ) -> Floats:
-    """Return initial hazards (P, bins), per second and exposed departure, written over ``seen``.
+    """Return initial hazards (P, bins), per second and exposed departure, written over ``counts``.
 
     A hazard is the rate at which objects that left the source of a pair appear at its target, by
     lag. The initial ones come from the excess of the lag histograms over the null model, or the
     share ``least`` of the histograms if that is more.
 
-    seen (P, bins): observed candidates of each pair of zones by lag bin.
+    counts (P, bins): observed candidates of each pair of zones by lag bin.
     rates (P, 1/s): rate of arrivals at the target of each pair under the null model.
     exposure (zones, bins): exposed departures (`exposure.exposures`).
     source (P,): zone of departure of each pair.
     noise_sd: as for `excess_over_null`.
     """
-    for rows in row_slices(len(seen)):
+    for rows in row_slices(len(counts)):
         exposed = exposure[source[rows]] * bins.widths
-        chance = rates[rows, None] * exposed
-        above = np.maximum(excess_over_null(seen[rows], chance, bins, noise_sd), least * seen[rows])
-        np.divide(above, np.maximum(exposed, bins.widths), out=seen[rows])
-    return seen
+        expected = rates[rows, None] * exposed
+        above = np.maximum(
+            excess_over_null(counts[rows], expected, bins, noise_sd), least * counts[rows]
+        )
+        np.divide(above, np.maximum(exposed, bins.widths), out=counts[rows])
+    return counts
 
 
-def number_pairs(left: Ints, came: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
+def number_pairs(departure_zone: Ints, arrival_zone: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
     """Number the pairs of zones that occur among M candidates, by source, then target.
 
-    left, came (M,): zones of departure and arrival of each candidate.
+    departure_zone, arrival_zone (M,): zones of departure and arrival of each candidate.
     zones: number of zones.
 
     Return the number of each candidate's pair (M,), and the source and the target of the pairs that
@@ -286,7 +288,9 @@ def number_pairs(left: Ints, came: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
 
     # Too many pairs for a dense table: sort.
     if zones * zones > PAIR_TABLE_MAX:
-        present, number = np.unique(left.astype(np.int64) * zones + came, return_inverse=True)
+        present, number = np.unique(
+            departure_zone.astype(np.int64) * zones + arrival_zone, return_inverse=True
+        )
         return (
             number.astype(np.int32),
             (present // size).astype(np.int32),
@@ -294,15 +298,17 @@ def number_pairs(left: Ints, came: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
         )
 
     # Mark the pairs that occur in a dense table, number them, and look the numbers up.
-    parts = [slice(k, k + CANDIDATES_AT_ONCE) for k in range(0, len(left), CANDIDATES_AT_ONCE)]
+    parts = [
+        slice(k, k + CANDIDATES_AT_ONCE) for k in range(0, len(departure_zone), CANDIDATES_AT_ONCE)
+    ]
     table = np.zeros((zones, zones), np.int32)
     for part in parts:
-        table[left[part], came[part]] = 1
+        table[departure_zone[part], arrival_zone[part]] = 1
     source, target = np.nonzero(table)
     table[source, target] = np.arange(len(source), dtype=np.int32)
-    pair = np.empty(len(left), np.int32)
+    pair = np.empty(len(departure_zone), np.int32)
     for part in parts:
-        pair[part] = table[left[part], came[part]]
+        pair[part] = table[departure_zone[part], arrival_zone[part]]
     return pair, source.astype(np.int32), target.astype(np.int32)
 
 

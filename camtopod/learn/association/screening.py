@@ -427,28 +427,28 @@ def excess_by_source(ends: ScreenInput, zone: int) -> Floats:
     return result
 
 
-def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:
+def _above(observed: Floats, expected: Floats, bins: LagBins) -> Floats:
     """Return the largest excess of each lag histogram over the null model, in its sd, (P,).
 
-    seen, chance (P, bins): observed counts, and expected counts under the null model.
+    observed, expected (P, bins): observed counts, and expected counts under the null model.
     """
-    most = np.zeros(len(seen))
+    most = np.zeros(len(observed))
     for sd_bins in EXCESS_SMOOTHING_SD_BINS:
         spread = lag_smoothing_matrix(bins.size, sd_bins)
-        noise = np.sqrt(np.maximum(chance, 0.5) @ (spread**2).T)
-        most = np.maximum(most, (((seen - chance) @ spread.T) / noise).max(axis=1))
+        noise = np.sqrt(np.maximum(expected, 0.5) @ (spread**2).T)
+        most = np.maximum(most, (((observed - expected) @ spread.T) / noise).max(axis=1))
     return most
 
 
-def _reach(left: list[Floats], came: Floats, bins: LagBins) -> Rows:
+def _reach(departure_times: list[Floats], arrival_times: Floats, bins: LagBins) -> Rows:
     """Return the number (n,) of departures within the lags of each of n arrivals.
 
-    left: times of the departures from each of several zones, seconds, ascending.
-    came (n,): times of the arrivals, seconds.
+    departure_times: times of the departures from each of several zones, seconds, ascending.
+    arrival_times (n,): times of the arrivals, seconds.
     """
-    reach = np.zeros(len(came), np.intp)
-    for times in left:
-        low, high = departures_in_reach(times, came, bins)
+    reach = np.zeros(len(arrival_times), np.intp)
+    for times in departure_times:
+        low, high = departures_in_reach(times, arrival_times, bins)
         reach += high - low
     return reach
 

@@ -87,14 +87,14 @@ def find_move(cell: NDArray[np.int64], zones: NDArray[np.int16]) -> Move | None:
         part = _known_zones(np.bincount(cell[:-length], minlength=_CELLS), zones.ravel())
         if not part.any():
             continue
-        left = _left(cell[:-length], cell[-length:], part)
-        if left + 2 * np.sqrt(left / length) > LEFT_MAX:
-            if length == LENGTHS[0] and left > LEFT_SURE:
+        kept = _left(cell[:-length], cell[-length:], part)
+        if kept + 2 * np.sqrt(kept / length) > LEFT_MAX:
+            if length == LENGTHS[0] and kept > LEFT_SURE:
                 return None
             continue
 
         # Condition 2: other places explain the events better.
-        move = _moved(cell[:-length], cell[-length:], part, left)
+        move = _moved(cell[:-length], cell[-length:], part, kept)
         if move and (best is None or move.log_ratio > best.log_ratio):
             best = move
     return best
@@ -176,9 +176,9 @@ def _foretold(cell: NDArray[np.int64], earlier: bool) -> Floats:
     """
     row, column = np.divmod(cell, GRID_COLUMNS)
     near = _ROWS[np.ix_(row, row)] * _COLUMNS[np.ix_(column, column)]
-    near, seen = (
+    near, events = (
         (np.tril(near, -1), np.arange(len(cell)))
         if earlier
         else (near - np.diag(near.diagonal()), len(cell) - 1)
     )
-    return np.asarray(np.log((near.sum(axis=1) + _EVENTS_EVEN / _CELLS) / (seen + _EVENTS_EVEN)))
+    return np.asarray(np.log((near.sum(axis=1) + _EVENTS_EVEN / _CELLS) / (events + _EVENTS_EVEN)))

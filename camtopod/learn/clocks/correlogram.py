@@ -62,12 +62,12 @@ NEAR_BINS = 100.0
 
 
 def correlograms(
-    left: tuple[Floats, Ints], came: tuple[Floats, Ints], labels: int, bin_seconds: float
+    departures: tuple[Floats, Ints], arrivals: tuple[Floats, Ints], labels: int, bin_seconds: float
 ) -> ByDifference | ByTransform:
     """Prepare departures and arrivals; the result then computes correlograms of pairs of labels.
 
-    left: times (n,) in seconds, ascending, and labels (n,) of the departures; not empty.
-    came: times (m,) and labels (m,) of the arrivals, likewise.
+    departures: times (n,) in seconds, ascending, and labels (n,); not empty.
+    arrivals: times (m,) and labels (m,), likewise.
     labels: number of labels; they are counted from 0.
     bin_seconds: width of the bins.
 
@@ -77,10 +77,10 @@ def correlograms(
     """
     # Bin the newest stretch of time.
     blocks = max(SPECTRA_MAX // labels, 1)
-    last = max(left[0][-1], came[0][-1])
-    first = max(min(left[0][0], came[0][0]), last - blocks * BLOCK * bin_seconds)
+    last = max(departures[0][-1], arrivals[0][-1])
+    first = max(min(departures[0][0], arrivals[0][0]), last - blocks * BLOCK * bin_seconds)
     bins, names = [], []
-    for t, label in (left, came):
+    for t, label in (departures, arrivals):
         kept = slice(int(np.searchsorted(t, first)), None)
         bins.append(((t[kept] - first) / bin_seconds).astype(np.int64))
         names.append(label[kept].astype(np.int64))

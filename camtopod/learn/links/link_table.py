@@ -120,8 +120,10 @@ def transition_slowness(
         np.bincount(ends.zone[np.isfinite(ends.slow)], minlength=zones)
         for ends in (departures, arrivals)
     )
-    left, came = (scaling * MEDIAN_ERROR * sd / np.sqrt(np.maximum(n, 1)) for n in number)
-    return TransitionSlowness(slow, left, came)
+    error_before, error_after = (
+        scaling * MEDIAN_ERROR * sd / np.sqrt(np.maximum(n, 1)) for n in number
+    )
+    return TransitionSlowness(slow, error_before, error_after)
 
 
 class LinkTable(NamedTuple):
@@ -176,7 +178,7 @@ class LinkTable(NamedTuple):
 
 def tabulate(
     transitions: Transitions,
-    left: Floats,
+    departures: Floats,
     bins: LagBins,
     zones: int,
     pace: TransitionSlowness | None = None,
@@ -184,7 +186,7 @@ def tabulate(
 ) -> LinkTable:
     """Return the figures of every pair of zones that occurs among possible transitions.
 
-    left (zones, bins): number of departures of each zone to which probabilities refer
+    departures (zones, bins): number of departures of each zone to which probabilities refer
         (`exposed_departures`); (zones, 1) if it does not depend on the lag.
     zones: number of zones.
     pace: slowness of the objects of the transitions; None if it does not affect lags.
@@ -233,7 +235,7 @@ def tabulate(
     probability = np.zeros(pairs)
     for rows in row_slices(pairs):
         probability[rows] = np.minimum(
-            (counts[rows] / np.maximum(left[source[rows]], 1.0)).sum(axis=1), 1.0
+            (counts[rows] / np.maximum(departures[source[rows]], 1.0)).sum(axis=1), 1.0
         )
     return LinkTable(
         source,

@@ -23,13 +23,13 @@ def null_variance(lag_min: float, lag_max: float) -> float:
     return (lag_max - lag_min) ** 2 / 12.0
 
 
-def distance(left: Floats, came: Floats, variance: float) -> Floats:
+def distance(departed: Floats, arrived: Floats, variance: float) -> Floats:
     """Return the Mahalanobis distances (n,) of arrivals from departures, with the sign of the lag.
 
-    left, came (n,): times of departure and arrival, seconds.
+    departed, arrived (n,): times of departure and arrival, seconds.
     variance (s^2): S of the thesis.
     """
-    d: Floats = (came - left) / np.sqrt(variance)
+    d: Floats = (arrived - departed) / np.sqrt(variance)
     return d
 
 

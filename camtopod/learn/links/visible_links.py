@@ -65,17 +65,17 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
     return concatenate_transitions(parts)
 
 
-def passages_lasting(stay: Floats, entry: Longs, bins: LagBins, zones: int) -> Floats:
+def passages_lasting(dwell: Floats, entry: Longs, bins: LagBins, zones: int) -> Floats:
     """Return how many passages from each zone of entry last until each bin begins, (zones, bins).
 
-    stay (n, seconds): dwell time of each of n passages.
+    dwell (n, seconds): dwell time of each of n passages.
     entry (n,): their zones of entry.
     bins: bins of the time since the entry.
     zones: number of zones.
     """
     result = np.zeros((zones, bins.size))
     for zone, rows in enumerate(rows_by_group(entry, zones)):
-        dwell_times = np.sort(stay[rows])
+        dwell_times = np.sort(dwell[rows])
         result[zone] = len(dwell_times) - np.searchsorted(dwell_times, bins.edges[:-1], side="left")
     return result
 

@@ -208,8 +208,8 @@ def _open(views: Views, exits: slice, shift: float) -> Iterator[tuple[Rows, Rows
     Each part has about `OPEN_PAIRS_AT_ONCE` pairs, as two arrays of rows of ``views``. A passage is
     open from its entry to its exit.
     """
-    left = views.left[exits]
-    first, stop = (np.searchsorted(left, t - shift) for t in (views.entered, views.left))
+    exit_times = views.left[exits]
+    first, stop = (np.searchsorted(exit_times, t - shift) for t in (views.entered, views.left))
     reached = np.concatenate(([0], np.cumsum(np.maximum(stop - first, 0))))
 
     # Passages with about `OPEN_PAIRS_AT_ONCE` exits together at a time.

@@ -37,7 +37,7 @@ class Prior:
     candidates: the candidates of the fit, which define its pairs of zones.
     camera (zones,): camera of each zone.
     exposure (zones, bins): exposed departures of each zone.
-    came (zones,): number of arrivals at each zone, at least 1.
+    arrivals (zones,): number of arrivals at each zone, at least 1.
 
     pair (P,): number of each pair's pair of cameras.
     share (P, 1): share of each pair's target among the arrivals at its camera.
@@ -45,14 +45,14 @@ class Prior:
     """
 
     def __init__(
-        self, candidates: Candidates, camera: NDArray[np.int64], exposure: Floats, came: Floats
+        self, candidates: Candidates, camera: NDArray[np.int64], exposure: Floats, arrivals: Floats
     ) -> None:
         cameras = int(camera.max(initial=0)) + 1
         source, target = camera[candidates.source], camera[candidates.target]
         self._views, self.pair = table_rows(source * cameras + target, cameras * cameras)
         self._leaving = self._views // cameras
         self._exposed = np.maximum(sum_by_group(exposure, camera, cameras), 1.0)
-        self.share = (came / np.bincount(camera, came)[camera])[candidates.target][:, None]
+        self.share = (arrivals / np.bincount(camera, arrivals)[camera])[candidates.target][:, None]
         self.back = _leading_back(candidates, len(camera))
 
     def expected(self, counts: Floats) -> PriorTransitions:
@@ -73,10 +73,10 @@ class Prior:
 
         counts (P, bins): transitions of each pair of zones.
         """
-        seen = sum_by_group(counts, self.pair, len(self._views))
-        rates = np.empty(seen.shape, np.float32)
-        for rows in row_slices(len(seen)):
-            rates[rows] = smooth(seen[rows])[0] / self._exposed[self._leaving[rows]]
+        counts_by_cameras = sum_by_group(counts, self.pair, len(self._views))
+        rates = np.empty(counts_by_cameras.shape, np.float32)
+        for rows in row_slices(len(counts_by_cameras)):
+            rates[rows] = smooth(counts_by_cameras[rows])[0] / self._exposed[self._leaving[rows]]
         return rates
 
 

@@ -47,21 +47,21 @@ REAL_MIN = 0.07
 
 
 def spurious_shares(
-    pair: Ints, responsibility: Floats, pairs: int, evidence: Floats, left: Floats
+    pair: Ints, responsibility: Floats, pairs: int, evidence: Floats, departures: Floats
 ) -> Floats:
     """Return the spurious share of the transitions of each pair of zones, (P,).
 
     pair, responsibility (M,): pair of zones and responsibility of each candidate.
     pairs: number of pairs, P.
     evidence (k, nats): held-out evidence of k pairs of zones (`cross_evidence`).
-    left (zones,): number of departures of each zone.
+    departures (zones,): number of departures of each zone.
 
     A pair without a transition gets the probability that the site has no link at all.
     """
     transitions: Floats = np.bincount(pair, responsibility, minlength=pairs).astype(float)
     each = evidence_against_unrelated(pair, responsibility, pairs) / np.maximum(transitions, 1e-300)
     real = np.where(transitions > 0, np.maximum(real_probability(each, transitions), REAL_MIN), 1.0)
-    doubt: Floats = 1.0 - any_link_probability(evidence, left) * real
+    doubt: Floats = 1.0 - any_link_probability(evidence, departures) * real
     return doubt
 
 
@@ -94,17 +94,17 @@ def real_probability(each: Floats, transitions: Floats) -> Floats:
     return probability
 
 
-def any_link_probability(evidence: Floats, left: Floats) -> float:
+def any_link_probability(evidence: Floats, departures: Floats) -> float:
     """Return the probability that the site has any link, with prior probability 1/2.
 
     evidence (k, nats): evidence of the k pairs of zones that have any.
-    left (zones,): number of departures of each zone.
+    departures (zones,): number of departures of each zone.
 
     The e-value of a pair without evidence is 0 if there were enough departures to find a link, and
     1 if there were not.
     """
-    every = float(len(left)) ** 2
-    unknown = float(np.exp(-left / DEPARTURES_TO_TELL).mean()) * (1.0 - len(evidence) / every)
+    every = float(len(departures)) ** 2
+    unknown = float(np.exp(-departures / DEPARTURES_TO_TELL).mean()) * (1.0 - len(evidence) / every)
     return float(
         expit(
             np.logaddexp(

@@ -54,19 +54,19 @@ there.
 
 
 def usual_dwell_times(
-    source: NDArray[np.int32], target: NDArray[np.int32], stay: Floats
+    source: NDArray[np.int32], target: NDArray[np.int32], dwell: Floats
 ) -> dict[tuple[int, int], float]:
     """Return the median dwell time in seconds by (zone of entry, zone of exit).
 
     source, target (n,): zones of entry and exit of n passages.
-    stay (n, seconds): dwell times of the passages.
+    dwell (n, seconds): dwell times of the passages.
 
     Pairs of zones with less than `USUAL_PASSAGES_MIN` passages are left out. The median is taken of
     the logs.
     """
     dwell_times: dict[tuple[int, int], list[float]] = {}
     for zone_pair, seconds in zip(
-        zip(source.tolist(), target.tolist(), strict=True), stay.tolist(), strict=True
+        zip(source.tolist(), target.tolist(), strict=True), dwell.tolist(), strict=True
     ):
         dwell_times.setdefault(zone_pair, []).append(max(seconds, DWELL_SECONDS_MIN))
     return {
@@ -77,18 +77,18 @@ def usual_dwell_times(
 
 
 def slowness(
-    source: NDArray[np.int32], target: NDArray[np.int32], stay: Floats, zones: int
+    source: NDArray[np.int32], target: NDArray[np.int32], dwell: Floats, zones: int
 ) -> Floats:
     """Return the slowness (n,) of passages; nan if too few have the same zones of entry and exit.
 
     source, target (n,): zones of entry and exit, from 0 to ``zones`` - 1.
-    stay (n, seconds): dwell times.
+    dwell (n, seconds): dwell times.
     """
-    if len(stay) == 0:
+    if len(dwell) == 0:
         return np.zeros(0)
 
     # Number the pairs of zones.
-    log_dwell = np.log(np.maximum(stay, DWELL_SECONDS_MIN))
+    log_dwell = np.log(np.maximum(dwell, DWELL_SECONDS_MIN))
     pair, count = np.unique(
         source.astype(np.int64) * zones + target, return_inverse=True, return_counts=True
     )[1:]
@@ -105,30 +105,30 @@ def slowness(
 
 
 def estimate_persistence(
-    left: Floats, came: Floats, lag: Floats, pair: NDArray[np.int32], responsibility: Floats
+    before: Floats, after: Floats, lag: Floats, pair: NDArray[np.int32], responsibility: Floats
 ) -> Persistence:
     """Estimate how far speed persists, from the most certain of M candidates.
 
-    left (M,): slowness of the passage that ends with each candidate's departure; nan if unknown.
-    came (M,): slowness of the passage that begins with its arrival; nan if unknown.
+    before (M,): slowness of the passage that ends with each candidate's departure; nan if unknown.
+    after (M,): slowness of the passage that begins with its arrival; nan if unknown.
     lag (M, seconds): from the departure to the arrival.
     pair (M,): index of the pair of zones.
     responsibility (M,): probability that departure and arrival are of one object.
     """
     # Transitions of which both slownesses are known.
     sure = responsibility > SURE_RESPONSIBILITY
-    both = sure & np.isfinite(left) & np.isfinite(came)
+    both = sure & np.isfinite(before) & np.isfinite(after)
     n = int(both.sum())
     if n < SURE_TRANSITIONS_MIN:
         return NO_PERSISTENCE
-    sd = float(np.sqrt(np.mean(np.concatenate((left[both] ** 2, came[both] ** 2)))))
+    sd = float(np.sqrt(np.mean(np.concatenate((before[both] ** 2, after[both] ** 2)))))
 
     # Correlation, less its uncertainty; 0 if all passages take equally long, as those of machines.
-    varies = min(left[both].std(), came[both].std()) > 0
-    observed = float(np.corrcoef(left[both], came[both])[0, 1]) if varies else 0.0
+    varies = min(before[both].std(), after[both].std()) > 0
+    observed = float(np.corrcoef(before[both], after[both])[0, 1]) if varies else 0.0
     correlation = min(max(observed - SIGNIFICANT_SD / math.sqrt(n), 0.0), 0.95)
     return Persistence(
-        _scaling(mean_slowness(left, came), lag, pair, sure), correlation, max(sd, 0.05)
+        _scaling(mean_slowness(before, after), lag, pair, sure), correlation, max(sd, 0.05)
     )
 
 
@@ -161,15 +161,15 @@ def _scaling(slow: Floats, lag: Floats, pair: NDArray[np.int32], sure: NDArray[n
     return min(max(slope - SIGNIFICANT_SD * error, 0.0), 1.0)
 
 
-def mean_slowness(left: Floats, came: Floats) -> Floats:
+def mean_slowness(before: Floats, after: Floats) -> Floats:
     """Return the mean (M,) of the slownesses before and after a transition.
 
     If only one of the two is known, return that; if none is, nan.
 
-    left, came (M,): as for `estimate_persistence`.
+    before, after (M,): as for `estimate_persistence`.
     """
-    both = 0.5 * (left + came)
-    return np.where(np.isfinite(both), both, np.where(np.isfinite(left), left, came))
+    both = 0.5 * (before + after)
+    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
 
 
 def adjusted_lag(lag: Floats, slow: Floats, scaling: float, bins: LagBins) -> Floats:
@@ -186,14 +186,14 @@ def adjusted_lag(lag: Floats, slow: Floats, scaling: float, bins: LagBins) -> Fl
     return np.clip(lag * factor, bins.lag_min, bins.lag_max)
 
 
-def agreement(left: Floats, came: Floats, p: Persistence) -> Floats:
+def agreement(before: Floats, after: Floats, p: Persistence) -> Floats:
     """Return the likelihood ratio (M,) of one object over two, by the slownesses of two passages.
 
-    left, came (M,): as for `estimate_persistence`. If either is unknown, the ratio is 1.
+    before, after (M,): as for `estimate_persistence`. If either is unknown, the ratio is 1.
     """
     if p.correlation <= 0:
-        return np.ones(len(left))
-    u, v, r = left / p.sd, came / p.sd, p.correlation
+        return np.ones(len(before))
+    u, v, r = before / p.sd, after / p.sd, p.correlation
     exponent = (2.0 * r * u * v - r * r * (u * u + v * v)) / (2.0 * (1.0 - r * r))
     ratio: Floats = np.exp(np.minimum(exponent, np.log(AGREEMENT_MAX))) / np.sqrt(1.0 - r * r)
     return np.where(np.isfinite(ratio), np.minimum(ratio, AGREEMENT_MAX), 1.0)

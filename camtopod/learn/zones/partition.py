@@ -241,8 +241,8 @@ class _Partition:
         keys = [zone.tobytes() for zone in self.zones[known:]]
         for k in range(len(self.zones) - 1, known - 1, -1):
             enough = self.zones[k, 0] >= ZONE_EVENTS_MIN
-            stays = enough and self._drop_gain(np.array([k]), self.hold)[0] < -self.hold_gain
-            if keys[k - known] in self.tried or not stays or self._is_tail(k):
+            is_zone = enough and self._drop_gain(np.array([k]), self.hold)[0] < -self.hold_gain
+            if keys[k - known] in self.tried or not is_zone or self._is_tail(k):
                 self._remove(k)
         self.tried.update(keys)
         return len(self.zones) > known
