@@ -80,7 +80,7 @@ def fair_share(wanted: Counts, most: int) -> int:
 
 
 def zone_pairs_max(cameras: int) -> int:
-    """Return the largest number of zone pairs that are followed on a site of ``cameras``."""
+    """Return the largest number of zone pairs that screening follows on a site of ``cameras``."""
     return max(ZONE_PAIRS_MAX, ZONE_PAIRS_PER_CAMERA_MAX * cameras)
 
 

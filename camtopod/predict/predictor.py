@@ -283,8 +283,7 @@ class Predictor:
     def _multipliers(
         self, query: Query, table: ExitTable, block: int | None
     ) -> tuple[Floats, float]:
-        """Return the factor (targets,) of an exit's context on each target's odds, and the odds of
-        leaving the site.
+        """Return the factor of the context on each target's odds, (targets,), and odds of leaving.
 
         block: as for `predict_from`.
         """

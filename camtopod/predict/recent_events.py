@@ -82,8 +82,7 @@ class RecentEvents:
         return [Arrival(*one) for one in zip(*columns, strict=True)]
 
     def take_over(self, older: RecentEvents, moved: dict[int, int]) -> None:
-        """Replace all events by those stored for an older version, without those at zones that are
-        gone.
+        """Replace all events by those of an older version, except at zones that are gone.
 
         moved: new index of each zone by its old index (`moved_zones`).
         """

@@ -90,6 +90,7 @@ def _pair(
 
 
 def _relation(overlapped: bool) -> PairRelation:
+    """Return the relation of two related cameras by the result of a test."""
     return "overlapped" if overlapped else "unseen_path"
 
 

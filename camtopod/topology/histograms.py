@@ -121,7 +121,7 @@ def _stepped(first: int, mass: Floats) -> Histogram:
 
 
 def _late(histogram: Histogram, delay: float) -> Histogram:
-    """Return the histogram with a delay (seconds), unless that is zero or the histogram empty."""
+    """Return a histogram with its delay (seconds) set; an empty one stays without a delay."""
     return replace(histogram, delay=delay) if delay and histogram.mass else histogram
 
 

@@ -121,7 +121,7 @@ class Expected(Protocol):
 
 
 class PairPrior(Protocol):
-    """A prior over the transitions of pairs of zones."""
+    """A prior over the transitions of pairs of zones, such as `next_camera.prior.Prior`."""
 
     def expected(self, counts: Floats) -> Expected:
         """Return what the prior adds, given the counted transitions ``counts`` (P, bins)."""

@@ -261,8 +261,9 @@ class AlarmLog:
     def _once(
         self, version: int, t: float, kind: str, subject: str, detail: str, since: float
     ) -> None:
-        """Raise an alarm unless the change, at ``since``, is older than the last report on its
-        subject.
+        """Raise an alarm unless the change is older than the last report on its subject.
+
+        since (seconds): time of the change; the other arguments are as for `add`.
         """
         if since <= self._said.get(subject, -np.inf):
             return

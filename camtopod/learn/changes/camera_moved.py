@@ -58,7 +58,7 @@ _CELLS = GRID_ROWS * GRID_COLUMNS
 
 
 class Move(NamedTuple):
-    """The move of a camera."""
+    """The move of a camera: when it was turned, and how clearly its events show that."""
 
     first: int
     """Index of the first of the camera's events after the move."""

@@ -211,7 +211,8 @@ def transitions_by_pair(
 def latest_change(trials: Trials, threshold: float) -> tuple[float, float, float, float] | None:
     """Return time (seconds), share before, share after and evidence (nats) of the latest change.
 
-    None if there is no change with evidence above ``threshold`` (nats).
+    trials: departures of one zone and the transitions to test.
+    threshold (nats): least evidence of a change; None is returned if there is no such change.
     """
     n = len(trials.t)
     if n < 2 * SPLIT_DEPARTURES_MIN or trials.weight.sum() == 0 or trials.share.sum() == 0:

@@ -1,10 +1,11 @@
-"""Shortfall of weak links: how many more objects must take one until it is published, and how long
-that takes.
+"""Shortfall of weak links: how many more objects must take a link until it is published.
 
-The rule for publishing asks for a certain evidence (`significance`), and each further object on the
-link is taken to add as much evidence as the earlier ones did on average. The evidence that counts
-for the rule is held-out (`cross_validation`). It starts late, as a link has to be learned before it
-can predict anything, so the evidence per object is estimated from the fit instead.
+`shortfall_of` estimates this number for each weak link (one that is likely but not published), and
+how long it takes. The rule for publishing asks for a certain evidence (`significance`), and each
+further object on the link is taken to add as much evidence as the earlier objects did on average.
+The evidence that counts for the rule is held-out (`cross_validation`). It starts late, as a link
+has to be learned before it can predict anything, so the evidence per object is estimated from the
+fit instead.
 """
 
 from __future__ import annotations

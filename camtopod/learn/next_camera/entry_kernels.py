@@ -27,9 +27,10 @@ from camtopod.topology import LagBins, smooth
 
 
 class EntryKernels:
-    """Entry kernels of Q pairs of zones, and the m candidates that they apply to.
+    """The entry kernels of Q pairs of zones, and the m candidates that they give rates to.
 
-    These are candidates with a negative lag whose departure ends a passage of known entry.
+    The pairs are of a zone of entry and a zone of the next appearance in another view. The
+    candidates are those with a negative lag whose departure ends a passage of known entry.
     """
 
     def __init__(

@@ -310,6 +310,7 @@ class PosteriorFitter:
         number = np.argsort(order)
 
         def mixed(known: Floats, beside: Floats) -> Floats:
+            """Return the values of the known and the additional pairs in the order of all pairs."""
             both: Floats = np.concatenate((known, beside))[order]
             return both
 

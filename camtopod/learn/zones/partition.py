@@ -262,9 +262,11 @@ class _Partition:
         )
 
     def _join(self, a: int, b: int) -> None:
+        """Merge group ``b`` into group ``a``."""
         self._set(np.where(self.labels == b, a, self.labels))
 
     def _remove(self, k: int) -> None:
+        """Turn group ``k`` into clutter."""
         self._set(np.where(self.labels == k, -1, self.labels))
 
     def _merge(self) -> None:

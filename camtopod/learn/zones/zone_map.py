@@ -101,7 +101,10 @@ def fixed_point(x: ArrayLike) -> Longs:
 
 
 def cell_sums(x: ArrayLike, y: ArrayLike) -> CellSums:
-    """Return the sums over events at positions ``x``, ``y`` (n,) in image units."""
+    """Return the sums by grid cell of n events at given positions.
+
+    x, y (n,): positions in image units.
+    """
     rows, columns = cells_of(x, y)
     px, py = fixed_point(x), fixed_point(y)
     sums = np.zeros((6, GRID_ROWS, GRID_COLUMNS), dtype=np.int64)
