@@ -116,7 +116,9 @@ MECHANISMS = [
         "contexts, all",
         {"learn.next_camera.contexts:Contexts._contexts": _without_levels(0, 1, 2, 3)},
     ),
-    Mechanism("speed", {"learn.association.em:persistence": lambda *arguments: NO_PERSISTENCE}),
+    Mechanism(
+        "speed", {"learn.association.em:estimate_persistence": lambda *arguments: NO_PERSISTENCE}
+    ),
     Mechanism("skipped cameras", {"learn.next_camera.fit:skip_hazards": _no_skips}),
     Mechanism("prior: paths are two-way", {"learn.next_camera.prior:RETURNING": 0.0}),
     Mechanism("prior: zones of a view", {"learn.next_camera.prior:POOLING": 0.0}),
