@@ -1,4 +1,9 @@
-"""Storage of the newest exits or arrivals as columns, so that they can be searched quickly."""
+"""Storage of the newest exits or arrivals as columns, so that they can be searched quickly.
+
+A `Predictor` has one `RecentEvents` for exits, which are possible causes of later arrivals, and one
+for arrivals, which may be of the object of an exit. Zones are indices in the topology version;
+`moved_zones` translates them from an older version.
+"""
 
 from __future__ import annotations
 

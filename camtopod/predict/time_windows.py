@@ -1,4 +1,9 @@
-"""Time windows from masses over lag bins, and the share of each bin that is still possible."""
+"""Time windows from masses over lag bins, and the share of each bin that is still possible.
+
+A time window says when an object probably appears at a zone: the 10 %, 50 % and 90 % quantiles of
+the lag. As time passes without a matching arrival, lags that have passed are no longer possible
+(`unknown_share`).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Find the zone that an event belongs to, by its camera and position (thesis 2.8)."""
+"""Find the zone that an event belongs to, by its camera and position (thesis 2.8).
+
+Each zone of the topology is a Gaussian; an event belongs to the zone with the largest weighted
+density at its position. In contrast to learning, no event counts as clutter, so that a prediction
+is possible for every exit.
+"""
 
 from __future__ import annotations
 

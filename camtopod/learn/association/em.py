@@ -207,7 +207,7 @@ class Em:
     def start(self, noise_sd: float = START_NOISE_SD) -> Singles:
         """Return the first hazards (P, bins): excess of each lag histogram over the null model.
 
-        noise_sd: standard deviations of the null model that are subtracted, too.
+        noise_sd: standard deviations of the null model that are subtracted in addition.
         """
         c, departures, arrivals = self.candidates, self.departures, self.arrivals
         if len(c.lag) == 0:

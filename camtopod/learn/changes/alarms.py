@@ -81,7 +81,7 @@ class AlarmLog:
         self._clock: dict[str, tuple[float, float]] = {}
 
     def save(self) -> AlarmState:
-        """Return the state that `load` needs to continue."""
+        """Return the state from which `load` continues."""
         return AlarmState(
             self.newest, self._said, sorted(self._joined), sorted(self._silent), self._clock
         )

@@ -97,7 +97,7 @@ class EntryKernels:
     def start(self, noise_sd: float) -> None:
         """Set the first kernels: the excess over the null model.
 
-        noise_sd: standard deviations of the null model that are subtracted, too.
+        noise_sd: standard deviations of the null model that are subtracted in addition.
         """
         a, order = self._arrivals, np.argsort(self._began, kind="stable")
         if len(self.rows) == 0:

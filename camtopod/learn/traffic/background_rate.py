@@ -62,24 +62,24 @@ class NullRates:
     that in its bin and the two bins beside it, and the mean is taken over the departures. So a
     rhythm common to all zones is part of the null model.
 
-    left_t, left_zone (n,): times of departures (seconds, ascending, at least one), and their zones.
-    came_t, came_zone (m,): times of arrivals (seconds, ascending, at least one), and their zones.
+    departure_t, departure_zone (n,): times (seconds, ascending) and zones of departures, not empty.
+    arrival_t, arrival_zone (m,): times (seconds, ascending) and zones of arrivals, not empty.
     zones: number of zones.
     """
 
     def __init__(
         self,
-        left_t: Floats,
-        left_zone: NDArray[np.int32],
-        came_t: Floats,
-        came_zone: NDArray[np.int32],
+        departure_t: Floats,
+        departure_zone: NDArray[np.int32],
+        arrival_t: Floats,
+        arrival_zone: NDArray[np.int32],
         zones: int,
     ) -> None:
         # Count departures and arrivals (zones, bins).
-        first = min(left_t[0], came_t[0])
-        n = int((max(left_t[-1], came_t[-1]) - first) // CHANCE_BIN_SECONDS) + 1
-        self._departures = _per_bin(left_t, left_zone, first, n, zones)
-        arrivals = _per_bin(came_t, came_zone, first, n, zones)
+        first = min(departure_t[0], arrival_t[0])
+        n = int((max(departure_t[-1], arrival_t[-1]) - first) // CHANCE_BIN_SECONDS) + 1
+        self._departures = _per_bin(departure_t, departure_zone, first, n, zones)
+        arrivals = _per_bin(arrival_t, arrival_zone, first, n, zones)
 
         # Arrivals in each bin and its two neighbours, and the seconds that these bins last.
         self._around = np.copy(arrivals)
