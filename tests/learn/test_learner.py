@@ -92,7 +92,7 @@ def recordings(draw: st.DrawFn) -> list[Event]:
     ]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(recordings(), st.randoms(use_true_random=False), st.integers(0, 5), st.booleans())
 def test_any_order_within_the_lateness(
     events: list[Event], chance: random.Random, lateness: int, told: bool
@@ -133,7 +133,7 @@ def test_an_event_at_the_watermark_on_a_tick() -> None:
 
 def test_versions_of_a_recording() -> None:
     """Numbers count up by one, digests recompute, and every delta leads to the next version."""
-    learner = learn(walk(150), QUICK)
+    learner = learn(walk(100), QUICK)
     versions = learner.updates()
     assert learner.updates() == []
     assert len(versions) > 5
@@ -189,7 +189,7 @@ def test_the_moment_of_the_recording_does_not_matter() -> None:
     """A recording from zero gives the same links as one of today, or from before 1970."""
     found = []
     for start in (1_700_000_000.0, 0.0, -1_700_000_000.0):
-        learner = learn(walk(100, start=start), QUICK)
+        learner = learn(walk(60, start=start), QUICK)
         found.append(
             [
                 (
@@ -328,7 +328,7 @@ def test_a_zone_that_returns_has_its_number_back() -> None:
 
 
 def test_zones_keep_their_names() -> None:
-    versions = learn(walk(200), QUICK).updates()
+    versions = learn(walk(150), QUICK).updates()
     last = {zone.id: zone for zone in versions[-1].zones}
     assert len(last) == 4
     for version in versions[len(versions) // 2 :]:
@@ -513,7 +513,7 @@ def unrelated(seed: int, rhythm: float) -> list[Event]:
     return sorted(events, key=lambda event: event.t)
 
 
-@pytest.mark.parametrize(("seed", "rhythm"), [(0, 0.0), (0, 0.9), (100, 0.0), (100, 0.9)])
+@pytest.mark.parametrize(("seed", "rhythm"), [(0, 0.0), (100, 0.9)])
 def test_no_links_where_there_are_none(seed: int, rhythm: float) -> None:
     """Returning to the same camera is a link; between the cameras there is none."""
     topology = topology_of(unrelated(seed, rhythm))

@@ -124,7 +124,7 @@ def test_the_recording_is_read_with_its_identities(tmp_path: Path) -> None:
 
 def test_live_predictions_are_of_the_newest_version_made_by_then() -> None:
     events, _ = simulate(SimSettings(cameras=3, hours=0.25, objects_per_second=0.3))
-    settings = Settings(refit_share=0.05)
+    settings = Settings(refit_share=0.15)
     cut = int(TRAIN_SHARE * len(events))
     topology, predicted, _ = serve(events, settings)
     learner = Learner(settings)

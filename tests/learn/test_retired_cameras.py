@@ -30,7 +30,7 @@ def entry(camera: str, t: float, **more: object) -> Event:
     return Event(camera, "entry", t, 0.5, 0.5, **more)  # type: ignore[arg-type]
 
 
-def passages(start: float, cameras: Iterable[str] = PLACES, number: int = 200) -> list[Event]:
+def passages(start: float, cameras: Iterable[str] = PLACES, number: int = 100) -> list[Event]:
     """Return objects that appear and leave at the places of each camera, one every 20 s."""
     rng = np.random.default_rng(1)
     events = []
@@ -82,13 +82,13 @@ def names_known(learner: Learner) -> set[str]:
 
 
 def test_names_that_have_left_take_no_places() -> None:
-    learner = Learner(Settings(cameras_max=50))
+    learner = Learner(Settings(cameras_max=50, **RARE))
     verdicts = Counter(
         learner.receive(entry(f"name{k}", T0 + k, boot="b", seq=1)) for k in range(60)
     )
     assert verdicts == {"accepted": 50, "refused": 10}
-    told(learner, [entry("name0", T0 + day * DAY) for day in range(1, 400)])
-    assert learner.receive(entry("new", T0 + 400 * DAY)) == "accepted"
+    told(learner, [entry("name0", T0 + day * DAY) for day in range(1, 40)])
+    assert learner.receive(entry("new", T0 + 40 * DAY)) == "accepted"
     learner.flush()
     assert learner.topology is not None
     assert [camera.id for camera in learner.topology.cameras] == ["name0", "new"]
@@ -125,7 +125,7 @@ def test_one_whose_events_are_all_late_is_known_until_they_are_old() -> None:
 
 
 def test_at_the_limit_the_camera_with_the_fewest_events_gives_its_place() -> None:
-    learner = Learner(Settings(cameras_max=4))
+    learner = Learner(Settings(cameras_max=4, **RARE))
     told(learner, passages(T0))
     for k, name in enumerate(("door", "invented")):
         learner.receive(entry(name, T0 + 4000 + k))
@@ -198,7 +198,7 @@ def test_a_camera_that_fell_silent_is_said_to_be_so_and_to_be_back() -> None:
 
 def test_a_camera_can_be_forgotten_by_name() -> None:
     """Nothing is left of it, not even its zone numbers."""
-    learner = Learner(Settings())
+    learner = Learner(Settings(**RARE))
     told(learner, passages(T0))
     learner.forget({"yard", "never heard of"})
     assert names_known(learner) == {"hall"}
@@ -228,8 +228,7 @@ def comings_and_goings(chance: random.Random) -> list[Event]:
     return events
 
 
-@pytest.mark.parametrize("cameras_max", [2, 3, 5, 7])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("seed", "cameras_max"), [(1, 2), (2, 3), (1, 5), (2, 7)])
 def test_saved_and_loaded_in_between_the_versions_are_the_same(cameras_max: int, seed: int) -> None:
     chance = random.Random(seed)
     events = comings_and_goings(chance)

@@ -17,9 +17,9 @@ from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, 
 from camtopod.records import Event
 from camtopod.sim.simulation import SimSettings, simulate
 
-SETTINGS = Settings(refit_share=0.3, window_events_max=2500)
+SETTINGS = Settings(refit_share=0.3, window_events_max=2000)
 NETWORKS = {
-    "usual": SimSettings(seed=3, cameras=5, hours=0.8, objects_per_second=0.1),
+    "usual": SimSettings(seed=3, cameras=5, hours=0.5, objects_per_second=0.1),
     "hard": SimSettings(
         seed=4,
         cameras=5,
@@ -32,7 +32,7 @@ NETWORKS = {
         platoons=0.5,
     ),
     "bare": SimSettings(
-        seed=5, cameras=4, hours=0.8, objects_per_second=0.1, positions=False, tracks=False
+        seed=5, cameras=4, hours=0.5, objects_per_second=0.1, positions=False, tracks=False
     ),
 }
 

@@ -113,8 +113,8 @@ def test_as_many_as_are_missed(missed: float) -> None:
 
 
 def test_ways_too_rare_to_be_found_are_foretold(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The site has 12 cameras that miss a tenth, recorded for an hour and a half."""
-    networks = [REGIMES["short"].make(seed, 0.5) for seed in (20, 21)]
+    """The site has 12 cameras that miss a tenth, recorded for an hour."""
+    networks = [REGIMES["short"].make(seed, 0.3) for seed in (20, 21)]
     with_ways = [prediction_quality(*network) for network in networks]
     nothing = lambda *asked: (np.zeros(0, np.int64), np.zeros((0, asked[3].size)))  # noqa: E731
     monkeypatch.setattr(fit, "skip_hazards", nothing)
