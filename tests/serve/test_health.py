@@ -195,7 +195,7 @@ def test_each_loop_is_watched(
 def test_a_question_to_a_spool_that_never_ends_is_seen(
     daemon: Daemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    let_go = stuck_in(daemon._bus, "ask", monkeypatch)
+    let_go = stuck_in(daemon._bus, "query", monkeypatch)
     daemon._puller.on_alive("lobby", True)
     wait_for(
         lambda: [reason.split()[0] for reason in daemon.failing()] == ["pull"], "pull to be named"

@@ -260,7 +260,7 @@ from camtopod.serve.daemon import Daemon
 daemon = Daemon(small_config(Path({state!r})))
 daemon.start()
 for event in [*numbered(walkers(20)), closing_event()]:
-    daemon._bus.put("event/" + event.camera, event, "event")
+    daemon._bus.publish("event/" + event.camera, event, "event")
 while daemon.topology is None or daemon.status()["events"]["waiting"]:
     time.sleep(0.02)
 daemon.stop()

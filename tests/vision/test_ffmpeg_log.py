@@ -12,13 +12,13 @@ from camtopod.vision.source.ffmpeg_log import LEVEL_VARIABLE, LEVEL_WARNINGS, ca
 
 PRINTS_AS_C_DOES = """
 import ctypes, sys
-from camtopod.vision.source.ffmpeg_log import listening
+from camtopod.vision.source.ffmpeg_log import captured_log
 
 libc = ctypes.CDLL(None)
 libc.printf(b"before\\n")
-with listening() as complaints:
+with captured_log() as complaints:
     libc.printf(b"[tcp] Connection to tcp://127.0.0.1 failed: Connection refused\\n")
-    print(complaints.take(), file=sys.stderr)
+    print(complaints.newest_reason(), file=sys.stderr)
     libc.printf(b"said when nobody asks any more\\n")
 print("data")
 """
