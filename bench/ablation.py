@@ -168,7 +168,7 @@ MECHANISMS = [
         "seen before the exit",
         {
             "predict.hazards:Hazards.seen_before": lambda self, zone: np.zeros(
-                self._seen_before.shape[1], np.bool_
+                len(self._seen_before), np.bool_
             )
         },
     ),

@@ -10,6 +10,7 @@ their entry, and `rate_before_exit`, the mean over the passage).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Set
 from typing import NamedTuple
 
@@ -192,7 +193,8 @@ class Hazards:
 
         These are zones of other cameras.
         """
-        possible: Bools = self._seen_before[zone]
+        possible = np.zeros(len(self._seen_before), np.bool_)
+        possible[self._seen_before[zone]] = True
         return possible
 
     def exposure_of_passage(self, dwell: float) -> Floats:
@@ -376,17 +378,16 @@ class Hazards:
         # exit.
         offset = {camera.id: camera.clock_offset for camera in topology.cameras}
         offsets = np.array([offset.get(zone.camera, 0.0) for zone in topology.zones])
-        cameras = np.array([zone.camera for zone in topology.zones])
-        self._seen_before = np.zeros((len(cameras), len(cameras)), np.bool_)
+        self._seen_before: list[list[int]] = []
         for k, zone in enumerate(topology.zones):
-            self._seen_before[k, list(reached.get(zone.camera, ()))] = True
+            before = set(reached.get(zone.camera, ()))
             if k in self.outcomes:
                 outcomes = self.outcomes[k]
                 shift = offsets[outcomes.targets] - offsets[k] + outcomes.delay
-                self._seen_before[k, outcomes.targets] |= self._possible_before(
-                    outcomes.hazard, shift
-                )
-            self._seen_before[k] &= cameras != zone.camera
+                possible = self._possible_before(outcomes.hazard, shift)
+                before.update(itertools.compress(outcomes.targets, possible))
+            elsewhere = [to for to in before if topology.zones[to].camera != zone.camera]
+            self._seen_before.append(elsewhere)
 
     def _possible_before(self, hazard: Singles, shift: Floats) -> Bools:
         """Return a mask (n,) of the targets at which an arrival may be reported before the exit.
