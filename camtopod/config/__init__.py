@@ -1,8 +1,8 @@
 """Configuration files: TOML to typed settings, with the line of every mistake.
 
 `settings` holds the tables, their defaults, and `load`. It is built on `toml_tables`, which makes
-structs of tables, and `toml_lines`, which finds the lines of keys. `secret_files` reads and writes
-files that hold secrets.
+structs of tables, `polygons`, which reads areas of the picture, and `toml_lines`, which finds the
+lines of keys. `secret_files` reads and writes files that hold secrets.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from camtopod.config.settings import (
     Limits,
     SiteSettings,
     StateSettings,
+    without_source,
 )
 from camtopod.config.toml_tables import DEFAULT_ENDPOINT, FLOAT_MAX, is_endpoint
 
@@ -39,4 +40,5 @@ __all__ = [
     "secret_files",
     "settings",
     "toml_lines",
+    "without_source",
 ]

@@ -115,10 +115,12 @@ class KeepSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """``[cameras.ID]``: one camera of this box."""
+    """``[cameras.ID]``: one camera of this box; it takes every key of ``[vision]`` as well."""
 
-    source: str
-    """An rtsp:// URL, a video file or a device number."""
+    source: str = ""
+    """An rtsp:// URL, a video file or a device number; without one, `camtopod grab` has to be given
+    it.
+    """
     source_file: str = ""
     """Instead of source: a file whose first line is the source, so that no password stands here; a
     path as in [bus.tls], e.g. $CREDENTIALS_DIRECTORY/lobby.
@@ -129,6 +131,8 @@ class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """A file only: play it at its own speed, not as fast as it decodes."""
     speed: Positive = 1.0
     """A file only, with realtime: play it at this many times its own speed."""
+    vision: VisionSettings = VisionSettings()
+    """The camera's settings of vision: those of [vision], and those in its own table."""
 
 
 class Limits(Struct, frozen=True, forbid_unknown_fields=True):
@@ -276,19 +280,33 @@ class Config(Struct, frozen=True):
         keys = [self.bus.tls.private_key.replace("{camera}", name) for name in names]
         return files + [Path(key) for key in keys if key]
 
-    def for_camera(self, camera: str) -> Config:
+    def for_camera(self, camera: str, source: str | None = None) -> Config:
         """Return the configuration of the process that grabs ``camera``.
 
-        It has the camera's certificate, and the source that was read from its file. Raises
+        It has the camera's certificate, and its source, read from its file if need be. Raises
         `OSError` if that cannot be read.
+
+        source: used instead of the configured one, which need not be there.
         """
         cameras = self.cameras
-        if camera in cameras and cameras[camera].source_file:
-            source = secret_files.read(Path(cameras[camera].source_file))
+        known = cameras.get(camera)
+        if source is None and known is not None and known.source_file:
+            source = secret_files.read(Path(known.source_file))
+        if source is not None:
             redact.remember(source)
-            filled = replace(cameras[camera], source=source, source_file="")
-            cameras = {**cameras, camera: filled}
+            known = known or CameraSettings(vision=self.vision)
+            cameras = {**cameras, camera: replace(known, source=source, source_file="")}
         return replace(self.certified(camera), cameras=cameras)
+
+    def own_vision(self, camera: str) -> dict[str, Any]:
+        """Return the settings of vision in which ``camera`` differs from ``[vision]``."""
+        return _differences(self.cameras[camera].vision, self.vision)
+
+    def common_vision(self, camera: str) -> dict[str, Any]:
+        """Return the settings that ``camera`` has of ``[vision]`` and that are not the defaults."""
+        own = self.own_vision(camera)
+        common = _differences(self.vision, VisionSettings())
+        return {key: value for key, value in common.items() if key not in own}
 
     def certified(self, camera: str) -> Config:
         """Return the configuration with the certificate of ``camera``, for its publisher."""
@@ -349,6 +367,23 @@ def parse(text: str, name: str = "configuration") -> Config:
     return config
 
 
+def without_source(config: Config, text: str, name: Path) -> list[str]:
+    """Return a sentence, with file and line, for each camera that has no source.
+
+    Such a table is right, for `camtopod grab --camera ID SOURCE`, but other commands need the
+    source.
+
+    text: content of the file ``name``.
+    """
+    lines = toml_lines.key_lines(text)
+    return [
+        f"{name}:{lines.get(('cameras', camera), 1)}: cameras.{camera}: source is missing; add it, "
+        f"or source_file, or grab this camera with `camtopod grab --camera {camera} SOURCE`"
+        for camera, settings in config.cameras.items()
+        if not settings.source and not settings.source_file
+    ]
+
+
 class _Reader(TableReader):
     """Builds the settings from the tables that tomllib read."""
 
@@ -363,9 +398,12 @@ class _Reader(TableReader):
             if "." not in name
         }
         self._check_bus(tables["bus"])
-        return Config(cameras=self._cameras(data.get("cameras", {})), **tables)  # type: ignore[arg-type]
+        cameras = self._cameras(data.get("cameras", {}), tables["vision"])
+        return Config(cameras=cameras, **tables)  # type: ignore[arg-type]
 
-    def _cameras(self, data: Any) -> dict[str, CameraSettings]:
+    def _cameras(self, data: Any, vision: Struct | None) -> dict[str, CameraSettings]:
+        """Return the cameras; ``vision`` has the settings that their tables do not have."""
+        assert isinstance(vision, VisionSettings)
         if not isinstance(data, dict):
             self.report(("cameras",), "cameras: expected tables [cameras.ID], one a camera")
             return {}
@@ -386,23 +424,26 @@ class _Reader(TableReader):
                     f"cameras.{camera}: this name is taken on the bus; call the camera otherwise",
                 )
 
-            # The source: either of the two keys, and hidden in all messages.
+            # The source is hidden in all messages, so it is remembered first.
             given = data[camera]
             if isinstance(given, dict) and isinstance(given.get("source"), str):
                 redact.remember(given["source"])
-            elif isinstance(given, dict) and given.get("source_file"):
-                given["source"] = ""
-            settings = self.table(CameraSettings, data, path)
+            settings = self.table(CameraSettings, data, path, ("vision", vision))
             if settings is not None:
-                if bool(settings.source) == bool(settings.source_file):
-                    what = (
-                        "is empty"
-                        if not settings.source
-                        else "give source or source_file, not both"
-                    )
-                    self.report((*path, "source"), f"cameras.{camera}.source: {what}")
+                self._check_source(path, given, settings)
                 cameras[camera] = settings
         return cameras
+
+    def _check_source(self, path: tuple[str, str], given: Any, camera: CameraSettings) -> None:
+        """Check that at most one of source and source_file is given, and that it is not empty."""
+        title = ".".join(path)
+        if camera.source and camera.source_file:
+            self.report((*path, "source"), f"{title}.source: give source or source_file, not both")
+        if camera.source or camera.source_file or not isinstance(given, dict):
+            return
+        for key in ("source", "source_file"):
+            if given.get(key) == "":
+                self.report((*path, key), f"{title}.{key}: is empty")
 
     def _check_bus(self, bus: Struct | None) -> None:
         """Check that all files of TLS are given or none, and that with TLS all endpoints use it."""
@@ -455,6 +496,12 @@ def _with_paths(tls: TlsSettings, change: Callable[[str], str]) -> TlsSettings:
     return TlsSettings(
         **{field: change(path) for field, path in msgspec.structs.asdict(tls).items()}
     )
+
+
+def _differences(settings: Struct, others: Struct) -> dict[str, Any]:
+    """Return the fields of ``settings`` that are not the same in ``others``."""
+    fields = msgspec.structs.asdict(settings)
+    return {key: value for key, value in fields.items() if value != getattr(others, key)}
 
 
 def _local_address(endpoint: Endpoint) -> Endpoint:

@@ -12,6 +12,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from camtopod.config import toml_lines
+from camtopod.config.polygons import parse_polygons
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Endpoint of a daemon that the configuration gives none."""
@@ -25,6 +26,14 @@ No operating system waits for longer, in seconds, and as a time it is in 2255.
 """
 _SYNTAX_ERRORS_MAX = 20
 """Syntax errors after which `syntax` stops."""
+_ELSEWHERE = {
+    "mask": "ignore",
+    "motion": "ignore",
+    "threshold": "sensitivity",
+    "min_area": "min_height",
+    "area": "min_height",
+}
+"""Names of similar settings in Frigate and Viseron -> their names here."""
 _T = TypeVar("_T", bound=Struct)
 
 
@@ -82,11 +91,21 @@ class TableReader:
         self._lines = lines
         self._missing_matters = missing_matters
 
-    def table(self, kind: type[_T], parent: dict[str, Any], path: tuple[str, ...]) -> _T | None:
+    def table(
+        self,
+        kind: type[_T],
+        parent: dict[str, Any],
+        path: tuple[str, ...],
+        flat: tuple[str, Struct] | None = None,
+    ) -> _T | None:
         """Return the struct at ``path``, mistakes replaced by defaults; None without a required
         key.
+
+        flat: a field of ``kind`` that holds a struct, and that struct with its defaults. Its keys
+            stand in the table itself.
         """
         title = ".".join(path)
+        group, inner = flat or ("", None)
 
         # It has to be a table.
         data = parent.get(path[-1], {})
@@ -95,13 +114,20 @@ class TableReader:
             return None if any(field.required for field in msgspec.structs.fields(kind)) else kind()
 
         # Convert each key.
-        fields = {field.name: field for field in msgspec.structs.fields(kind)}
+        fields = {
+            field.name: field for field in msgspec.structs.fields(kind) if field.name != group
+        }
+        others = {} if inner is None else {f.name: f for f in msgspec.structs.fields(inner)}
         values: dict[str, Any] = {}
+        changed: dict[str, Any] = {}
         for key, value in data.items():
-            if key not in fields:
+            if key in others:
+                if (converted := self._value(others[key], value, (*path, key))) is not None:
+                    changed[key] = converted
+            elif key not in fields:
                 self.report(
                     (*path, key),
-                    f"{title}.{key}: no such key{self._hint(key, list(fields), path[0])}",
+                    f"{title}.{key}: no such key{self._hint(key, [*fields, *others], path[0])}",
                 )
             elif (nested := self._tables.get(f"{title}.{key}")) is not None:
                 values[key] = self.table(nested, data, (*path, key))
@@ -114,12 +140,14 @@ class TableReader:
                 self.report(path, f"{title}: {field.name} is missing")
             if field.required and field.name not in values:
                 return None
+        if inner is not None:
+            values[group] = msgspec.structs.replace(inner, **changed)
         return kind(**values)
 
     def _value(self, field: msgspec.structs.FieldInfo, value: Any, path: toml_lines.Path) -> Any:
         """Return ``value`` as the field's type, or report why it does not fit and return None.
 
-        Each endpoint of an array is checked by itself.
+        Each endpoint or polygon of an array is checked by itself.
         """
         title = ".".join(str(part) for part in path[:3])
 
@@ -133,6 +161,13 @@ class TableReader:
                     )
                     self.report((*path, index), what)
             return tuple(value)
+
+        # Polygons: report each bad one, and keep the others.
+        if points_min := _points_min(field):
+            polygons, wrong = parse_polygons(value, points_min)
+            for at, what in wrong.items():
+                self.report(path if at is None else (*path, at), f"{title}: {what}")
+            return polygons
 
         # All other types.
         try:
@@ -154,6 +189,8 @@ class TableReader:
         self.problems.append(Problem(self._lines.get(path, 1), what))
 
     def _hint(self, key: str, known: list[str], table: str) -> str:
+        if _ELSEWHERE.get(key) in known:
+            return f"; it is called {_ELSEWHERE[key]!r} here"
         homes = [
             name
             for name, kind in self._tables.items()
@@ -176,6 +213,12 @@ def _check_number(value: Any, default: Any) -> None:
         raise ValueError("must not be negative")
     if isinstance(value, float) and value > FLOAT_MAX:
         raise ValueError(f"expected at most {FLOAT_MAX:g}")
+
+
+def _points_min(field: msgspec.structs.FieldInfo) -> int:
+    """Return how many points a polygon of the field has at least; 0 if it holds no polygons."""
+    metas = getattr(field.type, "__metadata__", ())
+    return next((meta.extra["points_min"] for meta in metas if meta.extra), 0)
 
 
 def _in_words(field: msgspec.structs.FieldInfo) -> str:

@@ -18,10 +18,11 @@ from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from camtopod.vision.grabber import Grabber
-    from camtopod.vision.settings import VisionSettings
+    from camtopod.vision.settings import Polygon, VisionSettings
 
 __all__ = [
     "Grabber",
+    "Polygon",
     "VisionSettings",
 ]
 
@@ -29,6 +30,7 @@ __getattr__ = lazy_getattr(
     __name__,
     {
         "Grabber": "grabber",
+        "Polygon": "settings",
         "VisionSettings": "settings",
     },
 )

@@ -1,4 +1,8 @@
-"""Settings of a grabber (the ``[vision]`` table of the configuration), with their units."""
+"""Settings of a grabber (the ``[vision]`` table of the configuration), with their units.
+
+``[vision]`` holds for all cameras; each of its keys may also stand in ``[cameras.ID]``, for that
+camera alone.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,22 @@ from msgspec import Meta, Struct
 
 Positive = Annotated[float, Meta(gt=0)]
 
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+Point = tuple[Fraction, Fraction]
+"""x and y in fractions of the picture's width and height, x to the right, y down."""
+Polygon = tuple[Point, ...]
+"""An area of the picture by its corners; a single point stands for a place."""
+
+Areas = Annotated[tuple[Polygon, ...], Meta(extra={"points_min": 3})]
+"""Polygons of three points or more."""
+Places = Annotated[tuple[Polygon, ...], Meta(extra={"points_min": 1})]
+"""Points, and polygons of three points or more."""
+
 
 class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """Settings of one grabber (the ``[vision]`` table of the configuration)."""
+    """``[vision]``: how pictures become events. Each key may also stand in ``[cameras.ID]``, for
+    that camera alone.
+    """
 
     analysed_fps: Positive = 7.0
     """Frames per second to analyse, as near as the source's rate allows; the rest is only grabbed.
@@ -37,3 +54,21 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Delay before a lost stream is reopened for the first time; it doubles with each attempt."""
     backoff_max_seconds: Positive = 15.0
     """Maximum delay before a lost stream is reopened."""
+    ignore: Areas = ()
+    """Areas in which motion is not looked at (a tree, a street behind the fence, a clock in the
+    picture): polygons of [x, y] points in fractions of the picture, such as [[[0.0, 0.0],
+    [0.3, 0.0], [0.3, 0.1], [0.0, 0.1]]], or texts as Frigate's "0,0,0.3,0,0.3,0.1,0,0.1".
+    """
+    doors: Places = ()
+    """Places in mid-view where people may appear and disappear, besides those that are learned:
+    points [x, y] (the feet are within 0.6 of the person's height) or polygons (the feet are
+    inside), such as [[0.42, 0.35]]; fractions of the picture.
+    """
+    min_height: Annotated[float, Meta(ge=0, lt=1)] = 0.0
+    """Least height of an object, as a fraction of the picture's height; lower ones (cats, birds,
+    people far away) make no events.
+    """
+    sensitivity: Annotated[float, Meta(ge=0.25, le=4)] = 1.0
+    """How little contrast to the background is enough to count as motion, 0.25 to 4: at 2 half the
+    usual contrast is enough, at 0.5 twice the usual is needed. The noise stays below the limit.
+    """
