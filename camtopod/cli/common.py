@@ -68,7 +68,7 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> setting
     loaded = with_options(args, loaded)
     if getattr(args, "camera", None):
         try:
-            loaded = loaded.for_camera(args.camera)
+            loaded = loaded.for_camera(args.camera, getattr(args, "source", None))
         except OSError as error:
             raise InputError(
                 f"cannot read the source of camera {args.camera}: "

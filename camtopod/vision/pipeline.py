@@ -5,7 +5,7 @@ from __future__ import annotations
 from camtopod.records import Event
 from camtopod.vision.detect import Luma, MotionDetector, find_blobs, shrunk
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track import Crossings, Track, Tracker, has_moved
+from camtopod.vision.track import Crossings, IgnoredAreas, Track, Tracker, has_moved
 
 GHOST_SECONDS = 3.0
 """An object that has not moved for this long is tested for being a ghost.
@@ -58,7 +58,9 @@ class ViewPipeline:
 
         # The size of the picture is known from here on. After a relearned scene, tracking restarts.
         if self._crossings is None or self._tracker is None:
-            self._crossings = Crossings(self._camera, width, height)
+            watched = self._motion.watched
+            ignored = None if watched is None else IgnoredAreas(watched)
+            self._crossings = Crossings(self._camera, width, height, self._settings.doors, ignored)
             self._tracker = Tracker(self._settings, self._crossings)
         else:
             self._tracker.restart()

@@ -157,7 +157,7 @@ class _NoEdges:
     def at_edge(self, track: tracker.Track) -> bool:
         return False
 
-    begins_at_edge = at_edge
+    begins_at_edge = goes_behind = comes_from_behind = at_edge
 
 
 @seeds

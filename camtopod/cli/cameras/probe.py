@@ -33,12 +33,13 @@ START_SECONDS = 30.0
 
 def probe_all(
     sources: Mapping[str, str],
-    settings: VisionSettings,
+    settings: Mapping[str, VisionSettings],
     on_probe: Callable[[str, Probe], None],
     folder: Path | None = None,
 ) -> dict[str, Probe]:
     """Probe each source; return the results by camera id.
 
+    settings: those of each camera.
     on_probe: called with each result as soon as it is known.
     folder: where to keep a picture of each camera that gives one. Raises `CommandError` if it
         cannot be written.
@@ -52,7 +53,7 @@ def probe_all(
     # Probe all, and handle each result as soon as it is known.
     with ThreadPoolExecutor(PROCESSES_MAX) as pool:
         looks = {
-            pool.submit(_probe, source, settings, folder is not None): name
+            pool.submit(_probe, source, settings[name], folder is not None): name
             for name, source in sources.items()
         }
         found = {}
@@ -123,10 +124,12 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
     sources = {}
     for camera in config.cameras:
         try:
-            sources[camera] = config.for_camera(camera).cameras[camera].source
+            if source := config.for_camera(camera).cameras[camera].source:
+                sources[camera] = source
         except OSError as error:
             tell(camera, Probe(f"cannot read {error.filename}: {error.strerror}"))
-    probe_all(sources, config.vision, tell, folder)
+    settings = {camera: config.cameras[camera].vision for camera in sources}
+    probe_all(sources, settings, tell, folder)
     problem, found = _bus(config)
     print(visible(f"{path}: bus: {redact(problem or found)}"), file=sys.stderr)
     return max(status, exits.BUS if problem else exits.DONE)

@@ -19,7 +19,7 @@ from camtopod.cli.cameras.status_reporter import StatusReporter
 from camtopod.cli.common import SignalRequests, configuration_and_text
 from camtopod.cli.exits import CommandError
 from camtopod.cli.terminal import standard_streams
-from camtopod.config import CameraSettings, Config
+from camtopod.config import CameraSettings, Config, without_source
 from camtopod.serve.runtime import systemd
 
 log = logging.getLogger(__name__)
@@ -28,16 +28,21 @@ _LOOK_SECONDS = 0.1
 """Interval at which the processes are checked."""
 _SPEAK_SECONDS = 0.5
 """Interval at which the statuses of silent cameras are updated."""
-_OF_ALL = ("site", "bus", "state", "vision", "limits")
-"""Tables that every camera's process reads: a change restarts all cameras."""
+_OF_ALL = ("site", "bus", "state", "limits")
+"""Tables that every camera's process reads: a change restarts all cameras.
+
+A change of ``[vision]`` restarts those whose own table does not override it.
+"""
 
 
 def supervise(args: argparse.Namespace, config: Config, text: bytes, told: SignalRequests) -> int:
     """Run `camtopod grab` for every camera until all have ended or a signal arrives.
 
     Returns the worst exit status. ``text`` is the content of the configuration; each process gets
-    it from here, so that none reads a file that has been changed since but not accepted yet.
+    it from here, so that none reads a file that has been changed since but not accepted yet. Raises
+    `CommandError` if a camera has no source.
     """
+    _require_sources(config, text, args)
     site = _Cameras(args, config, text)
     try:
         while not told.stop.is_set() and not site.over:
@@ -118,6 +123,7 @@ class _Cameras:
         """
         try:
             config, text = configuration_and_text(self._args)
+            _require_sources(config, text, self._args)
         except CommandError as error:
             log.error("the old configuration stays in use: %s", " ".join(str(error).splitlines()))
             self._summary = ""
@@ -239,6 +245,12 @@ def _filled(config: Config, camera: str) -> CameraSettings:
         return config.for_camera(camera).cameras[camera]
     except OSError:  # its own process reports this and tries again
         return config.cameras[camera]
+
+
+def _require_sources(config: Config, text: bytes, args: argparse.Namespace) -> None:
+    """Raise `CommandError`, with file and line, if cameras of the configuration have no source."""
+    if missing := without_source(config, text.decode(), args.config):
+        raise CommandError("\n".join(missing), exits.CONFIG)
 
 
 def _in_memory(text: bytes) -> int:

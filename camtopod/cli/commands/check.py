@@ -1,19 +1,22 @@
-"""`camtopod check`: list all mistakes in a configuration; with --probe, open its cameras and the
-bus.
+"""`camtopod check`: list all mistakes in a configuration, or the settings of each camera; with
+--probe, open its cameras and the bus.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.common import with_options
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.config import secret_files, settings
+from camtopod.config import Config, secret_files, settings, toml_lines, without_source
 from camtopod.serve.bus import access
+from camtopod.visible import visible
 
 
 def add_parser(subparsers: Any) -> None:
@@ -21,7 +24,8 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "check",
         help="check a configuration and list all mistakes",
-        description="Checks a configuration and lists all mistakes in one pass.",
+        description="Checks a configuration and lists all mistakes in one pass. If there are none, "
+        "it says for each camera which settings of vision are not the defaults.",
         epilog="example: camtopod check camtopod.toml --probe",
     )
     parser.add_argument(
@@ -79,7 +83,8 @@ def run(args: argparse.Namespace) -> int:
     if path is None:
         raise CommandError("no configuration given: camtopod check CONFIG", exits.USAGE)
     try:
-        loaded = with_options(args, settings.load(path))
+        raw = path.read_bytes()
+        loaded = with_options(args, settings.load(path, raw))
     except settings.ConfigError as error:
         print(error, file=sys.stderr)
         return exits.CONFIG
@@ -91,6 +96,10 @@ def run(args: argparse.Namespace) -> int:
     warnings += [] if (open_to := access.openness_warning(loaded)) is None else [open_to]
     for warning in warnings:
         print(f"{path}: warning: {warning}", file=sys.stderr)
+
+    # Say what holds for each camera.
+    for line in _camera_lines(path, loaded, raw.decode()):
+        print(visible(line), file=sys.stderr)
     print(
         f"{path}: no mistakes; site {loaded.site.name}, {_cameras(len(loaded.cameras))}",
         file=sys.stderr,
@@ -104,3 +113,39 @@ def run(args: argparse.Namespace) -> int:
 
 def _cameras(number: int) -> str:
     return f"{number} {'camera' if number == 1 else 'cameras'}"
+
+
+def _camera_lines(path: Path, config: Config, text: str) -> Iterator[str]:
+    """Yield a line for each camera without a source or with settings other than the defaults.
+
+    text: content of the configuration file ``path``.
+    """
+    for problem in without_source(config, text, path):
+        where, _, what = problem.partition(": ")
+        yield f"{where}: warning: {what}"
+
+    lines = toml_lines.key_lines(text)
+    plain = 0
+    for camera in config.cameras:
+        own, common = config.own_vision(camera), config.common_vision(camera)
+        where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
+        said = [", ".join(map(_setting, own.items()))] if own else []
+        said += [f"of [vision]: {', '.join(map(_setting, common.items()))}"] if common else []
+        plain += not said
+        if said:
+            yield f"{where}: {'; '.join(said)}"
+    if plain:
+        yield f"{path}: {_cameras(plain)} with default settings of vision"
+
+
+def _setting(item: tuple[str, Any]) -> str:
+    """Return a setting in words; of areas only how many there are, and how large."""
+    key, value = item
+    if key == "ignore" and value:
+        from camtopod.vision.detect import ignored_share
+
+        areas = "1 area" if len(value) == 1 else f"{len(value)} areas"
+        return f"ignore {areas} ({ignored_share(value):.0%} of the picture)"
+    if key == "doors" and value:
+        return "1 door" if len(value) == 1 else f"{len(value)} doors"
+    return f"{key} = {json.dumps(value)}"

@@ -149,6 +149,9 @@ def _configuration(config: Config, path: Path | None) -> Iterator[str]:
             value = getattr(table, field.name)
             if value not in ("", field.default) and not isinstance(value, msgspec.Struct):
                 yield f"{name}.{field.name} = {json.dumps(_clean(value))}"
+    for camera in config.cameras:
+        for key, value in config.own_vision(camera).items():
+            yield f"cameras.{camera}.{key} = {json.dumps(value)}"
     for file in config.secrets(path or Path()):
         yield f"holds a secret: {file} ({_mode(file)})"
     yield from secret_files.find_exposed(config.secrets(path or Path()))

@@ -68,7 +68,7 @@ def add_parser(subparsers: Any) -> None:
         help="turn the video of one camera, or of all configured ones, into entry and exit events",
         description="Watches one camera and publishes an event for each person who enters or "
         "leaves its view. Without --camera it runs all cameras of --config, one process per "
-        "camera.",
+        "camera. Settings are those of [vision] and [cameras.ID]; SOURCE replaces the one there.",
         epilog="example: camtopod grab --camera lobby rtsp://192.0.2.10/stream1",
     )
     parser.add_argument(
@@ -178,7 +178,7 @@ def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> in
             realtime=settings.realtime,
             speed=settings.speed,
             wall_clock=clock.wall,
-            settings=config.vision,
+            settings=settings.vision,
             complaints=heard,
         )
         stack.enter_context(contextlib.closing(grabber))
@@ -202,22 +202,21 @@ def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
             exits.USAGE,
         )
     known = config.cameras.get(args.camera)
-    if args.source is None and known is None:
+    if known is None or not known.source:
         raise CommandError(
-            f"camera {args.camera} has no source: give SOURCE, or a --config with this camera",
+            f"camera {args.camera} has no source: give SOURCE, or a --config with a source in "
+            f"[cameras.{args.camera}]",
             exits.USAGE,
         )
 
-    # Apply the options of the command line.
-    given: dict[str, Any] = {
-        name: getattr(args, name, None) for name in CameraSettings.__struct_fields__
-    }
+    # Apply the options of the command line; its SOURCE is in the configuration already.
+    given: dict[str, Any] = {name: getattr(args, name) for name in ("start", "realtime", "speed")}
     given = {name: value for name, value in given.items() if value is not None}
     if not 0 < given.get("speed", 1.0) < math.inf:
         raise CommandError("--speed must be a number above 0", exits.USAGE)
     if not math.isfinite(given.get("start", 0.0)):
         raise CommandError("--start must be a number of seconds", exits.USAGE)
-    return msgspec.structs.replace(known or CameraSettings(""), **given)
+    return msgspec.structs.replace(known, **given)
 
 
 def _file(path: str) -> BinaryIO:

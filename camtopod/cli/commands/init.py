@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
     _say(f"probing {len(cameras)} {'camera' if len(cameras) == 1 else 'cameras'} ...")
     probes = probe_all(
         cameras,
-        settings.vision,
+        dict.fromkeys(cameras, settings.vision),
         lambda name, probe: _say(f"  {name:<{width}}  {visible('; '.join(probe.lines))}"),
         args.pictures,
     )

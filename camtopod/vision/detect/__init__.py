@@ -1,8 +1,8 @@
 """Detection: a frame -> blobs of moving pixels.
 
-In the order of use: `shrink` (working size), `wiener` (noise filter, thesis 4.1), `background`
-(model of the settled scene), `shake` (shift of the picture), `motion` (moving pixels), `blobs`
-(boxes with a foot point).
+In the order of use: `shrink` (working size), `watched` (pixels that are not ignored), `wiener`
+(noise filter, thesis 4.1), `background` (model of the settled scene), `shake` (shift of the
+picture), `motion` (moving pixels), `blobs` (boxes with a foot point).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from camtopod.vision.detect.background import Luma
 from camtopod.vision.detect.blobs import Blob, find_blobs
 from camtopod.vision.detect.motion import Box, MotionDetector
 from camtopod.vision.detect.shrink import shrunk
+from camtopod.vision.detect.watched import ignored_share
 
 __all__ = [
     "Blob",
@@ -18,5 +19,6 @@ __all__ = [
     "Luma",
     "MotionDetector",
     "find_blobs",
+    "ignored_share",
     "shrunk",
 ]

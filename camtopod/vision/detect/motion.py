@@ -4,6 +4,9 @@ Three rules make this work on real video: the background must not learn what sta
 confirmed track; light must not count as motion (tone curve in `background`, gradients here); and no
 pixel may stay frozen for ever: a picture that has changed as a whole is learned anew, and
 differences that no track claims are adopted after some seconds.
+
+Ignored pixels (setting `ignore`) are never moving and never settled: they have no say in the noise,
+the tone curve, the shake, the share of the picture that has changed and the background model.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import numpy as np
 
 from camtopod.vision.detect.background import Background, Luma
 from camtopod.vision.detect.shake import shift
+from camtopod.vision.detect.watched import watched_pixels
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import VisionSettings
 
@@ -84,6 +88,10 @@ class MotionDetector:
         self._settings = settings
         self._background: Background | None = None
         self._last: Luma | None = None
+        self.watched: Luma | None = None
+        """Mask (H, W): 0 where motion is not looked at; None if it is everywhere, or before the
+        first frame.
+        """
         self._noise = 0.0
         self._shake = 0.0
         self._changed_seconds = 0.0
@@ -111,8 +119,10 @@ class MotionDetector:
 
     def filter_noise(self, frame: Luma) -> Luma:
         """Measure the noise of ``frame``; return the frame, filtered if it is noisy."""
-        if self._last is not None and self._last.shape == frame.shape:
-            noise = temporal_noise(frame, self._last)
+        if self._last is None or self._last.shape != frame.shape:
+            self.watched = watched_pixels(self._settings.ignore, *frame.shape)
+        else:
+            noise = temporal_noise(frame, self._last, self.watched)
             self._noise += (_NOISE_RATE if self._noise else 1.0) * (noise - self._noise)
         self._last = frame
         if self._noise < NOISE_TO_FILTER:
@@ -123,7 +133,7 @@ class MotionDetector:
         """Take the median of ``frames`` (at most 24 of them) as the settled scene."""
         step = -(-len(frames) // BOOTSTRAP_FRAMES_MAX)
         self._background = Background(frames[::step], self._settings.background_seconds)
-        self._settled: Luma = np.full(frames[0].shape, 255, np.uint8)
+        self._settled: Luma = self._without_ignored(np.full(frames[0].shape, 255, np.uint8))
         self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)
         self._changed_seconds = 0.0
 
@@ -144,9 +154,10 @@ class MotionDetector:
         )
 
         # Moving pixels; a picture that has changed as a whole for long ends this scene.
-        threshold = max(DIFFERENCE_MIN, NOISE_FACTOR * min(self._noise, NOISE_TO_FILTER))
-        moving = cv2.threshold(difference, threshold, 255, cv2.THRESH_BINARY)[1]
-        share = cv2.countNonZero(moving) / moving.size
+        moving = self._without_ignored(
+            cv2.threshold(difference, self._difference_min(), 255, cv2.THRESH_BINARY)[1]
+        )
+        share = cv2.countNonZero(moving) / self._watched_count(moving)
         self._changed_seconds = self._changed_seconds + dt if share > WHOLE_PICTURE_SHARE else 0.0
         if self._changed_seconds > WHOLE_PICTURE_SECONDS:
             self._background = None
@@ -164,6 +175,19 @@ class MotionDetector:
         solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)
         return Motion(solid, edges, moving, expected)
 
+    def _difference_min(self) -> float:
+        """Return the smallest difference of a moving pixel, grey levels: above the noise."""
+        noise = NOISE_FACTOR * min(self._noise, NOISE_TO_FILTER)
+        return max(DIFFERENCE_MIN / self._settings.sensitivity, noise)
+
+    def _without_ignored(self, mask: Luma) -> Luma:
+        """Return ``mask`` (H, W) with 0 at ignored pixels."""
+        return mask if self.watched is None else cv2.bitwise_and(mask, self.watched)
+
+    def _watched_count(self, mask: Luma) -> int:
+        """Return how many pixels of ``mask`` are not ignored, at least 1."""
+        return mask.size if self.watched is None else max(1, cv2.countNonZero(self.watched))
+
     def _own_texture(self, frame: Luma, expected: Luma) -> tuple[Luma, Luma]:
         """Return the picture's own edges, and the pixels that differ by more than a shadow can.
 
@@ -172,8 +196,9 @@ class MotionDetector:
         """
         ratio = cv2.absdiff(cv2.LUT(frame, _LOGARITHM), cv2.LUT(expected, _LOGARITHM))
         steps = cv2.morphologyEx(ratio, cv2.MORPH_GRADIENT, _CROSS)
-        edges = cv2.threshold(steps, EDGE_MIN, 255, cv2.THRESH_BINARY)[1]
-        return edges, cv2.threshold(ratio, STRONG_MIN, 255, cv2.THRESH_BINARY)[1]
+        sensitivity = self._settings.sensitivity
+        edges = cv2.threshold(steps, EDGE_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
+        return edges, cv2.threshold(ratio, STRONG_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
 
     def learn(self, frame: Luma, motion: Motion, dt: float, claimed: Iterable[Box]) -> None:
         """Adapt to the scene where nothing moves.
@@ -184,7 +209,8 @@ class MotionDetector:
 
         # Exclude moving pixels and, with a margin, confirmed objects.
         unclaimed = motion.changed.copy()
-        self._settled = cv2.bitwise_not(cv2.dilate(motion.changed, _SQUARE))
+        settled = cv2.bitwise_not(cv2.dilate(motion.changed, _SQUARE))
+        self._settled = self._without_ignored(settled)
         for left, top, right, bottom in claimed:
             margin = max(2.0, 0.1 * (bottom - top))
             rows = slice(max(0, int(top - margin)), max(0, int(bottom + margin) + 1))

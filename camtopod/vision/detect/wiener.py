@@ -49,15 +49,23 @@ def wiener(
     return np.asarray(mean + weight * (image - mean), dtype=dtype)
 
 
-def temporal_noise(frame: cv2.typing.MatLike, previous: cv2.typing.MatLike) -> float:
+def temporal_noise(
+    frame: cv2.typing.MatLike,
+    previous: cv2.typing.MatLike,
+    watched: cv2.typing.MatLike | None = None,
+) -> float:
     """Return the one-sigma noise (grey levels) between two consecutive frames (H, W).
 
     Every fourth pixel of every fourth row is used. The quarter of these that changed most is left
     out as motion.
+
+    watched (H, W): pixels that are 0 do not count; by default all do.
     """
     change = cv2.absdiff(
         *(np.ascontiguousarray(picture[::4, ::4]) for picture in (frame, previous))
     )
+    if watched is not None:
+        change = change[watched[::4, ::4] != 0]
     kept = max(1, int(change.size * _TRIM))
     at_most = np.cumsum(np.bincount(change.ravel()))  # pixels that changed by at most 0, 1, ...
     total = int(np.maximum(kept - at_most, 0).sum())

@@ -3,17 +3,19 @@
 `tracker` is the centre and explains the method. It uses `track` (state of an object), `kalman`
 (prediction of positions), `stature` (expected height of a person) and `swap` (two people changing
 places at the border). `crossings` turns track changes into events, with `doors` for entrances away
-from the border.
+from the border and `ignored_areas` for objects that walk into one.
 """
 
 from __future__ import annotations
 
 from camtopod.vision.track.crossings import Crossings, has_moved
+from camtopod.vision.track.ignored_areas import IgnoredAreas
 from camtopod.vision.track.track import Track
 from camtopod.vision.track.tracker import Tracker
 
 __all__ = [
     "Crossings",
+    "IgnoredAreas",
     "Track",
     "Tracker",
     "has_moved",

@@ -1,17 +1,21 @@
 """Entry and exit events from tracks: which object crossed the edge of the view, when and where.
 
-An edge is the border of the picture, or a door learned in mid-view (`doors`). An entry has the time
-of the first sighting, although it is reported only when the object is confirmed; an exit has the
-time of the last sighting.
+An edge is the border of the picture, an ignored area that reaches to it (`ignored_areas`), or a
+door in mid-view, named or learned (`doors`). An entry has the time of the first sighting, although
+it is reported only when the object is confirmed; an exit has the time of the last sighting.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import hypot
 from statistics import median
 
 from camtopod.records import Event, Kind
 from camtopod.vision.detect import Box
+from camtopod.vision.settings import Polygon
 from camtopod.vision.track.doors import Doors
+from camtopod.vision.track.ignored_areas import Beyond, IgnoredAreas
 from camtopod.vision.track.track import Changes, Sighting, Track
 
 BORDER_SHARE = 0.025
@@ -36,12 +40,23 @@ Tracks that moved less are false detections.
 class Crossings:
     """Entries and exits of one view."""
 
-    def __init__(self, camera: str, width: int, height: int) -> None:
-        """Prepare for a working picture of ``width`` x ``height`` pixels."""
+    def __init__(
+        self,
+        camera: str,
+        width: int,
+        height: int,
+        doors: Sequence[Polygon] = (),
+        ignored: IgnoredAreas | None = None,
+    ) -> None:
+        """Prepare for a working picture of ``width`` x ``height`` pixels.
+
+        doors: named doors, in fractions of the picture.
+        """
         self._camera = camera
         self._width, self._height = self.size = (width, height)
         self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
-        self.doors = Doors(width, height)
+        self._ignored = ignored
+        self.doors = Doors(width, height, doors)
         self._walks: dict[int, set[tuple[int, int]]] = {}
         self.entries = 0
         self.exits = 0
@@ -49,9 +64,9 @@ class Crossings:
     # -- where ------------------------------
 
     def touches(self, box: Box) -> bool:
-        """Return True if the border of the picture cuts the box."""
+        """Return True if the border of the picture or an ignored area cuts the box."""
         near = min(box[0], box[1], self._width - box[2], self._height - box[3])
-        return near <= TOUCH_PIXELS
+        return near <= TOUCH_PIXELS or (self._ignored is not None and self._ignored.cut(box))
 
     def _at_border(self, box: Box, height: float, drift: tuple[float, float] = (0.0, 0.0)) -> bool:
         """Return True if a person's box is near the border, or across it when moved by ``drift``.
@@ -71,6 +86,8 @@ class Crossings:
         """Return True if the track was last seen where objects leave the view."""
         if self._at_border(track.last.box, track.height, _drift(track)):
             return True
+        if self._beyond(track, track.last, 1.0) == "border":
+            return True
         return self.doors.is_door(*track.last.foot, track.height)
 
     def begins_at_edge(self, track: Track) -> bool:
@@ -78,7 +95,30 @@ class Crossings:
         dx, dy = _drift(track)
         if self._at_border(track.first.box, track.height, (-dx, -dy)):
             return True
+        if self._beyond(track, track.first, -1.0) == "border":
+            return True
         return self.doors.is_door(*track.first.foot, track.height)
+
+    def goes_behind(self, track: Track) -> bool:
+        """Return True if the track was last seen on its way behind an ignored area in mid-view."""
+        return self._beyond(track, track.last, 1.0) == "view"
+
+    def comes_from_behind(self, track: Track) -> bool:
+        """Return True if the track, still short, came from behind an ignored area in mid-view."""
+        return self._beyond(track, track.first, -1.0) == "view"
+
+    def _beyond(self, track: Track, at: Sighting, sense: float) -> Beyond | None:
+        """Return what lies behind the ignored area near a sighting, on the way of the track.
+
+        sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
+        """
+        if self._ignored is None:
+            return None
+        dx, dy = _heading(track)
+        lead = self._margin + hypot(dx, dy)
+        if self._ignored.cut(at.box):  # the piece of it that is still seen may be far from the foot
+            lead = max(lead, CUT_SHARE * track.height)
+        return self._ignored.beyond(at.foot, (sense * dx, sense * dy), lead, self._margin)
 
     # -- what ------------------------------
 
@@ -172,3 +212,17 @@ def _drift(track: Track) -> tuple[float, float]:
         return (0.0, 0.0)
     factor = REACH_SECONDS / dt
     return (factor * (last.foot[0] - first.foot[0]), factor * (last.foot[1] - first.foot[1]))
+
+
+def _heading(track: Track) -> tuple[float, float]:
+    """Return the movement of the box's middle in `REACH_SECONDS`, pixels.
+
+    Unlike the foot it moves on while an ignored area covers more and more of the object.
+    """
+    first, last = track.history[0], track.history[-1]
+    dt = last.t - first.t
+    if dt <= 0:
+        return (0.0, 0.0)
+    (left, top, right, bottom), (left_2, top_2, right_2, bottom_2) = first.box, last.box
+    factor = REACH_SECONDS / dt / 2
+    return (factor * (left_2 + right_2 - left - right), factor * (top_2 + bottom_2 - top - bottom))

@@ -1,5 +1,8 @@
 """Doors in mid-view: places away from the border where people repeatedly appear and disappear.
 
+Some may be named by the operator (setting `doors`): they are doors from the start and remain so.
+The others are learned.
+
 A single track that begins or ends in mid-view is most often an error: somebody stepped out of a
 group or behind a tree, or stood still until the track was lost. A place becomes a door only when
 several tracks began or ended there without another explanation, and more of them than walked
@@ -9,8 +12,12 @@ through. Until then no events are reported there.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
+import cv2
 import numpy as np
+
+from camtopod.vision.settings import Polygon
 
 DOOR_EVENTS_MIN = 3
 """Unexplained beginnings and ends of tracks that make a door."""
@@ -23,10 +30,16 @@ GRID_ROWS, GRID_COLUMNS = 24, 32
 
 
 class Doors:
-    """Learned doors of one view; positions in pixels of the working picture."""
+    """Doors of one view, named and learned; positions in pixels of the working picture.
 
-    def __init__(self, width: int, height: int) -> None:
+    named: doors of the settings, in fractions of the picture.
+    """
+
+    def __init__(self, width: int, height: int, named: Sequence[Polygon] = ()) -> None:
         self._size = (width, height)
+        self._named = [
+            np.array([(x * width, y * height) for x, y in polygon], np.float32) for polygon in named
+        ]
         self._unexplained: deque[tuple[float, float]] = deque(maxlen=REMEMBERED_MAX)
         self._passed = np.zeros((GRID_ROWS, GRID_COLUMNS), np.int32)
 
@@ -54,7 +67,16 @@ class Doors:
         height: the object's height, pixels.
         """
         radius = DOOR_HEIGHTS * height
+        if any(_is_at(place, x, y, radius) for place in self._named):
+            return True
         near = sum(
             1 for a, b in self._unexplained if (a - x) ** 2 + (b - y) ** 2 <= radius * radius
         )
         return near >= DOOR_EVENTS_MIN and near > int(self._passed[self.cell(x, y)])
+
+
+def _is_at(place: cv2.typing.MatLike, x: float, y: float, radius: float) -> bool:
+    """Return True if (x, y) is inside a polygon (N, 2), or within ``radius`` of a single point."""
+    if len(place) == 1:
+        return bool(np.hypot(place[0, 0] - x, place[0, 1] - y) <= radius)
+    return cv2.pointPolygonTest(place, (x, y), measureDist=False) >= 0

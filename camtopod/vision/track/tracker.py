@@ -7,7 +7,8 @@ prediction, Hungarian method, gate in heights of the person).
 
 A confirmed track that is out of sight for longer than the patience has *ended* if it was at an edge
 of the view. In mid-view it is *broken*: it is kept for some seconds, and a track confirmed nearby
-continues it. A passage that breaks behind a lamp post thus stays one passage.
+continues it. A passage that breaks behind a lamp post thus stays one passage. Behind an ignored
+area in mid-view it may continue as far away as a person walks meanwhile.
 """
 
 from __future__ import annotations
@@ -47,6 +48,8 @@ STITCH_AT_EDGE_SECONDS = 1.5
 """Longest gap after which a track that begins at an edge may continue a broken one."""
 STITCH_AT_EDGE_HEIGHTS = 0.5
 """Largest distance (heights) at which a track that begins at an edge may continue a broken one."""
+BEHIND_HEIGHTS_PER_SECOND = 1.5
+"""Speed (heights per second) at which an object may pass behind an ignored area in mid-view."""
 PIECE_HEIGHT_MIN = 0.35
 """Least height of a blob away from the border, as a share of the person it is assigned to."""
 BIRTH_HEIGHT_MIN = 0.4
@@ -55,6 +58,11 @@ STATURE_STEP_HEIGHTS = 0.15
 """Distance (heights) after which an object's height is measured again.
 
 Standing people would otherwise outvote the others.
+"""
+TALL_SIGHTINGS_MIN = 3
+"""Sightings of the least height (setting `min_height`) that make an object.
+
+A single one may be two small animals in one blob.
 """
 _SIZE_RATE = 0.2
 """Weight of the newest sighting in the running means of height and width."""
@@ -69,7 +77,7 @@ class Edges(Protocol):
     """Width and height of the working picture, pixels."""
 
     def touches(self, box: Box) -> bool:
-        """Return True if the border of the picture cuts the box."""
+        """Return True if the border of the picture or an ignored area cuts the box."""
 
     def at_edge(self, track: Track) -> bool:
         """Return True if the track was last seen where objects leave the view."""
@@ -77,12 +85,20 @@ class Edges(Protocol):
     def begins_at_edge(self, track: Track) -> bool:
         """Return True if the track, still short, was first seen where objects enter the view."""
 
+    def goes_behind(self, track: Track) -> bool:
+        """Return True if the track was last seen on its way behind an ignored area in mid-view."""
+
+    def comes_from_behind(self, track: Track) -> bool:
+        """Return True if the track, still short, came from behind an ignored area in mid-view."""
+
 
 class Tracker:
     """All objects of one view; track numbers count within this instance."""
 
     def __init__(self, settings: VisionSettings, edges: Edges) -> None:
         self._settings = settings
+        self._height_min = settings.min_height * edges.size[1]
+        self._edges = edges
         self._at_edge = edges.at_edge
         self._begins_at_edge = edges.begins_at_edge
         self._touches = edges.touches
@@ -304,13 +320,24 @@ class Tracker:
                 continue
             if track.sightings < 0.6 * track.frames or track.reach < CONFIRM_HEIGHTS * track.height:
                 continue
+            if not self._is_tall(track):
+                continue
             track.confirmed = True
             if not self._stitch(t, track):
                 appeared.append(track)
         return appeared
 
+    def _is_tall(self, track: Track) -> bool:
+        """Return True if the track has been as tall as an object has to be."""
+        if self._height_min == 0.0:
+            return True
+        heights = [sighting.box[3] - sighting.box[1] for sighting in track.history]
+        tall = sum(height >= self._height_min for height in heights)
+        return tall >= min(TALL_SIGHTINGS_MIN, len(heights))
+
     def _stitch(self, t: float, track: Track) -> bool:
         """Continue the nearest passage that broke in mid-view; False if none is within reach."""
+        from_behind = self._edges.comes_from_behind(track)
         missing = [
             other for other in self.active if other.confirmed and other.last.t < track.first.t
         ]
@@ -324,6 +351,8 @@ class Tracker:
             reach = min(STITCH_HEIGHTS + STITCH_HEIGHTS_PER_SECOND * gap, STITCH_HEIGHTS_MAX)
             if self._begins_at_edge(track):
                 reach = STITCH_AT_EDGE_HEIGHTS if gap <= STITCH_AT_EDGE_SECONDS else 0.0
+            elif from_behind and self._edges.goes_behind(other):
+                reach = STITCH_HEIGHTS + BEHIND_HEIGHTS_PER_SECOND * gap
             reach *= max(track.height, other.height)
             distance = hypot(
                 track.first.foot[0] - other.last.foot[0], track.first.foot[1] - other.last.foot[1]

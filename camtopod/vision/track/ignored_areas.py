@@ -1,0 +1,74 @@
+"""Ignored areas, as the tracker meets them: an object that walks into one is lost at its edge.
+
+Whether it has left the view depends on its way. If the area reaches to the border of the picture
+straight on, as a street along the top or a clock in a corner does, the area's edge is an edge of
+the view. If the area ends within the view, as a tree does, the object is expected on the other
+side, as behind a lamp post.
+"""
+
+from __future__ import annotations
+
+from math import hypot
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from camtopod.vision.detect import Box, Luma
+
+TOUCH_PIXELS = 1.5
+"""Distance (pixels) within which an ignored area cuts a box."""
+Beyond = Literal["border", "view"]
+"""What lies behind an ignored area: the border of the picture, or more of the view."""
+
+
+class IgnoredAreas:
+    """Ignored areas of one view; positions in pixels of the working picture.
+
+    watched (H, W): 0 at ignored pixels.
+    """
+
+    def __init__(self, watched: Luma) -> None:
+        self._ignored = np.asarray(watched) == 0
+        self._sums = cv2.integral(self._ignored.astype(np.uint8))  # (H + 1, W + 1)
+
+    def cut(self, box: Box) -> bool:
+        """Return True if an ignored area cuts the box or touches it."""
+        height, width = self._ignored.shape
+        left, right = (int(min(max(x, 0), width)) for x in (box[0] - TOUCH_PIXELS, box[2] + 2))
+        top, bottom = (int(min(max(y, 0), height)) for y in (box[1] - TOUCH_PIXELS, box[3] + 2))
+        sums = self._sums
+        count = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+        return bool(count > 0)
+
+    def beyond(
+        self, foot: tuple[float, float], heading: tuple[float, float], lead: float, margin: float
+    ) -> Beyond | None:
+        """Return what lies behind the ignored area straight on from a foot point.
+
+        None if there is no area within ``lead`` pixels.
+
+        heading: direction of the way (x, y), of any length.
+        margin: pixels that may be left between an area and the border of the picture.
+        """
+        height, width = self._ignored.shape
+        length = hypot(*heading)
+        if length == 0.0:
+            return None
+
+        # Pixels along the way, up to the border of the picture.
+        steps = np.arange(width + height)
+        start = min(max(foot[0], 0.0), width - 1.0), min(max(foot[1], 0.0), height - 1.0)
+        columns = np.floor(start[0] + steps * heading[0] / length).astype(int)
+        rows = np.floor(start[1] + steps * heading[1] / length).astype(int)
+        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        way = self._ignored[rows[inside], columns[inside]]
+
+        # Where the area begins and ends on it.
+        begins = int(way.argmax())
+        if not way[begins] or begins > lead:
+            return None
+        rest = way[begins:]
+        if rest.all() or len(rest) - int(rest.argmin()) <= margin:
+            return "border"
+        return "view"
