@@ -7,7 +7,7 @@ lines of keys. `secret_files` reads and writes files that hold secrets.
 
 from __future__ import annotations
 
-from camtopod.config import secret_files, settings, toml_lines
+from camtopod.config import polygons, secret_files, settings, toml_lines
 from camtopod.config.settings import (
     RESERVED,
     TABLES,
@@ -37,6 +37,7 @@ __all__ = [
     "SiteSettings",
     "StateSettings",
     "is_endpoint",
+    "polygons",
     "secret_files",
     "settings",
     "toml_lines",

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
+from msgspec.structs import FieldInfo
+
 from camtopod.vision import Polygon
 
 _AREA = "[[x, y], [x, y], [x, y]]"
 """How a polygon is written."""
 
 
-def parse_polygons(
-    value: Any, points_min: int
-) -> tuple[tuple[Polygon, ...], dict[int | None, str]]:
+def points_min(field: FieldInfo) -> int:
+    """Return how many points a polygon of the field has at least; 0 if it holds no polygons."""
+    metas = getattr(field.type, "__metadata__", ())
+    return next((meta.extra["points_min"] for meta in metas if meta.extra), 0)
+
+
+def parse(value: Any, points_min: int) -> tuple[tuple[Polygon, ...], dict[int | None, str]]:
     """Return the polygons in ``value``, and what is wrong by the index of the polygon.
 
     value: a list, as tomllib reads it, or one text. An element is a list of points [x, y], a text

@@ -118,8 +118,8 @@ class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """``[cameras.ID]``: one camera of this box; it takes every key of ``[vision]`` as well."""
 
     source: str = ""
-    """An rtsp:// URL, a video file or a device number; without one, `camtopod grab` has to be given
-    it.
+    """An rtsp:// URL, a video file or a device number. It may be missing if the camera is grabbed
+    with `camtopod grab --camera ID SOURCE` only.
     """
     source_file: str = ""
     """Instead of source: a file whose first line is the source, so that no password stands here; a

@@ -11,8 +11,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
-from camtopod.config import toml_lines
-from camtopod.config.polygons import parse_polygons
+from camtopod.config import polygons, toml_lines
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Endpoint of a daemon that the configuration gives none."""
@@ -163,11 +162,11 @@ class TableReader:
             return tuple(value)
 
         # Polygons: report each bad one, and keep the others.
-        if points_min := _points_min(field):
-            polygons, wrong = parse_polygons(value, points_min)
+        if points_min := polygons.points_min(field):
+            found, wrong = polygons.parse(value, points_min)
             for at, what in wrong.items():
                 self.report(path if at is None else (*path, at), f"{title}: {what}")
-            return polygons
+            return found
 
         # All other types.
         try:
@@ -213,12 +212,6 @@ def _check_number(value: Any, default: Any) -> None:
         raise ValueError("must not be negative")
     if isinstance(value, float) and value > FLOAT_MAX:
         raise ValueError(f"expected at most {FLOAT_MAX:g}")
-
-
-def _points_min(field: msgspec.structs.FieldInfo) -> int:
-    """Return how many points a polygon of the field has at least; 0 if it holds no polygons."""
-    metas = getattr(field.type, "__metadata__", ())
-    return next((meta.extra["points_min"] for meta in metas if meta.extra), 0)
 
 
 def _in_words(field: msgspec.structs.FieldInfo) -> str:

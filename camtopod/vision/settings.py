@@ -69,6 +69,6 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     people far away) make no events.
     """
     sensitivity: Annotated[float, Meta(ge=0.25, le=4)] = 1.0
-    """How little contrast to the background is enough to count as motion, 0.25 to 4: at 2 half the
-    usual contrast is enough, at 0.5 twice the usual is needed. The noise stays below the limit.
+    """How faint motion may be, 0.25 to 4: at 2 half of the usual contrast to the background is
+    enough, at 0.5 twice as much is needed. More than the measured noise is needed in any case.
     """

@@ -22,6 +22,7 @@ from camtopod.records import Event
 from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
+from camtopod.vision import VisionSettings
 from camtopod.vision import grabber as grabbers
 from camtopod.vision.source.errors import SourceError
 
@@ -140,6 +141,37 @@ def test_a_file_that_cannot_be_read(
 )
 def test_usage(arguments: list[str]) -> None:
     assert main(["grab", *arguments]) == 2
+
+
+def test_a_camera_s_own_settings_and_another_source(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, out = tmp_path / "c.toml", str(tmp_path / "e.jsonl")
+    config.write_text(
+        "[vision]\nanalysed_fps = 5\n[cameras.lobby]\nmin_height = 0.2\n"
+        "[cameras.hall]\nsource_file = 'nowhere'\nspeed = 2\nanalysed_fps = 9\n"
+    )
+    grab = ["--config", str(config), "grab", "--out", out, "--camera"]
+    for camera in ("lobby", "hall", "other"):
+        assert main([*grab, camera, f"{camera}.mp4"]) == 0
+    lobby, hall, other = FakeGrabber.made
+    assert [made.source for made in FakeGrabber.made] == ["lobby.mp4", "hall.mp4", "other.mp4"]
+    assert lobby.options["settings"] == VisionSettings(analysed_fps=5.0, min_height=0.2)
+    assert (hall.options["settings"], hall.options["speed"]) == (
+        VisionSettings(analysed_fps=9.0),
+        2.0,
+    )
+    assert other.options["settings"] == VisionSettings(analysed_fps=5.0)
+
+    # Without a source on the command line one in the configuration is needed.
+    capsys.readouterr()
+    assert main([*grab, "lobby"]) == 2
+    assert "lobby has no source: give SOURCE, or a --config with a source in [cameras.lobby]" in (
+        capsys.readouterr().err
+    )
+    assert main([*grab, "hall"]) == 66
+    assert main(["--config", str(config), "grab"]) == 78
+    assert f"{config}:3: cameras.lobby: source is missing" in capsys.readouterr().err
 
 
 def test_an_output_that_cannot_be_written(tmp_path: Path) -> None:

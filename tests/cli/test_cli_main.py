@@ -238,6 +238,28 @@ def test_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     settings.parse(capsys.readouterr().out)
 
 
+def test_check_says_what_holds_for_each_camera(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text(
+        "[vision]\nanalysed_fps = 9\n[cameras.a]\nsource = '0'\nanalysed_fps = 7\ndoors = [[0.5, 0.5]]\n"
+        "ignore = [[[0, 0], [0.5, 0], [0.5, 1], [0, 1]]]\n[cameras.b]\nmin_height = 0.1\n"
+    )
+    assert main.main(["check", str(path)]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "authentication" not in line]
+    assert lines == [
+        f"{path}:8: warning: cameras.b: source is missing; add it, or source_file, or grab this"
+        " camera with `camtopod grab --camera b SOURCE`",
+        f"{path}:3: cameras.a: analysed_fps = 7.0, ignore 1 area (50% of the picture), 1 door",
+        f"{path}:8: cameras.b: min_height = 0.1; of [vision]: analysed_fps = 9.0",
+        f"{path}: no mistakes; site site, 2 cameras",
+    ]
+    path.write_text("[cameras.a]\nsource = '0'\n[cameras.b]\nsource = '1'\n")
+    assert main.main(["check", str(path)]) == 0
+    assert f"{path}: 2 cameras with default settings of vision" in capsys.readouterr().err
+
+
 def arguments(**given: Any) -> argparse.Namespace:
     return argparse.Namespace(
         **{"config": None, "site": None, "connect": [], "log_format": "text", **given}

@@ -55,7 +55,13 @@ def test_an_editor_finds_it_from_the_example() -> None:
         ("[limits]\npull_seconds = 0", "limits.pull_seconds"),
         ('[bus]\nlisten = ["localhost"]', "bus.listen.0"),
         ('[bus.tls]\nkey = "x"', "bus.tls"),
-        ("[cameras.lobby]\nspeed = 1.0", "cameras.lobby"),
+        ("[cameras.lobby]\nspeed = 0", "cameras.lobby.speed"),
+        ("[cameras.lobby]\nanalysed_fps = 0", "cameras.lobby.analysed_fps"),
+        ("[cameras.lobby]\nmask = []", "cameras.lobby"),
+        ("[cameras.lobby]\nignore = [[[0, 0], [1, 0]]]", "cameras.lobby.ignore.0"),
+        ("[cameras.lobby]\nignore = [[[0, 0], [1, 0], [1, 640]]]", "cameras.lobby.ignore.0"),
+        ("[cameras.lobby]\nignore = [[0.5, 0.5]]", "cameras.lobby.ignore.0"),
+        ("[cameras.lobby]\nsensitivity = 5", "cameras.lobby.sensitivity"),
         ('[cameras.lobby]\nsource = "a"\nsource_file = "b"', "cameras.lobby"),
         ('[cameras."a b"]\nsource = "0"', "cameras"),
         ('[cameras.daemon]\nsource = "0"', "cameras"),
@@ -75,6 +81,13 @@ def test_what_is_empty_is_not_there() -> None:
     toml = '[cameras.lobby]\nsource = "0"\nsource_file = ""'
     assert wrong(toml) == []
     assert parse(toml).cameras["lobby"].source == "0"
+
+
+def test_settings_of_one_camera() -> None:
+    toml = "[cameras.lobby]\nmin_height = 0.1\nignore = ['0,0,1,0,1,1', [[0, 0], [1, 0], [1, 1]]]\n"
+    assert (
+        wrong(f"{toml}doors = [[0.5, 0.5], [[0, 0], [1, 0], [1, 1]]]\n[vision]\nignore = ''") == []
+    )
 
 
 def test_patterns_of_cameras_are_no_endpoints() -> None:

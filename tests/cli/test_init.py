@@ -77,7 +77,7 @@ def test_a_file_and_what_could_be_better_about_it(film: Path, tmp_path: Path) ->
     assert PIXELS_MAX < 2560 * 1440
     good, bad, none = probes.probe_all(
         {"good": str(film), "bad": str(huge), "none": str(tmp_path / "x.mp4")},
-        QUICK,
+        dict.fromkeys(("good", "bad", "none"), QUICK),
         lambda name, probe: None,
     ).values()
     assert good == Probe("", "MPEG-4", 192, 144, FPS)
@@ -107,7 +107,9 @@ def test_what_is_wrong_with_a_stream_is_said_in_words(tmp_path: Path) -> None:
             "away": away,
             "device": "4242",
         }
-        found = probes.probe_all(sources, QUICK, lambda name, probe: told.append(name))
+        found = probes.probe_all(
+            sources, dict.fromkeys(sources, QUICK), lambda name, probe: told.append(name)
+        )
     for host in hosts.values():
         host.close()
     assert list(found) == list(sources)
@@ -129,12 +131,12 @@ def test_a_process_that_hangs_or_crashes_is_given_up(
 ) -> None:
     os.mkfifo(tmp_path / "fifo")  # opening it blocks for ever
     monkeypatch.setattr(probes, "START_SECONDS", -3.7)
-    assert probes.probe_all({"a": str(tmp_path / "fifo")}, QUICK, lambda *_: None) == {
+    assert probes.probe_all({"a": str(tmp_path / "fifo")}, {"a": QUICK}, lambda *_: None) == {
         "a": Probe("no answer within 0 s")
     }
     monkeypatch.setattr(probes, "START_SECONDS", 30.0)
     monkeypatch.setattr(probes, "PROGRAM", "camtopod.none_such")
-    assert probes.probe_all({"a": "0"}, QUICK, lambda *_: None)["a"].problem.endswith(
+    assert probes.probe_all({"a": "0"}, {"a": QUICK}, lambda *_: None)["a"].problem.endswith(
         "failed (status 1)"
     )
 
@@ -393,7 +395,7 @@ def test_a_picture_belongs_to_whom_its_folder_belongs(film: Path, tmp_path: Path
     folder = tmp_path / "pictures"
     folder.mkdir()
     os.chown(folder, 61234, 61235)
-    probes.probe_all({"yard": str(film)}, QUICK, lambda *_: None, folder)
+    probes.probe_all({"yard": str(film)}, {"yard": QUICK}, lambda *_: None, folder)
     its = (folder / "yard.jpg").stat()
     assert (its.st_uid, its.st_gid, its.st_mode & 0o777) == (61234, 61235, 0o640)
 

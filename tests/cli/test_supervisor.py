@@ -31,6 +31,7 @@ from camtopod.cli.cameras.camera_process import (
 )
 from camtopod.cli.cameras.heartbeat import Heartbeat, HeartbeatReceiver, HeartbeatSender
 from camtopod.cli.common import SignalRequests, ends_within, signals
+from camtopod.cli.exits import CommandError
 from camtopod.config import settings as configs
 from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.serve.bus import session as buses
@@ -295,6 +296,53 @@ def test_another_configuration_touches_only_what_changed(
     box.told.reload.set()
     wait_for(lambda: box.starts("good-gone") == 2, "it to come back")
     assert (box.starts("good-same"), box.starts("good-changed")) == (1, 2)
+
+
+def test_a_setting_of_one_camera_starts_that_one_anew(
+    box: Box, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Also a setting of all, where a camera has its own."""
+    cameras = ("good", "good-2")
+
+    def write(vision: str, own: str) -> None:
+        box.configure(*cameras)
+        with box.file.open("a") as file:  # the last table is that of good-2
+            file.write(f"{own}\n[vision]\n{vision}\n")
+
+    def starts() -> tuple[int, int]:
+        return box.starts("good"), box.starts("good-2")
+
+    write("", "")
+    box.start()
+    wait_for(lambda: all(box.beats(camera) for camera in cameras), "both")
+    with caplog.at_level(logging.INFO):
+        for vision, own, expected in (
+            ("", "analysed_fps = 5\nignore = ['0,0,1,0,1,0.1']", (1, 2)),
+            ("analysed_fps = 6", "analysed_fps = 5\nignore = ['0,0,1,0,1,0.1']", (2, 2)),
+            ("analysed_fps = 6", "analysed_fps = 5", (2, 3)),
+        ):
+            write(vision, own)
+            box.told.reload.set()
+            wait_for(lambda expected=expected: starts() == expected, f"{expected} starts")
+    told = [text for text in caplog.messages if "is reloaded" in text]
+    assert [text.partition("restarted: ")[2] for text in told] == [
+        f"{camera}; ended: none" for camera in ("good-2", "good", "good-2")
+    ]
+
+
+def test_cameras_without_a_source_cannot_be_run(box: Box, caplog: pytest.LogCaptureFixture) -> None:
+    box.configure("good")
+    box.start()
+    wait_for(lambda: bool(box.beats("good")), "it to run")
+    with box.file.open("a") as file:
+        file.write("[cameras.bare]\nmin_height = 0.1\n")
+    line = box.file.read_text().splitlines().index("[cameras.bare]") + 1
+    box.told.reload.set()
+    wait_for(lambda: "the old configuration stays" in caplog.text, "the report")
+    assert f"{box.file}:{line}: cameras.bare: source is missing" in caplog.text
+    assert box.starts("good") == 1
+    with pytest.raises(CommandError, match=f":{line}: cameras.bare: source is missing"):
+        supervisor.supervise(box.args, configs.load(box.file), box.file.read_bytes(), box.told)
 
 
 def test_a_setting_of_all_starts_all_anew(box: Box) -> None:

@@ -15,8 +15,17 @@ from hypothesis import strategies as st
 from paths import DEPLOY
 
 from camtopod.cli.generated.example_config import attribute_docs, example
-from camtopod.config.settings import TABLES, CameraSettings, Config, ConfigError, load, parse
+from camtopod.config.settings import (
+    TABLES,
+    CameraSettings,
+    Config,
+    ConfigError,
+    load,
+    parse,
+    without_source,
+)
 from camtopod.config.toml_lines import key_lines
+from camtopod.vision import VisionSettings
 
 EXAMPLE = DEPLOY / "camtopod.toml"
 
@@ -44,8 +53,8 @@ def test_what_is_said_is_used() -> None:
     assert config.limits.future_seconds_max == 5.5
     assert config.vision.working_width == 160
     assert config.cameras == {
-        "lobby": CameraSettings("0"),
-        "hall": CameraSettings("x.mp4", realtime=True),
+        "lobby": CameraSettings("0", vision=config.vision),
+        "hall": CameraSettings("x.mp4", realtime=True, vision=config.vision),
     }
     assert config.listens == ("tcp/0.0.0.0:7000",)
     assert config.dials == ("tcp/127.0.0.1:7000",)
@@ -87,7 +96,6 @@ def test_every_mistake_at_once_with_its_line() -> None:
         (2, "site.nmae: no such key; did you mean 'name'?"),
         (5, f"bus.connect: 'bogus' {endpoint}"),
         (5, f"bus.connect: 5 {endpoint}"),
-        (6, "cameras.lobby: source is missing"),
         (7, "cameras.bad id: a camera's id is 1 to 64 of the characters A-Z a-z 0-9 _ . -"),
         (9, "cameras.bad id.speed: expected a number > 0.0"),
         (11, "cameras.hall.source: expected a string, got a whole number"),
@@ -149,6 +157,128 @@ def test_any_text_is_a_configuration_or_a_mistake_with_a_line(text: str) -> None
         return
     assert problems
     assert all(1 <= problem.line <= text.count("\n") + 1 for problem in problems)
+
+
+# --- settings of one camera ------------------------------------------------------------------------
+
+
+def test_a_camera_has_the_settings_of_all_and_its_own() -> None:
+    config = parse(
+        "[cameras.a]\nsource = '0'\nanalysed_fps = 5\nmin_height = 0.1\nsensitivity = 2\n"
+        "[cameras.b]\nsource = '1'\n[vision]\nanalysed_fps = 10\nworking_width = 160\n"
+    )
+    own, common = config.cameras["a"].vision, config.cameras["b"].vision
+    assert common == config.vision
+    assert own == msgspec.structs.replace(
+        config.vision, analysed_fps=5.0, min_height=0.1, sensitivity=2.0
+    )
+    assert config.own_vision("a") == {"analysed_fps": 5.0, "min_height": 0.1, "sensitivity": 2.0}
+    assert config.common_vision("a") == {"working_width": 160}
+    assert (config.own_vision("b"), config.common_vision("b")) == (
+        {},
+        {"analysed_fps": 10.0, "working_width": 160},
+    )
+
+
+def test_the_settings_of_a_camera_that_leave_everything_as_it_is() -> None:
+    text = "[cameras.a]\nsource = '0'\nignore = []\ndoors = []\nmin_height = 0\nsensitivity = 1\n"
+    assert parse(text).cameras["a"].vision == VisionSettings()
+
+
+@pytest.mark.parametrize("key", VisionSettings.__struct_fields__)
+def test_every_key_of_vision_may_stand_in_a_camera_s_table(key: str) -> None:
+    value = {"ignore": "[]", "doors": "[]", "min_height": "0.5"}.get(key, "2")
+    config = parse(f"[cameras.a]\nsource = '0'\n{key} = {value}\n")
+    assert msgspec.json.encode(getattr(config.cameras["a"].vision, key)).decode() in (
+        value,
+        f"{value}.0",
+    )
+    assert config.vision == VisionSettings()
+
+
+def test_areas_and_doors_are_lists_of_points_or_texts() -> None:
+    triangle = ((0.0, 0.0), (0.5, 0.0), (0.5, 1.0))
+    for written in (
+        "[[[0, 0], [0.5, 0], [0.5, 1]]]",
+        '["0,0,0.5,0,0.5,1"]',
+        '"0, 0, 0.5, 0, 0.5, 1"',
+    ):
+        config = parse(f"[cameras.a]\nsource = '0'\nignore = {written}\ndoors = {written}\n")
+        assert config.cameras["a"].vision.ignore == (triangle,)
+        assert config.cameras["a"].vision.doors == (triangle,)
+    doors = parse("[vision]\ndoors = [[0.25, 1], '0.5,0.5']\n").vision.doors
+    assert doors == (((0.25, 1.0),), ((0.5, 0.5),))
+
+
+def test_a_camera_s_settings_take_the_place_of_those_of_all() -> None:
+    config = parse("[vision]\nignore = ['0,0,1,0,1,1']\n[cameras.a]\nignore = []\n")
+    assert (len(config.vision.ignore), config.cameras["a"].vision.ignore) == (1, ())
+
+
+WRONG_CAMERA = """\
+[cameras.a]
+source = "0"
+mask = "0,0,1,1"
+sensitivty = 2
+sensitivity = 9
+min_height = 1
+ignore = [
+  [[0, 0], [0.2, 0], [0.2, 0.1]],
+  [[0, 0], [640, 0], [1, 1]], "0,0,1",
+  [[0, 0], [1, 0]],
+  [[0, 0], [1], [1, 1]],
+  5,
+  "x",
+  [[0, nan], [1, 0], [1, 1]],
+  [[0, true], [1, 0], [1, 1]],
+]
+doors = [[0.5, 0.5], [[0.1, 0.1], [0.2, 0.1]], []]
+[cameras.b]
+ignore = [[0.1, 0.1], [0.2, 0.1], [0.3, 0.3]]
+doors = 0.5
+lateness_seconds = 3
+"""
+
+
+def test_every_mistake_in_a_camera_s_settings() -> None:
+    fraction = "is not between 0 and 1; divide pixels by the picture's width or height"
+    points = "a polygon has three points or more"
+    polygon = "[[x, y], [x, y], [x, y]]"
+    assert mistakes(WRONG_CAMERA) == [
+        (3, "cameras.a.mask: no such key; it is called 'ignore' here"),
+        (4, "cameras.a.sensitivty: no such key; did you mean 'sensitivity'?"),
+        (5, "cameras.a.sensitivity: expected a number <= 4.0"),
+        (6, "cameras.a.min_height: expected a number < 1.0"),
+        (9, "cameras.a.ignore: 3 numbers are not pairs of x and y"),
+        (9, f"cameras.a.ignore: 640 {fraction}"),
+        (10, f"cameras.a.ignore: {points}, not 2"),
+        (11, "cameras.a.ignore: a point is [x, y], not [1]"),
+        (12, f"cameras.a.ignore: expected a polygon, {polygon}"),
+        (13, "cameras.a.ignore: 'x' is not a list of numbers with commas, \"x,y,x,y,...\""),
+        (14, f"cameras.a.ignore: nan {fraction}"),
+        (15, "cameras.a.ignore: a point is [x, y], not [0, True]"),
+        (17, f"cameras.a.doors: {points}, not 0"),
+        (17, f"cameras.a.doors: {points}, not 2"),
+        (19, f"cameras.b.ignore: {points}: write [{polygon}]"),
+        (20, f"cameras.b.doors: expected a list of polygons, such as [{polygon}]"),
+        (21, "cameras.b.lateness_seconds: no such key; it belongs in [learn]"),
+    ]
+
+
+def test_a_camera_may_have_settings_and_no_source() -> None:
+    text = (
+        "[cameras.a]\nmin_height = 0.1\n[cameras.b]\nsource = '0'\n[cameras.c]\nsource_file = 'x'\n"
+    )
+    config = parse(text)
+    assert config.cameras["a"].source == ""
+    (sentence,) = without_source(config, text, Path("c.toml"))
+    assert sentence.startswith("c.toml:1: cameras.a: source is missing; add it")
+    given = config.for_camera("a", "x.mp4").cameras["a"]
+    assert (given.source, given.vision.min_height) == ("x.mp4", 0.1)
+    assert config.for_camera("c", "y.mp4").cameras["c"].source == "y.mp4", "its file is not read"
+    assert config.for_camera("new", "z").cameras["new"] == CameraSettings("z")
+    for empty in ("source = ''", "source_file = ''", "source = ''\nsource_file = ''"):
+        assert mistakes(f"[cameras.a]\n{empty}\n")[0][1].endswith("is empty")
 
 
 # --- which line a key is on -----------------------------------------------------------------------

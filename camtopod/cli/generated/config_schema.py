@@ -9,8 +9,9 @@ import msgspec
 from msgspec import Struct
 
 from camtopod.cli.generated.example_config import attribute_docs
-from camtopod.config import FLOAT_MAX, RESERVED, TABLES, CameraSettings
+from camtopod.config import FLOAT_MAX, RESERVED, TABLES, CameraSettings, polygons
 from camtopod.records import CAMERA_PATTERN
+from camtopod.vision import VisionSettings
 
 
 def text() -> str:
@@ -39,11 +40,17 @@ def schema() -> dict[str, Any]:
 
 
 def _cameras() -> dict[str, Any]:
-    """Return the schema of ``[cameras.ID]``; exactly one of source and source_file is required."""
+    """Return the schema of ``[cameras.ID]``, which takes the keys of ``[vision]`` as well.
+
+    It has one of source and source_file, or neither.
+    """
     camera = _table(CameraSettings)
+    del camera["properties"]["vision"]
+    camera["properties"] |= _table(VisionSettings)["properties"]
+    sources = ("source", "source_file")
     camera["oneOf"] = [
-        {"required": [key], "properties": {key: {"minLength": 1}}}
-        for key in ("source", "source_file")
+        *({"required": [key], "properties": {key: {"minLength": 1}}} for key in sources),
+        {"not": {"anyOf": [{"required": [key]} for key in sources]}},
     ]
     return {
         "description": "[cameras.ID]: the cameras of this machine, a table each; "
@@ -66,6 +73,8 @@ def _table(kind: type[Struct]) -> dict[str, Any]:
     for field in msgspec.structs.fields(kind):
         key = table["properties"][field.name]
         key["description"] = documents[field.name].replace("`", "")
+        if points_min := polygons.points_min(field):
+            key |= _polygons(points_min)
         for texts in (key, key.get("items", {})):
             if "pattern" in texts:
                 texts["pattern"] = _everywhere(texts["pattern"])
@@ -75,9 +84,18 @@ def _table(kind: type[Struct]) -> dict[str, Any]:
             and "exclusiveMinimum" not in key
         ):
             key.setdefault("minimum", 0)
-        if key.get("type") == "number":
-            key["maximum"] = FLOAT_MAX
+        if key.get("type") == "number" and "exclusiveMaximum" not in key:
+            key.setdefault("maximum", FLOAT_MAX)
     return table
+
+
+def _polygons(points_min: int) -> dict[str, Any]:
+    """Return the schema of a list of polygons; see `camtopod.config.polygons`."""
+    number = {"type": "number", "minimum": 0, "maximum": 1}
+    point = {"type": "array", "items": number, "minItems": 2, "maxItems": 2}
+    polygon = {"type": "array", "items": point, "minItems": 3}
+    forms = [polygon, {"type": "string"}] + ([point] if points_min == 1 else [])
+    return {"type": ["array", "string"], "items": {"anyOf": forms}}
 
 
 def _everywhere(pattern: str) -> str:

@@ -20,12 +20,15 @@ _HEAD = """\
 """
 _CAMERAS = """\
 # One table a camera; the name is the camera's id on the bus.
+# Each key of [vision] may stand in it as well, for this camera alone.
 [cameras.lobby]
 source = "rtsp://user:password@192.0.2.10:554/stream1"
+# ignore = [[[0.0, 0.0], [0.3, 0.0], [0.3, 0.1], [0.0, 0.1]]]
+# min_height = 0.1
 
 [cameras.hall]
-source = "rtsp://user:password@192.0.2.11:554/stream1"
 """
+_HALL = {"source": "rtsp://user:password@192.0.2.11:554/stream1"}
 _WIDTH = 110
 """Columns of the example file."""
 
@@ -34,7 +37,7 @@ def example() -> str:
     """Return a valid configuration file in which every setting is explained."""
     parts = [_HEAD, table("site", TABLES["site"], {"name": "hq"})]
     parts += [table(name, TABLES[name], {}) for name in ("bus", "bus.tls", "state", "keep")]
-    parts += [_CAMERAS + "\n".join(_settings(CameraSettings, {}))]
+    parts += [_CAMERAS + "\n".join(_settings(CameraSettings, _HALL))]
     parts += [
         table(name, TABLES[name], {}) for name in ("vision", "learn", "limits", "health", "shards")
     ]
@@ -79,4 +82,4 @@ def attribute_docs(kind: type[Struct]) -> dict[str, str]:
 
 def _value(value: Any) -> str:
     """Return a value as TOML; JSON is the same for all types used here."""
-    return json.dumps(list(value) if isinstance(value, tuple) else value)
+    return json.dumps(value)

@@ -1,0 +1,244 @@
+"""Settings of one camera: ignored areas, named doors, least height, sensitivity."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Place, Scene, line
+
+from camtopod.records import Event
+from camtopod.vision.detect.motion import MotionDetector
+from camtopod.vision.detect.watched import ignored_share, watched_pixels
+from camtopod.vision.pipeline import ViewPipeline
+from camtopod.vision.settings import Polygon, VisionSettings
+from camtopod.vision.track.doors import Doors
+from camtopod.vision.track.ignored_areas import IgnoredAreas
+
+
+def rectangle(left: float, top: float, right: float, bottom: float) -> Polygon:
+    return ((left, top), (right, top), (right, bottom), (left, bottom))
+
+
+TREE = rectangle(0.35, 0.2, 0.65, 0.95)
+STREET = rectangle(0.0, 0.0, 1.0, 0.25)
+CLOCK = rectangle(0.0, 0.9, 1.0, 1.0)
+
+
+def summary(events: Sequence[Event]) -> list[tuple[str, str | None, float | None, float | None]]:
+    ordered = sorted(events, key=lambda event: event.t)
+    return [(event.kind, event.track, event.x, event.y) for event in ordered]
+
+
+def kinds(events: Sequence[Event]) -> list[tuple[str, str | None]]:
+    return [(kind, track) for kind, track, _, _ in summary(events)]
+
+
+def leaves(area: Polygon) -> Callable[[Picture], None]:
+    """Return a drawing of an area whose pixels change all the time."""
+    rng = np.random.default_rng(7)
+    inside = watched_pixels([area], HEIGHT, WIDTH) == 0
+
+    def draw(picture: Picture) -> None:
+        picture[inside] = rng.uniform(0, 255, int(inside.sum()))
+
+    return draw
+
+
+def watched(
+    scene: Scene, seconds: float, settings: VisionSettings
+) -> tuple[list[Event], ViewPipeline]:
+    pipeline, events = ViewPipeline("cam", settings), []
+    for k in range(round(seconds * FPS)):
+        events += pipeline.process(k / FPS, scene.picture(k / FPS))
+    return events + pipeline.finish(), pipeline
+
+
+# --- ignored areas --------------------------------------------------------------------------------
+
+
+def test_the_mask_is_the_polygon() -> None:
+    mask = watched_pixels([rectangle(0.25, 0.5, 0.5, 1.0)], 40, 80)
+    assert mask is not None
+    assert set(np.unique(mask)) == {0, 255}
+    rows, columns = np.nonzero(mask == 0)
+    assert (rows.min(), rows.max()) == (20, 39)
+    assert (columns.min(), columns.max()) == (20, 40)
+    assert watched_pixels([], 40, 80) is None
+    assert ignored_share([]) == 0.0
+    assert ignored_share([rectangle(0, 0, 1, 1)]) == 1.0
+    assert ignored_share([((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))]) == pytest.approx(0.5, abs=0.01)
+
+
+def test_nothing_moves_in_an_ignored_area() -> None:
+    settings = VisionSettings(ignore=(TREE,))
+    detector, rng = MotionDetector(settings), np.random.default_rng(3)
+    scene = Scene([])
+    detector.bootstrap([detector.filter_noise(scene.picture(k / FPS)) for k in range(20)])
+    ignored = watched_pixels([TREE], HEIGHT, WIDTH) == 0
+    for _ in range(10):
+        frame = scene.picture(0.0)
+        frame[::2] = np.where(rng.random((HEIGHT // 2, WIDTH)) < 0.4, 255, frame[::2])
+        motion = detector.detect(frame, 1 / FPS)
+        assert motion is not None
+        assert not motion.moving[ignored].any()
+        assert not motion.changed[ignored].any()
+        assert motion.changed[~ignored].any()
+        detector.learn(frame, motion, 1 / FPS, [])
+
+
+def test_what_happens_in_an_ignored_area_changes_nothing() -> None:
+    """Neither the events nor the estimates of noise, light and shake."""
+    tree = rectangle(0.0, 0.0, 0.6, 0.4)
+    walker = Person(line(5.0, (-0.05, 0.9), (1.05, 0.9), 8.0))
+    light = {"light": lambda t: 1.0 if t < 9 else 0.8}
+    settings = VisionSettings(ignore=(tree,))
+    quiet, pipeline = watched(Scene([walker], **light), 18, settings)
+    busy, other = watched(Scene([walker], front=leaves(tree), **light), 18, settings)
+    assert [event.kind for event in quiet] == ["entry", "exit"]
+    assert busy == quiet
+    assert other.statistics() == pipeline.statistics()
+
+
+def test_without_the_setting_they_do() -> None:
+    """Check of the harness."""
+    walker = Person(line(5.0, (-0.05, 0.9), (1.05, 0.9), 8.0))
+    tree = rectangle(0.0, 0.0, 0.6, 0.4)
+    events, pipeline = watched(Scene([walker], front=leaves(tree)), 18, VisionSettings())
+    _, quiet = watched(Scene([walker]), 18, VisionSettings())
+    assert pipeline.statistics() != quiet.statistics()
+    assert events != []
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_who_walks_through_an_ignored_area_is_one_passage(sense: int) -> None:
+    ends = ((-0.05, 0.7), (1.05, 0.75))[::sense]
+    scene = Scene([Person(line(5.0, *ends, 9.0))])
+    events = scene.events(20, VisionSettings(ignore=(TREE,)))
+    assert [event.kind for event in events] == ["entry", "exit"]
+    assert events[0].track == events[1].track
+
+
+def test_who_stays_in_an_ignored_area_is_lost_without_an_exit() -> None:
+    scene = Scene([Person(line(5.0, (-0.05, 0.7), (0.5, 0.75), 5.0))])
+    events = scene.events(30, VisionSettings(ignore=(TREE,)))
+    assert [event.kind for event in events] == ["entry"]
+
+
+@pytest.mark.parametrize(
+    ("area", "a", "b"),
+    [
+        (STREET, (0.5, 0.15), (0.4, 1.25)),
+        (CLOCK, (0.5, 1.25), (1.05, 0.5)),
+        (rectangle(0.0, 0.0, 0.2, 1.0), (-0.05, 0.7), (1.05, 0.7)),
+    ],
+)
+def test_where_an_ignored_area_reaches_the_border_its_edge_is_an_edge_of_the_view(
+    area: Polygon, a: Place, b: Place
+) -> None:
+    for ends, first in (((a, b), 0), ((b, a), 1)):
+        events = Scene([Person(line(5.0, *ends, 8.0))]).events(18, VisionSettings(ignore=(area,)))
+        assert [event.kind for event in events] == ["entry", "exit"]
+        assert events[0].track == events[1].track
+        at = events[first]
+        near = [(max(0.0, x - 0.12), max(0.0, y - 0.12)) for x, y in area]
+        far = [(x + 0.12, y + 0.12) for x, y in area]
+        assert min(x for x, _ in near) <= (at.x or 0) <= max(x for x, _ in far)
+        assert min(y for _, y in near) <= (at.y or 0) <= max(y for _, y in far)
+
+
+def test_what_lies_behind_an_ignored_area() -> None:
+    watched = watched_pixels([STREET, TREE], 100, 200)
+    assert watched is not None
+    areas = IgnoredAreas(watched)
+    up, right, down = (0.0, -3.0), (2.0, 0.0), (0.0, 1.0)
+    assert areas.beyond((20.0, 30.0), up, 10.0, 3.0) == "border"
+    assert areas.beyond((20.0, 40.0), up, 10.0, 3.0) is None, "too far away"
+    assert areas.beyond((20.0, 30.0), down, 10.0, 3.0) is None, "it walks away from it"
+    assert areas.beyond((20.0, 30.0), (0.0, 0.0), 10.0, 3.0) is None, "it stands"
+    assert areas.beyond((65.0, 60.0), right, 10.0, 3.0) == "view"
+    assert areas.beyond((100.0, 100.0), up, 10.0, 3.0) == "border", "through both"
+    diagonal = (1.0, 1.0)
+    assert areas.beyond((65.0, 60.0), diagonal, 10.0, 3.0) == "view"
+    assert areas.beyond((65.0, 60.0), diagonal, 10.0, 9.0) == "border", "only a slit is left"
+    assert areas.cut((40.0, 30.0, 69.0, 60.0))
+    assert not areas.cut((40.0, 30.0, 60.0, 60.0))
+    assert areas.cut((-5.0, -5.0, 3.0, 3.0))
+    assert not areas.cut((198.0, 95.0, 205.0, 105.0))
+
+
+# --- doors ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("door", [((0.5, 0.55),), rectangle(0.4, 0.45, 0.6, 0.65)])
+def test_a_named_door_counts_from_the_first_time_on(door: Polygon) -> None:
+    out = Person(line(6.0, (0.5, 0.55), (-0.05, 0.75), 6.0))
+    back = Person(line(20.0, (-0.05, 0.75), (0.5, 0.55), 6.0), seed=2)
+    scene = Scene([out, back])
+    assert [event.kind for event in scene.events(40)] == ["exit", "entry"]
+    events = scene.events(40, VisionSettings(doors=(door,)))
+    assert [event.kind for event in events] == ["entry", "exit", "entry", "exit"]
+    inside = [events[0], events[3]]
+    assert all((event.x or 0) == pytest.approx(0.5, abs=0.08) for event in inside)
+
+
+def test_a_point_reaches_as_far_as_the_person_is_tall_and_a_polygon_ends_where_it_ends() -> None:
+    doors = Doors(200, 100, [((0.5, 0.5),), rectangle(0.0, 0.0, 0.1, 0.1)])
+    assert doors.is_door(100.0, 50.0, 10.0)
+    assert doors.is_door(105.0, 50.0, 10.0)
+    assert not doors.is_door(107.0, 50.0, 10.0)
+    assert doors.is_door(107.0, 50.0, 20.0)
+    assert doors.is_door(19.0, 9.0, 1.0)
+    assert not doors.is_door(22.0, 9.0, 100.0)
+
+
+# --- height and sensitivity -----------------------------------------------------------------------
+
+
+def test_what_is_lower_than_the_least_height_makes_no_events() -> None:
+    cat = Person(line(5.0, (-0.05, 0.8), (1.05, 0.8), 8.0), tall=0.1)
+    man = Person(line(8.0, (1.05, 0.5), (-0.05, 0.5), 8.0), tall=0.25, seed=1)
+    scene = Scene([cat, man])
+    assert len(scene.events(20)) == 4
+    events = scene.events(20, VisionSettings(min_height=0.18))
+    assert [event.kind for event in events] == ["entry", "exit"]
+    assert events[0].t == pytest.approx(8.2, abs=0.5), "the time of the first sighting"
+    assert scene.events(20, VisionSettings(min_height=0.5)) == []
+
+
+def test_who_comes_from_above_enters_once_seen_as_a_whole() -> None:
+    man = Person(line(5.0, (0.5, -0.01), (0.5, 1.25), 9.0))
+    whole = Scene([man]).events(18)
+    assert kinds(Scene([man]).events(18, VisionSettings(min_height=0.17))) == kinds(whole)
+
+
+def test_sensitivity_is_monotone() -> None:
+    """More sensitivity, more moving pixels: the same ones and others."""
+    faint = Person(lambda t: (0.5, 0.7) if t > 3 else None, shade=130)
+    scene, masks = Scene([faint], noise=2.0), []
+    pictures = [scene.picture(k / FPS) for k in range(21)] + [scene.picture(4.0)]
+    for sensitivity in (0.25, 0.5, 1.0, 1.5, 2.0, 4.0):
+        detector = MotionDetector(VisionSettings(sensitivity=sensitivity))
+        frames = [detector.filter_noise(picture) for picture in pictures]
+        detector.bootstrap(frames[:-1])
+        motion = detector.detect(frames[-1], 1 / FPS)
+        assert motion is not None
+        masks.append(motion.moving != 0)
+    for fewer, more in itertools.pairwise(masks):
+        assert not (fewer & ~more).any()
+    assert masks[-1].sum() > masks[2].sum() > masks[0].sum()
+
+
+def test_a_faint_person_needs_more_of_it() -> None:
+    walker = Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), tall=0.3, shade=20)
+    seen = Scene([walker], noise=0.5)
+    empty, found = Scene([], noise=0.5), {}
+    for sensitivity in (0.5, 1.0, 3.0):
+        pipeline, events = ViewPipeline("cam", VisionSettings(sensitivity=sensitivity)), []
+        for k in range(round(16 * FPS)):
+            picture = 0.7 * empty.picture(k / FPS) + 0.3 * seen.picture(k / FPS)
+            events += pipeline.process(k / FPS, picture.astype(np.uint8))
+        found[sensitivity] = [event.kind for event in events + pipeline.finish()]
+    assert found == {0.5: [], 1.0: [], 3.0: ["entry", "exit"]}
