@@ -112,12 +112,25 @@ def test_without_the_setting_they_do() -> None:
     assert events != []
 
 
-@pytest.mark.parametrize("sense", [1, -1])
-def test_who_walks_through_an_ignored_area_is_one_passage(sense: int) -> None:
+@pytest.mark.parametrize(("sense", "seconds"), [(1, 9.0), (-1, 9.0), (1, 25.0)])
+def test_who_walks_through_an_ignored_area_is_one_passage(sense: int, seconds: float) -> None:
     ends = ((-0.05, 0.7), (1.05, 0.75))[::sense]
-    scene = Scene([Person(line(5.0, *ends, 9.0))])
-    events = scene.events(20, VisionSettings(ignore=(TREE,)))
+    scene = Scene([Person(line(5.0, *ends, seconds))])
+    events = scene.events(11 + seconds, VisionSettings(ignore=(TREE,)))
     assert [event.kind for event in events] == ["entry", "exit"]
+    assert events[0].track == events[1].track
+
+
+def test_who_turns_round_in_an_ignored_area_is_one_passage() -> None:
+    def where(t: float) -> Place | None:
+        into = line(5.0, (-0.05, 0.7), (0.5, 0.7), 4.0)(t)
+        return into or line(9.0, (0.5, 0.7), (-0.05, 0.75), 4.0)(t)
+
+    events = Scene([Person(where)]).events(18, VisionSettings(ignore=(TREE,)))
+    assert [(event.kind, event.x is not None and event.x < 0.1) for event in events] == [
+        ("entry", True),
+        ("exit", True),
+    ]
     assert events[0].track == events[1].track
 
 

@@ -114,8 +114,8 @@ class Crossings:
         """
         if self._ignored is None:
             return None
-        dx, dy = _heading(track)
-        lead = self._margin + hypot(dx, dy)
+        dx, dy = track.velocity
+        lead = self._margin + REACH_SECONDS * hypot(dx, dy)
         if self._ignored.cut(at.box):  # the piece of it that is still seen may be far from the foot
             lead = max(lead, CUT_SHARE * track.height)
         return self._ignored.beyond(at.foot, (sense * dx, sense * dy), lead, self._margin)
@@ -212,17 +212,3 @@ def _drift(track: Track) -> tuple[float, float]:
         return (0.0, 0.0)
     factor = REACH_SECONDS / dt
     return (factor * (last.foot[0] - first.foot[0]), factor * (last.foot[1] - first.foot[1]))
-
-
-def _heading(track: Track) -> tuple[float, float]:
-    """Return the movement of the box's middle in `REACH_SECONDS`, pixels.
-
-    Unlike the foot it moves on while an ignored area covers more and more of the object.
-    """
-    first, last = track.history[0], track.history[-1]
-    dt = last.t - first.t
-    if dt <= 0:
-        return (0.0, 0.0)
-    (left, top, right, bottom), (left_2, top_2, right_2, bottom_2) = first.box, last.box
-    factor = REACH_SECONDS / dt / 2
-    return (factor * (left_2 + right_2 - left - right), factor * (top_2 + bottom_2 - top - bottom))

@@ -55,6 +55,21 @@ class Track:
         middle = (x + foot_x) / 2
         return (middle - self.width / 2, min(top, bottom - 1), middle + self.width / 2, bottom)
 
+    @property
+    def velocity(self) -> tuple[float, float]:
+        """Mean velocity of the box's middle over the sightings kept, pixels per second.
+
+        Unlike the foot, the middle moves on while an ignored area covers more and more of the
+        object.
+        """
+        first, last = self.history[0], self.history[-1]
+        dt = last.t - first.t
+        if dt <= 0:
+            return (0.0, 0.0)
+        (left, top, right, bottom), (left_2, top_2, right_2, bottom_2) = first.box, last.box
+        across, down = left_2 + right_2 - left - right, top_2 + bottom_2 - top - bottom
+        return (across / 2 / dt, down / 2 / dt)
+
     def unseen_seconds(self, t: float) -> float:
         """Return the time since the last sighting."""
         return t - self.last.t

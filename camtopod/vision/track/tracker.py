@@ -49,7 +49,10 @@ STITCH_AT_EDGE_SECONDS = 1.5
 STITCH_AT_EDGE_HEIGHTS = 0.5
 """Largest distance (heights) at which a track that begins at an edge may continue a broken one."""
 BEHIND_HEIGHTS_PER_SECOND = 1.5
-"""Speed (heights per second) at which an object may pass behind an ignored area in mid-view."""
+"""Growth of the distance for a passage behind an ignored area in mid-view, heights per second.
+
+It is measured from where the object would be at its last velocity, and allows it to turn round.
+"""
 PIECE_HEIGHT_MIN = 0.35
 """Least height of a blob away from the border, as a share of the person it is assigned to."""
 BIRTH_HEIGHT_MIN = 0.4
@@ -348,15 +351,15 @@ class Tracker:
             if other is track or (other.last.t < t and self._at_edge(other)):
                 continue
             gap = max(0.0, track.first.t - other.last.t)
+            x, y = other.last.foot
             reach = min(STITCH_HEIGHTS + STITCH_HEIGHTS_PER_SECOND * gap, STITCH_HEIGHTS_MAX)
             if self._begins_at_edge(track):
                 reach = STITCH_AT_EDGE_HEIGHTS if gap <= STITCH_AT_EDGE_SECONDS else 0.0
             elif from_behind and self._edges.goes_behind(other):
                 reach = STITCH_HEIGHTS + BEHIND_HEIGHTS_PER_SECOND * gap
+                x, y = x + gap * other.velocity[0], y + gap * other.velocity[1]
             reach *= max(track.height, other.height)
-            distance = hypot(
-                track.first.foot[0] - other.last.foot[0], track.first.foot[1] - other.last.foot[1]
-            )
+            distance = hypot(track.first.foot[0] - x, track.first.foot[1] - y)
             ratio = track.height / other.height
             if distance < reach * best_score and 0.4 < ratio < 2.5:
                 best, best_score = other, distance / reach
