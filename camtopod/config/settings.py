@@ -359,7 +359,7 @@ def load(path: Path, raw: bytes | None = None) -> Config:
 def parse(text: str, name: str = "configuration") -> Config:
     """Return the configuration in ``text``; raise `ConfigError`, which calls the file ``name``."""
     data, text, problems = syntax(text.replace("\r\n", "\n"))
-    reader = _Reader(TABLES, toml_lines.key_lines(text), missing_matters=not problems)
+    reader = _Reader(TABLES, toml_lines.key_lines(text))
     config = reader.config(data)
     problems += reader.problems
     if problems:
@@ -401,7 +401,7 @@ class _Reader(TableReader):
         cameras = self._cameras(data.get("cameras", {}), tables["vision"])
         return Config(cameras=cameras, **tables)  # type: ignore[arg-type]
 
-    def _cameras(self, data: Any, vision: Struct | None) -> dict[str, CameraSettings]:
+    def _cameras(self, data: Any, vision: Struct) -> dict[str, CameraSettings]:
         """Return the cameras; ``vision`` has the settings that their tables do not have."""
         assert isinstance(vision, VisionSettings)
         if not isinstance(data, dict):
@@ -428,10 +428,9 @@ class _Reader(TableReader):
             given = data[camera]
             if isinstance(given, dict) and isinstance(given.get("source"), str):
                 redact.remember(given["source"])
-            settings = self.table(CameraSettings, data, path, ("vision", vision))
-            if settings is not None:
-                self._check_source(path, given, settings)
-                cameras[camera] = settings
+            settings = self.table(CameraSettings, data, path, {"vision": vision})
+            self._check_source(path, given, settings)
+            cameras[camera] = settings
         return cameras
 
     def _check_source(self, path: tuple[str, str], given: Any, camera: CameraSettings) -> None:
@@ -445,7 +444,7 @@ class _Reader(TableReader):
             if given.get(key) == "":
                 self.report((*path, key), f"{title}.{key}: is empty")
 
-    def _check_bus(self, bus: Struct | None) -> None:
+    def _check_bus(self, bus: Struct) -> None:
         """Check that all files of TLS are given or none, and that with TLS all endpoints use it."""
         assert isinstance(bus, BusSettings)
         tls = bus.tls

@@ -6,6 +6,8 @@ import difflib
 import math
 import re
 import tomllib
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import msgspec
@@ -76,72 +78,54 @@ class TableReader:
 
     tables: struct of each table, by its dotted name.
     lines: line of each key, as of `toml_lines.key_lines`.
-    missing_matters: report required keys that are missing; not useful where lines were left out.
     """
 
     def __init__(
         self,
         tables: dict[str, type[Struct]],
         lines: dict[toml_lines.Path, int],
-        missing_matters: bool,
     ) -> None:
         self.problems: list[Problem] = []
         self._tables = tables
         self._lines = lines
-        self._missing_matters = missing_matters
 
     def table(
         self,
         kind: type[_T],
         parent: dict[str, Any],
         path: tuple[str, ...],
-        flat: tuple[str, Struct] | None = None,
-    ) -> _T | None:
-        """Return the struct at ``path``, mistakes replaced by defaults; None without a required
-        key.
+        flat: Mapping[str, Struct] = MappingProxyType({}),
+    ) -> _T:
+        """Return the struct at ``path``, mistakes replaced by defaults.
 
-        flat: a field of ``kind`` that holds a struct, and that struct with its defaults. Its keys
-            stand in the table itself.
+        flat: fields of ``kind`` whose keys stand in the table itself, with the structs that have
+            their defaults.
         """
         title = ".".join(path)
-        group, inner = flat or ("", None)
-
-        # It has to be a table.
         data = parent.get(path[-1], {})
         if not isinstance(data, dict):
             self.report(path, f"{title}: expected a table [{title}]")
-            return None if any(field.required for field in msgspec.structs.fields(kind)) else kind()
+            data = {}
+
+        # Known keys: those of the struct itself, and those of the structs in `flat`.
+        own = {f.name: f for f in msgspec.structs.fields(kind) if f.name not in flat}
+        homes = {f.name: (name, f) for name in flat for f in msgspec.structs.fields(flat[name])}
+        values: dict[str, Any] = {}
+        changes: dict[str, dict[str, Any]] = {name: {} for name in flat}
 
         # Convert each key.
-        fields = {
-            field.name: field for field in msgspec.structs.fields(kind) if field.name != group
-        }
-        others = {} if inner is None else {f.name: f for f in msgspec.structs.fields(inner)}
-        values: dict[str, Any] = {}
-        changed: dict[str, Any] = {}
         for key, value in data.items():
-            if key in others:
-                if (converted := self._value(others[key], value, (*path, key))) is not None:
-                    changed[key] = converted
-            elif key not in fields:
-                self.report(
-                    (*path, key),
-                    f"{title}.{key}: no such key{self._hint(key, [*fields, *others], path[0])}",
-                )
-            elif (nested := self._tables.get(f"{title}.{key}")) is not None:
+            if (nested := self._tables.get(f"{title}.{key}")) is not None and key in own:
                 values[key] = self.table(nested, data, (*path, key))
-            elif (converted := self._value(fields[key], value, (*path, key))) is not None:
-                values[key] = converted
-
-        # Look for required keys.
-        for field in fields.values():
-            if field.required and field.name not in data and self._missing_matters:
-                self.report(path, f"{title}: {field.name} is missing")
-            if field.required and field.name not in values:
-                return None
-        if inner is not None:
-            values[group] = msgspec.structs.replace(inner, **changed)
-        return kind(**values)
+                continue
+            home, field = homes[key] if key in homes else ("", own.get(key))
+            if field is None:
+                hint = self._hint(key, [*own, *homes], path[0])
+                self.report((*path, key), f"{title}.{key}: no such key{hint}")
+            elif (converted := self._value(field, value, (*path, key))) is not None:
+                (changes[home] if home else values)[key] = converted
+        inner = {name: msgspec.structs.replace(flat[name], **changes[name]) for name in flat}
+        return kind(**values, **inner)
 
     def _value(self, field: msgspec.structs.FieldInfo, value: Any, path: toml_lines.Path) -> Any:
         """Return ``value`` as the field's type, or report why it does not fit and return None.
