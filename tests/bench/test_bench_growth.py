@@ -39,7 +39,7 @@ def test_links_counts_a_version_a_minute_for_the_others(tmp_path: Path) -> None:
 def test_shards_hear_more_than_their_own_and_no_more_than_all(tmp_path: Path) -> None:
     figures = tmp_path / "shards.json"
     assert (
-        shards.main(["--cameras", "6", "--shards", "2", "--hours", "0.08", "--json", str(figures)])
+        shards.main(["--cameras", "4", "--shards", "2", "--hours", "0.05", "--json", str(figures)])
         == 0
     )
     written = json.loads(figures.read_text())

@@ -43,7 +43,7 @@ from camtopod.sim.simulation import simulate
 
 SETTINGS = Settings(refit_share=0.3)
 SHARDING = Sharding(districts=4)
-EVENTS = simulate(SimSettings(cameras=6, hours=0.5, seed=4))[0]
+EVENTS = simulate(SimSettings(cameras=6, hours=0.25, seed=4))[0]
 NOON = 1_700_000_000.0
 
 
