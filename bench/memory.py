@@ -31,7 +31,7 @@ from bench.support.site import (
     traffic,
 )
 
-MEGABYTES_MAX = {100: 300.0, 1_000: 1_000.0, 10_000: 4_000.0}
+MEGABYTES_MAX = {100: 400.0, 1_000: 1_000.0, 10_000: 4_000.0}
 """Targets of the peak by number of cameras, megabytes."""
 LEARN_SECONDS_MAX = 3_600.0
 """Longest wait for the learner, seconds."""
