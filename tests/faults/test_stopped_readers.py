@@ -268,7 +268,7 @@ def test_readers_that_stop_and_come_back_hold_up_nobody(scene: Scene, secured: b
 def test_many_that_stop_hold_up_nobody_where_many_walk(scene: Scene, secured: bool) -> None:
     """Nor when the bus gives them up, after its lease of ten seconds."""
     walks, _ = walks_beside(
-        scene, secured, readers=8, questions=3, per_second=400, turns=1, seconds=14
+        scene, secured, readers=8, questions=3, per_second=150, turns=1, seconds=14
     )
     assert not walks.late()
 
