@@ -454,7 +454,7 @@ class Learner:
         cameras, scene = self._window.cameras, found.scene
         ids = [zone_id(cameras, zone) for zone in scene.zones]
         if self.only_last:  # no earlier version has published the links that have closed
-            self._alarms.join(ids, zone_pairs_of(found.found))
+            self._alarms.join(ids, zone_pairs_of(found.significant_links))
         self._alarms.report(
             version,
             now,

@@ -4,16 +4,21 @@
 `Refit`. `Learner` decides when to call it and makes a version of the result. Links are of two
 kinds, each in a `LinkTable`: *visible* links lead *through* the view of one camera (from zone of
 entry to zone of exit, with dwell times), the others lead *between* two views (from zone of
-departure to zone of arrival, with transit times). The steps, with the thesis's section:
+departure to zone of arrival, with transit times). The steps, with the sections of the thesis and
+of METHOD.md:
 
-1. visible links and usual dwell times: passages through one view (4.1)
-2. silent cameras, and views that overlap (4.5)
-3. candidates: departures and arrivals that may be of one object
-4. joint fit: which of them are (4.4)
-5. evidence of each pair of zones, by cross-validation (4.4)
-6. changes: links that have opened or closed
-7. the prediction model: where objects appear next, all weak evidence included (4.6)
-8. the links to publish, with their Monte Carlo observations (4.3)
+1. visible links and usual dwell times: passages through one view (thesis 4.1; METHOD 3, 8)
+2. silent cameras (METHOD 11), and views that overlap (thesis 4.5; METHOD 9)
+3. candidates: departures and arrivals that may be of one object (METHOD 5)
+4. joint fit: which of them are (thesis 4.4; METHOD 5)
+5. evidence of each pair of zones, by cross-validation (thesis 4.4; METHOD 7), and transit times
+   (thesis 4.5; METHOD 8)
+6. changes: links that have opened or closed (METHOD 11)
+7. the prediction model: where objects appear next, all weak evidence included (thesis 4.6;
+   METHOD 10)
+8. the links to publish (METHOD 7), with their Monte Carlo observations (thesis 4.3; METHOD 6)
+
+Zones and clocks (METHOD 2 to 4) come before: `Learner` labels the events with them.
 """
 
 from __future__ import annotations
@@ -73,7 +78,10 @@ from camtopod.records import Model
 from camtopod.topology import LagBins, offset_bins
 
 STEPS = ("candidates", "joint fit", "evidence", "changes", "prediction", "topology")
-"""Names of the long steps, in order, which `refit` reports as they begin."""
+"""Names of steps 3 to 8, in order; `refit` reports each as it begins.
+
+Steps 1 and 2 have no names: progress shows them as part of the learner's step before, the clocks.
+"""
 
 
 class Known(NamedTuple):
@@ -100,8 +108,8 @@ class Refit(NamedTuple):
     visible: links through one view that meet the rule.
     weak: links between views that are likely but do not meet the rule.
     lacks: passages and time that each weak link lacks until it is published.
-    found: links between views that are significant over the whole window, those that have closed
-        since included.
+    significant_links: links between views that are significant over the whole window, those that
+        have closed since included.
     changes: links that opened, closed or changed their share.
     silences: intervals without events, one item per camera.
     model: the part of the topology, beside the links, that prediction reads.
@@ -115,7 +123,7 @@ class Refit(NamedTuple):
     visible: LinkTable
     weak: LinkTable
     lacks: LinkShortfall
-    found: LinkTable
+    significant_links: LinkTable
     changes: list[Change]
     silences: list[CameraSilences]
     model: Model
@@ -128,8 +136,10 @@ class Associated(NamedTuple):
 
     between: every pair of zones with expected transitions, with its held-out evidence.
     changes: links that opened, closed or changed their share.
-    delayed: the departures, with delayed copies for long paths.
-    likely: the candidates that the fit for prediction uses.
+    delayed: the departures, with delayed copies for long paths. The copies have zones of their own,
+        and so have the tables of the fits; `Delayed.links_back`, `Delayed.changes_back` and
+        `Delayed.posterior_back` map results back to the real zones.
+    likely_candidates: the candidates that the fit for prediction uses.
     evidence (pairs,): held-out evidence of the pairs of zones of the joint fit, nats.
     followed: `Known.followed` for the next refit.
     """
@@ -137,7 +147,7 @@ class Associated(NamedTuple):
     between: LinkTable
     changes: list[Change]
     delayed: Delayed
-    likely: Candidates
+    likely_candidates: Candidates
     evidence: Floats
     followed: dict[int, FollowedSources]
 
@@ -145,11 +155,11 @@ class Associated(NamedTuple):
 class Predicted(NamedTuple):
     """The result of step 7.
 
-    likely: every pair of zones with expected transitions in the fit for prediction.
+    likely_pairs: every pair of zones with expected transitions in the fit for prediction.
     model, happened: as in `Refit`.
     """
 
-    likely: LinkTable
+    likely_pairs: LinkTable
     model: Model
     happened: list[Happened | None]
 
@@ -201,10 +211,14 @@ def refit(
 
     # 3. to 7. Links between views, and the prediction model.
     if len(scene.departures.t) and len(scene.arrivals.t):
-        found = associate(scene, silences, overlapping, window, known, settings, on_step)
+        associated = associate(scene, silences, overlapping, window, known, settings, on_step)
         on_step("prediction")
-        predicted = predict_next(scene, window, clocks, found, overlapping, known, settings)
-        all_pairs, changes, followed = found.between, found.changes, found.followed
+        predicted = predict_next(scene, window, clocks, associated, overlapping, known, settings)
+        all_pairs, changes, followed = (
+            associated.between,
+            associated.changes,
+            associated.followed,
+        )
     else:
         all_pairs, changes, followed = (
             nothing(settings, zones),
@@ -220,14 +234,14 @@ def refit(
     on_step("topology")
     share_min = settings.publish_probability_min
     between = present(all_pairs, changes, zones, share_min)
-    likely_pairs = present(predicted.likely, changes, zones, share_min)
+    likely_now = present(predicted.likely_pairs, changes, zones, share_min)
     camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
     certain = without_missed_detections(
         between, through, significant(between, settings), camera_of, settings
     )
     published = with_monte_carlo_variance(between.rows(np.flatnonzero(certain)), bins)
     visible = through.rows(np.flatnonzero(significant(through, settings)))
-    weak = select_weak_links(likely_pairs, published, zones)
+    weak = select_weak_links(likely_now, published, zones)
     observed = scene.last - seconds[0]
     return Refit(
         scene=scene,
@@ -235,7 +249,7 @@ def refit(
         visible=with_monte_carlo_variance(visible, dwell_bins(settings)),
         weak=weak,
         lacks=shortfall_of(weak, between, len(published.source), zones, observed, settings),
-        found=all_pairs.rows(np.flatnonzero(significant(all_pairs, settings))),
+        significant_links=all_pairs.rows(np.flatnonzero(significant(all_pairs, settings))),
         changes=changes,
         silences=silences,
         model=predicted.model,
@@ -261,6 +275,7 @@ def associate(
     bins, arrivals, cameras = lag_bins(settings), scene.arrivals, len(window.cameras)
 
     # 3. Candidates: departures, and delayed copies for long paths, within the range of the lags.
+    # From here on, the copies have zones of their own.
     on_step("candidates")
     view = np.array([zone.camera for zone in scene.zones], np.int32)
     delayed = with_long_paths(
@@ -288,8 +303,10 @@ def associate(
 
     overlap = delayed.overlapping(overlap_table(overlapping, cameras))
     zones = len(delayed.zone)
-    likely = followed_of(delayed.departures, arrivals, candidates, bins, zones, scene.last, overlap)
-    return Associated(between, changes, delayed, likely, evidence, screen.followed)
+    likely_candidates = followed_of(
+        delayed.departures, arrivals, candidates, bins, zones, scene.last, overlap
+    )
+    return Associated(between, changes, delayed, likely_candidates, evidence, screen.followed)
 
 
 def judge(
@@ -361,33 +378,35 @@ def predict_next(
     scene: Scene,
     window: Window,
     clocks: Clocks,
-    found: Associated,
+    associated: Associated,
     overlapping: list[OverlappingViews],
     known: Known,
     settings: Settings,
 ) -> Predicted:
     """Do step 7: fit where objects appear next, make the model, estimate outcomes of exits.
 
-    found: result of steps 3 to 6.
+    associated: result of steps 3 to 6.
     """
-    # The fit for prediction, and its table of pairs of zones.
-    delayed, bins, cameras = found.delayed, lag_bins(settings), window.cameras
+    # The fit for prediction, and its table of pairs of zones; both are mapped back to real zones.
+    delayed, bins, cameras = associated.delayed, lag_bins(settings), window.cameras
     zones = len(delayed.zone)
     posterior = fit_followed(
         delayed.departures,
         scene.arrivals,
-        found.likely,
+        associated.likely_candidates,
         bins,
         zones,
         scene.last,
-        found.evidence,
-        bool(found.followed),
+        associated.evidence,
+        bool(associated.followed),
     )
 
     transitions = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
     exposed = exposed_departures(delayed.departures, bins, zones, scene.last)
-    likely = tabulate(transitions, exposed, bins, zones, delay=delayed.seconds).without_counts()
-    likely = delayed.links_back(likely.with_evidence(likely.ratio, len(posterior.share)))
+    likely_pairs = tabulate(transitions, exposed, bins, zones, delay=delayed.seconds)
+    likely_pairs = likely_pairs.without_counts()
+    likely_pairs = likely_pairs.with_evidence(likely_pairs.ratio, len(posterior.share))
+    likely_pairs = delayed.links_back(likely_pairs)
     posterior = delayed.posterior_back(posterior, len(scene.zones))
 
     # Outcomes of the exits of which no further arrival is possible.
@@ -408,8 +427,8 @@ def predict_next(
         posterior,
         bins,
         window,
-        found.changes,
+        associated.changes,
         settings.correct_clocks,
         overlapping,
     )
-    return Predicted(likely, model, happened)
+    return Predicted(likely_pairs, model, happened)

@@ -9,15 +9,24 @@ lag would be in the window (`exposure`).
 
 `Em` is a fit in progress over M candidates of P pairs of zones. `Em.run` iterates the E step
 (`Em.expect`), which computes the responsibility of each candidate from the hazards, and the M step
-(`Em.maximise`), which computes the hazards from the responsibilities; begin reading there. The E
-step is the sum-product approximation of the marginals of a one-to-one assignment with misses and
-clutter (Williams and Lau, IEEE Trans. AES 50(4), 2014), one sweep of *messages* an iteration. Each
-candidate is judged by the hazard that the other candidates make (leave one out). The M step counts
-expected transitions by lag and smooths. Marinakis and Dudek (2005) sample what is summed here.
+(`Em.maximise`), which computes the hazards from the responsibilities. Begin reading there, and at
+`joint_fit.fit_jointly`, the outer loop: it repeats `Em.run`, adjusts candidates for speed in
+between and drops pairs of zones.
+
+The E step is the sum-product approximation of the marginals of a one-to-one assignment with misses
+and clutter (Williams and Lau, IEEE Trans. AES 50(4), 2014), one sweep of *messages* an iteration.
+Each candidate is judged by the hazard that the other candidates make (leave one out). The M step
+counts expected transitions by lag and smooths. Marinakis and Dudek (2005) sample what is summed
+here.
+
+A departure that may begin a long path has *delayed copies* among the departures (`long_paths`);
+``departures.of`` gives the original of a copy. A departure and its copies together cause at most
+one arrival, so the E step sums over them (`Em.over_copies`).
 
 The fit for prediction (`next_camera.fit`) adds to the model: `Term`s (further ways in which a
 departure causes an arrival), a `PairPrior`, and factors for single candidates and departures
-(``multiplier``, ``leaving``).
+(``multiplier``, ``leaving``). It also samples (`next_camera.sampling`): `Em.draw`, `Em.end_draw`,
+``_drawn`` and ``_telling`` are only for that, and a reader of the joint fit may skip them.
 
 There may be millions of candidates. Only one array of a kind is kept for all of them; intermediate
 results exist for one part at a time (`slices_by_arrival`).
@@ -169,10 +178,13 @@ class Em:
 
         # Figures of zones.
         self.exposure = exposures(departures, bins, zones, until) if exposure is None else exposure
-        self.some_exposed = np.maximum(self.exposure, 1.0)
-        """(zones, bins) exposed departures, at least 1."""
-        most = self.some_exposed.max(axis=1, keepdims=True)
-        self._exposed_share = np.where(bins.edges[1:] > 0, 1.0, self.exposure / most)
+        """(zones, bins) exposed departures."""
+        self.exposure_at_least_one = np.maximum(self.exposure, 1.0)
+        """(zones, bins) exposed departures, at least 1: a divisor."""
+        # The share of departures whose object can appear elsewhere at a lag. It is 1 after the
+        # exit; before the exit, it is about the share of passages that had begun by then.
+        most = self.exposure_at_least_one.max(axis=1, keepdims=True)
+        self._able_share = np.where(bins.edges[1:] > 0, 1.0, self.exposure / most)
         self.camera = np.zeros(zones, np.int64)
         """(zones,) camera of each zone."""
         self.camera[departures.zone] = departures.camera
@@ -192,7 +204,12 @@ class Em:
         # After `draw`, the rows of the candidates whose responsibility is 1, ascending.
         self._drawn: Indices | None = None
         self.own = np.zeros((self.pairs, bins.size), np.float32)
-        """(P, bins) share that one transition in a bin contributes to the smoothed count there."""
+        """(P, bins) share that one transition in a bin contributes to the smoothed count there.
+
+        For example, smoothing leaves 0.3 of a transition in its bin, and the smoothed count of the
+        bin is 2.0: ``own`` is 0.3 / 2.0 = 0.15. A candidate in this bin with a responsibility of
+        0.8 has made 0.8 * 0.15 = 0.12 of the hazard, so it is judged by 0.88 of the hazard.
+        """
         if adjusted is None:
             adjusted = adjust(candidates, departures, arrivals, NO_PERSISTENCE, bins)
         self.use(adjusted)
@@ -231,6 +248,9 @@ class Em:
         for iteration in range(ITERATIONS):
             self.expect(hazard)
             fresh = self.maximise()
+            # Over-relaxation: the step of the log hazards is `STRIDE` times that of plain EM; in
+            # other words, the ratio of new to old hazards is raised to the power of `STRIDE`. The
+            # last iterations are plain EM, so that the result is one of the M step.
             if iteration < ITERATIONS - SETTLING_ITERATIONS:
                 for rows in row_slices(self.pairs):
                     ratio = fresh[rows] / np.maximum(hazard[rows], NOTHING)
@@ -239,7 +259,12 @@ class Em:
         return hazard
 
     def expect(self, hazard: Singles) -> None:
-        """Do the E step: replace the responsibilities by those under the hazards (P, bins)."""
+        """Do the E step: replace the responsibilities by those under the hazards (P, bins).
+
+        The old responsibilities are an input, too: they tell how much each candidate has
+        contributed to the hazards, which is left out (`_rates`). So are the messages of the E step
+        before, which are replaced as well (``_message``), as is the `share` of each term.
+        """
         result = self.responsibility
         background = self.outside[self.arrivals.zone] * self.arrivals.rate
         background = np.maximum(background, BACKGROUND_MIN)
@@ -310,8 +335,8 @@ class Em:
     def responsibilities_under(self, hazard: Singles, sweeps: int) -> Floats:
         """Return the responsibilities (M,) under hazards estimated from other events.
 
-        hazard (P, bins): the hazards. No candidate is left out of them, as none contributed to
-            them.
+        hazard (P, bins): the hazards. No candidate has contributed to them, so none may be left
+            out of them (`expect`): the responsibilities are set to 0 before each E step.
         sweeps: number of E steps, over which the messages settle.
         """
         self._message[:] = 1.0
@@ -474,9 +499,7 @@ class Em:
 
         hazard (pairs, bins): hazards of the pairs ``rows``.
         """
-        appears: Floats = (
-            hazard * self.bins.widths * self._exposed_share[self.candidates.source[rows]]
-        )
+        appears: Floats = hazard * self.bins.widths * self._able_share[self.candidates.source[rows]]
         return appears
 
     # --- Counts -----------------------------------------------------------------------------------
@@ -510,13 +533,15 @@ class Em:
 
         hazard = np.empty_like(smoothed)
         for rows in row_slices(self.pairs):
-            exposed = self.exposed(rows)
+            departures = self._exposure_of_pairs(rows)
             if expected is None:
-                np.divide(smoothed[rows], exposed * self.bins.widths, out=hazard[rows])
+                np.divide(smoothed[rows], departures * self.bins.widths, out=hazard[rows])
             else:
-                more = expected.of(rows, lambda back: smoothed[back] / self.exposed(back))
-                exposed = (exposed + expected.departures) * self.bins.widths
-                np.divide(smoothed[rows] + more, exposed, out=hazard[rows])
+                more = expected.of(
+                    rows, lambda back: smoothed[back] / self._exposure_of_pairs(back)
+                )
+                seconds = (departures + expected.departures) * self.bins.widths
+                np.divide(smoothed[rows] + more, seconds, out=hazard[rows])
         return hazard
 
     def _smoothed(self, counts: Floats) -> Singles:
@@ -531,9 +556,9 @@ class Em:
             self.own[rows] = stays[:, None] / np.maximum(smoothed_part, NOTHING)
         return smoothed
 
-    def exposed(self, rows: slice | Indices) -> Floats:
+    def _exposure_of_pairs(self, rows: slice | Indices) -> Floats:
         """Return the exposed departures (pairs, bins) of the pairs ``rows``, at least 1."""
-        return self.some_exposed.take(self.candidates.source[rows], axis=0)
+        return self.exposure_at_least_one.take(self.candidates.source[rows], axis=0)
 
     # --- Hazards that do not depend on the lag ----------------------------------------------------
 
@@ -563,10 +588,10 @@ class Em:
         one_view = self.camera[c.source] == self.camera[c.target]
         before = self.bins.edges[1:] <= 0
         for rows in row_slices(self.pairs):
-            exposed = self.exposure[c.source[rows]] * self.bins.widths
-            exposed[one_view[rows, None] & before] = 0.0  # in one view no lag is before the exit
-            total = np.maximum(exposed.sum(axis=1), 1e-9)
-            even[rows] = (hazard[rows] * exposed).sum(axis=1) / total
+            seconds = self.exposure[c.source[rows]] * self.bins.widths
+            seconds[one_view[rows, None] & before] = 0.0  # in one view no lag is before the exit
+            total = np.maximum(seconds.sum(axis=1), 1e-9)
+            even[rows] = (hazard[rows] * seconds).sum(axis=1) / total
         return even
 
 

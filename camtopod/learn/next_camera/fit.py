@@ -347,7 +347,9 @@ class PosteriorFitter:
     def _with_faint(self, hazard: Singles) -> Singles:
         """Return the hazards (P, bins) with faint transitions added at every lag (`sampling`)."""
         em = self.em
-        return add_prior_transitions(hazard, em.some_exposed, em.candidates.source, em.bins)
+        return add_prior_transitions(
+            hazard, em.exposure_at_least_one, em.candidates.source, em.bins
+        )
 
     def _find_skips(self, hazard: Singles) -> None:
         """Find the paths over skipped cameras that follow from the present hazards (P, bins)."""
