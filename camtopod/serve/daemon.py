@@ -4,8 +4,8 @@ Theory of operation. Besides the bus's own there are these threads:
 
 - *listen* puts published events in order, and answers exits with the newest version;
 - *receive* does the same for events that are left over, pulled, or due without a message;
-- *store* owns the journal: it commits ordered events, acknowledges them, and stores each version
-  before it is published;
+- *store* owns the journal: it commits ordered events, queues them for the learner, acknowledges
+  them, and stores each version before it is published;
 - *learn* passes committed events, in the journal's order, to the learner, which runs in its own
   process;
 - *pull* asks the publishers' spools for missing events;
@@ -480,7 +480,7 @@ class Daemon:
         bus.answer_queries("predict/*", self._live.answer, "prediction")
         bus.answer_queries(self._share.status_key, lambda key, parameters: self.status(), "status")
         if self._sharing is None:
-            self._receiver.ear = bus.open_subscription(
+            self._receiver.subscription = bus.open_subscription(
                 "event/*", self._config.limits.inbox_events_max
             )
             bus.watch_alive("grabber", self._on_alive)

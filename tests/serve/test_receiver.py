@@ -136,7 +136,7 @@ def test_what_is_heard_is_put_in_order_by_the_thread_that_hears_it(bench: Bench)
         bench.seen.extend(batch),
         seen_by.add(threading.get_ident()),
     )  # type: ignore[assignment]
-    bench.receiver.ear = mouth  # type: ignore[assignment]
+    bench.receiver.subscription = mouth  # type: ignore[assignment]
     mouth.close()
     bench.receiver.listen()
     assert [one.entry.seq for one in bench.seen] == [1, 2]
@@ -145,7 +145,7 @@ def test_what_is_heard_is_put_in_order_by_the_thread_that_hears_it(bench: Bench)
 
 def test_nothing_heard_is_forgotten_at_the_end(bench: Bench) -> None:
     mouth = Mouth()
-    bench.receiver.ear = mouth  # type: ignore[assignment]
+    bench.receiver.subscription = mouth  # type: ignore[assignment]
     listening = threading.Thread(target=bench.receiver.listen)
     listening.start()
     mouth.say(*events(1, 3))
@@ -157,7 +157,7 @@ def test_nothing_heard_is_forgotten_at_the_end(bench: Bench) -> None:
 
 def test_while_the_other_thread_puts_in_order_what_is_heard_waits_for_it(bench: Bench) -> None:
     mouth = Mouth(events(1, 3))
-    bench.receiver.ear = mouth  # type: ignore[assignment]
+    bench.receiver.subscription = mouth  # type: ignore[assignment]
     mouth.close()
     with bench.receiver._turn:
         bench.receiver.listen()
@@ -170,7 +170,7 @@ def test_what_there_is_no_room_for_is_heard_all_the_same(tmp_path: Path) -> None
     """Otherwise all other messages on the bus would wait, too."""
     bench = Bench(tmp_path, commit_events_max=100)
     mouth = Mouth(events(1, 500))
-    bench.receiver.ear = mouth  # type: ignore[assignment]
+    bench.receiver.subscription = mouth  # type: ignore[assignment]
     mouth.close()
     bench.receiver.listen()
     assert (bench.receiver._queue.waiting, len(bench.receiver._inbox)) == (200, 300)
@@ -182,7 +182,7 @@ def test_what_there_is_no_room_for_is_heard_all_the_same(tmp_path: Path) -> None
 
 def test_predictions_end_when_so_much_comes_meanwhile_that_they_would_be_late(bench: Bench) -> None:
     mouth, given = Mouth(events(1, 200)), []
-    bench.receiver.ear = mouth  # type: ignore[assignment]
+    bench.receiver.subscription = mouth  # type: ignore[assignment]
 
     def see(batch: list[Received], seconds: float) -> None:
         if not given:

@@ -202,8 +202,8 @@ def test_of_many_boots_those_heard_last_are_followed() -> None:
         assert order.add(("hall", "b1"), night, night, 0.0)[0] == "ready"
     assert len(order) == 4
     assert order.next_to_pull("lobby") == ("b999", 2)
-    assert len(order.take_dropped()) == 997
-    assert order.take_dropped() == []
+    assert len(order.take_forgotten()) == 997
+    assert order.take_forgotten() == []
     for boot in ("b997", "b998", "b999"):
         assert order.add(("lobby", boot), 9, 9, 0.0)[0] == "held"
     assert order.add(("lobby", "new"), 1, 1, 0.0) == ("refused", []), "a gap is not forgotten"
@@ -229,7 +229,7 @@ def test_of_very_many_cameras_those_heard_last_are_followed() -> None:
     assert order.next_to_pull("name0") is None
     assert order.add(KEY, 1, 1, 0.0) == ("ready", [1])
     assert len(order) == 3
-    assert ("name7", "b1") in order.take_dropped()
+    assert ("name7", "b1") in order.take_forgotten()
     assert order.add(("name8", "b1"), 9, 9, 0.0)[0] == "held"
     assert order.add(("x", "b1"), 1, 1, 0.0) == ("ready", [1])
     assert order.add(("y", "b1"), 1, 1, 0.0) == ("ready", [1])

@@ -148,7 +148,7 @@ class Bus:
         self._query_seconds, self._bytes_max = settings.query_seconds, settings.message_bytes_max
         self._too_large: set[str] = set()
         self._declared: list[Any] = []
-        self._ears: list[Subscription] = []
+        self._subscriptions: list[Subscription] = []
         self._closed = threading.Event()
         self._doorkeeper: access.ConnectionWatch | None = None
         # By thread: (since when on the monotonic clock, key) of its publication under way.
@@ -233,9 +233,9 @@ class Bus:
         subscriber = self._session.declare_subscriber(
             self._full(key), zenoh.handlers.FifoChannel(most)
         )
-        ear = Subscription(subscriber, self._full(""))
-        self._ears.append(ear)
-        return ear
+        subscription = Subscription(subscriber, self._full(""))
+        self._subscriptions.append(subscription)
+        return subscription
 
     def answer_queries(self, key: str, answer: Answer, schema: str) -> None:
         """Answer queries on ``key`` (may contain ``*``) by calling ``answer``.
@@ -383,8 +383,8 @@ class Bus:
         if self._closed.is_set():
             return
         self._closed.set()
-        for ear in self._ears:
-            ear.close()
+        for subscription in self._subscriptions:
+            subscription.close()
         for declared in self._declared:
             with contextlib.suppress(zenoh.ZError):
                 declared.undeclare()

@@ -55,7 +55,11 @@ class Acks:
         self._next = 0.0
 
     def note_stored(self, ready: Iterable[Received]) -> None:
-        """Note that these are stored."""
+        """Note that these are committed to the journal, before the learner gets them.
+
+        Follows event time as the learner will, to tell which events are late. `publish` sends the
+        acks later.
+        """
         for received in ready:
             entry, event, late = received.entry, received.event, False
 
@@ -86,7 +90,7 @@ class Acks:
         self._again.add(key)
 
     def duplicate(self, key: Key) -> None:
-        """Count an event that was received before."""
+        """Count an event that was received before, and acknowledge its stream again."""
         self._of(key).duplicate += 1
         self._again.add(key)
 
@@ -95,7 +99,11 @@ class Acks:
         self._forgotten.extend(keys)
 
     def publish(self, now: float, interval: float, beat: Beat) -> None:
-        """Publish the acks of the streams that have advanced, at most once in ``interval`` seconds.
+        """Publish the acks of some streams, at most once in ``interval`` seconds.
+
+        These are the streams of which events were stored since the last call, those that `repeat`
+        was called for, and those of duplicates (`duplicate`); at first, all that were stored before
+        the start. Cameras of other daemons are left out.
 
         now (seconds): of a clock that never steps.
         """

@@ -18,8 +18,12 @@ Events that are ready then pass a list of stages, all events of a round together
 8. predictions are made;
 9. the entries are put into the queue to be stored (`store_queue`).
 
-They are then committed, many in one transaction, acknowledged (`acks`), and handed to the learner
-in the journal's order.
+`Receiver.store` takes the entries from the queue; many together, they are
+
+10. committed to the journal in one transaction;
+11. noted as stored (`Acks.note_stored`);
+12. handed to the learner, in the journal's order;
+13. acknowledged (`Acks.publish`), at most once in ``ack_seconds``.
 
 Guarantees. An acknowledgement says that everything up to its seq is stored. An event for which
 there is no room is dropped before its stream has counted it. So its stream has a gap there, and the
@@ -87,8 +91,8 @@ _CLOSING_SECONDS = 1.0
 class Receiver:
     """Takes events from the bus into the journal.
 
-    Give it the subscription as ``ear``, or messages with `on_event`, and spools' answers with
-    `on_answer`. Run `work`, `store` and, if there is an ear, `listen`, each in a thread.
+    Set its ``subscription``, or give it messages with `on_event`; give it spools' answers with
+    `on_answer`. Run `work`, `store` and, if there is a subscription, `listen`, each in a thread.
 
     learn: takes stored entries, in journal order. It must not block.
     room: returns how many entries ``learn`` takes now.
@@ -142,7 +146,7 @@ class Receiver:
         self.with_spool = self._stages.with_spool
 
         # What waits to be put in order, and whose turn it is.
-        self.ear: Subscription | None = None
+        self.subscription: Subscription | None = None
         """The subscription that `listen` reads; None if `on_event` is called instead."""
         self._inbox = Inbox(
             limits.inbox_events_max,
@@ -215,31 +219,38 @@ class Receiver:
         It never waits for room or for the turn, as all other messages on the bus would wait, too:
         it leaves its messages in the inbox to `work`.
         """
-        if (ear := self.ear) is None:
+        if (subscription := self.subscription) is None:
             return
         try:
-            while (heard := ear.receive()) is not None:
-                # The usual case: a message comes alone, and none waits before it.
+            while (heard := subscription.receive()) is not None:
+                # The usual case: a message comes alone, and none waits before it. With the turn,
+                # it is ordered at once, and then ``heard`` are the messages that have come
+                # meanwhile. Without the turn, ``heard`` is still this message. Either goes into the
+                # inbox.
                 if len(heard) == 1 and not self._inbox:
                     with self._try_turn() as has_turn:
                         if has_turn:
-                            self._round([read_message(*heard[0])], ear)
+                            self._round([read_message(*heard[0])], subscription)
                     if has_turn:
-                        heard = ear.receive(wait=False)
+                        heard = subscription.receive(wait=False)
                 self._note_heard(heard)
 
-                # Otherwise order the messages that wait, while there is room.
+                # Order the messages that wait in the inbox until none is left, there is no room, or
+                # another thread has the turn. The subscription is read after the turn has been
+                # given back.
                 has_turn = True
                 while has_turn and self._inbox:
                     with self._try_turn() as has_turn:
                         if has_turn:
-                            self._round(self._take_messages(), ear)
+                            self._round(self._take_messages(), subscription)
                     if has_turn:
-                        self._note_heard(ear.receive(wait=False))
+                        self._note_heard(subscription.receive(wait=False))
+
+                # Leave the rest to `work`.
                 if self._inbox:
                     self._inbox.wake()
         finally:
-            ear.close()
+            subscription.close()
             self._listened.set()
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
@@ -254,8 +265,8 @@ class Receiver:
                 beat()
 
             # At the end, order what was received before.
-            if self.ear is not None:
-                self.ear.close()
+            if self.subscription is not None:
+                self.subscription.close()
                 self._listened.wait(_CLOSING_SECONDS)
             with self._turn:
                 self._round(self._take_messages())
@@ -307,7 +318,8 @@ class Receiver:
     def _take_messages(self) -> list[Message | SpoolAnswer]:
         """Return waiting messages, about one transaction's worth; none if there is no room.
 
-        Answers come first, but the inbox always gives up to `_QUANTUM_EVENTS`.
+        Answers come first. The inbox may give up to `_QUANTUM_EVENTS` messages even if the answers
+        have used up the room, so that new events do not wait for backlogs.
         """
         room = min(self._limits.commit_events_max, self._room())
         if room <= 0:
@@ -327,7 +339,7 @@ class Receiver:
     # --- the path ---------------------------------------------------------------------------------
 
     def _round(
-        self, messages: Sequence[Message | SpoolAnswer], ear: Subscription | None = None
+        self, messages: Sequence[Message | SpoolAnswer], subscription: Subscription | None = None
     ) -> None:
         """Move messages along the path, up to the queue to be stored.
 
@@ -336,11 +348,14 @@ class Receiver:
         by then; and an answer also says which events its spool lacks, which must be noted before
         the next message is put in order.
 
-        ear: the subscription, read into the inbox now and then while predictions take long.
+        subscription: read into the inbox now and then while predictions take long; None to leave
+            it alone.
         """
         # Steps 1 and 2, message by message.
         stages = self._stages
-        this_round = Round(now=self._steady(), wall=self._clock(), limits=self._limits, ear=ear)
+        this_round = Round(
+            now=self._steady(), wall=self._clock(), limits=self._limits, subscription=subscription
+        )
         ready: list[Received] = []
         for message in messages:
             ready += stages.enter(message, this_round)
@@ -357,8 +372,8 @@ class Receiver:
         ):
             ready = stage(ready, this_round)
 
-        # Drop the acks of streams that are no longer followed; let the puller fill gaps.
-        self._acks.forget(stages.streams.take_dropped())
+        # Forget the acks of streams that are no longer followed; let the puller fill gaps.
+        self._acks.forget(stages.streams.take_forgotten())
         if stages.streams.gaps:
             self.gap.set()
 
@@ -369,7 +384,8 @@ class Receiver:
         """
         spent = 0.0
         for first in range(0, len(ready), _PREDICTED_EVENTS):
-            # When the time is over, the rest is skipped.
+            # When the time is over, the rest is passed with 0 s: `see` skips it, but counts the
+            # exits that get no prediction.
             busy = len(self._inbox) > BUSY_EVENTS
             most, began = PREDICT_SECONDS_BUSY if busy else PREDICT_SECONDS_MAX, time.monotonic()
             if spent >= most:
@@ -379,8 +395,8 @@ class Receiver:
             # Predict from the next few, and read what was received meanwhile.
             self._see(ready[first : first + _PREDICTED_EVENTS], most - spent)
             spent += time.monotonic() - began
-            if this_round.ear is not None:
-                self._note_heard(this_round.ear.receive(wait=False))
+            if this_round.subscription is not None:
+                self._note_heard(this_round.subscription.receive(wait=False))
         return ready
 
     def _hand_over(self, ready: list[Received], this_round: Round) -> list[Received]:

@@ -27,7 +27,7 @@ A spool may claim any number, but a status holds no larger one.
 """
 
 Verdict = Literal["ready", "duplicate", "held", "dropped", "refused", "jump"]
-"""What `Streams.add` makes of an event."""
+"""What `Streams.add` makes of an event; see there."""
 Key = tuple[str, str]
 """A stream: (camera, boot)."""
 T = TypeVar("T")
@@ -55,7 +55,9 @@ class _Stream(Struct):
 class Streams(Generic[T]):
     """The streams that are followed; items are of any type.
 
-    Beyond the limits, the complete stream not received from for longest is dropped.
+    Beyond the limits, a new stream takes the place of the one not received from for longest, which
+    is forgotten. Streams with held events are never forgotten; if there are only such, the events
+    of the new stream are refused.
 
     stored: highest seq of each (camera, boot) in the journal; those received last are at the end.
     held_max: most items of one camera that wait behind gaps.
@@ -95,10 +97,16 @@ class Streams(Generic[T]):
     def add(self, key: Key, seq: int, item: T, now: float) -> tuple[Verdict, list[T]]:
         """Take one event of stream ``key``; return its verdict and what is ready now, in order.
 
+        now (seconds): of a clock that never steps.
+
+        The verdicts:
+
+        ready: it is the next one; it is returned, with the held events that follow it.
+        duplicate: an event with this seq was ready before, is held, or was given up as lost.
         held: it waits behind a gap.
-        dropped: too many wait already; it has to be pulled later.
-        refused: there are too many streams.
-        jump: its seq is too far ahead to be true.
+        dropped: too many events of the camera are held; it is not kept and has to be pulled later.
+        refused: its stream is new, and there is no room for another stream (`Streams`).
+        jump: its seq is too far ahead to be true; it is not kept.
         """
         # A new stream begins with its first seq; it may have to replace another.
         stream = self._touch(key)
@@ -200,8 +208,8 @@ class Streams(Generic[T]):
         """Return the boots of a camera that are followed. Any thread."""
         return list(self._boots.get(camera, ()))
 
-    def take_dropped(self) -> list[Key]:
-        """Return the streams that were dropped since the last call."""
+    def take_forgotten(self) -> list[Key]:
+        """Return the streams that were forgotten since the last call."""
         keys, self._forgotten = self._forgotten, []
         return [key for key in keys if key not in self._streams]
 
@@ -233,9 +241,10 @@ class Streams(Generic[T]):
         boots[key[1]] = None
 
     def _make_room(self, key: Key) -> bool:
-        """Make room for a stream by dropping the complete one not received from for longest.
+        """Make room for a stream by forgetting the one not received from for longest.
 
-        It is one of the same camera if that has too many, else any. Return False if there is none.
+        Streams with held events are kept. It is one of the same camera if that has too many, else
+        any. Return False if there is none.
         """
         boots = self._boots.get(key[0], {})
         if len(boots) < self._boots_max and len(self._streams) < self._streams_max:

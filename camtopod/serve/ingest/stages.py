@@ -38,13 +38,13 @@ class Round(NamedTuple):
     wall: this machine's time, in Unix seconds.
     now (seconds): time of the steady clock.
     limits: those in force.
-    ear: the subscription to be read while the round takes long; None if there is none.
+    subscription: the subscription to be read while the round takes long; None if there is none.
     """
 
     wall: float
     now: float
     limits: Limits
-    ear: Subscription | None = None
+    subscription: Subscription | None = None
 
 
 class Stages:
