@@ -6,8 +6,10 @@ towards the limit of cameras (``cameras_max``).
 A camera is retired when its last event is more than a week old and older than the window
 (``window_hours``). As nothing that is learned depends on it any more, it is forgotten. Only the
 shapes of its zones are kept, for a limited number of cameras, so that a camera that returns, after
-a holiday for example, gets its zone numbers back. When the limit of cameras is reached, a new
-camera replaces the one with the fewest events in the window among those silent for an hour.
+a holiday for example, gets its zone numbers back. `cameras_to_retire` names these cameras.
+
+When the limit of cameras is reached, a new camera replaces the one with the fewest events in the
+window among those silent for an hour, which `camera_to_replace` names.
 """
 
 from __future__ import annotations
@@ -30,31 +32,39 @@ _CAMERA_SHIFT = 32
 
 
 def cameras_to_retire(
-    intake: ReorderBuffer, window: Window, now_us: int, window_us: int
+    reorder_buffer: ReorderBuffer, window: Window, now_us: int, window_us: int
 ) -> set[str]:
     """Return the names of the cameras to retire now.
 
+    reorder_buffer: knows the newest event of each camera, and holds events that are not in the
+        window yet.
+    window: the events that count for learning.
     now_us (microseconds): event time.
     window_us (microseconds): length of the window.
     """
     newest, t_us = (
-        intake.newest_of,
+        reorder_buffer.newest_of,
         now_us - max(window_us, round(RETIRED_AFTER_SECONDS * MICROSECONDS)),
     )
     silent = {
-        name for name in (*intake.cameras, *window.cameras) if newest.get(name, t_us - 1) < t_us
+        name
+        for name in (*reorder_buffer.cameras, *window.cameras)
+        if newest.get(name, t_us - 1) < t_us
     }
     if not silent:
         return silent
 
     # Snapshots of older programs do not have the time of a camera's last event, so check the window
     # and the held events, too.
-    return silent - window.cameras_present() - intake.cameras_held()
+    return silent - window.cameras_present() - reorder_buffer.cameras_held()
 
 
-def camera_to_replace(intake: ReorderBuffer, window: Window) -> str | None:
-    """Return the camera to be replaced by a new one; None if none has been silent for long."""
-    newest, watermark_us = intake.newest_of, intake.watermark_us
+def camera_to_replace(reorder_buffer: ReorderBuffer, window: Window) -> str | None:
+    """Return the camera to be replaced by a new one; None if none has been silent for long.
+
+    reorder_buffer, window: as for `cameras_to_retire`.
+    """
+    newest, watermark_us = reorder_buffer.newest_of, reorder_buffer.watermark_us
     silent_us = (watermark_us or 0) - round(REPLACEABLE_AFTER_SECONDS * MICROSECONDS)
 
     # The usual case: `newest_of` begins with the camera whose last event was received first.
@@ -63,7 +73,7 @@ def camera_to_replace(intake: ReorderBuffer, window: Window) -> str | None:
 
     # Of the silent cameras, the one with the fewest events.
     events = dict(zip(window.cameras, window.events_of_cameras().tolist(), strict=True))
-    held = intake.cameras_held()
+    held = reorder_buffer.cameras_held()
     silent = [
         (events.get(name, 0), t_us, name)
         for name, t_us in newest.items()

@@ -301,8 +301,15 @@ class Predictor:
         return self._paces.of_passage(entry, query.zone, query.dwell)
 
     def _seen_arrivals(self, query: Query) -> SeenArrivals:
-        """Return the observed arrivals that may be of the object of a query."""
-        # Before the exit.
+        """Return the observed arrivals that may be of the object of a query.
+
+        Two filters are used. Before the exit, arrivals count at zones where an object that leaves
+        at the zone of the query may have appeared already, and since its entry into the view
+        (`_arrivals_before`). Since the exit, arrivals at all zones count.
+        """
+        # Before the exit. An arrival at the very moment of the object's entry (tied) counts only if
+        # its passage has not ended before the exit: of two passages that begin together, the one
+        # that ends first counts as the earlier one (`_is_open`).
         arrivals = self._arrivals
         rows = self._arrivals_before(query.zone, query.t, query.began)
         tied = rows[arrivals.t[rows] == query.began]

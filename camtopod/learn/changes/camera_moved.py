@@ -41,9 +41,10 @@ LEFT_SURE = 0.5
 skipped.
 """
 KNOWN_CONTRAST = 2.5
-"""Least density of events, before the newest ones, of a known zone over the rest of the image.
+"""Least ratio of the density of events in a known zone to that in the cells outside all zones.
 
-Other zones of the map do not count as known: they may be made of the newest events only.
+Only the events before the newest ones count. A zone of the map with a lower ratio does not count as
+known: it may be made of the newest events only.
 """
 _WIDTH = 1.0
 """Standard deviation of the kernels, grid steps."""
@@ -143,11 +144,13 @@ def _moved(
 
 
 def _known_zones(count: NDArray[np.int64], zones: NDArray[np.int16]) -> NDArray[np.int64]:
-    """Return the known zone of each cell (cells,), counted from 1; 0 outside.
+    """Return the known zone of each cell (cells,), counted from 1; 0 for all other cells.
 
     count (cells,): number of earlier events in each cell.
-    zones (cells,): zone of each cell in the map, -1 for clutter. A zone that was not clearly denser
-        than the rest of the image (`KNOWN_CONTRAST`) is not known.
+    zones (cells,): zone of each cell in the map; -1 outside all zones.
+
+    A zone is known if it was clearly denser (`KNOWN_CONTRAST`) than the cells outside all zones.
+    The known zones are numbered anew, without gaps: their numbers are not those of the map.
     """
     part = zones.astype(np.int64) + 1
     had, size = (

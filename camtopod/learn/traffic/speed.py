@@ -56,13 +56,15 @@ there.
 def usual_dwell_times(
     source: NDArray[np.int32], target: NDArray[np.int32], dwell: Floats
 ) -> dict[tuple[int, int], float]:
-    """Return the median dwell time in seconds by (zone of entry, zone of exit).
+    """Return the median dwell time, in seconds, by (zone of entry, zone of exit).
 
     source, target (n,): zones of entry and exit of n passages.
     dwell (n, seconds): dwell times of the passages.
 
-    Pairs of zones with less than `USUAL_PASSAGES_MIN` passages are left out. The median is taken of
-    the logs.
+    Pairs of zones with less than `USUAL_PASSAGES_MIN` passages are left out. Dwell times below
+    `DWELL_SECONDS_MIN` count as that, as their logs are needed: the median is taken of the logs,
+    as `slowness` does, so that the usual dwell time has a slowness of 0. (For an even number of
+    passages, the median of the logs differs from the log of the median.)
     """
     dwell_times: dict[tuple[int, int], list[float]] = {}
     for zone_pair, seconds in zip(

@@ -113,7 +113,12 @@ def check_files(config: Config) -> None:
 
 
 def openness_warning(config: Config) -> str | None:
-    """Return a warning of what is open to whom, and what to do; None with authentication."""
+    """Return a warning of what is open to whom, and what to do; None if ``bus.tls.ca`` is set.
+
+    Without ``bus.tls.ca`` there is no authentication. The warning is then given for daemons that
+    connect to a router, and for those that listen, be it to this machine only: other programs of
+    the machine can reach them.
+    """
     if config.bus.tls.ca:
         return None
     what = "write events, read everything learned and answer in the daemon's place"

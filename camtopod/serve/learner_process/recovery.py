@@ -77,8 +77,9 @@ class Failure(msgspec.Struct):
 
 
 class Recovered(NamedTuple):
-    """State of the learner at the start: it has learned the journal's entries up to ``position``.
+    """State of the learner at the start.
 
+    position: number of the last entry of the journal that it has learned.
     left_out: for some cameras, the entry up to which their events are not learned.
     """
 
@@ -100,7 +101,7 @@ def recover(
     """Load the learner into ``process`` and return its state. Raises `StateError`.
 
     new_epoch: begins an epoch and stores its name.
-    portion: part of the site; None for the whole.
+    portion: the part of the site that this daemon learns; None for the whole.
     now: Unix seconds.
     """
 
@@ -241,7 +242,20 @@ def note_failure(
 def _newest_state(
     journal: Journal, process: LearnerProcess, portion: ShardScope | None
 ) -> tuple[int, Loaded] | None:
-    """Return the newest snapshot that can be used, with its position; ``process`` has loaded it."""
+    """Return the newest snapshot that can be used, with its position; None if there is none.
+
+    ``process`` has loaded the state that is returned. The position is the number of the last entry
+    of the journal that the state has learned.
+
+    portion: the part of the site that this daemon learns; None for the whole.
+
+    Snapshots are tried from the newest on. A snapshot
+
+    * that cannot be read is logged, and the one before it is tried;
+    * of another ``portion`` ends the search with None: older ones are not tried, and the journal is
+      learned again;
+    * of a newer program raises `StateError`.
+    """
     for snapshot in journal.snapshots():
         answer = process.ask(Load(snapshot.state, portion is not None))
         if isinstance(answer, Loaded):

@@ -244,9 +244,10 @@ def connect_or_recreate(
 
 
 def move(path: Path, new: Path) -> None:
-    """Move a database and its log, which no process has open. Raises `StateError`.
+    """Move the database ``path`` to ``new``, with its write-ahead log. Raises `StateError`.
 
-    The log is moved first, so that an interrupted move is completed by the next call.
+    No process may have the database open. A database at ``new`` is overwritten. The log is moved
+    first, so that an interrupted move is completed by the next call.
     """
     try:
         _make_directory(new.parent)
