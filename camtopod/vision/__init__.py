@@ -7,7 +7,9 @@ events. Reading order:
 - `source`: files, streams and devices -> frames with capture times;
 - `detect`: noise filter, background model, moving pixels -> blobs;
 - `track`: blobs -> tracks -> crossings of the edge of the view;
-- `pipeline`: frames -> events, without source, clock or waiting.
+- `pipeline`: frames -> events, without source, clock or waiting;
+- `analysis`: what the pipeline made of one frame, for its observer;
+- `show`: draws that, as a video or a picture.
 """
 
 from __future__ import annotations
@@ -17,11 +19,14 @@ from typing import TYPE_CHECKING
 from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
+    from camtopod.vision.analysis import Analysis, Observer
     from camtopod.vision.grabber import Grabber
     from camtopod.vision.settings import Polygon, VisionSettings
 
 __all__ = [
+    "Analysis",
     "Grabber",
+    "Observer",
     "Polygon",
     "VisionSettings",
 ]
@@ -29,7 +34,9 @@ __all__ = [
 __getattr__ = lazy_getattr(
     __name__,
     {
+        "Analysis": "analysis",
         "Grabber": "grabber",
+        "Observer": "analysis",
         "Polygon": "settings",
         "VisionSettings": "settings",
     },

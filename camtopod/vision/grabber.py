@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Literal
 
 from camtopod.records import Event
+from camtopod.vision.analysis import Observer
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source import FfmpegLog, LiveSource, RecordedSource, kind_of
@@ -27,6 +28,7 @@ class Grabber:
         decodes. Event times do not depend on it.
     wall_clock: current time in seconds since the epoch. Frames of a stream or device have capture
         times on this clock.
+    observer: called with every analysed frame, within `events`; the events do not depend on it.
 
     Use one grabber per process for network streams: OpenCV serialises opening within a process, and
     its FFmpeg options are process-wide. Not thread-safe.
@@ -46,6 +48,7 @@ class Grabber:
         wall_clock: Callable[[], float],
         settings: VisionSettings | None = None,
         complaints: FfmpegLog | None = None,
+        observer: Observer | None = None,
     ) -> None:
         settings = settings or VisionSettings()
         self.camera = camera
@@ -55,7 +58,7 @@ class Grabber:
             self._source = RecordedSource(path, settings, start, speed if realtime else None)
         else:
             self._source = LiveSource(source, settings, wall_clock, complaints)
-        self._watcher = ViewPipeline(camera, settings)
+        self._watcher = ViewPipeline(camera, settings, observer)
         self._analysis_seconds = 0.0
         self._last_t: float | None = None
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from camtopod.records import Event
+from camtopod.vision.analysis import Analysis, Observer
 from camtopod.vision.detect import Luma, MotionDetector, find_blobs, shrunk
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track import Crossings, IgnoredAreas, Track, Tracker, has_moved
+from camtopod.vision.track import Crossings, Decision, IgnoredAreas, Recorder, Track, Tracker
 
 GHOST_SECONDS = 3.0
 """An object that has not moved for this long is tested for being a ghost.
@@ -23,9 +26,18 @@ BOOTSTRAP_FRAMES_KEPT = 100
 class ViewPipeline:
     """Turns one view's frames into events. Deterministic: equal frames and times, equal events."""
 
-    def __init__(self, camera: str, settings: VisionSettings) -> None:
+    def __init__(
+        self, camera: str, settings: VisionSettings, observer: Observer | None = None
+    ) -> None:
+        """Prepare for the first frame.
+
+        observer: called with every analysed frame; the events do not depend on it.
+        """
         self._camera = camera
         self._settings = settings
+        self._observer = observer
+        self._decisions: list[Decision] = []
+        self._latest: tuple[Luma, Luma | None] | None = None
         self._motion = MotionDetector(settings)
         self._waiting: list[tuple[float, Luma]] = []
         self._tracker: Tracker | None = None
@@ -60,8 +72,13 @@ class ViewPipeline:
         if self._crossings is None or self._tracker is None:
             watched = self._motion.watched
             ignored = None if watched is None else IgnoredAreas(watched)
-            self._crossings = Crossings(self._camera, width, height, self._settings.doors, ignored)
-            self._tracker = Tracker(self._settings, self._crossings)
+            recorder = Recorder(
+                (width, height), None if self._observer is None else self._decisions.append
+            )
+            self._crossings = Crossings(
+                self._camera, width, height, self._settings.doors, ignored, recorder
+            )
+            self._tracker = Tracker(self._settings, self._crossings, recorder)
         else:
             self._tracker.restart()
 
@@ -81,9 +98,10 @@ class ViewPipeline:
 
         # Moving pixels against the background.
         motion = self._motion.detect(frame, dt)
-        if motion is None:  # the whole scene has changed: bootstrap again
-            return []
-        if self._motion.disturbed:  # a flash, or the first frames of a changed scene
+        # None: the whole scene has changed, bootstrap again. Disturbed: a flash, or the first
+        # frames of a changed scene.
+        if motion is None or self._motion.disturbed:
+            self._show(t, frame, None, [])
             return []
 
         # Blobs, tracks, events.
@@ -104,7 +122,29 @@ class ViewPipeline:
             if track.confirmed
         ]
         self._motion.learn(frame, motion, dt, claimed)
+        self._show(t, frame, motion.moving, events)
         return events
+
+    def _show(self, t: float, frame: Luma, moving: Luma | None, events: Sequence[Event]) -> None:
+        """Pass what was made of a frame on to the observer, if there is one."""
+        if self._observer is None:
+            return
+        assert self._tracker is not None
+        assert self._crossings is not None
+        decisions, self._latest = self._decisions.copy(), (frame, moving)
+        self._decisions.clear()
+        self._observer(
+            Analysis(
+                t,
+                frame,
+                moving,
+                self._tracker.active,
+                self._tracker.broken,
+                self._crossings.doors.learned(self._tracker.stature.height),
+                events,
+                decisions,
+            )
+        )
 
     def _is_still(self, track: Track, t: float) -> bool:
         """Return True if the track is seen now and has stayed in place for `GHOST_SECONDS`.
@@ -127,9 +167,10 @@ class ViewPipeline:
         """
         events = self._bootstrap() if self._waiting else []
         if self._tracker is not None and self._crossings is not None and self._t is not None:
-            events += [
-                self._crossings.exit(x) for x in self._tracker.finish(self._t) if has_moved(x)
-            ]
+            remaining = self._crossings.report_exits(self._tracker.finish(self._t))
+            if self._latest is not None:
+                self._show(self._t, *self._latest, remaining)
+            events += remaining
         return events
 
     def statistics(self) -> dict[str, int | float]:

@@ -221,12 +221,12 @@ def test_a_named_door_counts_from_the_first_time_on(door: Polygon) -> None:
 
 def test_a_point_reaches_as_far_as_the_person_is_tall_and_a_polygon_ends_where_it_ends() -> None:
     doors = Doors(200, 100, [((0.5, 0.5),), rectangle(0.0, 0.0, 0.1, 0.1)])
-    assert doors.is_door(100.0, 50.0, 10.0)
-    assert doors.is_door(105.0, 50.0, 10.0)
-    assert not doors.is_door(107.0, 50.0, 10.0)
-    assert doors.is_door(107.0, 50.0, 20.0)
-    assert doors.is_door(19.0, 9.0, 1.0)
-    assert not doors.is_door(22.0, 9.0, 100.0)
+    assert doors.door_at(100.0, 50.0, 10.0)
+    assert doors.door_at(105.0, 50.0, 10.0)
+    assert not doors.door_at(107.0, 50.0, 10.0)
+    assert doors.door_at(107.0, 50.0, 20.0)
+    assert doors.door_at(19.0, 9.0, 1.0)
+    assert not doors.door_at(22.0, 9.0, 100.0)
 
 
 # --- height and sensitivity -----------------------------------------------------------------------

@@ -154,10 +154,13 @@ class _NoEdges:
     def touches(self, box: motion.Box) -> bool:
         return False
 
-    def at_edge(self, track: tracker.Track) -> bool:
+    def at_edge(self, track: tracker.Track) -> None:
+        return None
+
+    def goes_behind(self, track: tracker.Track) -> bool:
         return False
 
-    begins_at_edge = goes_behind = comes_from_behind = at_edge
+    begins_at_edge, comes_from_behind = at_edge, goes_behind
 
 
 @seeds

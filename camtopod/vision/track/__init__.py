@@ -3,20 +3,26 @@
 `tracker` is the centre and explains the method. It uses `track` (state of an object), `kalman`
 (prediction of positions), `stature` (expected height of a person) and `swap` (two people changing
 places at the border). `crossings` turns track changes into events, with `doors` for entrances away
-from the border and `ignored_areas` for objects that walk into one.
+from the border and `ignored_areas` for objects that walk into one. `decisions` has the reasons why
+a track became an event or not, and `recorder` hands them out.
 """
 
 from __future__ import annotations
 
-from camtopod.vision.track.crossings import Crossings, has_moved
+from camtopod.vision.track.crossings import Crossings
+from camtopod.vision.track.decisions import Decision, Edge, Reason
 from camtopod.vision.track.ignored_areas import IgnoredAreas
+from camtopod.vision.track.recorder import Recorder
 from camtopod.vision.track.track import Track
 from camtopod.vision.track.tracker import Tracker
 
 __all__ = [
     "Crossings",
+    "Decision",
+    "Edge",
     "IgnoredAreas",
+    "Reason",
+    "Recorder",
     "Track",
     "Tracker",
-    "has_moved",
 ]

@@ -14,8 +14,10 @@ from statistics import median
 from camtopod.records import Event, Kind
 from camtopod.vision.detect import Box
 from camtopod.vision.settings import Polygon
+from camtopod.vision.track.decisions import Edge, Ending, Reason
 from camtopod.vision.track.doors import Doors
 from camtopod.vision.track.ignored_areas import Beyond, IgnoredAreas
+from camtopod.vision.track.recorder import Recorder
 from camtopod.vision.track.track import Changes, Sighting, Track
 
 BORDER_SHARE = 0.025
@@ -47,12 +49,15 @@ class Crossings:
         height: int,
         doors: Sequence[Polygon] = (),
         ignored: IgnoredAreas | None = None,
+        recorder: Recorder | None = None,
     ) -> None:
         """Prepare for a working picture of ``width`` x ``height`` pixels.
 
         doors: named doors, in fractions of the picture.
+        recorder: takes the decisions about entries and exits.
         """
         self._camera = camera
+        self._note = (recorder or Recorder()).note
         self._width, self._height = self.size = (width, height)
         self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
         self._ignored = ignored
@@ -68,36 +73,48 @@ class Crossings:
         near = min(box[0], box[1], self._width - box[2], self._height - box[3])
         return near <= TOUCH_PIXELS or (self._ignored is not None and self._ignored.cut(box))
 
-    def _at_border(self, box: Box, height: float, drift: tuple[float, float] = (0.0, 0.0)) -> bool:
-        """Return True if a person's box is near the border, or across it when moved by ``drift``.
+    def _border(
+        self, box: Box, height: float, drift: tuple[float, float] = (0.0, 0.0)
+    ) -> Edge | None:
+        """Return the border that a person's box is near to, or across when moved by ``drift``.
 
         At the top the foot decides, because heads are cut off far inside the view.
         """
         left, top, right, bottom = box
-        margin = self._margin
+        margin = top_margin = self._margin
         if top <= TOUCH_PIXELS:
-            margin = max(margin, CUT_SHARE * height)
+            top_margin = max(margin, CUT_SHARE * height)
+        from_right, from_bottom = self._width - right, self._height - bottom
         dx, dy = drift
-        inside = min(left, self._width - right, self._height - bottom)
-        ahead = min(left + dx, self._width - right - dx, self._height - bottom - dy, bottom + dy)
-        return inside <= self._margin or bottom <= margin or ahead <= 0
 
-    def at_edge(self, track: Track) -> bool:
-        """Return True if the track was last seen where objects leave the view."""
-        if self._at_border(track.last.box, track.height, _drift(track)):
-            return True
+        # Pixels that are missing for being there, by border.
+        missing: tuple[tuple[float, Edge], ...] = (
+            (min(left - margin, left + dx), "left border"),
+            (min(from_right - margin, from_right - dx), "right border"),
+            (min(bottom - top_margin, bottom + dy), "top border"),
+            (min(from_bottom - margin, from_bottom - dy), "bottom border"),
+        )
+        least, border = min(missing)
+        return border if least <= 0 else None
+
+    def at_edge(self, track: Track) -> Edge | None:
+        """Return the edge at which the track was last seen, if objects leave there."""
+        border = self._border(track.last.box, track.height, _drift(track))
+        if border is not None:
+            return border
         if self._beyond(track, track.last, 1.0) == "border":
-            return True
-        return self.doors.is_door(*track.last.foot, track.height)
+            return "ignored area"
+        return self.doors.door_at(*track.last.foot, track.height)
 
-    def begins_at_edge(self, track: Track) -> bool:
-        """Return True if the track, still short, was first seen where objects enter the view."""
+    def begins_at_edge(self, track: Track) -> Edge | None:
+        """Return the edge at which the track, still short, began, if objects enter there."""
         dx, dy = _drift(track)
-        if self._at_border(track.first.box, track.height, (-dx, -dy)):
-            return True
+        border = self._border(track.first.box, track.height, (-dx, -dy))
+        if border is not None:
+            return border
         if self._beyond(track, track.first, -1.0) == "border":
-            return True
-        return self.doors.is_door(*track.first.foot, track.height)
+            return "ignored area"
+        return self.doors.door_at(*track.first.foot, track.height)
 
     def goes_behind(self, track: Track) -> bool:
         """Return True if the track was last seen on its way behind an ignored area in mid-view."""
@@ -127,23 +144,18 @@ class Crossings:
 
         active: all tracks, to learn where people walk.
         """
-        events = []
+        events = [event for track in changes.appeared for event in self._entry(track)]
+        events += self.report_exits(changes.left)
 
-        # Entries; tracks that begin in mid-view may be evidence of a door.
-        for track in changes.appeared:
-            if track.from_start:
-                continue
-            if self.begins_at_edge(track):
-                track.entered = True
-                events.append(self._event("entry", track, track.first, list(track.history)))
-            elif not track.beside_others:
-                self.doors.record_unexplained(*track.first.foot)
-
-        # Exits; tracks that vanish in mid-view may be evidence of a door, too.
-        events += [self.exit(track) for track in changes.left if has_moved(track)]
+        # Tracks that vanish in mid-view may be evidence of a door, too.
         for track in changes.vanished:
             self._forget(track)
-            if not (track.covered or track.interrupted):
+            if track.interrupted:
+                self._note("interrupted", track, track.last)
+            elif track.covered:
+                self._note("covered", track, track.last)
+            else:
+                self._note("lost", track, track.last)
                 self.doors.record_unexplained(*track.last.foot)
 
         # Cells that people walk through are evidence against doors.
@@ -152,27 +164,57 @@ class Crossings:
                 self._walks.setdefault(track.number, set()).add(self.doors.cell(*track.last.foot))
         return events
 
-    def exit(self, track: Track) -> Event:
-        """Return the exit of a track that has ended at an edge."""
-        self._forget(track)
-        return self._event("exit", track, track.last, list(track.history))
+    def _entry(self, track: Track) -> list[Event]:
+        """Return the entry of a track that became an object, if it is one.
+
+        A track that begins in mid-view may be evidence of a door.
+        """
+        if track.from_start:
+            self._note("from start", track, track.first)
+            return []
+        edge = self.begins_at_edge(track)
+        if edge is not None:
+            track.entered = True
+            return [self._event("entered", track, track.first, edge)]
+        if track.beside_others:
+            self._note("beside others", track, track.first)
+        else:
+            self._note("in mid-view", track, track.first)
+            self.doors.record_unexplained(*track.first.foot)
+        return []
+
+    def report_exits(self, left: Sequence[Track]) -> list[Event]:
+        """Return the exits of tracks that have ended at an edge, if they had moved enough."""
+        events = []
+        for track in left:
+            if track.reach < EXIT_HEIGHTS_MIN * track.height:
+                moved = track.reach / track.height
+                self._note("stayed", track, track.last, track.edge, moved, EXIT_HEIGHTS_MIN)
+                continue
+            self._forget(track)
+            reason: Ending = "handed over" if track.successor else "left"
+            events.append(self._event(reason, track, track.last, track.edge))
+        return events
 
     def _forget(self, track: Track) -> None:
         """Count the cells that the track walked through, except where it began and ended."""
         ends = {self.doors.cell(*track.first.foot), self.doors.cell(*track.last.foot)}
         self.doors.record_walk(self._walks.pop(track.number, set()) - ends)
 
-    def _event(self, kind: Kind, track: Track, at: Sighting, around: list[Sighting]) -> Event:
+    def _event(self, reason: Reason, track: Track, at: Sighting, edge: Edge | None) -> Event:
         """Return an event at a sighting.
 
         The foot row of a person cut by the side of the picture is estimated from the sightings
-        ``around``.
+        that are kept.
         """
+        kind: Kind = "entry" if reason == "entered" else "exit"
         x, y = at.foot
         cut_by_side = at.box[0] <= TOUCH_PIXELS or at.box[2] >= self._width - TOUCH_PIXELS
         if cut_by_side:
-            y = _foot_row(around, latest=kind == "exit")
+            y = _foot_row(list(track.history), latest=kind == "exit")
 
+        # Count it, and say why.
+        self._note(reason, track, at._replace(foot=(x, y)), edge, other=track.successor)
         if kind == "entry":
             self.entries += 1
         else:
@@ -181,11 +223,6 @@ class Crossings:
         return Event(
             self._camera, kind, round(at.t, 6), round(x, 4), round(y, 4), str(track.number)
         )
-
-
-def has_moved(track: Track) -> bool:
-    """Return True if the object has moved enough to have left."""
-    return track.reach >= EXIT_HEIGHTS_MIN * track.height
 
 
 def _foot_row(sightings: list[Sighting], latest: bool) -> float:

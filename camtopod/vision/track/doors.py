@@ -12,12 +12,16 @@ through. Until then no events are reported there.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Literal
 
 import cv2
 import numpy as np
 
 from camtopod.vision.settings import Polygon
+
+Door = Literal["named door", "learned door"]
+"""How a place is known to be a door."""
 
 DOOR_EVENTS_MIN = 3
 """Unexplained beginnings and ends of tracks that make a door."""
@@ -61,18 +65,32 @@ class Doors:
         for row, column in feet:
             self._passed[row, column] += 1
 
-    def is_door(self, x: float, y: float, height: float) -> bool:
-        """Return True if an object that begins or ends at this foot point uses a door.
+    def door_at(self, x: float, y: float, height: float) -> Door | None:
+        """Return which door an object uses that begins or ends at this foot point, if any.
 
         height: the object's height, pixels.
         """
         radius = DOOR_HEIGHTS * height
         if any(_is_at(place, x, y, radius) for place in self._named):
-            return True
+            return "named door"
         near = sum(
             1 for a, b in self._unexplained if (a - x) ** 2 + (b - y) ** 2 <= radius * radius
         )
-        return near >= DOOR_EVENTS_MIN and near > int(self._passed[self.cell(x, y)])
+        if near >= DOOR_EVENTS_MIN and near > int(self._passed[self.cell(x, y)]):
+            return "learned door"
+        return None
+
+    def learned(self, height: Callable[[float], float | None]) -> list[tuple[float, float]]:
+        """Return foot points of learned doors, at most one of each grid cell.
+
+        height: expected height (pixels) of a person whose feet are in a given row, if known.
+        """
+        places = {self.cell(x, y): (x, y) for x, y in self._unexplained}
+        return [
+            (x, y)
+            for x, y in places.values()
+            if self.door_at(x, y, height(y) or 0.0) == "learned door"
+        ]
 
 
 def _is_at(place: cv2.typing.MatLike, x: float, y: float, radius: float) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from camtopod.vision.detect import Box
+from camtopod.vision.track.decisions import Edge, Shortfall
 from camtopod.vision.track.kalman import Kalman, Vector
 
 HISTORY_SIGHTINGS = 16
@@ -47,6 +48,12 @@ class Track:
     """Time when the border last cut its box, seconds."""
     measured_at: tuple[float, float] = (0.0, 0.0)
     """Foot point where its height was last measured."""
+    lack: Lack | None = None
+    """What a tentative track lacked in the latest frame that showed it."""
+    edge: Edge | None = None
+    """Edge by which it left; None while it has not."""
+    successor: int = 0
+    """Number of the object that came in where this one left; 0 if there is none."""
 
     @property
     def box(self) -> Box:
@@ -85,6 +92,16 @@ class Changes:
     """Objects out of sight at an edge of the view."""
     vanished: list[Track]
     """Objects out of sight in mid-view that were not found again."""
+
+
+class Lack(NamedTuple):
+    """What a tentative track lacks to be an object."""
+
+    reason: Shortfall
+    value: float
+    """What was measured."""
+    least: float
+    """What an object has at least."""
 
 
 class Sighting(NamedTuple):

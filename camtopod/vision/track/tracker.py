@@ -23,13 +23,17 @@ from scipy.optimize import linear_sum_assignment
 
 from camtopod.vision.detect import Blob, Box
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.track.decisions import Edge
 from camtopod.vision.track.kalman import Kalman
+from camtopod.vision.track.recorder import Recorder
 from camtopod.vision.track.stature import Stature
 from camtopod.vision.track.swap import find_handover
-from camtopod.vision.track.track import HISTORY_SIGHTINGS, Changes, Sighting, Track
+from camtopod.vision.track.track import HISTORY_SIGHTINGS, Changes, Lack, Sighting, Track
 
 GATE_HEIGHTS = 0.35
 """Gate: largest distance (heights, plus two sigma) of head or foot from the expected position."""
+CONFIRM_SIGHTINGS_SHARE = 0.6
+"""Least share of the frames in which a track is seen for it to be confirmed."""
 CONFIRM_HEIGHTS = 0.25
 """Distance (heights) that head or foot must move for a track to be confirmed."""
 TENTATIVE_PATIENCE_SECONDS = 0.45
@@ -82,11 +86,11 @@ class Edges(Protocol):
     def touches(self, box: Box) -> bool:
         """Return True if the border of the picture or an ignored area cuts the box."""
 
-    def at_edge(self, track: Track) -> bool:
-        """Return True if the track was last seen where objects leave the view."""
+    def at_edge(self, track: Track) -> Edge | None:
+        """Return the edge at which the track was last seen, if objects leave there."""
 
-    def begins_at_edge(self, track: Track) -> bool:
-        """Return True if the track, still short, was first seen where objects enter the view."""
+    def begins_at_edge(self, track: Track) -> Edge | None:
+        """Return the edge at which the track, still short, began, if objects enter there."""
 
     def goes_behind(self, track: Track) -> bool:
         """Return True if the track was last seen on its way behind an ignored area in mid-view."""
@@ -98,8 +102,11 @@ class Edges(Protocol):
 class Tracker:
     """All objects of one view; track numbers count within this instance."""
 
-    def __init__(self, settings: VisionSettings, edges: Edges) -> None:
+    def __init__(
+        self, settings: VisionSettings, edges: Edges, recorder: Recorder | None = None
+    ) -> None:
         self._settings = settings
+        self._note = (recorder or Recorder()).note
         self._height_min = settings.min_height * edges.size[1]
         self._edges = edges
         self._at_edge = edges.at_edge
@@ -315,28 +322,34 @@ class Tracker:
         """Confirm tracks that have become objects; return those that continue no broken track."""
         appeared = []
         for track in self.active:
-            if (
-                track.confirmed
-                or track.last.t < t
-                or t - track.first.t < self._settings.confirm_seconds
-            ):
+            if track.confirmed or track.last.t < t:
                 continue
-            if track.sightings < 0.6 * track.frames or track.reach < CONFIRM_HEIGHTS * track.height:
-                continue
-            if not self._is_tall(track):
+            track.lack = self._lack(t, track)
+            if track.lack is not None:
                 continue
             track.confirmed = True
             if not self._stitch(t, track):
                 appeared.append(track)
         return appeared
 
-    def _is_tall(self, track: Track) -> bool:
-        """Return True if the track has been as tall as an object has to be."""
-        if self._height_min == 0.0:
-            return True
-        heights = [sighting.box[3] - sighting.box[1] for sighting in track.history]
-        tall = sum(height >= self._height_min for height in heights)
-        return tall >= min(TALL_SIGHTINGS_MIN, len(heights))
+    def _lack(self, t: float, track: Track) -> Lack | None:
+        """Return what a track that is seen at ``t`` lacks to be an object; None if nothing."""
+        seconds = t - track.first.t
+        if seconds < self._settings.confirm_seconds:
+            return Lack("brief", seconds, self._settings.confirm_seconds)
+        if track.sightings < CONFIRM_SIGHTINGS_SHARE * track.frames:
+            return Lack("patchy", track.sightings / track.frames, CONFIRM_SIGHTINGS_SHARE)
+        if track.reach < CONFIRM_HEIGHTS * track.height:
+            return Lack("still", track.reach / track.height, CONFIRM_HEIGHTS)
+
+        # Tall enough in several sightings.
+        if self._height_min > 0.0:
+            heights = [sighting.box[3] - sighting.box[1] for sighting in track.history]
+            tall = sum(height >= self._height_min for height in heights)
+            needed = min(TALL_SIGHTINGS_MIN, len(heights))
+            if tall < needed:
+                return Lack("low", tall, needed)
+        return None
 
     def _stitch(self, t: float, track: Track) -> bool:
         """Continue the nearest passage that broke in mid-view; False if none is within reach."""
@@ -372,6 +385,8 @@ class Tracker:
     def _absorb(self, track: Track, earlier: Track) -> None:
         """Make ``track`` continue the passage ``earlier``, with its number and beginning."""
         self.stitched += 1
+        gap = max(0.0, track.first.t - earlier.last.t)
+        self._note("continues", track, track.first, value=gap, other=earlier.number)
         track.number, track.first, track.entered = earlier.number, earlier.first, earlier.entered
         track.from_start, track.beside_others = earlier.from_start, earlier.beside_others
         self.broken = [other for other in self.broken if other is not earlier]
@@ -401,8 +416,12 @@ class Tracker:
         """
         past = list(track.history)
         earlier = replace(
-            track, last=past[turn], history=deque(past[: turn + 1], maxlen=HISTORY_SIGHTINGS)
+            track,
+            last=past[turn],
+            history=deque(past[: turn + 1], maxlen=HISTORY_SIGHTINGS),
+            successor=self._next,
         )
+        earlier.edge = self._at_edge(earlier)
         track.number, self._next = self._next, self._next + 1
         track.first, track.history = past[turn], deque(past[turn:], maxlen=HISTORY_SIGHTINGS)
         track.from_start = track.beside_others = track.entered = False
@@ -426,9 +445,12 @@ class Tracker:
                 patience = min(patience, GONE_PATIENCE_SECONDS)
             if track.unseen_seconds(t) <= patience:
                 kept.append(track)
-            elif track.confirmed and self._at_edge(track):
+            elif not track.confirmed:
+                self._note_lack(track)
+            elif edge := self._at_edge(track):
+                track.edge = edge
                 left.append(track)
-            elif track.confirmed:
+            else:
                 self.broken.append(track)
         self.active = kept
 
@@ -438,8 +460,15 @@ class Tracker:
         self.broken = [track for track in self.broken if track.last.t >= deadline]
         return Changes(appeared, left, vanished)
 
+    def _note_lack(self, track: Track) -> None:
+        """Record why a tentative track that has ended was not an object."""
+        assert track.lack is not None, "it was looked at in the frame in which it began"
+        reason, value, least = track.lack
+        self._note(reason, track, track.last, value=value, least=least)
+
     def drop(self, track: Track) -> None:
-        """Remove ``track`` without an event, because it is not an object."""
+        """Remove ``track`` without an event, because it is a ghost."""
+        self._note("ghost", track, track.last)
         self.active = [other for other in self.active if other is not track]
 
     def _interrupt(self, t: float) -> list[Track]:
@@ -448,17 +477,29 @@ class Tracker:
         Objects that are in view now count as having been there all along.
         """
         self._start = t
-        objects, self.active = [track for track in self.active if track.confirmed], []
-        for track in [*objects, *self.broken]:
+        tracks, self.active = self.active, []
+        for track in [*tracks, *self.broken]:
             track.interrupted = True
-        self.broken += [track for track in objects if not self._at_edge(track)]
-        return [track for track in objects if self._at_edge(track)]
+
+        # Split them by where they were seen last.
+        left = []
+        for track in tracks:
+            track.edge = self._at_edge(track) if track.confirmed else None
+            if not track.confirmed:
+                self._note("paused", track, track.last)
+            elif track.edge:
+                left.append(track)
+            else:
+                self.broken.append(track)
+        return left
 
     def restart(self) -> None:
         """Forget all tracks, because the whole picture has changed.
 
         Objects seen next count as having been there from the start.
         """
+        for track in [*self.active, *self.broken]:
+            self._note("scene changed", track, track.last)
         self.active, self.broken = [], []
         self._t = self._start = None
 
@@ -467,12 +508,18 @@ class Tracker:
 
         These are the ones out of sight at an edge; the others are still in view.
         """
-        unseen = TENTATIVE_PATIENCE_SECONDS
-        left = [
-            x
-            for x in self.active
-            if x.confirmed and x.unseen_seconds(t) > unseen and self._at_edge(x)
-        ]
+        left = []
+        for track in self.active:
+            unseen = track.unseen_seconds(t) > TENTATIVE_PATIENCE_SECONDS
+            track.edge = self._at_edge(track) if track.confirmed and unseen else None
+            if track.edge:
+                left.append(track)
+            elif track.confirmed:
+                self._note("in view", track, track.last)
+            else:
+                self._note_lack(track)
+        for track in self.broken:
+            self._note("lost", track, track.last)
         self.active, self.broken = [], []
         return left
 

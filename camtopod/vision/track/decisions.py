@@ -1,0 +1,94 @@
+"""Records of what became of a track and why, for people who ask why there was an event or none.
+
+`Tracker` and `Crossings` make them where they decide, through a `Recorder`, and only if somebody
+asks for them. The words for them are the command line's.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+from camtopod.vision.detect import Box
+
+Edge = Literal[
+    "left border",
+    "right border",
+    "top border",
+    "bottom border",
+    "ignored area",
+    "named door",
+    "learned door",
+]
+"""Where objects enter and leave the view. An ignored area is one if it reaches to the border."""
+
+Shortfall = Literal["brief", "patchy", "still", "low"]
+"""What a tentative track lacks to be an object; `Decision.value` is compared with `least`.
+
+brief: followed for `value` seconds.
+patchy: seen in the share `value` of the frames.
+still: moved by `value` heights.
+low: as tall as the setting `min_height` in `value` sightings.
+"""
+
+Beginning = Literal["entered", "from start", "beside others", "in mid-view", "continues"]
+"""What the beginning of an object was taken for.
+
+entered: an entry, by `edge`.
+from start: in view when watching began, so no entry.
+beside others: began next to another object, so rather half of a group than a new one.
+in mid-view: began away from every edge; if that happens again and again, a door is learned.
+continues: it continues the track `other`, which was lost `value` seconds before.
+"""
+
+Ending = Literal[
+    "left",
+    "handed over",
+    "stayed",
+    "lost",
+    "covered",
+    "interrupted",
+    "paused",
+    "ghost",
+    "scene changed",
+    "in view",
+]
+"""Why a track has ended.
+
+left: an exit, by `edge`.
+handed over: an exit by the border, where the track `other` came in at the same time.
+stayed: out of sight at an edge, but it had moved by `value` heights only, of `least`: no exit.
+lost: out of sight in mid-view and not found again; if that happens again and again at a place, a
+    door is learned.
+covered: the same, but last seen hidden behind others, which says nothing of a door.
+interrupted: the same, but the frames had paused.
+paused: tentative when the frames paused.
+ghost: not an object, but the hole that one has left in the background model.
+scene changed: the whole picture has changed, and all tracks are forgotten.
+in view: still there at the end of the recording.
+"""
+
+Reason = Beginning | Shortfall | Ending
+
+
+class Decision(NamedTuple):
+    """What the beginning or the end of a track was taken for, and why."""
+
+    reason: Reason
+    track: int
+    t: float
+    """Capture time (seconds) of the first sighting for a beginning, of the last one for an end."""
+    place: tuple[float, float]
+    """Foot point of that sighting, as fractions of the picture."""
+    box: Box
+    """Box of that sighting, pixels of the working picture."""
+    began: float
+    """Capture time of the first sighting, seconds."""
+    edge: Edge | None = None
+    value: float = 0.0
+    """What was measured, in the unit that the reason names."""
+    least: float = 0.0
+    """What it has to be at least."""
+    sightings: int = 1
+    """In how many frames the track was seen."""
+    other: int = 0
+    """Number of another track that takes part; 0 if none does."""
