@@ -37,7 +37,7 @@ class ViewPipeline:
         self._settings = settings
         self._observer = observer
         self._decisions: list[Decision] = []
-        self._latest: tuple[Luma, Luma | None] | None = None
+        self._latest: Analysis | None = None
         self._motion = MotionDetector(settings)
         self._waiting: list[tuple[float, Luma]] = []
         self._tracker: Tracker | None = None
@@ -131,20 +131,18 @@ class ViewPipeline:
             return
         assert self._tracker is not None
         assert self._crossings is not None
-        decisions, self._latest = self._decisions.copy(), (frame, moving)
-        self._decisions.clear()
-        self._observer(
-            Analysis(
-                t,
-                frame,
-                moving,
-                self._tracker.active,
-                self._tracker.broken,
-                self._crossings.doors.learned(self._tracker.stature.height),
-                events,
-                decisions,
-            )
+        self._latest = Analysis(
+            t,
+            frame,
+            moving,
+            self._tracker.active,
+            self._tracker.broken,
+            self._crossings.doors.learned(self._tracker.stature.height),
+            events,
+            self._decisions.copy(),
         )
+        self._decisions.clear()
+        self._observer(self._latest)
 
     def _is_still(self, track: Track, t: float) -> bool:
         """Return True if the track is seen now and has stayed in place for `GHOST_SECONDS`.
@@ -168,8 +166,8 @@ class ViewPipeline:
         events = self._bootstrap() if self._waiting else []
         if self._tracker is not None and self._crossings is not None and self._t is not None:
             remaining = self._crossings.report_exits(self._tracker.finish(self._t))
-            if self._latest is not None:
-                self._show(self._t, *self._latest, remaining)
+            if self._observer is not None and self._latest is not None:
+                self._observer(self._latest._replace(events=remaining, decisions=self._decisions))
             events += remaining
         return events
 
