@@ -41,6 +41,7 @@ FLOORS = (
     "vision.detect",
     "vision.source vision.track",
     "vision",
+    "vision.show",
     "config",
     "keys",
     "serve.runtime",

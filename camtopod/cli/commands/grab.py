@@ -15,6 +15,7 @@ import re
 import signal
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import msgspec
@@ -40,7 +41,8 @@ from camtopod.vision.source import RETRY_SEPARATOR, ffmpeg_log, kind_of
 if TYPE_CHECKING:
     from camtopod.serve.bus import Bus
     from camtopod.serve.outbox import Publisher
-    from camtopod.vision import Grabber
+    from camtopod.vision import Analysis, Grabber, Observer, VisionSettings
+    from camtopod.vision.show import Preview
 
 log = logging.getLogger(__name__)
 
@@ -79,6 +81,21 @@ def add_parser(subparsers: Any) -> None:
         "--out",
         metavar="FILE",
         help="write event lines to FILE ('-': standard output) instead of the bus",
+    )
+    parser.add_argument(
+        "--show",
+        metavar="FILE",
+        type=Path,
+        help="draw what the grabber sees into FILE on this machine, readable by you alone: .mp4: a "
+        "video of the whole time; .jpg or .png: one picture that is replaced every 2 seconds. "
+        "Boxes and paths of the tracks, foreground, ignored areas, doors, events, and why each "
+        "track became an event or not. It shows people; it is not sent",
+    )
+    parser.add_argument(
+        "--explain",
+        action="store_true",
+        help="write a line to standard error for each object that appears and each track that "
+        "ends: what it was taken for, and why it became an event or not",
     )
     parser.add_argument(
         "--start",
@@ -129,6 +146,8 @@ def _all(args: argparse.Namespace, told: SignalRequests) -> int:
     config, text = configuration_and_text(args)
     if args.source is not None or args.out is not None:
         raise CommandError("SOURCE and --out need a camera: add --camera ID", exits.USAGE)
+    if args.show is not None or args.explain:
+        raise CommandError("--show and --explain need a camera: add --camera ID", exits.USAGE)
     if not config.cameras:
         raise CommandError(
             "no camera given: add --camera ID SOURCE, or a --config with cameras", exits.USAGE
@@ -171,6 +190,7 @@ def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> in
         # Open the camera.
         heart = HeartbeatSender(args.beat_fd)
         heart.beat("connecting", "not opened yet")
+        preview = _preview(args, settings.vision)
         grabber = Grabber(
             args.camera,
             settings.source,
@@ -180,8 +200,11 @@ def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> in
             wall_clock=clock.wall,
             settings=settings.vision,
             complaints=heard,
+            observer=_observer(args, preview),
         )
         stack.enter_context(contextlib.closing(grabber))
+        if preview is not None:
+            stack.callback(preview.close)  # before the camera, which may take long
 
         if args.out is not None:
             return _to_lines(
@@ -217,6 +240,43 @@ def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
     if not math.isfinite(given.get("start", 0.0)):
         raise CommandError("--start must be a number of seconds", exits.USAGE)
     return msgspec.structs.replace(known, **given)
+
+
+def _preview(args: argparse.Namespace, settings: VisionSettings) -> Preview | None:
+    """Return the preview that --show asks for. Raises `CommandError` if it cannot be written."""
+    if args.show is None:
+        return None
+    from camtopod.cli.cameras import clock_words, words_of
+    from camtopod.vision.show import Preview, ShowError, Words
+
+    def warn(reason: str) -> None:
+        log.warning("--show: %s; it is not written any more, events go on", reason)
+
+    try:
+        return Preview(args.show, args.camera, settings, Words(clock_words, words_of), warn)
+    except ShowError as error:
+        raise CommandError(f"--show: {error}") from None
+
+
+def _observer(args: argparse.Namespace, preview: Preview | None) -> Observer | None:
+    """Return what --show and --explain do with each frame; None without them."""
+    if not args.explain:
+        return preview
+
+    def observe(seen: Analysis) -> None:
+        _explain(args.camera, seen)
+        if preview is not None:
+            preview(seen)
+
+    return observe
+
+
+def _explain(camera: str, seen: Analysis) -> None:
+    """Log a line about each track that began or ended in a frame."""
+    from camtopod.cli.cameras import decision_line
+
+    for decision in seen.decisions:
+        log.info("%s", decision_line(camera, decision))
 
 
 def _file(path: str) -> BinaryIO:

@@ -51,7 +51,7 @@ function _shtab_camtopod_using
 end
 
 set -g _shtab_camtopod_commands demo init grab run learn predict simulate watch web export report ingest bridge keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' check doctor completion
-set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --loiterers --lost --minutes --missed --moved --name --objects-per-second --one-way --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --seed --shard --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --uneven --updates --zone-separation --zone-stretch
+set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --loiterers --lost --minutes --missed --moved --name --objects-per-second --one-way --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --seed --shard --show --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --uneven --updates --zone-separation --zone-stretch
 
 complete -c camtopod -e
 complete -c camtopod -f
@@ -87,6 +87,8 @@ complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -
 complete -c camtopod -n '_shtab_camtopod_using grab' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using grab' -l camera -x -d 'the camera'"'"'s id, [A-Za-z0-9_.-]{1,64}'
 complete -c camtopod -n '_shtab_camtopod_using grab' -l out -xka "(__fish_complete_path (commandline -ct))" -d 'write event lines to FILE ('"'"'-'"'"': standard output) instead of the bus'
+complete -c camtopod -n '_shtab_camtopod_using grab' -l show -xka "(__fish_complete_path (commandline -ct))" -d 'draw what the grabber sees into FILE on this machine, readable by you alone: .mp4: a video of the whole time; .jpg or .png: one picture that is replaced every 2 seconds. Boxes and paths of the tracks, foreground, ignored areas, doors, events, and why each track became an event or not. It shows people; it is not sent'
+complete -c camtopod -n '_shtab_camtopod_using grab' -l explain -d 'write a line to standard error for each object that appears and each track that ends: what it was taken for, and why it became an event or not'
 complete -c camtopod -n '_shtab_camtopod_using grab' -l start -x -d 'video file: event time of its first frame (default 0)'
 complete -c camtopod -n '_shtab_camtopod_using grab' -l realtime -d 'video file: read it in real time instead of as fast as possible'
 complete -c camtopod -n '_shtab_camtopod_using grab' -l speed -x -d 'video file: with --realtime, read it FACTOR times as fast'

@@ -143,6 +143,8 @@ _shtab_camtopod_grab_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--camera[the camera\'s id, \[A-Za-z0-9_.-\]\{1,64\}]:ID:"
   "--out[write event lines to FILE (\'-\'\: standard output) instead of the bus]:FILE:_files"
+  "--show[draw what the grabber sees into FILE on this machine, readable by you alone\: .mp4\: a video of the whole time\; .jpg or .png\: one picture that is replaced every 2 seconds. Boxes and paths of the tracks, foreground, ignored areas, doors, events, and why each track became an event or not. It shows people\; it is not sent]:FILE:_files"
+  "--explain[write a line to standard error for each object that appears and each track that ends\: what it was taken for, and why it became an event or not]"
   "--start[video file\: event time of its first frame (default 0)]:SECONDS:"
   "--realtime[video file\: read it in real time instead of as fast as possible]"
   "--speed[video file\: with --realtime, read it FACTOR times as fast]:FACTOR:"

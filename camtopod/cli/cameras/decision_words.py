@@ -1,0 +1,91 @@
+"""Words for the grabber's decisions: why a track became an event or not (`grab --explain`)."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+from camtopod.vision.track import Decision, Edge, Reason
+
+RECORDING_SECONDS_MAX = 366 * 86400.0
+"""Times below this (seconds) are positions in a recording rather than dates."""
+_EDGES: dict[Edge, str] = {
+    "left border": "the left border",
+    "right border": "the right border",
+    "top border": "the top border",
+    "bottom border": "the bottom border",
+    "ignored area": "an ignored area that reaches to the border",
+    "named door": "the named door",
+    "learned door": "the learned door",
+}
+_BEGINNINGS: dict[Reason, str] = {
+    "entered": "entry by {edge} at {place}",
+    "from start": "no entry: in view already when tracking began",
+    "beside others": "no entry: appeared at {place} beside another track, in mid-view: rather half "
+    "of a group than a new person",
+    "in mid-view": "no entry: appeared in mid-view at {place}, not at a border or door "
+    "(if that happens there again and again, a door is learned)",
+    "continues": "no entry: it is track {other} again, which was lost {value:.1f} s before; from "
+    "here on it is called track {other}",
+}
+"""Words by the reason of a beginning."""
+_TENTATIVE: dict[Reason, str] = {
+    "brief": "no event: too short at {place}, {seen} in {value:.1f} s, at least {least:g} s are "
+    "needed",
+    "patchy": "no event: flickers at {place}, seen in {value:.0%} of the pictures, at least "
+    "{least:.0%} are needed",
+    "still": "no event: sways or stands at {place}, moved by {value:.2f} of its height, at least "
+    "{least:g} are needed",
+    "low": "no event: lower than min_height at {place}, reaches it in {value:.0f} of {least:.0f} "
+    "sightings that are needed",
+    "paused": "no event: too short at {place}, the pictures paused after {seen}",
+}
+"""Words by the reason why a track was not an object."""
+_ENDS: dict[Reason, str] = {
+    "left": "exit by {edge} at {place}",
+    "handed over": "exit by {edge} at {place}, where track {other} came in at the same time",
+    "stayed": "no exit: gone at {edge} at {place}, but had only swayed or stood there, moved by "
+    "{value:.2f} of its height, at least {least:g} are needed",
+    "lost": "no exit: lost in mid-view at {place}, not at a border or door, and not found again "
+    "(if that happens there again and again, a door is learned)",
+    "covered": "no exit: lost behind others in mid-view at {place}, and not found again",
+    "interrupted": "no exit: in mid-view at {place} when the pictures paused, and not found again",
+    "ghost": "no exit: nobody, but the gap that something left behind at {place}; "
+    "the background is corrected",
+    "scene changed": "no exit: the whole picture changed, and all tracks are forgotten",
+    "in view": "no exit: still in view at the end of the recording",
+}
+"""Words by the reason of the end of an object."""
+_WORDS = {**_BEGINNINGS, **_TENTATIVE, **_ENDS}
+
+
+def words_of(decision: Decision) -> str:
+    """Return what a track was taken for, and why."""
+    x, y = decision.place
+    return _WORDS[decision.reason].format(
+        edge="the border" if decision.edge is None else _EDGES[decision.edge],
+        place=f"({x:.2f}, {y:.2f})",
+        seen="1 sighting" if decision.sightings == 1 else f"{decision.sightings} sightings",
+        value=decision.value,
+        least=decision.least,
+        other=decision.other,
+    )
+
+
+def decision_line(camera: str, decision: Decision) -> str:
+    """Return a line about a decision: time, camera, track, what it was taken for and why.
+
+    The time is that of the event: of the first sighting at a beginning, of the last one at an end.
+    The end of an object also has the time of the first sighting.
+    """
+    words = f"{clock_words(decision.t)}  {camera}  track {decision.track}: {words_of(decision)}"
+    if decision.reason not in _ENDS:
+        return words
+    return f"{words} (first seen at {clock_words(decision.began)})"
+
+
+def clock_words(t: float) -> str:
+    """Return a capture time in words: the position in a recording, or date and time in UTC."""
+    if t < RECORDING_SECONDS_MAX:
+        return f"{t:.1f} s"
+    at = datetime.fromtimestamp(t, UTC)
+    return f"{at:%Y-%m-%dT%H:%M:%S}.{at.microsecond // 100000}Z"

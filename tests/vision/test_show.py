@@ -1,0 +1,158 @@
+"""What the grabber sees, drawn into a video or a picture."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rendered_scenes import FPS, Person, Scene, line
+
+from camtopod.vision.pipeline import ViewPipeline
+from camtopod.vision.settings import VisionSettings
+from camtopod.vision.show import Preview, ShowError, Words, overlay, shown_file
+from camtopod.vision.show.shown_file import LAST_SECONDS, VIDEO_FPS, Picture, open_shown_file
+
+WORDS = Words(lambda t: f"{t:.1f} s", lambda decision: decision.reason)
+GREY = np.full((48, 64, 3), 99, np.uint8)
+SETTINGS = VisionSettings(
+    ignore=(((0.0, 0.0), (0.2, 0.0), (0.2, 0.2)),), doors=(((0.5, 0.5),), ((0.8, 0.1),) * 3)
+)
+
+
+@pytest.fixture(autouse=True)
+def _open_umask() -> Iterator[None]:
+    before = os.umask(0)
+    yield
+    os.umask(before)
+
+
+def shown(path: Path, seconds: float, warnings: list[str]) -> list[str]:
+    """Show one passage; return the kinds of its events."""
+    preview = Preview(path, "cam", SETTINGS, WORDS, warnings.append)
+    pipeline = ViewPipeline("cam", SETTINGS, preview)
+    scene, events = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.5), 6.0))]), []
+    for k in range(round(seconds * FPS)):
+        events += pipeline.process(1e9 + k / FPS, scene.picture(k / FPS))
+    events += pipeline.finish()
+    preview.close()
+    return [event.kind for event in events]
+
+
+def frames(path: Path) -> list[Picture]:
+    video, found = cv2.VideoCapture(str(path)), []
+    while (got := video.read())[0]:
+        found.append(got[1])
+    return found
+
+
+def count(picture: Picture, colour: overlay.Colour) -> int:
+    """Return how many pixels have about this colour."""
+    near = np.abs(picture.astype(int) - colour).max(axis=2) < 60
+    return int(near.sum())
+
+
+def test_a_video_shows_tracks_events_and_areas_in_the_camera_s_time(tmp_path: Path) -> None:
+    warnings: list[str] = []
+    path = tmp_path / "film.mp4"
+    path.write_text("an older file")
+    path.chmod(0o644)
+    assert shown(path, 14.0, warnings) == ["entry", "exit"]
+    assert warnings == []
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert [one.name for one in tmp_path.iterdir()] == ["film.mp4"]
+
+    film = frames(path)
+    assert len(film) / VIDEO_FPS == pytest.approx(14.0 + LAST_SECONDS, abs=0.3)
+    assert film[0].shape[1] == overlay.WIDTH
+    assert film[0].shape[0] % 2 == 0
+    empty, walking, entered = film[20], film[82], film[66]
+    assert count(walking, overlay._OBJECT) > count(empty, overlay._OBJECT) + 500
+    assert count(entered, overlay._ENTRY) > count(empty, overlay._ENTRY) + 200
+    assert count(empty, overlay._IGNORED) > 200
+    assert count(empty, overlay._DOOR) > 80
+
+
+@pytest.mark.parametrize("name", ["now.jpg", "now.png"])
+def test_a_picture_is_replaced_now_and_then(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = open_shown_file(tmp_path / name)
+    assert list(tmp_path.iterdir()) == [], "nothing before the first picture"
+    monkeypatch.setattr(shown_file, "PICTURE_SECONDS", 2.0)
+    file.write(0.0, 100.0, GREY)
+    first = os.stat(tmp_path / name)
+    assert first.st_mode & 0o777 == 0o600
+    assert [file.wants(1.0, now) for now in (101.0, 101.9, 102.0)] == [False, False, True]
+    file.write(0.0, 102.0, GREY // 2)
+    assert os.stat(tmp_path / name).st_ino != first.st_ino, "a new file in its place"
+    file.finish(GREY // 3)
+    file.close()
+    picture = cv2.imread(str(tmp_path / name))
+    assert picture is not None
+    assert (picture.shape, round(float(picture.mean()))) == (GREY.shape, 33)
+    assert [one.name for one in tmp_path.iterdir()] == [name]
+
+
+def test_a_picture_of_the_whole(tmp_path: Path) -> None:
+    assert shown(tmp_path / "now.png", 8.0, []) == ["entry"]
+    picture = cv2.imread(str(tmp_path / "now.png"))
+    assert picture is not None
+    assert count(picture, overlay._OBJECT) > 300
+    assert count(picture, overlay._FOREGROUND) > 50
+
+
+def test_a_video_leaves_long_pauses_out_and_repeats_frames_in_short_ones(tmp_path: Path) -> None:
+    file = open_shown_file(tmp_path / "v.mp4")
+    for t in (0.0, 0.01, 0.5, 1.0, 3600.0, 3600.5):
+        if file.wants(t, 0.0):
+            file.write(t, 0.0, GREY if t < 3600 else cv2.resize(GREY, (32, 32)))
+    file.close()
+    assert len(frames(tmp_path / "v.mp4")) == 11 + 6
+    assert frames(tmp_path / "v.mp4")[-1].shape == GREY.shape
+
+
+def test_files_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "folder.mp4").mkdir()
+    (tmp_path / "file").write_text("")
+    for name, why in (
+        ("folder.mp4", "is a directory"),
+        ("x.avi", "has to end in .mp4"),
+        ("x", "has to end in .mp4"),
+        ("none/x.mp4", "No such file or directory"),
+        ("none/x.jpg", "No such file or directory"),
+        ("file/x.png", "Not a directory"),
+    ):
+        with pytest.raises(ShowError, match=why):
+            open_shown_file(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["v.mp4", "now.jpg"])
+def test_a_full_disk_ends_the_picture_with_one_warning_and_no_event(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = iter([1 << 30] * 30)
+    monkeypatch.setattr(shown_file, "PICTURE_SECONDS", 0.0)
+    monkeypatch.setattr(shown_file, "_free_bytes", lambda folder: next(free, 1 << 20))
+    warnings: list[str] = []
+    assert shown(tmp_path / name, 14.0, warnings) == ["entry", "exit"]
+    assert warnings == [f"cannot write {tmp_path / name}: less than 64 MiB of the disk are free"]
+    assert [one.name for one in tmp_path.iterdir()] == [name]
+    if name == "v.mp4":
+        assert len(frames(tmp_path / name)) == 29, "what was written can be played"
+
+
+def test_a_folder_that_is_removed_meanwhile(tmp_path: Path) -> None:
+    warnings: list[str] = []
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    preview = Preview(folder / "now.jpg", "cam", SETTINGS, WORDS, warnings.append)
+    folder.rmdir()
+    pipeline = ViewPipeline("cam", SETTINGS, preview)
+    for k in range(30):
+        pipeline.process(k / FPS, Scene([]).picture(k / FPS))
+    preview.close()
+    assert warnings == [f"cannot write {folder / 'now.jpg'}: No such file or directory"]
