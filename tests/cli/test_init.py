@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rendered_scenes import FPS, Scene
+from rendered_scenes import FPS, Person, Scene, line
 from serving import camtopod, small_config
 
 from bench.support.rtsp_streams import (
@@ -387,6 +387,27 @@ def test_a_picture_is_kept_when_asked_for_and_not_otherwise(
     (folder / "yard.jpg").write_bytes(b"old")
     assert main(["check", "camtopod.toml", "--probe", "--pictures", str(folder)]) == 69
     assert (folder / "yard.jpg").read_bytes()[:3] == b"\xff\xd8\xff", "a newer one"
+
+
+def test_the_picture_is_the_scene_without_people(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    walker = Person(line(0.0, (0.3, 0.7), (1.05, 0.7), 6.0))
+    Scene([walker]).film(tmp_path / "yard.mp4", 12.0)
+    Scene([walker]).film(tmp_path / "short.mp4", 3.0)
+    assert main(["init", "yard.mp4", "short.mp4", "--pictures", "pictures"]) == 0
+    said = capsys.readouterr().err
+    assert "probing 2 cameras, up to 30 s for a picture ...\n" in said
+    assert "  yard   MPEG-4, 192x144, 7 frames a second\n" in said
+    assert (
+        "7 frames a second; the scene has not settled within 3 s, so its picture may show" in said
+    )
+
+    picture, empty = cv2.imread("pictures/yard.jpg"), Scene([], noise=0.0).picture(0.0)
+    assert picture is not None
+    assert np.abs(picture.mean(axis=2) - empty).max() < 30
+    assert Path("pictures/short.jpg").stat().st_size > 1000
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")

@@ -20,7 +20,7 @@ from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
 from camtopod.visible import visible
 from camtopod.vision import VisionSettings
-from camtopod.vision.source import PROBE_SECONDS, Probe, ProbeRequest
+from camtopod.vision.source import PROBE_SECONDS, SETTLE_SECONDS_MAX, Probe, ProbeRequest
 from camtopod.web import pictures
 
 PROGRAM = "camtopod.vision.source.probe"
@@ -84,6 +84,7 @@ def _probe(source: str, settings: VisionSettings, picture: bool) -> Probe:
         settings.open_timeout_seconds
         + settings.read_timeout_seconds
         + PROBE_SECONDS
+        + (SETTLE_SECONDS_MAX if picture else 0.0)
         + START_SECONDS
     )
     try:

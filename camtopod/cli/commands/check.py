@@ -48,7 +48,8 @@ def add_parser(subparsers: Any) -> None:
         metavar="DIR",
         type=Path,
         help="with --probe: store a picture of each camera as DIR/NAME.jpg, replacing an older "
-        "one; `camtopod web` and `report` draw zones on it. It is stored only there and not sent",
+        "one; `camtopod web` and `report` draw zones on it. It shows the scene without the people "
+        "who walk through it, and takes 6 to 30 seconds. It is stored only there and not sent",
     )
     parser.add_argument(
         "--schema",

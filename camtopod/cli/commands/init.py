@@ -20,7 +20,7 @@ from camtopod.cli.generated import table
 from camtopod.config import RESERVED, TABLES, Config, secret_files
 from camtopod.redact import holds_secret, redact
 from camtopod.visible import visible
-from camtopod.vision.source import kind_of, percent_encoded
+from camtopod.vision.source import SETTLE_SECONDS_MAX, kind_of, percent_encoded
 from camtopod.web import pictures
 
 SECRETS = "secrets"
@@ -70,7 +70,8 @@ def add_parser(subparsers: Any) -> None:
         metavar="DIR",
         type=Path,
         help="also store a picture of each camera as DIR/NAME.jpg; `camtopod web` and `report` "
-        "draw zones on it. It is stored only there and not sent; no other picture is ever stored",
+        "draw zones on it. It shows the scene without the people who walk through it, and takes 6 "
+        "to 30 seconds. It is stored only there and not sent; `init` stores no other picture",
     )
     parser.add_argument(
         "--credentials",
@@ -116,7 +117,8 @@ def run(args: argparse.Namespace) -> int:
 
     # Probe the cameras.
     width = max(map(len, cameras))
-    _say(f"probing {len(cameras)} {'camera' if len(cameras) == 1 else 'cameras'} ...")
+    how_long = "" if args.pictures is None else f", up to {SETTLE_SECONDS_MAX:.0f} s for a picture"
+    _say(f"probing {len(cameras)} {'camera' if len(cameras) == 1 else 'cameras'}{how_long} ...")
     probes = probe_all(
         cameras,
         dict.fromkeys(cameras, settings.vision),

@@ -74,7 +74,7 @@ _shtab_camtopod_check_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--example[print an example configuration with every setting, its default and its unit]"
   "--probe[also open each of its cameras, and the bus]"
-  "--pictures[with --probe\: store a picture of each camera as DIR\/NAME.jpg, replacing an older one\; \`camtopod web\` and \`report\` draw zones on it. It is stored only there and not sent]:DIR:_files -/"
+  "--pictures[with --probe\: store a picture of each camera as DIR\/NAME.jpg, replacing an older one\; \`camtopod web\` and \`report\` draw zones on it. It shows the scene without the people who walk through it, and takes 6 to 30 seconds. It is stored only there and not sent]:DIR:_files -/"
   "--schema[print the JSON Schema of the configuration, for editors]"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
@@ -187,7 +187,7 @@ _shtab_camtopod_ingest_defaults_added=0
 _shtab_camtopod_init_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--out[configuration file to write (default\: camtopod.toml)]:FILE:_files"
-  "--pictures[also store a picture of each camera as DIR\/NAME.jpg\; \`camtopod web\` and \`report\` draw zones on it. It is stored only there and not sent\; no other picture is ever stored]:DIR:_files -/"
+  "--pictures[also store a picture of each camera as DIR\/NAME.jpg\; \`camtopod web\` and \`report\` draw zones on it. It shows the scene without the people who walk through it, and takes 6 to 30 seconds. It is stored only there and not sent\; \`init\` stores no other picture]:DIR:_files -/"
   "--credentials[for systemd services, whose users cannot read secrets\: every camera\'s source goes into a file of that folder, and the configuration refers to it as \$CREDENTIALS_DIRECTORY\/NAME, where systemd passes it to the camera\'s service\; the daemon reports its health at 127.0.0.1\:8787]"
   "--force[overwrite existing files]"
   "--config[configuration, a TOML file]:FILE:_files"

@@ -53,7 +53,7 @@ class Capture:
     def __init__(self, source: str, settings: VisionSettings, colour: bool = False) -> None:
         """Open ``source``; `is_open` tells if that worked. Blocks for at most the open timeout.
 
-        colour: convert frames to colour, as `jpeg` requires.
+        colour: convert frames to colour, as `picture` requires.
         """
         cv2.utils.logging.setLogLevel(0)  # its messages contain URLs with passwords
         # Pictures are so small that waking more threads costs more than it gains.
@@ -125,21 +125,17 @@ class Capture:
             return None
         return shrunk(_grey(self._picture), self._width_max)
 
-    def jpeg(self, width_max: int) -> bytes:
-        """Return the latest retrieved frame as JPEG, at most ``width_max`` pixels wide.
+    def picture(self, width_max: int) -> Luma:
+        """Return a copy of the latest retrieved frame, at most ``width_max`` pixels wide.
 
-        Empty if there is none.
+        It has colours, (H, W, 3), if they were asked for.
         """
-        if self._picture is None:
-            return b""
+        assert self._picture is not None, "retrieve first"
         height, width = self._picture.shape[:2]
+        if width <= width_max:
+            return self._picture.copy()
         size = (width_max, round(height * width_max / width))
-        small = (
-            cv2.resize(self._picture, size, interpolation=cv2.INTER_AREA)
-            if width > width_max
-            else self._picture
-        )
-        return cv2.imencode(".jpg", small)[1].tobytes()
+        return cv2.resize(self._picture, size, interpolation=cv2.INTER_AREA)
 
     def release(self) -> None:
         """Close the capture. Call it from the thread that reads."""

@@ -21,7 +21,8 @@ from msgspec import Struct
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
-from camtopod.vision.source.recorded import RecordedSource
+from camtopod.vision.source.recorded import FPS_UNKNOWN, RecordedSource
+from camtopod.vision.source.settled_picture import SETTLE_SECONDS_MAX, SettledPicture
 from camtopod.vision.source.source_url import kind_of
 
 PROBE_SECONDS = 2.0
@@ -59,7 +60,7 @@ class ProbeRequest(Struct):
     source: str
     settings: VisionSettings
     picture: bool = False
-    """Return a picture, too."""
+    """Return a picture of the scene without people, too."""
 
 
 class Probe(Struct):
@@ -74,7 +75,7 @@ class Probe(Struct):
     remarks: list[str] = []
     """What could be improved."""
     picture: bytes = b""
-    """The last frame as JPEG; empty unless requested."""
+    """The scene without people as JPEG, as far as it has settled; empty unless requested."""
 
     @property
     def lines(self) -> list[str]:
@@ -91,7 +92,8 @@ def probe(
 ) -> Probe:
     """Open the source and count its frames.
 
-    Takes at most the timeouts plus `CHECK_SECONDS`. Never raises for a source that does not work.
+    Takes at most the timeouts plus `PROBE_SECONDS`, with a picture plus `SETTLE_SECONDS_MAX`. Never
+    raises for a source that does not work.
     """
     kind = kind_of(source)
     path = source.removeprefix("file://")
@@ -106,34 +108,41 @@ def probe(
         if not capture.is_open:
             why = _of_device(source) if kind == "device" else complaints.newest_reason()
             return Probe(f"cannot be opened{why and ': '}{why}")
-        seen = _watched(capture, live=kind != "file")
-        return (
-            msgspec.structs.replace(seen, picture=capture.jpeg(PICTURE_WIDTH_MAX))
-            if picture
-            else seen
-        )
+        settled = SettledPicture() if picture else None
+        seen = _watched(capture, kind != "file", settled)
+        return seen if settled is None else _with_picture(seen, settled)
     finally:
         capture.release()
 
 
-def _watched(capture: Capture, live: bool) -> Probe:
-    """Read frames for a while and return what they are."""
+def _watched(capture: Capture, live: bool, settled: SettledPicture | None) -> Probe:
+    """Read frames for a while and return what they are; give ``settled`` those that it wants."""
     stamps: list[float] = []
     arrivals: list[float] = []
     contrast = 0.0
-    while (
-        arrivals[-1] - arrivals[0] < PROBE_SECONDS
-        if live and arrivals
-        else len(arrivals) < FILE_FRAMES
-    ):
+    t = 0.0
+    while True:
+        counted = t >= PROBE_SECONDS if live else len(arrivals) >= FILE_FRAMES
+        if counted and (settled is None or settled.settled or t >= SETTLE_SECONDS_MAX):
+            break
+
+        # Grab a frame. Its time counts from the first one; in a file frames have equal distances.
         grab = capture.grab()
         if grab is None:
             break
         stamps.append(grab.stamp)
         arrivals.append(time.monotonic())
-        picture = capture.retrieve()
-        if picture is not None:
-            contrast = max(contrast, float(picture.std()))
+        t = arrivals[-1] - arrivals[0] if live else len(arrivals) / (capture.fps or FPS_UNKNOWN)
+
+        # Decode it if it is looked at.
+        wanted = settled is not None and settled.wants(t)
+        if counted and not wanted:
+            continue
+        luma = capture.retrieve()
+        if luma is not None:
+            contrast = max(contrast, float(luma.std()))
+            if wanted and settled is not None:
+                settled.add(t, capture.picture(PICTURE_WIDTH_MAX))
 
     # Frame rate: of a live source as measured, of a file as declared.
     if not arrivals:
@@ -145,6 +154,21 @@ def _watched(capture: Capture, live: bool) -> Probe:
         "", _CODECS.get(capture.codec.lower(), capture.codec or "unknown codec"), width, height, fps
     )
     return msgspec.structs.replace(seen, remarks=_remarks(seen, contrast))
+
+
+def _with_picture(seen: Probe, settled: SettledPicture) -> Probe:
+    """Return ``seen`` with the picture, and with a remark if it may show people."""
+    picture = settled.picture()
+    if picture is None:
+        return seen
+    remarks = list(seen.remarks)
+    if not settled.settled:
+        remarks.append(
+            f"the scene has not settled within {settled.seconds:.0f} s, so its picture may show "
+            "people: take it again with `camtopod check --probe --pictures DIR`"
+        )
+    jpeg = cv2.imencode(".jpg", picture)[1].tobytes()
+    return msgspec.structs.replace(seen, picture=jpeg, remarks=remarks)
 
 
 def _remarks(seen: Probe, contrast: float) -> list[str]:

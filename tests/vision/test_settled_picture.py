@@ -1,0 +1,90 @@
+"""The picture of a scene without the people in it."""
+
+from __future__ import annotations
+
+import numpy as np
+from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Scene, line
+
+from camtopod.vision.source.settled_picture import (
+    PICTURES_MAX,
+    SETTLE_SECONDS_MAX,
+    SETTLE_SECONDS_MIN,
+    SettledPicture,
+)
+
+WALKERS = [
+    Person(line(0.0, (0.1, 0.7), (1.05, 0.6), 7.0)),
+    Person(line(3.0, (0.5, 1.25), (0.2, 0.3), 8.0), shade=220, seed=2),
+    Person(line(4.0, (1.05, 0.6), (-0.05, 0.65), 6.0), shade=230, seed=3),
+]
+
+
+def settled(scene: Scene) -> tuple[SettledPicture, float]:
+    """Return the picture, and the time (seconds) at which it was settled or given up."""
+    picture, t = SettledPicture(), 0.0
+    while not picture.settled and t < SETTLE_SECONDS_MAX:
+        if picture.wants(t):
+            picture.add(t, scene.picture(t))
+        assert len(picture._pictures) == len(picture._compared) <= PICTURES_MAX
+        t += 1 / FPS
+    return picture, t
+
+
+def error(picture: SettledPicture) -> float:
+    """Return the largest difference to the empty scene, grey levels."""
+    found = picture.picture()
+    assert found is not None
+    empty = Scene([], noise=0.0).picture(0.0)
+    return float(np.abs(found.astype(int) - empty).max())
+
+
+def test_who_walks_through_is_not_in_it() -> None:
+    picture, seconds = settled(Scene(WALKERS))
+    assert picture.settled
+    assert SETTLE_SECONDS_MIN <= seconds < SETTLE_SECONDS_MAX / 2
+    assert error(picture) < 10
+
+
+def test_the_first_picture_has_them() -> None:
+    """Check of the harness."""
+    picture = SettledPicture()
+    picture.add(0.0, Scene(WALKERS).picture(0.0))
+    assert not picture.settled
+    assert error(picture) > 30
+
+
+def test_who_leaves_after_a_while_is_waited_for() -> None:
+    picture, seconds = settled(Scene([Person(lambda t: (0.5, 0.7) if t < 5.0 else None)]))
+    assert picture.settled
+    assert seconds > 7.0
+    assert error(picture) < 10
+
+
+def test_what_never_settles_is_given_up_with_the_best_there_is() -> None:
+    rng = np.random.default_rng(1)
+
+    def leaves(picture: Picture) -> None:
+        picture[:40, :40] = rng.uniform(0, 255, (40, 40))
+
+    picture, seconds = settled(Scene(WALKERS, front=leaves))
+    assert not picture.settled
+    assert seconds >= SETTLE_SECONDS_MAX
+    found = picture.picture()
+    assert found is not None
+    empty = Scene([], noise=0.0).picture(0.0)
+    assert np.abs(found.astype(int) - empty)[:, 40:].max() < 10
+
+
+def test_colours_and_no_picture() -> None:
+    assert SettledPicture().picture() is None
+    assert SettledPicture().seconds == 0.0
+    picture = SettledPicture()
+    blue = np.full((HEIGHT, WIDTH, 3), (200, 120, 40), np.uint8)
+    for k in range(13):
+        assert picture.wants(0.5 * k)
+        assert not picture.wants(0.5 * k - 0.1) or k == 0
+        picture.add(0.5 * k, blue)
+    assert (picture.settled, picture.seconds) == (True, 6.0)
+    found = picture.picture()
+    assert found is not None
+    assert np.array_equal(found, blue)
