@@ -190,11 +190,15 @@ def _beside(path: Path) -> Path:
 
 
 def _create(path: Path, content: bytes) -> None:
-    """Write a new file that its owner alone can read. Raises `OSError`."""
+    """Write a new file that its owner alone can read, whole or not at all. Raises `OSError`."""
     path.unlink(missing_ok=True)
     fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, _MODE)
-    with os.fdopen(fd, "wb") as file:
-        file.write(content)
+    try:
+        with os.fdopen(fd, "wb") as file:
+            file.write(content)
+    except OSError:
+        path.unlink()
+        raise
 
 
 def _require_space(path: Path) -> None:
