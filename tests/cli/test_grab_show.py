@@ -104,13 +104,13 @@ def test_a_full_disk_is_one_warning(
 def test_there_are_words_for_every_reason_and_edge() -> None:
     told = set()
     for reason in (*get_args(Beginning), *get_args(Shortfall), *get_args(Ending)):
-        one = Decision(reason, 7, 12.34, (0.25, 0.5), (0, 0, 1, 1), 3.0, None, 0.2, 0.5, 3, 4)
+        one = Decision(reason, 7, 12.34, (0.25, 0.5), 3.0, None, 0.2, 0.5, 3, 4)
         told.add(words_of(one))
         assert decision_line("yard", one).startswith("12.3 s  yard  track 7: ")
         assert "{" not in words_of(one)
     assert len(told) == len((*get_args(Beginning), *get_args(Shortfall), *get_args(Ending)))
     for edge in get_args(Edge):
-        left = Decision("left", 7, 12.34, (0.25, 0.5), (0, 0, 1, 1), 3.0, edge)
+        left = Decision("left", 7, 12.34, (0.25, 0.5), 3.0, edge)
         assert words_of(left) == f"exit by {'an' if 'area' in edge else 'the'} {edge}" + (
             " that reaches to the border at (0.25, 0.50)" if "area" in edge else " at (0.25, 0.50)"
         )

@@ -10,7 +10,7 @@ import pytest
 from camtopod.vision.detect import background, blobs, motion, shake, shrink
 from camtopod.vision.detect.wiener import temporal_noise
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track import kalman, stature, tracker
+from camtopod.vision.track import crossings, kalman, stature, tracker
 
 Picture = npt.NDArray[np.uint8]
 seeds = pytest.mark.parametrize("seed", range(6))
@@ -227,3 +227,27 @@ def test_stature_is_the_line_through_the_heights() -> None:
     learned.add(9, 100.0, 300.0)  # no person
     for row in (60.0, 100.0, 160.0):
         assert learned.height(row) == pytest.approx(20.0 + 0.3 * row, abs=0.1)
+
+
+@seeds
+def test_a_box_is_at_a_border_as_the_rule_says(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    view = crossings.Crossings("cam", 320, 180)
+    margin = crossings.BORDER_SHARE * (320**2 + 180**2) ** 0.5
+    named = set()
+    for _ in range(500):
+        left, top = (float(value) for value in rng.uniform((0, -30), (310, 170)).round(1))
+        top = max(top, 0.0)
+        box = left, top, min(320.0, left + rng.integers(3, 60)), min(180.0, top + 40.0)
+        height, dx, dy = (float(value) for value in rng.uniform((10, -30, -30), (90, 30, 30)))
+        border = view._border(box, height, (dx, dy))
+        far = max(margin, crossings.CUT_SHARE * height) if top <= 1.5 else margin
+        near = {
+            "left border": left <= margin or left + dx <= 0,
+            "right border": 320 - box[2] <= margin or 320 - box[2] - dx <= 0,
+            "top border": box[3] <= far or box[3] + dy <= 0,
+            "bottom border": 180 - box[3] <= margin or 180 - box[3] - dy <= 0,
+        }
+        assert near[border] if border else not any(near.values()), (border, near)
+        named.add(border)
+    assert len(named) == 5

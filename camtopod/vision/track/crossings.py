@@ -87,7 +87,7 @@ class Crossings:
         from_right, from_bottom = self._width - right, self._height - bottom
         dx, dy = drift
 
-        # Pixels that are missing for being there, by border.
+        # Pixels missing to be at each border; 0 or less where it is there.
         missing: tuple[tuple[float, Edge], ...] = (
             (min(left - margin, left + dx), "left border"),
             (min(from_right - margin, from_right - dx), "right border"),

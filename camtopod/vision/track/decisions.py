@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-from camtopod.vision.detect import Box
-
 Edge = Literal[
     "left border",
     "right border",
@@ -79,8 +77,6 @@ class Decision(NamedTuple):
     """Capture time (seconds) of the first sighting for a beginning, of the last one for an end."""
     place: tuple[float, float]
     """Foot point of that sighting, as fractions of the picture."""
-    box: Box
-    """Box of that sighting, pixels of the working picture."""
     began: float
     """Capture time of the first sighting, seconds."""
     edge: Edge | None = None

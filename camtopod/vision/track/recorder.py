@@ -40,7 +40,6 @@ class Recorder:
                 track.number,
                 at.t,
                 place,
-                at.box,
                 track.first.t,
                 edge,
                 value,
