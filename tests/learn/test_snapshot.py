@@ -19,7 +19,7 @@ from camtopod.sim.simulation import SimSettings, simulate
 
 SETTINGS = Settings(refit_share=0.3, window_events_max=2000)
 NETWORKS = {
-    "usual": SimSettings(seed=3, cameras=5, hours=0.5, objects_per_second=0.1),
+    "usual": SimSettings(seed=3, cameras=5, hours=0.7, objects_per_second=0.1),
     "hard": SimSettings(
         seed=4,
         cameras=5,
