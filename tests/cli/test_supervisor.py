@@ -522,9 +522,9 @@ def test_signals_are_heard_even_if_the_main_thread_is_inside_a_library() -> None
 
         def release() -> None:
             os.kill(os.getpid(), signal.SIGHUP)
-            heard.append(told.reload.wait(5.0) and not told.stop.is_set())
+            heard.append(told.reload.wait(WAIT_SECONDS) and not told.stop.is_set())
             os.kill(os.getpid(), signal.SIGTERM)
-            heard.append(told.stop.wait(5.0))
+            heard.append(told.stop.wait(WAIT_SECONDS))
             library.pthread_mutex_unlock(mutex)
 
         threading.Thread(target=release).start()

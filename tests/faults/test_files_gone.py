@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import pytest
-from serving import T0, camtopod, free_endpoint, small_config, wait_for
+from serving import T0, WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
 from test_refill import raws
 
 from camtopod.config.settings import BusSettings, Config
@@ -32,8 +32,6 @@ from camtopod.serve.storage.journal_writer import SLOW_SECONDS
 NOW = T0 + 10_000.0
 BEFORE, AFTER = 300, 20
 """Events that are stored before, and that come after it."""
-STOPS_SECONDS = 10.0
-"""It takes some tenths of a second, and longer beside other tests."""
 SAYS_OLDER = "has come back older than it was: it had 300 entries"
 
 
@@ -191,7 +189,7 @@ def stops(harm: Harm, state: Path, grabber: Grabber, caplog: pytest.LogCaptureFi
         grabber.publish(BEFORE)
         assert grabber.publisher.wait_acknowledged(20)
         harm(state)
-        wait_for(lambda: daemon.status()["state"] == "degraded", "it to notice", STOPS_SECONDS)
+        wait_for(lambda: daemon.status()["state"] == "degraded", "it to notice")
         grabber.publish(AFTER)
         wait_for(
             lambda: daemon.status()["events"]["received"] >= grabber.made, "the events to be there"
@@ -249,7 +247,7 @@ def test_it_goes_on_by_itself_when_the_file_is_back(
         grabber.publish(BEFORE)
         assert grabber.publisher.wait_acknowledged(20)
         harm(state)
-        wait_for(lambda: daemon.status()["state"] == "degraded", "it to notice", STOPS_SECONDS)
+        wait_for(lambda: daemon.status()["state"] == "degraded", "it to notice")
         grabber.publish(AFTER)
         if harm is moved:
             (state / "elsewhere.db").rename(state / "journal.db")
@@ -275,7 +273,7 @@ def test_of_two_daemons_in_one_directory_the_one_whose_lock_is_gone_stops(
         assert grabber.publisher.wait_acknowledged(20)
         lock_removed(state)
         with Daemon(small_config(state), clock=lambda: NOW) as second:
-            wait_for(lambda: first.status()["state"] == "degraded", "it to notice", STOPS_SECONDS)
+            wait_for(lambda: first.status()["state"] == "degraded", "it to notice")
             grabber.publish(AFTER)
             wait_for(
                 lambda: first.status()["events"]["received"] >= grabber.made,
@@ -392,7 +390,7 @@ def test_the_status_is_answered_while_the_disk_hangs(
         journal._db = Hanging(journal._db, let_in, let_out)  # type: ignore[assignment]
         try:
             grabber.publish(1)
-            assert let_in.wait(20)
+            assert let_in.wait(WAIT_SECONDS)
             wait_for(
                 lambda: "the disk of the journal does not answer" in Process.status(bus)["reason"],
                 "the reason",

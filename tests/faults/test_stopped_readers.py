@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from serving import wait_for
+from serving import WAIT_SECONDS, wait_for
 from synthetic_topology import synthetic_topology
 from test_intruders import HQ, Keys, Puppet, RealDaemon, client, tls_table
 
@@ -261,7 +261,7 @@ def test_readers_that_stop_and_come_back_hold_up_nobody(scene: Scene, secured: b
         scene, secured, readers=4, questions=QUESTIONS, per_second=5, turns=2, seconds=4
     )
     assert not walks.late()
-    assert TopologySubscriber(reader).wait_for(1, 10.0) is not None
+    assert TopologySubscriber(reader).wait_for(1, WAIT_SECONDS) is not None
 
 
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "tls"])

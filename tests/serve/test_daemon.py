@@ -16,7 +16,16 @@ import msgspec
 import pytest
 import serving
 from fake_bus import OneBus
-from serving import T0, all_out, closing_event, numbered, small_config, wait_for, walkers
+from serving import (
+    T0,
+    WAIT_SECONDS,
+    all_out,
+    closing_event,
+    numbered,
+    small_config,
+    wait_for,
+    walkers,
+)
 
 from camtopod import codec
 from camtopod.learn.learner import Learner
@@ -119,7 +128,7 @@ def test_events_are_stored_once_and_learned_as_the_plain_learner_does(site: Site
     wait_for(lambda: daemon.status()["events"]["duplicate"] == 50, "duplicates")
     stored(daemon, len(events))
     late = TopologySubscriber(site.client(daemon))
-    assert late.wait_for(1, 10) == view.topology, "a late joiner gets the whole"
+    assert late.wait_for(1, WAIT_SECONDS) == view.topology, "a late joiner gets the whole"
     status = daemon.status()
     assert (status["alarms"], status["score"]) == ([], expected.score)
 
@@ -137,7 +146,7 @@ def test_a_daemon_whose_learner_is_killed_fails_and_goes_on_where_it_was(site: S
     )
     assert daemon._process is not None
     os.kill(daemon._process.pid, signal.SIGKILL)
-    assert daemon.wait(5.0)
+    assert daemon.wait(WAIT_SECONDS)
     assert daemon.failing() == ["a part of the daemon has failed"]
     daemon.stop()
     again = site.daemon()
@@ -717,7 +726,7 @@ def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> 
             told.append(name)
 
     view = View(client)
-    assert view.wait_for(1, 10) == versions[0]
+    assert view.wait_for(1, WAIT_SECONDS) == versions[0]
     wait_for(
         lambda: bool(told),
         "the view to have been told of the daemon, on which it fetches the whole",
@@ -769,7 +778,7 @@ def test_a_daemon_that_comes_back_while_a_view_asks_is_asked_again(epoch: str) -
     new = msgspec.structs.replace(old, epoch=epoch, version=1)
     view = TopologySubscriber(Answering([old, new]))  # type: ignore[arg-type]
     assert view.update() == old
-    wait_for(lambda: view.update() == new, "the whole to be fetched again", 5.0)
+    wait_for(lambda: view.update() == new, "the whole to be fetched again")
 
 
 def test_a_view_whose_delta_was_lost_fetches_the_whole_when_the_status_names_a_newer_version() -> (

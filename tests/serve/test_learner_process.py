@@ -209,7 +209,7 @@ def test_an_endless_step_holds_up_no_stop_and_loses_nothing(
         stop.set()
         began = time.monotonic()
         working.join()
-        assert time.monotonic() - began < 2.0
+        assert time.monotonic() - began < 3.0, "it did not wait as long as usual"
         assert one.learning.snapshot() is None
         assert recovery.read_failure(one.journal) is None, "the entry had no chance"
         before = one.published
@@ -247,7 +247,7 @@ def test_it_ends_with_the_daemon_even_in_the_middle_of_a_step(busy: bool) -> Non
         pid = int(above.stdout.readline())
         assert alive(pid)
         above.kill()
-    wait_for(lambda: not alive(pid), "it to end", 5.0)
+    wait_for(lambda: not alive(pid), "it to end")
 
 
 EMBEDDED = """
