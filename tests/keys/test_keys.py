@@ -492,8 +492,8 @@ def test_a_camera_has_one_source() -> None:
         ConfigError, match=r":3: cameras\.a\.source: give source or source_file, not both"
     ):
         parse('[cameras.a]\nsource_file = "x"\nsource = "0"\n')
-    with pytest.raises(ConfigError, match=r"cameras\.a: source is missing"):
-        parse("[cameras.a]\nspeed = 2\n")
+    with pytest.raises(ConfigError, match=r":2: cameras\.a\.source: is empty"):
+        parse('[cameras.a]\nsource = ""\n')
 
 
 def test_secrets_that_others_can_read_are_warned_of(

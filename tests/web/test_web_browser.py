@@ -210,8 +210,8 @@ def test_the_map_shows_what_was_learned(site: Site, shown: Browser) -> None:
 def test_a_prediction_moves_on_the_map(site: Site, shown: Browser) -> None:
     with site.client() as bus:
         leave(site, bus, seq=1)
-        shown.wait(lambda: shown.count(".dot") > 0, "a dot under way")
-    where = "const dot = document.querySelector('.dot'); return dot && [dot.cx, dot.cy].map((c) => c.baseVal.value)"
+        shown.wait(lambda: shown.count("circle.dot") > 0, "a dot under way")
+    where = "const dot = document.querySelector('circle.dot'); return dot && [dot.cx, dot.cy].map((c) => c.baseVal.value)"
     before = shown.run(where)
     shown.wait(lambda: shown.run(where) != before, "the dot to move")
     shown.wait(lambda: "a → " in shown.text(".predictions"), "the prediction in the list")
@@ -366,7 +366,7 @@ def test_it_is_live_again_after_the_daemon_is_restarted(site: Site, shown: Brows
     )
     with site.client() as bus:
         leave(site, bus, seq=50)
-        shown.wait(lambda: shown.count(".dot") > 0, "a prediction of the new daemon")
+        shown.wait(lambda: shown.count("circle.dot") > 0, "a prediction of the new daemon")
 
 
 def test_it_is_live_again_after_its_own_server_is_restarted(site: Site, browser: Browser) -> None:

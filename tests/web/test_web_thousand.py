@@ -81,8 +81,8 @@ def test_a_thousand_cameras_are_shown_live(
             Event(FROM, "exit", daemon._clock(), *zone_of(PATH.from_), "x", "b1", 1),
             "event",
         )
-        browser.wait(lambda: browser.count(".dot") > 0, "a dot under way")
-        where = "const dot = document.querySelector('.dot'); return dot && [dot.cx, dot.cy].map((c) => c.baseVal.value)"
+        browser.wait(lambda: browser.count("circle.dot") > 0, "a dot under way")
+        where = "const dot = document.querySelector('circle.dot'); return dot && [dot.cx, dot.cy].map((c) => c.baseVal.value)"
         before = browser.run(where)
         browser.wait(lambda: browser.run(where) != before, "the dot to move")
 
