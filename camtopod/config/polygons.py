@@ -19,7 +19,7 @@ def points_min(field: FieldInfo) -> int:
 
 
 def parse(value: Any, points_min: int) -> tuple[tuple[Polygon, ...], dict[int | None, str]]:
-    """Return the polygons in ``value``, and what is wrong by the index of the polygon.
+    """Return the polygons in ``value``, and the mistakes by the index of the polygon.
 
     value: a list, as tomllib reads it, or one text. An element is a list of points [x, y], a text
         such as "0.1,0.2,0.3,0.4,0.5,0.6" (x and y in turn, as Frigate writes a motion mask), or, if
@@ -43,7 +43,7 @@ def parse(value: Any, points_min: int) -> tuple[tuple[Polygon, ...], dict[int | 
 
 
 def _polygon(element: Any, points_min: int) -> Polygon:
-    """Return one element as a polygon; raise `ValueError` with what is wrong with it."""
+    """Return one element as a polygon. Raises `ValueError` that names the mistake."""
     if isinstance(element, str):
         points = _pairs(element)
     elif isinstance(element, list) and element and all(map(_is_number, element)):

@@ -1,9 +1,10 @@
 """The effect of an exit's context on where the object appears next.
 
-The *context* of an exit is what is known beside its zone: the zone where the object entered the
-view, the block of the image where it left, and the camera where it was before. The topology version
-has counts of departures and transitions by context, which `camtopod.learn.next_camera.contexts` has
-learned. `ContextMultipliers.multipliers` turns them into factors on the odds of each next zone.
+The *context* of an exit consists of three facts beside its zone: the zone where the object entered
+the view, the block of the image where it left, and the camera where it was before. The topology
+version has counts of departures and transitions by context, which
+`camtopod.learn.next_camera.contexts` has learned. `ContextMultipliers.multipliers` turns them into
+factors on the odds of each next zone.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ not known.
 
 
 class Passage(Struct):
-    """A passage through a view, with what is known of it at its entry; it is never changed."""
+    """A passage through a view, as recorded at its entry; it is never changed."""
 
     t: float
     """Corrected time of the entry, seconds."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
@@ -15,15 +13,6 @@ from camtopod.cli.main import main
 from camtopod.vision.show import shown_file
 from camtopod.vision.track import Decision
 from camtopod.vision.track.decisions import Beginning, Edge, Ending, Shortfall
-
-
-@pytest.fixture(autouse=True)
-def _root_logger() -> Iterator[None]:
-    """Restore the log, which commands set up for their process."""
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
-    yield
-    root.handlers[:], root.level = handlers, level
 
 
 @pytest.fixture(scope="module")

@@ -49,7 +49,7 @@ _ENDS: dict[Reason, str] = {
     "(if that happens there again and again, a door is learned)",
     "covered": "no exit: lost behind others in mid-view at {place}, and not found again",
     "interrupted": "no exit: in mid-view at {place} when the pictures paused, and not found again",
-    "ghost": "no exit: nobody, but the gap that something left behind at {place}; "
+    "ghost": "no exit: not an object, but the hole in the background where one stood at {place}; "
     "the background is corrected",
     "scene changed": "no exit: the whole picture changed, and all tracks are forgotten",
     "in view": "no exit: still in view at the end of the recording",

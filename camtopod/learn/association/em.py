@@ -16,8 +16,8 @@ between and drops pairs of zones.
 The E step is the sum-product approximation of the marginals of a one-to-one assignment with misses
 and clutter (Williams and Lau, IEEE Trans. AES 50(4), 2014), one sweep of *messages* an iteration.
 Each candidate is judged by the hazard that the other candidates make (leave one out). The M step
-counts expected transitions by lag and smooths. Marinakis and Dudek (2005) sample what is summed
-here.
+counts expected transitions by lag and smooths. Marinakis and Dudek (2005) sample the assignments;
+here their sum is approximated.
 
 A departure that may begin a long path has *delayed copies* among the departures (`long_paths`);
 ``departures.of`` gives the original of a copy. A departure and its copies together cause at most

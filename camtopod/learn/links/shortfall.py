@@ -29,7 +29,7 @@ class LinkShortfall(NamedTuple):
     passages: Floats
     """Number of further objects that must take the link."""
     seconds: Floats
-    """Seconds until so many objects have taken the link, at the traffic of the window."""
+    """Seconds until these objects have taken the link, at the traffic of the window."""
 
 
 def shortfall_of(

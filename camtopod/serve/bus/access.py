@@ -113,7 +113,7 @@ def check_files(config: Config) -> None:
 
 
 def openness_warning(config: Config) -> str | None:
-    """Return a warning of what is open to whom, and what to do; None if ``bus.tls.ca`` is set.
+    """Return a warning that names who has access and how to restrict it; None with ``bus.tls.ca``.
 
     Without ``bus.tls.ca`` there is no authentication. The warning is then given for daemons that
     connect to a router, and for those that listen, be it to this machine only: other programs of

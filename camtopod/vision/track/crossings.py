@@ -190,6 +190,7 @@ class Crossings:
             if track.reach < EXIT_HEIGHTS_MIN * track.height:
                 moved = track.reach / track.height
                 self._note("stayed", track, track.last, track.edge, moved, EXIT_HEIGHTS_MIN)
+                self._walks.pop(track.number, None)
                 continue
             self._forget(track)
             reason: Ending = "handed over" if track.successor else "left"
