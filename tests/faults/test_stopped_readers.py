@@ -131,8 +131,8 @@ class Walks:
     def missing(self) -> int:
         """Return how many acks are missing, and predictions beyond those that may be lost.
 
-        Predictions are dropped, not repeated, where a connection is full for a moment, as those of
-        a reader are that gets no processor time.
+        The daemon leaves out predictions that would be late (`predictions_skipped`), and those that
+        a full connection drops are not repeated.
         """
         exits = len(self._put) + len(self.delays)
         return len(self._unacknowledged) + max(len(self._put) - int(LOST_SHARE_MAX * exits), 0)
