@@ -6,6 +6,7 @@ events. Reading order:
 - `settings`: all settings of a grabber, with units;
 - `source`: files, streams and devices -> frames with capture times;
 - `detect`: noise filter, background model, moving pixels -> blobs;
+- `detector`: optional; says who is there and how many, before the blobs are tracked;
 - `track`: blobs -> tracks -> crossings of the edge of the view;
 - `pipeline`: frames -> events, without source, clock or waiting;
 - `analysis`: what the pipeline made of one frame, for its observer;
@@ -21,10 +22,11 @@ from camtopod.lazy import lazy_getattr
 if TYPE_CHECKING:
     from camtopod.vision.analysis import Analysis, Observer
     from camtopod.vision.grabber import Grabber
-    from camtopod.vision.settings import Polygon, VisionSettings
+    from camtopod.vision.settings import DetectorSettings, Polygon, VisionSettings
 
 __all__ = [
     "Analysis",
+    "DetectorSettings",
     "Grabber",
     "Observer",
     "Polygon",
@@ -35,6 +37,7 @@ __getattr__ = lazy_getattr(
     __name__,
     {
         "Analysis": "analysis",
+        "DetectorSettings": "settings",
         "Grabber": "grabber",
         "Observer": "analysis",
         "Polygon": "settings",

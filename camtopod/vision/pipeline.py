@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from camtopod.records import Event
 from camtopod.vision.analysis import Analysis, Observer
 from camtopod.vision.detect import Luma, MotionDetector, find_blobs, shrunk
+from camtopod.vision.detector import Detector, Known
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track import Crossings, Decision, IgnoredAreas, Recorder, Track, Tracker
 
@@ -27,15 +28,21 @@ class ViewPipeline:
     """Turns one view's frames into events. Deterministic: equal frames and times, equal events."""
 
     def __init__(
-        self, camera: str, settings: VisionSettings, observer: Observer | None = None
+        self,
+        camera: str,
+        settings: VisionSettings,
+        observer: Observer | None = None,
+        detector: Detector | None = None,
     ) -> None:
         """Prepare for the first frame.
 
         observer: called with every analysed frame; the events do not depend on it.
+        detector: says who is there and how many; None: motion alone.
         """
         self._camera = camera
         self._settings = settings
         self._observer = observer
+        self._detector = detector
         self._decisions: list[Decision] = []
         self._latest: Analysis | None = None
         self._motion = MotionDetector(settings)
@@ -46,16 +53,18 @@ class ViewPipeline:
         self.analysed = 0
         self.ghosts = 0
 
-    def process(self, t: float, frame: Luma) -> list[Event]:
+    def process(self, t: float, frame: Luma, picture: Luma | None = None) -> list[Event]:
         """Process the frame (H, W) captured at ``t`` (seconds) and return the events now certain.
 
         Times must increase. The frames of the first seconds wait until there is a background, then
         all of them are analysed.
+
+        picture (H, W, 3): the same frame in colour and at full size, for the detector.
         """
         self.analysed += 1
         small = self._motion.filter_noise(shrunk(frame, self._settings.working_width))
         if self._tracker is not None and self._motion.ready:
-            return self._step(t, small)
+            return self._step(t, small, picture)
         self._waiting.append((t, small))
         enough = t - self._waiting[0][0] >= self._settings.bootstrap_seconds
         if enough or len(self._waiting) >= BOOTSTRAP_FRAMES_KEPT:
@@ -89,7 +98,7 @@ class ViewPipeline:
                 events += self._step(t, frame)
         return events
 
-    def _step(self, t: float, frame: Luma) -> list[Event]:
+    def _step(self, t: float, frame: Luma, picture: Luma | None = None) -> list[Event]:
         """Analyse one frame."""
         assert self._tracker is not None
         assert self._crossings is not None
@@ -106,11 +115,15 @@ class ViewPipeline:
 
         # Blobs, tracks, events.
         blobs = find_blobs(motion, self._tracker.stature.height)
+        if self._detector is not None and picture is not None:
+            blobs = self._detector.step(t, picture, motion.moving, blobs, self._known(dt))
         changes = self._tracker.step(t, blobs)
         events = self._crossings.report(changes, self._tracker.active)
 
         # Drop ghosts.
         for track in self._tracker.active:
+            if self._detector is not None and self._detector.holds(track.last.box):
+                continue
             if self._is_still(track, t) and self._motion.is_ghost(frame, motion, track.last.box):
                 self._tracker.drop(track)
                 self.ghosts += 1
@@ -144,6 +157,19 @@ class ViewPipeline:
         self._decisions.clear()
         self._observer(self._latest)
 
+    def _known(self, dt: float) -> list[Known]:
+        """Return where the tracks are expected, ``dt`` seconds after the last frame."""
+        assert self._tracker is not None
+        known = []
+        for track in self._tracker.active:
+            head_x, head_y, foot_x, foot_y = track.kalman.velocity
+            x, y = dt * (head_x + foot_x) / 2, dt * (head_y + foot_y) / 2
+            left, top, right, bottom = track.box
+            box = (left + x, top + y, right + x, bottom + y)
+            still = track.confirmed and self._is_still(track, track.last.t)
+            known.append(Known(box, track.confirmed, still))
+        return known
+
     def _is_still(self, track: Track, t: float) -> bool:
         """Return True if the track is seen now and has stayed in place for `GHOST_SECONDS`.
 
@@ -174,6 +200,7 @@ class ViewPipeline:
     def statistics(self) -> dict[str, int | float]:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""
         tracker, crossings = self._tracker, self._crossings
+        seen = {} if self._detector is None else self._detector.statistics()
         return {
             "frames_analysed": self.analysed,
             "entries": crossings.entries if crossings else 0,
@@ -185,4 +212,5 @@ class ViewPipeline:
             "relearned": self._motion.relearned,
             "noise_grey_levels": round(self._motion.noise, 2),
             "shake_pixels": round(self._motion.shake, 2),
+            **seen,
         }

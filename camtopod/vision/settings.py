@@ -1,12 +1,12 @@
-"""Settings of a grabber (the ``[vision]`` table of the configuration), with their units.
+"""Settings of a grabber (``[vision]`` and ``[detector]`` of the configuration), with their units.
 
 ``[vision]`` holds for all cameras; each of its keys may also stand in ``[cameras.ID]``, for that
-camera alone.
+camera alone. The same holds for ``[detector]`` and ``[cameras.ID.detector]``.
 """
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
@@ -71,4 +71,40 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     sensitivity: Annotated[float, Meta(ge=0.25, le=4)] = 1.0
     """How faint motion may be, 0.25 to 4: at 2 half of the usual contrast to the background is
     enough, at 0.5 twice as much is needed. More than the measured noise is needed in any case.
+    """
+
+
+Layout = Literal["yolox", "yolov5", "yolov8", "end-to-end", "ssd", "rt-detr"]
+"""How a detector's model writes the boxes that it finds."""
+
+
+class DetectorSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """``[detector]``: a detector of people beside the motion, a model that is on this machine. Each
+    key may also stand in ``[cameras.ID.detector]``; ``[cameras.ID] detector = false`` does without.
+    """
+
+    model: str = ""
+    """The model, an ONNX file; a path as in [bus.tls]. Nothing is downloaded; deploy/detector.md
+    says where such models come from. Empty: motion alone.
+    """
+    labels: tuple[str | Annotated[int, Meta(ge=0)], ...] = ("person",)
+    """What makes events: labels of COCO, such as ["person", "bicycle"], or numbers of the model's
+    classes, from 0.
+    """
+    score: Annotated[float, Meta(gt=0, le=1)] = 0.4
+    """Least score of a detection, 0 to 1; 0.6 of it is enough where something is tracked already.
+    """
+    looks_per_second_max: Annotated[float, Meta(gt=0)] = 7.0
+    """Maximum number of looks per second of a camera: each takes the model's time, and only motion
+    and people who stand are looked at.
+    """
+    layout: Annotated[
+        str,
+        Meta(
+            pattern=r"^$|^(yolox|yolov5|yolov8|end-to-end|ssd|rt-detr)\Z",
+            description="one of yolox, yolov5, yolov8, end-to-end, ssd and rt-detr",
+        ),
+    ] = ""
+    """Layout of the model's outputs: yolox, yolov5, yolov8 (also of later ones), end-to-end, ssd or
+    rt-detr; empty: it is recognised, or `camtopod check` asks for it.
     """

@@ -39,6 +39,7 @@ FLOORS = (
     "sharding adapt export sim",
     "vision.settings",
     "vision.detect",
+    "vision.detector",
     "vision.source vision.track",
     "vision",
     "vision.show",

@@ -32,6 +32,8 @@ FOOT_SIGHTINGS = 5
 """Sightings whose median gives the foot row of a person cut by the side of the picture."""
 WHOLE_SHARE = 0.6
 """Least height of these sightings, as a share of the tallest one."""
+SPLIT_SECONDS_MAX = 3.0
+"""Time after an entry within which a detector may find that several people have entered."""
 EXIT_HEIGHTS_MIN = 0.6
 """Least distance from its origin (heights) that a track must have moved for an exit.
 
@@ -176,12 +178,27 @@ class Crossings:
         if edge is not None:
             track.entered = True
             return [self._event("entered", track, track.first, edge)]
+        if (parent := self._entered_with(track)) is not None:
+            track.entered = True
+            return [self._event("split", track, parent.first, None, other=parent.number)]
         if track.beside_others:
             self._note("beside others", track, track.first)
         else:
             self._note("in mid-view", track, track.first)
             self.doors.record_unexplained(*track.first.foot)
         return []
+
+    def _entered_with(self, track: Track) -> Track | None:
+        """Return the track that had been one moving region with ``track`` since its entry.
+
+        None if there is none. Motion dates the entry, a detector says how many have entered.
+        """
+        parent = track.split_from
+        if parent is None or track.first.t - parent.first.t > SPLIT_SECONDS_MAX:
+            return None
+        if parent.from_start or not (parent.entered or self.begins_at_edge(parent)):
+            return None
+        return parent
 
     def report_exits(self, left: Sequence[Track]) -> list[Event]:
         """Return the exits of tracks that have ended at an edge, if they had moved enough."""
@@ -202,20 +219,22 @@ class Crossings:
         ends = {self.doors.cell(*track.first.foot), self.doors.cell(*track.last.foot)}
         self.doors.record_walk(self._walks.pop(track.number, set()) - ends)
 
-    def _event(self, reason: Reason, track: Track, at: Sighting, edge: Edge | None) -> Event:
+    def _event(
+        self, reason: Reason, track: Track, at: Sighting, edge: Edge | None, other: int = 0
+    ) -> Event:
         """Return an event at a sighting.
 
         The foot row of a person cut by the side of the picture is estimated from the sightings
         that are kept.
         """
-        kind: Kind = "entry" if reason == "entered" else "exit"
+        kind: Kind = "entry" if reason in ("entered", "split") else "exit"
         x, y = at.foot
         cut_by_side = at.box[0] <= TOUCH_PIXELS or at.box[2] >= self._width - TOUCH_PIXELS
         if cut_by_side:
             y = _foot_row(list(track.history), latest=kind == "exit")
 
         # Count it, and say why.
-        self._note(reason, track, at._replace(foot=(x, y)), edge, other=track.successor)
+        self._note(reason, track, at._replace(foot=(x, y)), edge, other=other or track.successor)
         if kind == "entry":
             self.entries += 1
         else:

@@ -52,6 +52,14 @@ class Track:
     """What a tentative track lacked in the latest frame that showed it."""
     edge: Edge | None = None
     """Edge by which it left; None while it has not."""
+    looks: int = 0
+    """Sightings at which a detector has looked that is believed at this camera."""
+    detections: int = 0
+    """Those of them in which it saw an object."""
+    part_of: int = 0
+    """Moving region that it shares with others, in the latest sighting: see `Blob.part_of`."""
+    split_from: Track | None = None
+    """Track of the moving region that a detector has split to begin this one."""
     successor: int = 0
     """Number of the object that came in where this one left; 0 if there is none."""
 

@@ -71,6 +71,12 @@ TALL_SIGHTINGS_MIN = 3
 
 A single one may be two small animals in one blob.
 """
+DETECTOR_LOOKS_MIN = 3
+"""Looks of a detector at a track after which it says whether there is an object."""
+DETECTED_SHARE_MIN = 0.2
+"""Least share of these looks in which it sees one, for the track to be confirmed."""
+SPLIT_HEIGHTS_MAX = 1.5
+"""Distance (heights) within which two blobs of one moving region are of people side by side."""
 _SIZE_RATE = 0.2
 """Weight of the newest sighting in the running means of height and width."""
 _NEVER = 1e9
@@ -253,6 +259,7 @@ class Tracker:
 
         track.kalman.update(measured, track.height)
         self._seen(track, Sighting(t, blob.foot, blob.box))
+        _note_look(track, blob)
 
         # Measure the height of whole people, once per distance walked.
         step = hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1])
@@ -269,6 +276,7 @@ class Tracker:
         track.last = sighting
         track.history.append(sighting)
         track.sightings += 1
+        track.part_of = 0
         if self._touches(sighting.box):
             track.cut_t = sighting.t
         left, top, right, bottom = sighting.box
@@ -315,8 +323,27 @@ class Tracker:
             cut_t=t if cut else float("-inf"),
         )
         track.history.append(sighting)
+        _note_look(track, blob)
+        track.split_from = self._parent_of(t, track)
         self._next += 1
         self.active.append(track)
+
+    def _parent_of(self, t: float, track: Track) -> Track | None:
+        """Return the track whose moving region a detector has split to begin ``track``."""
+        if not track.part_of:
+            return None
+        x, y = track.first.foot
+        reach = SPLIT_HEIGHTS_MAX * track.height
+        return next(
+            (
+                other
+                for other in self.active
+                if other.last.t == t
+                and other.part_of == track.part_of
+                and hypot(other.last.foot[0] - x, other.last.foot[1] - y) <= reach
+            ),
+            None,
+        )
 
     def _confirm(self, t: float) -> list[Track]:
         """Confirm tracks that have become objects; return those that continue no broken track."""
@@ -341,6 +368,10 @@ class Tracker:
             return Lack("patchy", track.sightings / track.frames, CONFIRM_SIGHTINGS_SHARE)
         if track.reach < CONFIRM_HEIGHTS * track.height:
             return Lack("still", track.reach / track.height, CONFIRM_HEIGHTS)
+        if track.looks >= DETECTOR_LOOKS_MIN:
+            share = track.detections / track.looks
+            if share < DETECTED_SHARE_MIN:
+                return Lack("undetected", share, DETECTED_SHARE_MIN)
 
         # Tall enough in several sightings.
         if self._height_min > 0.0:
@@ -522,6 +553,14 @@ class Tracker:
             self._note("lost", track, track.last)
         self.active, self.broken = [], []
         return left
+
+
+def _note_look(track: Track, blob: Blob) -> None:
+    """Count what a detector has seen of the blob that shows a track."""
+    track.part_of = blob.part_of
+    if blob.detected is not None:
+        track.looks += 1
+        track.detections += blob.detected
 
 
 def _holds(outer: Box, inner: Box) -> bool:

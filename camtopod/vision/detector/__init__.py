@@ -1,0 +1,55 @@
+"""The optional detector of people, a model that the operator has put on this machine.
+
+Motion says where and when to look and dates entries and exits; the detector says who is there and
+how many. Reading order:
+
+- `looker`: the step of the pipeline: when to look, and what follows;
+- `crops`: which parts of the picture to look at;
+- `model`: the model on OpenCV's DNN, with `onnx_header` (size of its input), `layouts` (its outputs
+  -> boxes) and `coco` (names of its classes);
+- `agreement`: whether the detector is believed at this camera;
+- `fusion`: motion and detections -> the blobs that are tracked;
+- `once`: describes a model for people (`camtopod check --probe`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from camtopod.lazy import lazy_getattr
+
+if TYPE_CHECKING:
+    from camtopod.vision.detector.coco import LABELS
+    from camtopod.vision.detector.fusion import Known
+    from camtopod.vision.detector.looker import Detector, Looks, Seen
+    from camtopod.vision.detector.model import Detection, DetectorError, Model
+    from camtopod.vision.detector.once import ModelReport, look_once
+
+__all__ = [
+    "LABELS",
+    "Detection",
+    "Detector",
+    "DetectorError",
+    "Known",
+    "Looks",
+    "Model",
+    "ModelReport",
+    "Seen",
+    "look_once",
+]
+
+__getattr__ = lazy_getattr(
+    __name__,
+    {
+        "LABELS": "coco",
+        "Detection": "model",
+        "Detector": "looker",
+        "DetectorError": "model",
+        "Known": "fusion",
+        "Looks": "looker",
+        "Model": "model",
+        "ModelReport": "once",
+        "Seen": "looker",
+        "look_once": "once",
+    },
+)

@@ -1,0 +1,138 @@
+"""Where a detector looks: parts of the picture round motion and round people who stand.
+
+A part has the shape of the model's input, so that a small person far away fills more of it than of
+the whole picture. Near regions share a part; if there are more parts than looks, those wait that
+were looked at last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf
+
+import numpy as np
+
+from camtopod.vision.detect import Box
+
+MARGIN_HEIGHTS = 0.5
+"""Margin round a region (heights of the region): motion shows some of a person only."""
+HEIGHT_GOOD = 0.16
+"""Height of a region, as a share of a part's height, down to which regions share a part freely."""
+HEIGHT_MIN = 0.08
+"""The same where there are fewer looks than parts; lower ones are found badly."""
+ENLARGED_MAX = 3.0
+"""Largest factor by which a part is enlarged: beyond it there is nothing more to see."""
+REGIONS_MAX = 24
+"""Regions that are looked at, the largest."""
+GRID = (8, 8)
+"""Rows and columns of the cells that remember when they were looked at."""
+
+Aspect = float
+"""Width over height."""
+
+
+class Crops:
+    """Plans the looks at one view."""
+
+    def __init__(self, size: tuple[int, int], input_size: tuple[int, int]) -> None:
+        """Prepare for pictures of ``size`` and a model with inputs of ``input_size`` pixels.
+
+        Both are (width, height).
+        """
+        self._size = size
+        self._input = input_size
+        self._looked = np.full(GRID, -inf)
+        """Time of the latest look at each cell, seconds."""
+
+    def plan(self, t: float, regions: Sequence[Box], looks: int) -> list[Box]:
+        """Return at most ``looks`` parts of the picture that hold regions, most urgent first.
+
+        t (seconds): capture time.
+        regions, result: in pixels of the picture; parts may reach out of it.
+        """
+        if not regions or looks < 1:
+            return []
+        largest = sorted(regions, key=lambda box: (box[1] - box[3]) * (box[2] - box[0]))
+        groups = [[region] for region in largest[:REGIONS_MAX]]
+        groups = self._merged(groups, HEIGHT_GOOD, 1)
+        if len(groups) > looks:
+            groups = self._merged(groups, HEIGHT_MIN, looks)
+
+        # Those that have waited for longest come first, larger ones before smaller ones.
+        order = sorted(groups, key=lambda group: (self._waits_since(group), -len(group)))
+        parts = []
+        for group in order[:looks]:
+            for region in group:
+                self._looked[self._cell(region)] = t
+            parts.append(self._part(group))
+        return parts
+
+    def _merged(self, groups: list[list[Box]], least: float, number: int) -> list[list[Box]]:
+        """Merge groups until there are ``number``, the pair that needs the smallest part first.
+
+        least: the regions of a group keep at least this share of its part's height, by their
+            median.
+        """
+        groups = list(groups)
+        while len(groups) > number:
+            best, best_side = None, inf
+            for i in range(len(groups)):
+                for j in range(i):
+                    group = groups[i] + groups[j]
+                    part = self._part(group)
+                    side = part[3] - part[1]
+                    if side < best_side and _median_height(group) >= least * side:
+                        best, best_side = (i, j), side
+            if best is None:
+                break
+            i, j = best
+            merged = groups[i] + groups[j]
+            groups = [group for k, group in enumerate(groups) if k not in best] + [merged]
+        return groups
+
+    def _part(self, group: Sequence[Box]) -> Box:
+        """Return the part of the picture for some regions, inside of the picture if it fits."""
+        left, right = min(box[0] for box in group), max(box[2] for box in group)
+        top, bottom = min(box[1] for box in group), max(box[3] for box in group)
+        margin = MARGIN_HEIGHTS * max(box[3] - box[1] for box in group)
+
+        # Height of the part, in the shape of the input, not larger than the whole picture needs.
+        aspect = self._input[0] / self._input[1]
+        height = max(bottom - top + 2 * margin, (right - left + 2 * margin) / aspect)
+        height = max(height, self._input[1] / ENLARGED_MAX)
+        height = min(height, max(self._size[1], self._size[0] / aspect))
+        width = height * aspect
+
+        # Around the regions, moved into the picture.
+        x = _placed((left + right - width) / 2, width, self._size[0])
+        y = _placed((top + bottom - height) / 2, height, self._size[1])
+        return (x, y, x + width, y + height)
+
+    def _waits_since(self, group: Sequence[Box]) -> float:
+        return min(float(self._looked[self._cell(region)]) for region in group)
+
+    def _cell(self, region: Box) -> tuple[int, int]:
+        """Return the cell (row, column) of a region's middle."""
+        row = int((region[1] + region[3]) / 2 / self._size[1] * GRID[0])
+        column = int((region[0] + region[2]) / 2 / self._size[0] * GRID[1])
+        return min(max(row, 0), GRID[0] - 1), min(max(column, 0), GRID[1] - 1)
+
+
+def whole(size: tuple[int, int], input_size: tuple[int, int]) -> Box:
+    """Return the part that holds the whole picture of ``size`` (width, height), in its middle."""
+    aspect = input_size[0] / input_size[1]
+    height = max(size[1], size[0] / aspect)
+    x, y = (size[0] - height * aspect) / 2, (size[1] - height) / 2
+    return (x, y, x + height * aspect, y + height)
+
+
+def _median_height(group: Sequence[Box]) -> float:
+    heights = sorted(box[3] - box[1] for box in group)
+    return heights[len(heights) // 2]
+
+
+def _placed(start: float, length: float, whole_length: float) -> float:
+    """Return where a part of ``length`` begins that is inside of the picture, or in its middle."""
+    if length >= whole_length:
+        return (whole_length - length) / 2
+    return min(max(start, 0.0), whole_length - length)

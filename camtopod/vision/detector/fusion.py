@@ -1,0 +1,172 @@
+"""Motion and detections of one frame -> the blobs that are tracked.
+
+Used only where the detector is believed. What moves and is detected once becomes the detection's
+box, whatever pieces motion shows of it or adds to it (joins pieces, drops shadows). What moves and
+is detected several times is split. What moves and is not detected stays as it is: it dates entries
+and exits, as a detector sees people late at the border. What is detected and does not move is kept
+if it is tracked: somebody stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from camtopod.vision.detect import Blob, Box, Luma
+
+LINK_SHARE = 0.4
+"""Least share of a detection, or half of a blob, that they have in common to be of one object."""
+SAME_SHARE = 0.5
+"""Least overlap (share of the smaller box) of a track and a detection of one object."""
+MOVING_SHARE = 0.25
+"""Least share of moving pixels in the box of a track that is not detected, beside detections."""
+BORDER_HEIGHTS = 0.15
+"""Distance from the border (heights) within which a detection ends there, if its motion does."""
+TOUCH_PIXELS = 1.5
+"""Distance from the border (pixels) within which a blob touches it."""
+
+
+class Known(NamedTuple):
+    """Something that is tracked already."""
+
+    box: Box
+    """Where it is expected, pixels of the working picture."""
+    confirmed: bool
+    still: bool
+    """It stands."""
+
+
+def fuse(
+    blobs: Sequence[Blob],
+    detections: Sequence[Box],
+    looked: Sequence[Box],
+    known: Sequence[Known],
+    moving: Luma,
+) -> list[Blob]:
+    """Return the blobs of a frame as the detector sees them.
+
+    detections: boxes of objects.
+    looked: parts of the picture that were looked at.
+    known: what is tracked.
+    moving (H, W): mask of moving pixels.
+
+    All in pixels of the working picture.
+    """
+    height, width = moving.shape
+    links = [[d for d, box in enumerate(detections) if _linked(blob.box, box)] for blob in blobs]
+    fused = []
+
+    # What moves and is not detected.
+    for blob, own in zip(blobs, links, strict=True):
+        if not own:
+            seen = any(_inside(blob.box, part) for part in looked)
+            fused.append(replace(blob, detected=False) if seen else blob)
+
+    # What is detected: one blob each, with the number of the blob that several share.
+    found = []
+    for d, box in enumerate(detections):
+        own_blobs = [b for b, own in enumerate(links) if d in own]
+        if not own_blobs and not any(same(one.box, box) for one in known):
+            continue
+        shared = next((b + 1 for b in own_blobs if len(links[b]) > 1), 0)
+        outline = _to_border(box, [blobs[b].box for b in own_blobs], (width, height))
+        found.append(_blob(outline, detected=True, part_of=shared))
+
+    # Tracked objects that move within a blob of others and are not detected in this frame.
+    boxes = [blob.box for blob in found]
+    for one in known:
+        if not one.confirmed or any(same(one.box, box) for box in boxes):
+            continue
+        for b, blob in enumerate(blobs):
+            rest = _common(one.box, blob.box)
+            if links[b] and rest is not None and _moves_beside(rest, one.box, boxes, moving):
+                fused.append(_blob(rest, detected=False, part_of=0))
+                break
+    return fused + found
+
+
+def same(track: Box, detection: Box) -> bool:
+    """Return True if a track and a detection are of one object."""
+    common = _common(track, detection)
+    return common is not None and _area(common) >= SAME_SHARE * min(_area(track), _area(detection))
+
+
+def same_box(a: Box, b: Box) -> bool:
+    """Return True if the intersection of two boxes is more than half of their union."""
+    common = _common(a, b)
+    area = 0.0 if common is None else _area(common)
+    return area > 0.5 * (_area(a) + _area(b) - area)
+
+
+def share_inside(moving: Luma, part: Box, boxes: Sequence[Box]) -> tuple[int, int]:
+    """Return how many moving pixels a part of the picture has, and how many are inside of boxes.
+
+    moving (H, W): mask of moving pixels; part and boxes in its pixels.
+    """
+    rows, columns = _slices(part, moving)
+    mask = moving[rows, columns] != 0
+    inside = np.zeros(moving.shape, bool)
+    for box in boxes:
+        inside[_slices(box, moving)] = True
+    return int(np.count_nonzero(mask)), int(np.count_nonzero(mask & inside[rows, columns]))
+
+
+def _linked(blob: Box, detection: Box) -> bool:
+    """Return True if a blob shows a piece of what was detected, or holds it."""
+    common = _common(blob, detection)
+    if common is None:
+        return False
+    area = _area(common)
+    return area >= LINK_SHARE * _area(detection) or area >= 0.5 * _area(blob)
+
+
+def _to_border(box: Box, blobs: Sequence[Box], size: tuple[int, int]) -> Box:
+    """Return a detection's box up to the border, where it is near and its motion touches it."""
+    reach = max(3.0, BORDER_HEIGHTS * (box[3] - box[1]))
+    ends = (0.0, 0.0, float(size[0]), float(size[1]))
+    sides = []
+    for side, (value, end) in enumerate(zip(box, ends, strict=True)):
+        touched = any(abs(blob[side] - end) <= TOUCH_PIXELS for blob in blobs)
+        sides.append(end if touched and abs(value - end) <= reach else value)
+    return (sides[0], sides[1], sides[2], sides[3])
+
+
+def _moves_beside(rest: Box, track: Box, others: Sequence[Box], moving: Luma) -> bool:
+    """Return True if enough of a track's box moves outside of the boxes of others."""
+    if _area(rest) < SAME_SHARE * _area(track):
+        return False
+    count, covered = share_inside(moving, rest, others)
+    return count - covered >= MOVING_SHARE * _area(track)
+
+
+def _blob(box: Box, detected: bool, part_of: int) -> Blob:
+    """Return a blob with the foot in the middle of the box's bottom."""
+    middle = (box[0] + box[2]) / 2
+    return Blob(*box, middle, _area(box), detected, part_of)
+
+
+def _inside(box: Box, part: Box) -> bool:
+    """Return True if most of a box is inside of a part."""
+    common = _common(box, part)
+    return common is not None and _area(common) >= 0.8 * _area(box)
+
+
+def _common(a: Box, b: Box) -> Box | None:
+    left, top = max(a[0], b[0]), max(a[1], b[1])
+    right, bottom = min(a[2], b[2]), min(a[3], b[3])
+    return (left, top, right, bottom) if left < right and top < bottom else None
+
+
+def _area(box: Box) -> float:
+    return max(0.0, box[2] - box[0]) * max(0.0, box[3] - box[1])
+
+
+def _slices(box: Box, picture: Luma) -> tuple[slice, slice]:
+    """Return the rows and columns of a box that are in the picture."""
+    height, width = picture.shape
+    left, right = (min(max(round(x), 0), width) for x in (box[0], box[2]))
+    top, bottom = (min(max(round(y), 0), height) for y in (box[1], box[3]))
+    return slice(top, bottom), slice(left, right)

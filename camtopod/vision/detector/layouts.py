@@ -1,0 +1,305 @@
+"""Outputs of detectors -> boxes: the layouts in which exported models write them.
+
+Nobody standardised them, but the shapes differ. With C classes, an input of W x H pixels and
+G = sum of (W / s) * (H / s) over the strides s = 8, 16, 32:
+
+- ``yolox``: (1, G, 5 + C): x, y, width, height, objectness, classes; positions relative to the cell
+  and in strides, sizes as logarithms (raw grid), or pixels (decoded). BGR, 0 to 255.
+- ``yolov5``: (1, 3 G, 5 + C), decoded: pixels. RGB, 0 to 1. YOLOv6 and YOLOv7 alike, with G or 3 G.
+- ``yolov8``: (1, 4 + C, G): x, y, width, height, classes; pixels. RGB, 0 to 1. Also YOLO 9 and 11.
+- ``end-to-end``: (1, N, 6): left, top, right, bottom, score, class; pixels. RGB, 0 to 1. Nothing is
+  to be suppressed: YOLOv10, YOLO26, exports with suppression of non-maxima inside.
+- ``ssd``: (1, 1, N, 7): image, class, score, left, top, right, bottom; fractions. BGR, 0 to 255.
+- ``rt-detr``: (1, Q, 4) and (1, Q, C), or both in one (1, Q, 4 + C): middle, size (fractions) and
+  scores or their logits. RGB, 0 to 1. Nothing is to be suppressed.
+
+Pure NumPy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from camtopod.vision.settings import Layout
+
+Array = npt.NDArray[np.float32]
+
+LAYOUTS: tuple[Layout, ...] = get_args(Layout)
+"""Values of the setting `layout`."""
+STRIDES = (8, 16, 32)
+"""Pixels of the input a cell of each of the three grids."""
+OVERLAP_MAX = 0.5
+"""Largest overlap (area of the intersection over that of the union) of two boxes of a class."""
+CANDIDATES_MAX = 300
+"""Boxes that take part in the suppression of non-maxima, those of the highest scores."""
+DECODED_PIXELS = 8.0
+"""Median of the absolute positions above which a grid is decoded.
+
+A raw one holds offsets from the cell, in strides: most are between -1 and 2.
+"""
+
+
+class LayoutError(ValueError):
+    """The outputs are of no known layout, of several, or not of the one that was asked for."""
+
+
+class Form(NamedTuple):
+    """How a model writes its boxes, and what it takes."""
+
+    layout: Layout
+    classes: int | None
+    """Number of classes; None if the outputs do not say."""
+    raw: bool = False
+    """Positions are relative to the cells of the grid."""
+    logits: bool = False
+    """Scores are logits."""
+
+    @property
+    def bgr(self) -> bool:
+        """True if it takes blue, green, red from 0 to 255; else red, green, blue from 0 to 1."""
+        return self.layout in ("yolox", "ssd")
+
+    @property
+    def from_one(self) -> bool:
+        """True if classes have COCO's own numbers, from 1."""
+        return self.layout == "ssd"
+
+
+class Found(NamedTuple):
+    """Boxes that a model has found."""
+
+    boxes: Array
+    """(N, 4): left, top, right, bottom in pixels of the input."""
+    scores: Array
+    """(N,): 0 to 1."""
+    classes: npt.NDArray[np.int64]
+    """(N,): numbers of classes."""
+
+
+# -- which layout ------------------------------
+
+
+def recognise(outputs: Sequence[Array], size: tuple[int, int], asked: Layout | None) -> Form:
+    """Return the form of a model's outputs.
+
+    outputs: those for any picture; their values tell what the shapes leave open.
+    size (width, height): the model's input, pixels.
+    asked: the layout that the settings name; None to recognise it.
+
+    Raises `LayoutError`, which names the values of `layout` that can be written.
+    """
+    forms = _possible(outputs, size)
+    shapes = " and ".join(str(tuple(output.shape)) for output in outputs)
+    if asked is not None:
+        fitting = [form for form in forms if form.layout == asked]
+        if not fitting:
+            raise LayoutError(
+                f"its outputs, {shapes}, are not of the layout {asked!r}; {_can_be(forms)}"
+            )
+        return fitting[0]
+    if len(forms) == 1:
+        return forms[0]
+    if not forms:
+        raise LayoutError(f"its outputs, {shapes}, are of no known layout; {_can_be(forms)}")
+    raise LayoutError(f"its outputs, {shapes}, do not tell their layout; {_can_be(forms)}")
+
+
+def _can_be(forms: Sequence[Form]) -> str:
+    """Return which layouts the outputs can have, in words."""
+    names = [f'"{form.layout}"' for form in forms]
+    if not names:
+        return f"known are {', '.join(LAYOUTS)}"
+    if len(names) == 1:
+        return f"they can be {names[0]}"
+    return f"write layout = {', '.join(names[:-1])} or {names[-1]}"
+
+
+def _possible(outputs: Sequence[Array], size: tuple[int, int]) -> list[Form]:
+    """Return the forms that the shapes and values of the outputs allow."""
+    shapes = [output.shape for output in outputs]
+
+    # Boxes and scores apart.
+    if len(outputs) == 2 and all(len(shape) == 3 for shape in shapes):
+        boxes, scores = _boxes_first(outputs)
+        if boxes.shape[2] != 4 or boxes.shape[:2] != scores.shape[:2]:
+            return []
+        return [Form("rt-detr", scores.shape[2], logits=_are_logits(scores))]
+    if len(outputs) != 1 or shapes[0][0] != 1:
+        return []
+    output, shape = outputs[0], shapes[0]
+    if len(shape) == 4:
+        return [Form("ssd", None)] if shape[1] == 1 and shape[3] == 7 else []
+    if len(shape) != 3:
+        return []
+
+    # A grid: its cells tell it.
+    _, rows, columns = shape
+    cells = cell_count(size)
+    if columns == cells and rows > 4:
+        return [Form("yolov8", rows - 4)]
+    if rows == 3 * cells and columns > 5:
+        return [Form("yolov5", columns - 5)]
+    if rows == cells and columns > 5:
+        grid = Form("yolox", columns - 5, raw=not _is_decoded(output))
+        return [grid] if grid.raw else [grid, Form("yolov5", columns - 5)]
+
+    # No grid: so many boxes at most.
+    if columns == 6:
+        return [
+            Form("end-to-end", None),
+            Form("rt-detr", 2, logits=_are_logits(output[..., 4:])),
+        ][: 2 if _are_fractions(output[..., :4]) else 1]
+    if 4 < columns < rows and _are_fractions(output[..., :4]):
+        return [Form("rt-detr", columns - 4, logits=_are_logits(output[..., 4:]))]
+    return []
+
+
+def cell_count(size: tuple[int, int]) -> int:
+    """Return the number of cells of the three grids for an input of (width, height) pixels."""
+    return sum((size[0] // stride) * (size[1] // stride) for stride in STRIDES)
+
+
+def _boxes_first(outputs: Sequence[Array]) -> tuple[Array, Array]:
+    """Return (boxes, scores) of two outputs; with four classes the first are the boxes."""
+    first, second = outputs
+    if first.shape[2] == 4 and second.shape[2] == 4:
+        return (
+            (second, first)
+            if _are_fractions(second) and not _are_fractions(first)
+            else (
+                first,
+                second,
+            )
+        )
+    return (first, second) if first.shape[2] == 4 else (second, first)
+
+
+def _are_logits(scores: Array) -> bool:
+    return bool(scores.min() < 0.0 or scores.max() > 1.0)
+
+
+def _are_fractions(boxes: Array) -> bool:
+    """Return True if positions and sizes are fractions of the input, not pixels."""
+    return bool(boxes.min() >= -0.5 and 0.0 < boxes.max() <= 1.5)
+
+
+def _is_decoded(output: Array) -> bool:
+    """Return True if a grid's positions are pixels."""
+    return float(np.median(np.abs(output[0, :, :2]))) > DECODED_PIXELS
+
+
+# -- decoding ------------------------------
+
+
+def decode(
+    outputs: Sequence[Array],
+    form: Form,
+    size: tuple[int, int],
+    wanted: Sequence[int],
+    score_min: float,
+) -> Found:
+    """Return the boxes of the wanted classes.
+
+    size (width, height): the model's input, pixels.
+    wanted: numbers of classes.
+    score_min: least score, 0 to 1.
+    """
+    width, height = size
+    scale = np.array([width, height, width, height], np.float32)
+    output = outputs[0]
+
+    # Boxes that name their class.
+    if form.layout == "ssd":
+        rows = output[0, 0]
+        return _of_classes(rows[:, 3:7] * scale, rows[:, 2], rows[:, 1], wanted, score_min, True)
+    if form.layout == "end-to-end":
+        rows = output[0]
+        return _of_classes(rows[:, :4], rows[:, 4], rows[:, 5], wanted, score_min, False)
+
+    # Boxes with a score for each class.
+    if form.layout == "rt-detr":
+        both = _boxes_first(outputs) if len(outputs) == 2 else (output[..., :4], output[..., 4:])
+        boxes, scores = _corners(both[0][0] * scale), both[1][0]
+        scores = _sigmoid(scores) if form.logits else scores
+    elif form.layout == "yolov8":
+        rows = output[0].T
+        boxes, scores = _corners(rows[:, :4]), rows[:, 4:]
+    else:
+        rows = output[0]
+        places = _from_grid(rows[:, :4], size) if form.raw else rows[:, :4]
+        boxes, scores = _corners(places), rows[:, 5:] * rows[:, 4:5]
+
+    # The best of the wanted classes.
+    numbers = np.array(wanted, np.int64)
+    chosen = scores[:, numbers]
+    best = chosen.argmax(axis=1)
+    found = _above(boxes, chosen[np.arange(len(best)), best], numbers[best], score_min)
+    return found if form.layout == "rt-detr" else without_overlaps(found)
+
+
+def _of_classes(
+    boxes: Array, scores: Array, classes: Array, wanted: Sequence[int], least: float, overlaps: bool
+) -> Found:
+    """Return the boxes of the wanted classes with at least a score.
+
+    overlaps: the model may report an object twice.
+    """
+    numbers = classes.round().astype(np.int64)
+    kept = np.isin(numbers, wanted)
+    found = _above(boxes[kept], scores[kept], numbers[kept], least)
+    return without_overlaps(found) if overlaps else found
+
+
+def _above(boxes: Array, scores: Array, classes: npt.NDArray[np.int64], score_min: float) -> Found:
+    """Return the boxes with at least a score, best first; a score that is no number counts as 0."""
+    kept = np.flatnonzero((scores >= score_min) & np.isfinite(boxes).all(axis=1))
+    order = kept[np.argsort(-scores[kept], kind="stable")][:CANDIDATES_MAX]
+    return Found(boxes[order], scores[order], classes[order])
+
+
+def without_overlaps(found: Found) -> Found:
+    """Return the boxes without those that a better one of the same class overlaps.
+
+    found: best first. This is the usual greedy suppression of non-maxima.
+    """
+    kept: list[int] = []
+    for index in range(len(found.scores)):
+        same = [other for other in kept if found.classes[other] == found.classes[index]]
+        if not same or overlaps(found.boxes[index], found.boxes[same]).max() <= OVERLAP_MAX:
+            kept.append(index)
+    return Found(found.boxes[kept], found.scores[kept], found.classes[kept])
+
+
+def overlaps(box: Array, others: Array) -> Array:
+    """Return intersection over union of a box (4,) with each of the others (N, 4)."""
+    low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
+    common = np.prod(np.maximum(high - low, 0.0), axis=1)
+    areas = np.prod(others[:, 2:] - others[:, :2], axis=1) + np.prod(box[2:] - box[:2])
+    return np.asarray(common / np.maximum(areas - common, 1e-6), np.float32)
+
+
+def _corners(places: Array) -> Array:
+    """Return left, top, right, bottom of middles and sizes, both (N, 4)."""
+    half = places[:, 2:] / 2
+    return np.concatenate([places[:, :2] - half, places[:, :2] + half], axis=1)
+
+
+def _from_grid(raw: Array, size: tuple[int, int]) -> Array:
+    """Return middles and sizes (N, 4), pixels, of the raw values of a grid (N, 4)."""
+    cells, strides = [], []
+    for stride in STRIDES:
+        rows, columns = size[1] // stride, size[0] // stride
+        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+        cells.append(np.stack([x.ravel(), y.ravel()], axis=1))
+        strides.append(np.full((rows * columns, 1), stride))
+    stride_of = np.concatenate(strides).astype(np.float32)
+    middles = (raw[:, :2] + np.concatenate(cells)) * stride_of
+    return np.concatenate([middles, np.exp(np.minimum(raw[:, 2:], 10.0)) * stride_of], axis=1)
+
+
+def _sigmoid(values: Array) -> Array:
+    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(values, -50.0, 50.0))), np.float32)

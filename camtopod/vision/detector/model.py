@@ -1,0 +1,176 @@
+"""A detector's model on OpenCV's DNN: part of a picture -> boxes of the wanted labels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple, cast
+
+import cv2
+import numpy as np
+
+from camtopod.vision.detect import Box
+from camtopod.vision.detector import layouts, onnx_header
+from camtopod.vision.detector.coco import class_number, label_name
+from camtopod.vision.settings import DetectorSettings, Layout
+
+Picture = cv2.typing.MatLike
+"""Colour picture (H, W, 3), uint8: blue, green, red."""
+
+SIZE_UNKNOWN = 640
+"""Width and height (pixels) at which a model is used that leaves its size open."""
+SIZE_MAX = 2048
+"""Largest width and height of a model's input, pixels."""
+PADDING = 114
+"""Grey level beside a picture that does not fill the model's input, as in training."""
+KNOWN_SCORE_SHARE = 0.6
+"""Share of the setting `score` that is enough where something is tracked already."""
+
+
+class DetectorError(Exception):
+    """The model cannot be used; ``str()`` says why.
+
+    key: the setting that is to be changed.
+    """
+
+    def __init__(self, key: Literal["model", "labels", "layout"], what: str) -> None:
+        super().__init__(what)
+        self.key = key
+
+
+class Detection(NamedTuple):
+    """An object that a model has found."""
+
+    box: Box
+    """Left, top, right, bottom in pixels; right and bottom are exclusive."""
+    score: float
+    """0 to 1."""
+    label: str
+    """Name of its class, or the number of a class without a name."""
+
+
+class Model:
+    """A loaded model. For a single thread.
+
+    size (width, height): its input, pixels.
+    form: layout and number of classes of its outputs.
+    """
+
+    def __init__(self, settings: DetectorSettings) -> None:
+        """Load the model and look at an empty picture. Raises `DetectorError`."""
+        self.name = Path(settings.model).name
+        self.size = _input_size(settings.model)
+        try:
+            self._net = cv2.dnn.readNetFromONNX(settings.model)
+            self._outputs = self._net.getUnconnectedOutLayersNames()
+        except cv2.error as error:
+            raise DetectorError("model", f"OpenCV cannot load it: {_reason(error)}") from None
+
+        # Look once: the outputs tell the layout.
+        empty = np.full((self.size[1], self.size[0], 3), PADDING, np.uint8)
+        try:
+            outputs = self._forward(empty, 1.0, swap=False)
+        except cv2.error as error:
+            raise DetectorError("model", f"OpenCV cannot run it: {_reason(error)}") from None
+        asked = cast(Layout, settings.layout) if settings.layout else None
+        try:
+            self.form = layouts.recognise(outputs, self.size, asked)
+        except layouts.LayoutError as error:
+            raise DetectorError("layout" if asked else "model", str(error)) from None
+
+        # The classes that are looked for.
+        try:
+            self._wanted = [
+                class_number(label, self.form.classes, self.form.from_one)
+                for label in settings.labels
+            ]
+        except ValueError as error:
+            raise DetectorError("labels", str(error)) from None
+        self._score_min = KNOWN_SCORE_SHARE * settings.score
+
+    def look(self, picture: Picture, part: Box) -> list[Detection]:
+        """Return what is in a part of the picture (H, W, 3), boxes in pixels of the picture.
+
+        part: of the shape of the input; what of it is outside of the picture is filled with grey.
+
+        Scores are from `KNOWN_SCORE_SHARE` of the setting `score` on.
+        """
+        width, height = self.size
+        factor = width / (part[2] - part[0])
+        filled = _cut(picture, part, self.size)
+        if self.form.bgr:
+            outputs = self._forward(filled, 1.0, swap=False)
+        else:
+            outputs = self._forward(filled, 1.0 / 255.0, swap=True)
+        found = layouts.decode(outputs, self.form, self.size, self._wanted, self._score_min)
+
+        # From pixels of the input to pixels of the picture.
+        inside = np.clip(found.boxes, 0.0, (width, height, width, height))
+        boxes = inside / factor + (part[0], part[1], part[0], part[1])
+        rows, columns = picture.shape[:2]
+        boxes = np.clip(boxes, 0.0, (columns, rows, columns, rows))
+        return [
+            Detection(
+                cast(Box, tuple(map(float, box))),
+                float(score),
+                label_name(int(number), self.form.classes, self.form.from_one),
+            )
+            for box, score, number in zip(boxes, found.scores, found.classes, strict=True)
+            if box[2] - box[0] >= 1.0 and box[3] - box[1] >= 1.0
+        ]
+
+    def _forward(self, filled: Picture, scale: float, swap: bool) -> Sequence[layouts.Array]:
+        """Return the outputs for a picture of the input's size."""
+        blob = cv2.dnn.blobFromImage(filled, scale, swapRB=swap)
+        self._net.setInput(blob)
+        return [np.asarray(output, np.float32) for output in self._net.forward(self._outputs)]
+
+
+def _input_size(path: str) -> tuple[int, int]:
+    """Return width and height of the model's input. Raises `DetectorError`."""
+    try:
+        shapes = onnx_header.input_shapes(Path(path).read_bytes())
+    except OSError as error:
+        raise DetectorError("model", f"cannot read {path}: {error.strerror}") from None
+    except onnx_header.HeaderError as error:
+        raise DetectorError("model", f"{path} is not an ONNX model: {error}") from None
+    pictures = [shape for shape in shapes if len(shape) == 4 and shape[1] in (0, 3)]
+    if len(shapes) != 1 or len(pictures) != 1 or pictures[0][0] > 1:
+        said = " and ".join(str(tuple(shape)) for shape in shapes) or "none"
+        raise DetectorError(
+            "model", f"{path} does not take one picture (1, 3, height, width); its inputs: {said}"
+        )
+    height, width = (length or SIZE_UNKNOWN for length in pictures[0][2:])
+    if max(width, height) > SIZE_MAX or width % 32 or height % 32:
+        raise DetectorError(
+            "model",
+            f"{path} takes {width} x {height} pixels: multiples of 32 are needed, up to {SIZE_MAX}",
+        )
+    return width, height
+
+
+def _cut(picture: Picture, part: Box, size: tuple[int, int]) -> Picture:
+    """Return a part of the picture at ``size`` (width, height), grey where it is outside."""
+    rows, columns = picture.shape[:2]
+    left, top = max(0, round(part[0])), max(0, round(part[1]))
+    right, bottom = min(columns, round(part[2])), min(rows, round(part[3]))
+    factor = size[0] / (part[2] - part[0])
+
+    # Scale what is inside of the picture.
+    inside = picture[top:bottom, left:right]
+    x, y = round((left - part[0]) * factor), round((top - part[1]) * factor)
+    width = max(1, min(size[0] - x, round((right - left) * factor)))
+    height = max(1, min(size[1] - y, round((bottom - top) * factor)))
+    way = cv2.INTER_AREA if factor < 0.6 else cv2.INTER_LINEAR
+    scaled = cv2.resize(inside, (width, height), interpolation=way)
+    if (width, height) == size:
+        return scaled
+    filled = np.full((size[1], size[0], 3), PADDING, np.uint8)
+    filled[y : y + height, x : x + width] = scaled
+    return filled
+
+
+def _reason(error: cv2.error) -> str:
+    """Return the sentence in an error of OpenCV."""
+    text = str(error).partition("error: ")[2] or str(error)
+    return " ".join(text.split(")", 1)[-1].split()).partition(" in function ")[0] or text.strip()

@@ -1,0 +1,112 @@
+"""Size of the picture that an ONNX model takes, read from its file.
+
+OpenCV does not say it. An ONNX file is a message of Protocol Buffers; this reads the few fields
+that are needed and steps over the others. The numbers of the fields are those of `onnx.proto`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+_GRAPH = 7
+"""ModelProto.graph"""
+_INITIALIZER, _INPUT = 5, 11
+"""GraphProto.initializer, GraphProto.input"""
+_TENSOR_NAME = 8
+"""TensorProto.name"""
+_VALUE_NAME, _VALUE_TYPE = 1, 2
+"""ValueInfoProto.name, ValueInfoProto.type"""
+_TENSOR_TYPE = 1
+"""TypeProto.tensor_type"""
+_SHAPE = 2
+"""TypeProto.Tensor.shape"""
+_DIM = 1
+"""TensorShapeProto.dim"""
+_DIM_VALUE = 1
+"""TensorShapeProto.Dimension.dim_value"""
+
+Field = tuple[int, memoryview | int]
+"""Number and content of a field: bytes, or a whole number."""
+
+
+class HeaderError(ValueError):
+    """The file is not an ONNX model."""
+
+
+def input_shapes(content: bytes) -> list[list[int]]:
+    """Return the shape of each input of the model in ``content``; 0 where a length is left open.
+
+    Raises `HeaderError`.
+    """
+    try:
+        graphs = _messages(memoryview(content), _GRAPH)
+        graph = next(graphs, None)
+        if graph is None:
+            raise HeaderError("it has no graph")
+        names = (_name(tensor, _TENSOR_NAME) for tensor in _messages(graph, _INITIALIZER))
+        weights = set(names)  # models of old versions list their weights as inputs, too
+        return [
+            _shape(value)
+            for value in _messages(graph, _INPUT)
+            if _name(value, _VALUE_NAME) not in weights
+        ]
+    except IndexError:
+        raise HeaderError("it ends early") from None
+
+
+def _shape(value: memoryview) -> list[int]:
+    """Return the shape in a ValueInfoProto."""
+    return [
+        next((n for number, n in _fields(dim) if number == _DIM_VALUE and isinstance(n, int)), 0)
+        for kind in _messages(value, _VALUE_TYPE)
+        for tensor in _messages(kind, _TENSOR_TYPE)
+        for shape in _messages(tensor, _SHAPE)
+        for dim in _messages(shape, _DIM)
+    ]
+
+
+def _name(message: memoryview, number: int) -> bytes:
+    return next((bytes(text) for text in _messages(message, number)), b"")
+
+
+def _messages(message: memoryview, number: int) -> Iterator[memoryview]:
+    """Yield the fields of that number that hold bytes."""
+    for found, content in _fields(message):
+        if found == number and isinstance(content, memoryview):
+            yield content
+
+
+def _fields(message: memoryview) -> Iterator[Field]:
+    """Yield the fields of a message. Raises `HeaderError`, `IndexError`."""
+    at = 0
+    while at < len(message):
+        key, at = _varint(message, at)
+        kind = key & 7
+        if kind == 0:
+            value, at = _varint(message, at)
+            yield key >> 3, value
+            continue
+        if kind == 2:
+            length, at = _varint(message, at)
+        elif kind in (1, 5):
+            length = 8 if kind == 1 else 4
+        else:
+            raise HeaderError("it is not an ONNX file")
+        if at + length > len(message):
+            raise HeaderError("it ends early, or is not an ONNX file")
+        if kind == 2:
+            yield key >> 3, message[at : at + length]
+        at += length
+
+
+def _varint(message: memoryview, at: int) -> tuple[int, int]:
+    """Return a whole number of variable length, and where the next field begins."""
+    value = shift = 0
+    while True:
+        byte = message[at]
+        value |= (byte & 0x7F) << shift
+        at, shift = at + 1, shift + 7
+        if not byte & 0x80:
+            return value, at
+        if shift > 63:
+            raise HeaderError("it is not an ONNX file")
