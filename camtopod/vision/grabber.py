@@ -8,6 +8,7 @@ from typing import Literal
 
 from camtopod.records import Event
 from camtopod.vision.analysis import Observer
+from camtopod.vision.detector import Detector
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source import FfmpegLog, LiveSource, RecordedSource, kind_of
@@ -29,6 +30,7 @@ class Grabber:
     wall_clock: current time in seconds since the epoch. Frames of a stream or device have capture
         times on this clock.
     observer: called with every analysed frame, within `events`; the events do not depend on it.
+    detector: says who is there and how many; None: motion alone.
 
     Use one grabber per process for network streams: OpenCV serialises opening within a process, and
     its FFmpeg options are process-wide. Not thread-safe.
@@ -49,16 +51,21 @@ class Grabber:
         settings: VisionSettings | None = None,
         complaints: FfmpegLog | None = None,
         observer: Observer | None = None,
+        detector: Detector | None = None,
     ) -> None:
         settings = settings or VisionSettings()
         self.camera = camera
         self._source: RecordedSource | LiveSource
         if kind_of(source) == "file":
             path = source.removeprefix("file://")
-            self._source = RecordedSource(path, settings, start, speed if realtime else None)
+            self._source = RecordedSource(
+                path, settings, start, speed if realtime else None, detector is not None
+            )
         else:
-            self._source = LiveSource(source, settings, wall_clock, complaints)
-        self._watcher = ViewPipeline(camera, settings, observer)
+            self._source = LiveSource(
+                source, settings, wall_clock, complaints, detector is not None
+            )
+        self._watcher = ViewPipeline(camera, settings, observer, detector)
         self._analysis_seconds = 0.0
         self._last_t: float | None = None
 
@@ -79,7 +86,7 @@ class Grabber:
 
             if frame is not None:
                 began = time.thread_time()
-                events = self._watcher.process(frame.t, frame.luma)
+                events = self._watcher.process(frame.t, frame.luma, frame.picture)
                 self._analysis_seconds += time.thread_time() - began
                 self._last_t = frame.t
 

@@ -30,6 +30,10 @@ STREAM_OPTIONS = "rtsp_transport;tcp|probesize;32768|analyzeduration;300000"
 _OPTIONS_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 LUMA_FORMATS = frozenset({"I420", "YV12", "Y42B", "444P", "NV12", "NV21", "Y800"})
 """FFmpeg's names of pixel formats that begin with a plane of 8-bit luma."""
+PICTURE_WIDTH_MAX = 1920
+"""Largest width (pixels) of a picture in colour, which a detector looks at."""
+_VIDEO_RANGE = (16 + np.arange(256) * 219 / 255).round().astype(np.uint8)
+"""Luma as video has it, 16 to 235, by the grey level of the picture in colour."""
 _STEP_RATE = 0.1
 """Weight of the newest interval in the running mean of frame intervals."""
 
@@ -45,6 +49,8 @@ class Frame(NamedTuple):
 
     t: float
     luma: Luma
+    picture: Luma | None = None
+    """The same in colour and at full size (H, W, 3), if it was asked for."""
 
 
 class Capture:
@@ -53,7 +59,8 @@ class Capture:
     def __init__(self, source: str, settings: VisionSettings, colour: bool = False) -> None:
         """Open ``source``; `is_open` tells if that worked. Blocks for at most the open timeout.
 
-        colour: convert frames to colour, as `picture` requires.
+        colour: convert frames to colour, as `picture` requires. The luma then differs from that of
+            the video by its rounding.
         """
         cv2.utils.logging.setLogLevel(0)  # its messages contain URLs with passwords
         # Pictures are so small that waking more threads costs more than it gains.
@@ -89,6 +96,8 @@ class Capture:
         )
         if pixels in LUMA_FORMATS and not colour:
             self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+        self._from_colour = pixels in LUMA_FORMATS and colour
+        self._colour = colour
 
     @property
     def is_open(self) -> bool:
@@ -123,7 +132,18 @@ class Capture:
         good, self._picture = self._capture.retrieve(self._picture)
         if not good or self._picture is None:
             return None
-        return shrunk(_grey(self._picture), self._width_max)
+        luma = shrunk(_grey(self._picture), self._width_max)
+        return cv2.LUT(luma, _VIDEO_RANGE) if self._from_colour else luma
+
+    def frame(self) -> Frame | None:
+        """Return the grabbed frame with time 0.0, in colour as well if that was asked for.
+
+        None if it cannot be decoded.
+        """
+        luma = self.retrieve()
+        if luma is None:
+            return None
+        return Frame(0.0, luma, self.picture(PICTURE_WIDTH_MAX) if self._colour else None)
 
     def picture(self, width_max: int) -> Luma:
         """Return a copy of the latest retrieved frame, at most ``width_max`` pixels wide.

@@ -46,7 +46,13 @@ class LiveSource:
         settings: VisionSettings,
         wall_clock: Callable[[], float],
         complaints: FfmpegLog | None = None,
+        colour: bool = False,
     ) -> None:
+        """Prepare to connect.
+
+        colour: frames have a picture in colour.
+        """
+        self._colour = colour
         self._source = source
         self._settings = settings
         self._wall_clock = wall_clock
@@ -122,7 +128,7 @@ class LiveSource:
 
             # Open and read. `_called` marks the begin of each call that may block.
             self._called = time.monotonic()
-            capture = Capture(self._source, self._settings)
+            capture = Capture(self._source, self._settings, self._colour)
             began = time.monotonic()
             if capture.is_open:
                 self.connections += 1
@@ -175,13 +181,13 @@ class LiveSource:
             clock.record(grab.stamp, arrival)
             if not cadence.wants(grab.stamp if grab.stamp > 0.0 else arrival):
                 continue
-            luma = capture.retrieve()
-            if luma is None:
+            retrieved = capture.frame()
+            if retrieved is None:
                 self.dropped += 1
                 continue
 
             # Hold it until the clock has settled, then pass it on with its capture time.
-            held.append((grab.stamp, arrival, Frame(0.0, luma)))
+            held.append((grab.stamp, arrival, retrieved))
             if arrival - first >= SETTLE_SECONDS:
                 for stamp, came, frame in held:
                     self._hand_on(frame._replace(t=self._on_the_wall(clock.captured(stamp, came))))

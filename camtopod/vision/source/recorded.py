@@ -21,11 +21,17 @@ class RecordedSource:
     """A video file. Capture times are ``start`` plus the position in the file, seconds."""
 
     def __init__(
-        self, path: str, settings: VisionSettings, start: float, speed: float | None
+        self,
+        path: str,
+        settings: VisionSettings,
+        start: float,
+        speed: float | None,
+        colour: bool = False,
     ) -> None:
         """Open the file.
 
         speed: multiple of the file's own pace; None to read as fast as it decodes.
+        colour: frames have a picture in colour.
 
         Raises `OSError`, `SourceError`.
         """
@@ -36,7 +42,7 @@ class RecordedSource:
         self._settings = settings
         self._start = start
         self._speed = speed
-        self._capture: Capture | None = Capture(path, settings)
+        self._capture: Capture | None = Capture(path, settings, colour)
         if not self._capture.is_open:
             self.close()
             raise SourceError(f"{path}: not a video this program can decode")
@@ -68,13 +74,13 @@ class RecordedSource:
             if not cadence.wants(position):
                 continue
 
-            luma = self._capture.retrieve()
-            if luma is None:
+            frame = self._capture.frame()
+            if frame is None:
                 self.dropped += 1
                 continue
             if self._speed is not None:
                 yield from _until(began + position / self._speed)
-            yield Frame(self._start + position, luma)
+            yield frame._replace(t=self._start + position)
 
         self.close()
         if not self.grabbed:
