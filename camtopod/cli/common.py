@@ -77,6 +77,14 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> setting
     return loaded
 
 
+def configuration_text(args: argparse.Namespace) -> str:
+    """Return the content of the configuration file, as `configuration` reads it; "" if none."""
+    above = getattr(args, "config_fd", None)
+    if above is not None:
+        return Path(f"/proc/self/fd/{above}").read_text(encoding="utf-8")
+    return "" if args.config is None else str(args.config.read_text(encoding="utf-8"))
+
+
 def with_options(args: argparse.Namespace, loaded: settings.Config) -> settings.Config:
     """Apply ``--site``, ``--connect`` and ``--state`` to ``loaded``. Raises `CommandError`."""
     if args.site is not None:

@@ -19,6 +19,7 @@ from camtopod.config.settings import (
     Limits,
     SiteSettings,
     StateSettings,
+    detector_line,
     without_source,
 )
 from camtopod.config.toml_tables import DEFAULT_ENDPOINT, FLOAT_MAX, is_endpoint
@@ -36,6 +37,7 @@ __all__ = [
     "Limits",
     "SiteSettings",
     "StateSettings",
+    "detector_line",
     "is_endpoint",
     "polygons",
     "secret_files",

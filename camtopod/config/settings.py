@@ -31,7 +31,8 @@ from camtopod.config.toml_tables import (
 from camtopod.learn import Settings
 from camtopod.records import CAMERA_PATTERN
 from camtopod.sharding import Sharding
-from camtopod.vision import VisionSettings
+from camtopod.vision import DetectorSettings, VisionSettings
+from camtopod.vision.detector import LABELS
 
 RESERVED = ("daemon",)
 """Names that no camera may have: ``status/daemon`` is the key of the daemon's status."""
@@ -133,6 +134,10 @@ class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """A file only, with realtime: play it at this many times its own speed."""
     vision: VisionSettings = VisionSettings()
     """The camera's settings of vision: those of [vision], and those in its own table."""
+    detector: DetectorSettings = DetectorSettings()
+    """The camera's detector: false for none, or a table [cameras.ID.detector] with keys of
+    [detector], for this camera alone.
+    """
 
 
 class Limits(Struct, frozen=True, forbid_unknown_fields=True):
@@ -243,6 +248,7 @@ class Config(Struct, frozen=True):
     cameras: dict[str, CameraSettings] = {}
     learn: Settings = Settings()
     vision: VisionSettings = VisionSettings()
+    detector: DetectorSettings = DetectorSettings()
     keep: KeepSettings = KeepSettings()
     limits: Limits = Limits()
     health: HealthSettings = HealthSettings()
@@ -294,7 +300,7 @@ class Config(Struct, frozen=True):
             source = secret_files.read(Path(known.source_file))
         if source is not None:
             redact.remember(source)
-            known = known or CameraSettings(vision=self.vision)
+            known = known or CameraSettings(vision=self.vision, detector=self.detector)
             cameras = {**cameras, camera: replace(known, source=source, source_file="")}
         return replace(self.certified(camera), cameras=cameras)
 
@@ -321,6 +327,7 @@ TABLES: dict[str, type[Struct]] = {
     "state": StateSettings,
     "learn": Settings,
     "vision": VisionSettings,
+    "detector": DetectorSettings,
     "keep": KeepSettings,
     "limits": Limits,
     "health": HealthSettings,
@@ -384,6 +391,26 @@ def without_source(config: Config, text: str, name: Path) -> list[str]:
     ]
 
 
+def detector_line(text: str, camera: str, key: str) -> tuple[int, str]:
+    """Return the line, and the dotted name, of a setting of the detector of ``camera``.
+
+    The line is that of the nearest table if the key is not written.
+
+    text: content of the configuration file.
+    """
+    lines = toml_lines.key_lines(text)
+    places = [("cameras", camera, "detector", key), ("detector", key)]
+    places += [("cameras", camera, "detector"), ("detector",)]
+    place = next((place for place in places if place in lines), ("detector",))
+    return lines.get(place, 1), ".".join(place)
+
+
+class _Detector(Struct, frozen=True):
+    """The keys of a camera's detector, which stand in a table of their own."""
+
+    detector: DetectorSettings
+
+
 class _Reader(TableReader):
     """Builds the settings from the tables that tomllib read."""
 
@@ -398,11 +425,23 @@ class _Reader(TableReader):
             if "." not in name
         }
         self._check_bus(tables["bus"])
-        cameras = self._cameras(data.get("cameras", {}), tables["vision"])
+        detector = tables["detector"]
+        assert isinstance(detector, DetectorSettings)
+        self._check_labels(("detector",), detector)
+        cameras = self._cameras(data.get("cameras", {}), tables["vision"], detector)
+        if detector != DetectorSettings() and not any(
+            one.model for one in (detector, *(camera.detector for camera in cameras.values()))
+        ):
+            self.report(("detector",), "detector: model is missing: it is an ONNX file")
         return Config(cameras=cameras, **tables)  # type: ignore[arg-type]
 
-    def _cameras(self, data: Any, vision: Struct) -> dict[str, CameraSettings]:
-        """Return the cameras; ``vision`` has the settings that their tables do not have."""
+    def _cameras(
+        self, data: Any, vision: Struct, detector: DetectorSettings
+    ) -> dict[str, CameraSettings]:
+        """Return the cameras.
+
+        vision, detector: the settings that their tables do not have.
+        """
         assert isinstance(vision, VisionSettings)
         if not isinstance(data, dict):
             self.report(("cameras",), "cameras: expected tables [cameras.ID], one a camera")
@@ -428,10 +467,49 @@ class _Reader(TableReader):
             given = data[camera]
             if isinstance(given, dict) and isinstance(given.get("source"), str):
                 redact.remember(given["source"])
-            settings = self.table(CameraSettings, data, path, {"vision": vision})
+            plain = data
+            if isinstance(given, dict) and "detector" in given:
+                plain = {camera: {key: given[key] for key in given if key != "detector"}}
+            settings = self.table(CameraSettings, plain, path, {"vision": vision})
+            settings = replace(settings, detector=self._own_detector(path, given, detector))
             self._check_source(path, given, settings)
             cameras[camera] = settings
         return cameras
+
+    def _own_detector(
+        self, path: tuple[str, str], given: Any, common: DetectorSettings
+    ) -> DetectorSettings:
+        """Return the detector of a camera: that of ``[detector]``, its own, or none."""
+        own = given.get("detector") if isinstance(given, dict) else None
+        path_of_own = (*path, "detector")
+        if own is None:
+            return common
+        if own is False:
+            return DetectorSettings()
+        if not isinstance(own, dict):
+            self.report(
+                path_of_own,
+                f"{'.'.join(path_of_own)}: expected false, or a table [{'.'.join(path_of_own)}]",
+            )
+            return common
+        read = self.table(_Detector, given, path_of_own, {"detector": common}).detector
+        self._check_labels(path_of_own, read)
+        if not read.model:
+            self.report(
+                path_of_own,
+                f"{'.'.join(path_of_own)}: model is missing, here and in [detector]",
+            )
+        return read
+
+    def _check_labels(self, path: tuple[str, ...], detector: DetectorSettings) -> None:
+        """Check that there are labels, and that COCO has those that are names."""
+        title = f"{'.'.join(path)}.labels"
+        if not detector.labels:
+            self.report((*path, "labels"), f"{title}: is empty; name what makes events")
+        for index, label in enumerate(detector.labels):
+            if isinstance(label, str) and label not in LABELS:
+                hint = did_you_mean(label, list(LABELS))
+                self.report((*path, "labels", index), f"{title}: COCO has no {label!r}{hint}")
 
     def _check_source(self, path: tuple[str, str], given: Any, camera: CameraSettings) -> None:
         """Check that at most one of source and source_file is given, and that it is not empty."""
@@ -485,10 +563,15 @@ def _with_absolute_paths(folder: Path, config: Config) -> Config:
 
     tls = _with_paths(config.bus.tls, located)
     cameras = {
-        camera: replace(settings, source_file=located(settings.source_file))
+        camera: replace(
+            settings,
+            source_file=located(settings.source_file),
+            detector=replace(settings.detector, model=located(settings.detector.model)),
+        )
         for camera, settings in config.cameras.items()
     }
-    return replace(config, bus=replace(config.bus, tls=tls), cameras=cameras)
+    detector = replace(config.detector, model=located(config.detector.model))
+    return replace(config, bus=replace(config.bus, tls=tls), cameras=cameras, detector=detector)
 
 
 def _with_paths(tls: TlsSettings, change: Callable[[str], str]) -> TlsSettings:

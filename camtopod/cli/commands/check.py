@@ -14,9 +14,17 @@ from typing import Any
 from camtopod.cli import exits
 from camtopod.cli.common import with_options
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.config import Config, secret_files, settings, toml_lines, without_source
+from camtopod.config import (
+    Config,
+    detector_line,
+    secret_files,
+    settings,
+    toml_lines,
+    without_source,
+)
 from camtopod.serve.bus import access
 from camtopod.visible import visible
+from camtopod.vision.detector import HeaderError, input_size
 
 
 def add_parser(subparsers: Any) -> None:
@@ -92,6 +100,12 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
 
+    # Models that cannot be read.
+    problems = list(_model_problems(path, loaded, raw.decode()))
+    if problems:
+        print("\n".join(map(visible, problems)), file=sys.stderr)
+        return exits.CONFIG
+
     # Warn of files and a bus that are open to others.
     warnings = secret_files.find_exposed(loaded.secrets(path))
     warnings += [] if (open_to := access.openness_warning(loaded)) is None else [open_to]
@@ -110,6 +124,25 @@ def run(args: argparse.Namespace) -> int:
     from camtopod.cli.cameras import check_site
 
     return check_site(path, loaded, args.pictures)
+
+
+def _model_problems(path: Path, config: Config, text: str) -> Iterator[str]:
+    """Yield a sentence, with file and line, for each model of a detector that cannot be read.
+
+    text: content of the configuration file ``path``.
+    """
+    detectors = {name: camera.detector for name, camera in config.cameras.items()}
+    said = set()
+    for camera, detector in {"": config.detector, **detectors}.items():
+        if not detector.model:
+            continue
+        try:
+            input_size(detector.model)
+        except HeaderError as error:
+            line, name = detector_line(text, camera, "model")
+            if line not in said:
+                said.add(line)
+                yield f"{path}:{line}: {name}: {error}"
 
 
 def _cameras(number: int) -> str:
@@ -132,11 +165,21 @@ def _camera_lines(path: Path, config: Config, text: str) -> Iterator[str]:
         where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
         said = [", ".join(map(_setting, own.items()))] if own else []
         said += [f"of [vision]: {', '.join(map(_setting, common.items()))}"] if common else []
+        said += _detector_words(config, camera)
         plain += not said
         if said:
             yield f"{where}: {'; '.join(said)}"
     if plain:
         yield f"{path}: {_cameras(plain)} with default settings of vision"
+
+
+def _detector_words(config: Config, camera: str) -> list[str]:
+    """Return the detector of a camera in words; nothing if there is none and could be none."""
+    detector = config.cameras[camera].detector
+    if not detector.model:
+        return ["detector = false"] if config.detector.model else []
+    labels = ", ".join(map(str, detector.labels))
+    return [f"detector {Path(detector.model).name} ({labels})"]
 
 
 def _setting(item: tuple[str, Any]) -> str:

@@ -28,12 +28,13 @@ from camtopod.cli.common import (
     SignalRequests,
     configuration,
     configuration_and_text,
+    configuration_text,
     ends_within,
     signals,
     start_logging,
 )
 from camtopod.cli.exits import CommandError
-from camtopod.config import RESERVED, CameraSettings, Config
+from camtopod.config import RESERVED, CameraSettings, Config, detector_line
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.runtime import clock, systemd
 from camtopod.vision.source import RETRY_SEPARATOR, ffmpeg_log, kind_of
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from camtopod.serve.bus import Bus
     from camtopod.serve.outbox import Publisher
     from camtopod.vision import Analysis, Grabber, Observer, VisionSettings
+    from camtopod.vision.detector import Detector
     from camtopod.vision.show import Preview
 
 log = logging.getLogger(__name__)
@@ -187,6 +189,8 @@ def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> in
         heard = stack.enter_context(ffmpeg_log.captured_log())
         from camtopod.vision import Grabber
 
+        detector = _detector(args, settings)
+
         # Open the camera.
         heart = HeartbeatSender(args.beat_fd)
         heart.beat("connecting", "not opened yet")
@@ -201,6 +205,7 @@ def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> in
             settings=settings.vision,
             complaints=heard,
             observer=_observer(args, preview),
+            detector=detector,
         )
         stack.enter_context(contextlib.closing(grabber))
         if preview is not None:
@@ -240,6 +245,19 @@ def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
     if not math.isfinite(given.get("start", 0.0)):
         raise CommandError("--start must be a number of seconds", exits.USAGE)
     return msgspec.structs.replace(known, **given)
+
+
+def _detector(args: argparse.Namespace, settings: CameraSettings) -> Detector | None:
+    """Load the camera's detector, if it has one. Raises `CommandError` with file and line."""
+    if not settings.detector.model:
+        return None
+    from camtopod.vision.detector import Detector, DetectorError, Model
+
+    try:
+        return Detector(Model(settings.detector), settings.detector)
+    except DetectorError as error:
+        line, name = detector_line(configuration_text(args), args.camera, error.key)
+        raise CommandError(f"{args.config}:{line}: {name}: {error}", exits.CONFIG) from None
 
 
 def _preview(args: argparse.Namespace, settings: VisionSettings) -> Preview | None:

@@ -11,7 +11,7 @@ from msgspec import Struct
 from camtopod.cli.generated.example_config import attribute_docs
 from camtopod.config import FLOAT_MAX, RESERVED, TABLES, CameraSettings, polygons
 from camtopod.records import CAMERA_PATTERN
-from camtopod.vision import VisionSettings
+from camtopod.vision import DetectorSettings, VisionSettings
 
 
 def text() -> str:
@@ -46,6 +46,11 @@ def _cameras() -> dict[str, Any]:
     """
     camera = _table(CameraSettings)
     del camera["properties"]["vision"]
+    detector = _table(DetectorSettings)
+    camera["properties"]["detector"] = {
+        "description": attribute_docs(CameraSettings)["detector"],
+        "anyOf": [{"const": False}, {"type": "object", **detector}],
+    }
     camera["properties"] |= _table(VisionSettings)["properties"]
     sources = ("source", "source_file")
     camera["oneOf"] = [

@@ -25,6 +25,7 @@ _CAMERAS = """\
 source = "rtsp://user:password@192.0.2.10:554/stream1"
 # ignore = [[[0.0, 0.0], [0.3, 0.0], [0.3, 0.1], [0.0, 0.1]]]
 # min_height = 0.1
+# detector = false
 
 [cameras.hall]
 """
@@ -39,7 +40,8 @@ def example() -> str:
     parts += [table(name, TABLES[name], {}) for name in ("bus", "bus.tls", "state", "keep")]
     parts += [_CAMERAS + "\n".join(_settings(CameraSettings, _HALL))]
     parts += [
-        table(name, TABLES[name], {}) for name in ("vision", "learn", "limits", "health", "shards")
+        table(name, TABLES[name], {})
+        for name in ("vision", "detector", "learn", "limits", "health", "shards")
     ]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 

@@ -24,17 +24,20 @@ if TYPE_CHECKING:
     from camtopod.vision.detector.looker import Detector, Looks, Seen
     from camtopod.vision.detector.model import Detection, DetectorError, Model
     from camtopod.vision.detector.once import ModelReport, look_once
+    from camtopod.vision.detector.onnx_header import HeaderError, input_size
 
 __all__ = [
     "LABELS",
     "Detection",
     "Detector",
     "DetectorError",
+    "HeaderError",
     "Known",
     "Looks",
     "Model",
     "ModelReport",
     "Seen",
+    "input_size",
     "look_once",
 ]
 
@@ -45,11 +48,13 @@ __getattr__ = lazy_getattr(
         "Detection": "model",
         "Detector": "looker",
         "DetectorError": "model",
+        "HeaderError": "onnx_header",
         "Known": "fusion",
         "Looks": "looker",
         "Model": "model",
         "ModelReport": "once",
         "Seen": "looker",
+        "input_size": "onnx_header",
         "look_once": "once",
     },
 )

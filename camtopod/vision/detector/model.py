@@ -17,10 +17,6 @@ from camtopod.vision.settings import DetectorSettings, Layout
 Picture = cv2.typing.MatLike
 """Colour picture (H, W, 3), uint8: blue, green, red."""
 
-SIZE_UNKNOWN = 640
-"""Width and height (pixels) at which a model is used that leaves its size open."""
-SIZE_MAX = 2048
-"""Largest width and height of a model's input, pixels."""
 PADDING = 114
 """Grey level beside a picture that does not fill the model's input, as in training."""
 KNOWN_SCORE_SHARE = 0.6
@@ -59,7 +55,10 @@ class Model:
     def __init__(self, settings: DetectorSettings) -> None:
         """Load the model and look at an empty picture. Raises `DetectorError`."""
         self.name = Path(settings.model).name
-        self.size = _input_size(settings.model)
+        try:
+            self.size = onnx_header.input_size(settings.model)
+        except onnx_header.HeaderError as error:
+            raise DetectorError("model", str(error)) from None
         try:
             self._net = cv2.dnn.readNetFromONNX(settings.model)
             self._outputs = self._net.getUnconnectedOutLayersNames()
@@ -124,29 +123,6 @@ class Model:
         blob = cv2.dnn.blobFromImage(filled, scale, swapRB=swap)
         self._net.setInput(blob)
         return [np.asarray(output, np.float32) for output in self._net.forward(self._outputs)]
-
-
-def _input_size(path: str) -> tuple[int, int]:
-    """Return width and height of the model's input. Raises `DetectorError`."""
-    try:
-        shapes = onnx_header.input_shapes(Path(path).read_bytes())
-    except OSError as error:
-        raise DetectorError("model", f"cannot read {path}: {error.strerror}") from None
-    except onnx_header.HeaderError as error:
-        raise DetectorError("model", f"{path} is not an ONNX model: {error}") from None
-    pictures = [shape for shape in shapes if len(shape) == 4 and shape[1] in (0, 3)]
-    if len(shapes) != 1 or len(pictures) != 1 or pictures[0][0] > 1:
-        said = " and ".join(str(tuple(shape)) for shape in shapes) or "none"
-        raise DetectorError(
-            "model", f"{path} does not take one picture (1, 3, height, width); its inputs: {said}"
-        )
-    height, width = (length or SIZE_UNKNOWN for length in pictures[0][2:])
-    if max(width, height) > SIZE_MAX or width % 32 or height % 32:
-        raise DetectorError(
-            "model",
-            f"{path} takes {width} x {height} pixels: multiples of 32 are needed, up to {SIZE_MAX}",
-        )
-    return width, height
 
 
 def _cut(picture: Picture, part: Box, size: tuple[int, int]) -> Picture:

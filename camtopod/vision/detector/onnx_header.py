@@ -7,7 +7,12 @@ that are needed and steps over the others. The numbers of the fields are those o
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
+SIZE_UNKNOWN = 640
+"""Width and height (pixels) at which a model is used that leaves its size open."""
+SIZE_MAX = 2048
+"""Largest width and height of a model's input, pixels."""
 _GRAPH = 7
 """ModelProto.graph"""
 _INITIALIZER, _INPUT = 5, 11
@@ -30,7 +35,32 @@ Field = tuple[int, memoryview | int]
 
 
 class HeaderError(ValueError):
-    """The file is not an ONNX model."""
+    """The file is not an ONNX model that takes a picture; ``str()`` says why."""
+
+
+def input_size(path: str) -> tuple[int, int]:
+    """Return width and height (pixels) of the picture that the model of a file takes.
+
+    Raises `HeaderError`.
+    """
+    try:
+        shapes = input_shapes(Path(path).read_bytes())
+    except OSError as error:
+        raise HeaderError(f"cannot read {path}: {error.strerror}") from None
+    except HeaderError as error:
+        raise HeaderError(f"{path} is not an ONNX model: {error}") from None
+    pictures = [shape for shape in shapes if len(shape) == 4 and shape[1] in (0, 3)]
+    if len(shapes) != 1 or len(pictures) != 1 or pictures[0][0] > 1:
+        said = " and ".join(str(tuple(shape)) for shape in shapes) or "none"
+        raise HeaderError(
+            f"{path} does not take one picture (1, 3, height, width); its inputs: {said}"
+        )
+    height, width = (length or SIZE_UNKNOWN for length in pictures[0][2:])
+    if max(width, height) > SIZE_MAX or width % 32 or height % 32:
+        raise HeaderError(
+            f"{path} takes {width} x {height} pixels: multiples of 32 are needed, up to {SIZE_MAX}"
+        )
+    return width, height
 
 
 def input_shapes(content: bytes) -> list[list[int]]:
