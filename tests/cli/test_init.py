@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import socket
+from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
@@ -26,11 +28,12 @@ from bench.support.rtsp_streams import (
 )
 from camtopod import redact
 from camtopod.cli.cameras import probe as probes
-from camtopod.cli.commands.init import with_names
+from camtopod.cli.commands.init import smaller_streams, with_names
 from camtopod.cli.main import main
 from camtopod.config import settings
 from camtopod.config.settings import VisionSettings
 from camtopod.serve.daemon import Daemon
+from camtopod.vision.source import smaller_stream
 from camtopod.vision.source.probe import PIXELS_MAX, Probe
 from camtopod.web import pictures
 
@@ -67,6 +70,88 @@ def everything_below(folder: Path) -> dict[str, tuple[int, str]]:
         str(path.relative_to(folder)): (path.stat().st_mode & 0o777, path.read_text())
         for path in files
     }
+
+
+# --- smaller streams -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "smaller"),
+    [
+        ("rtsp://u:p@192.0.2.1:554/Streaming/Channels/101", "/Streaming/Channels/102"),
+        ("rtsp://192.0.2.1/Streaming/channels/1601?x=1", "/Streaming/channels/1602?x=1"),
+        ("rtsp://u:p@ss/w@192.0.2.1/cam/realmonitor?channel=1&subtype=0", "channel=1&subtype=1"),
+        ("rtsp://192.0.2.1/h265Preview_01_main", "/h264Preview_01_sub"),
+        ("rtsp://192.0.2.1/Preview_02_main", "/Preview_02_sub"),
+        ("rtsp://192.0.2.1/stream1", "/stream2"),
+        ("rtsp://192.0.2.1/axis-media/media.amp", "/axis-media/media.amp?resolution=640x360"),
+        ("rtsp://192.0.2.1/h264/ch1/main/av_stream", "/h264/ch1/sub/av_stream"),
+    ],
+)
+def test_makers_name_their_streams_alike(given: str, smaller: str) -> None:
+    found = smaller_stream(given)
+    assert found is not None
+    assert found.endswith(smaller)
+    assert found.partition("192.0.2.1")[0] == given.partition("192.0.2.1")[0]
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        "rtsp://h",
+        "rtsp://h/stream2",
+        "rtsp://u:x/stream1@h/live",
+        "film.mp4",
+        "0",
+        "rtsp://h/1/101",
+    ],
+)
+def test_other_streams_have_no_smaller_one(given: str) -> None:
+    assert smaller_stream(given) is None
+
+
+def test_a_smaller_stream_is_taken_if_it_is_big_enough() -> None:
+    sources = {name: f"rtsp://{name}/stream1" for name in ("good", "low", "slow", "gone", "away")}
+    sources |= {"small": "rtsp://small/stream1", "other": "rtsp://other/live"}
+    large = Probe("", "H.264", 1920, 1080, 15.0)
+    probes = dict.fromkeys(sources, large)
+    probes |= {"away": Probe("cannot be opened"), "small": Probe("", "H.264", 640, 360, 15.0)}
+    seen = {
+        "rtsp://good/stream2": Probe("", "H.264", 640, 360, 10.0),
+        "rtsp://low/stream2": Probe("", "H.264", 352, 288, 15.0),
+        "rtsp://slow/stream2": Probe("", "H.264", 640, 480, 2.0),
+        "rtsp://gone/stream2": Probe("cannot be opened: 404"),
+    }
+    tried: list[str] = []
+
+    def look(urls: Mapping[str, str]) -> dict[str, Probe]:
+        tried.extend(urls.values())
+        return {name: seen[url] for name, url in urls.items()}
+
+    found = smaller_streams(sources, probes, look)
+    assert found == {"good": ("rtsp://good/stream2", seen["rtsp://good/stream2"])}
+    assert tried == list(seen), "neither one that is small already, nor one that is away"
+
+
+def test_the_smaller_stream_is_written_unless_told_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sizes = {"rtsp://u:secret@h/stream1": (1920, 1080), "rtsp://u:secret@h/stream2": (640, 360)}
+
+    def probe_all(sources: Mapping[str, str], *_: object) -> dict[str, Probe]:
+        return {name: Probe("", "H.264", *sizes[url], 15.0) for name, url in sources.items()}
+
+    monkeypatch.setattr(probes, "probe_all", probe_all)
+    monkeypatch.setattr("camtopod.cli.cameras.probe_all", probe_all, raising=False)
+    out = tmp_path / "camtopod.toml"
+    given = ["init", "yard=rtsp://u:secret@h/stream1", "--out", str(out)]
+    assert main(given) == 0
+    assert (tmp_path / "secrets" / "yard").read_text().strip() == "rtsp://u:secret@h/stream2"
+    text = out.read_text()
+    assert "# H.264, 640x360, 15 frames a second\n# the camera's smaller stream, which" in text
+    assert "the one given has 1920x1080" in capsys.readouterr().err
+    assert main([*given, "--as-given", "--force"]) == 0
+    assert (tmp_path / "secrets" / "yard").read_text().strip() == "rtsp://u:secret@h/stream1"
 
 
 # --- what a source is ----------------------------------------------------------------------------
@@ -450,7 +535,17 @@ def test_check_probe_opens_the_cameras_and_the_bus(
         out, err = capsys.readouterr()
         assert out == ""
         assert f"{path}:4: cameras.yard: MPEG-4, 192x144, 7 frames a second\n" in err
+        assert f"{path}: hardware decoding: VAAPI: " in err
         assert f"{path}: bus: connected to {daemon.endpoint}, site site\n" in err
+        path.write_text(bus + cameras + 'hardware_decoding = "cuda"\n')
+        assert main(["check", str(path), "--probe"]) == 0
+        assert re.search(
+            r"yard: MPEG-4.*; (decoded in hardware|hardware_decoding = cuda does not work here)",
+            capsys.readouterr().err,
+        )
+        path.write_text(bus + cameras + 'hardware_decoding = "magic"\n')
+        assert main(["check", str(path)]) == 78
+        assert "one of none, any, vaapi, cuda and v4l2" in capsys.readouterr().err
         path.write_text(
             f'{bus}[site]\nname = "other"\n{cameras}[cameras.gone]\nsource_file = "none"\n'
         )

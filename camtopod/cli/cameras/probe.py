@@ -20,7 +20,7 @@ from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
 from camtopod.visible import visible
 from camtopod.vision import VisionSettings
-from camtopod.vision.source import PROBE_SECONDS, SETTLE_SECONDS_MAX, Probe, ProbeRequest
+from camtopod.vision.source import PROBE_SECONDS, SETTLE_SECONDS_MAX, Probe, ProbeRequest, hardware
 from camtopod.web import pictures
 
 PROGRAM = "camtopod.vision.source.probe"
@@ -108,7 +108,8 @@ def _probe(source: str, settings: VisionSettings, picture: bool) -> Probe:
 
 
 def check_site(path: Path, config: Config, folder: Path | None) -> int:
-    """Open every camera and the bus, print one line about each, and return the worst exit status.
+    """Open every camera and the bus, print one line about each and about hardware decoding, and
+    return the worst exit status.
 
     folder: where to keep pictures of the cameras, or None.
     """
@@ -131,6 +132,7 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
             tell(camera, Probe(f"cannot read {error.filename}: {error.strerror}"))
     settings = {camera: config.cameras[camera].vision for camera in sources}
     probe_all(sources, settings, tell, folder)
+    print(f"{path}: hardware decoding: {hardware.describe()}", file=sys.stderr)
     problem, found = _bus(config)
     print(visible(f"{path}: bus: {redact(problem or found)}"), file=sys.stderr)
     return max(status, exits.BUS if problem else exits.DONE)

@@ -8,7 +8,7 @@ import json
 import re
 import sys
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -20,7 +20,15 @@ from camtopod.cli.generated import table
 from camtopod.config import RESERVED, TABLES, Config, secret_files
 from camtopod.redact import holds_secret, redact
 from camtopod.visible import visible
-from camtopod.vision.source import SETTLE_SECONDS_MAX, kind_of, percent_encoded
+from camtopod.vision.source import (
+    ENOUGH_FPS,
+    ENOUGH_HEIGHT,
+    SETTLE_SECONDS_MAX,
+    Probe,
+    kind_of,
+    percent_encoded,
+    smaller_stream,
+)
 from camtopod.web import pictures
 
 SECRETS = "secrets"
@@ -81,6 +89,14 @@ def add_parser(subparsers: Any) -> None:
         f"where systemd passes it to the camera's service; the daemon reports its health at "
         f"{HEALTH}",
     )
+    parser.add_argument(
+        "--as-given",
+        action="store_true",
+        help="take the streams as they are given. Otherwise, where the form of a URL tells how the "
+        "maker names a camera's streams, the smaller one is taken if it is at least "
+        f"{ENOUGH_HEIGHT} pixels high: it is cheaper to decode, and pictures are analysed at a "
+        "smaller size still",
+    )
     parser.add_argument("--force", action="store_true", help="overwrite existing files")
 
 
@@ -127,6 +143,25 @@ def run(args: argparse.Namespace) -> int:
     )
     words = {name: [visible(word) for word in probe.lines] for name, probe in probes.items()}
 
+    # Take the smaller streams of cameras where they are big enough.
+    if not args.as_given:
+        found = smaller_streams(
+            cameras,
+            probes,
+            lambda urls: probe_all(
+                urls, dict.fromkeys(urls, settings.vision), lambda name, probe: None
+            ),
+        )
+        for name, (url, probe) in found.items():
+            given = probes[name]
+            cameras[name] = url
+            words[name] = [
+                *(visible(word) for word in probe.lines),
+                f"the camera's smaller stream, which is big enough; the one given has "
+                f"{given.width}x{given.height}",
+            ]
+            _say(f"  {name:<{width}}  {'; '.join(words[name])}")
+
     # Write the configuration and the secrets.
     text = configuration_text(settings, cameras, words, secrets.keys(), handed)
     try:
@@ -143,6 +178,31 @@ def run(args: argparse.Namespace) -> int:
     _say(f"{args.out} is written{where}")
     _say(_next_services(args.out, settings, cameras) if handed else _next(args.out, settings))
     return exits.INPUT if any(probe.problem for probe in probes.values()) else exits.DONE
+
+
+def smaller_streams(
+    cameras: Mapping[str, str],
+    probes: Mapping[str, Probe],
+    look: Callable[[Mapping[str, str]], Mapping[str, Probe]],
+) -> dict[str, tuple[str, Probe]]:
+    """Return (URL, probe) of the smaller stream of each camera that has one which is big enough.
+
+    cameras, probes: sources and what was found there, by camera id.
+    look: probes sources by camera id.
+    """
+    guesses = {
+        name: url
+        for name, source in cameras.items()
+        if not probes[name].problem and probes[name].height > ENOUGH_HEIGHT
+        if (url := smaller_stream(source)) is not None
+    }
+    return {
+        name: (guesses[name], probe)
+        for name, probe in (look(guesses) if guesses else {}).items()
+        if not probe.problem
+        and ENOUGH_HEIGHT <= probe.height < probes[name].height
+        and probe.fps >= min(ENOUGH_FPS, probes[name].fps)
+    }
 
 
 def with_names(given: Sequence[tuple[str, str]]) -> dict[str, str]:

@@ -9,7 +9,7 @@ _shtab_camtopod_keys_subparsers=(init daemon camera reader revoke list)
 _shtab_camtopod_subparsers=(demo init grab run learn predict simulate watch web export report ingest bridge keys check doctor completion)
 
 _shtab_camtopod_demo_option_strings=(-h --help --out --seed --minutes --keep --config --site --connect --log-format)
-_shtab_camtopod_init_option_strings=(-h --help --out --pictures --credentials --force --config --site --connect --log-format)
+_shtab_camtopod_init_option_strings=(-h --help --out --pictures --credentials --as-given --force --config --site --connect --log-format)
 _shtab_camtopod_grab_option_strings=(-h --help --camera --out --show --explain --start --realtime --speed --state --config --site --connect --log-format)
 _shtab_camtopod_run_option_strings=(-h --help --state --shard --config --site --connect --log-format)
 _shtab_camtopod_learn_option_strings=(-h --help --topology --updates --state --config --site --connect --log-format)
@@ -137,6 +137,7 @@ _shtab_camtopod_init_pos_0_nargs=+
 _shtab_camtopod_init__h_nargs=0
 _shtab_camtopod_init___help_nargs=0
 _shtab_camtopod_init___credentials_nargs=0
+_shtab_camtopod_init___as_given_nargs=0
 _shtab_camtopod_init___force_nargs=0
 _shtab_camtopod_grab__h_nargs=0
 _shtab_camtopod_grab___help_nargs=0

@@ -13,17 +13,25 @@ Properties of OpenCV's FFmpeg backend that this code respects:
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from functools import cache
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
 
 from camtopod.vision.detect import Luma, shrunk
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source import hardware
 from camtopod.vision.source.source_url import kind_of, percent_encoded
+
+log = logging.getLogger(__name__)
+
+Decoding = Literal["software", "hardware"]
+"""Where frames are decoded."""
 
 STREAM_OPTIONS = "rtsp_transport;tcp|probesize;32768|analyzeduration;300000"
 """FFmpeg options of streams. The small probe gives the first frame after 0.6 s instead of 1.9 s."""
@@ -68,22 +76,11 @@ class Capture:
 
         # Open with timeouts (streams) and one decoder thread.
         kind = kind_of(source)
+        self.decoding: Decoding = "software"
         if kind == "device":
             self._capture = cv2.VideoCapture(int(source))
         else:
-            parameters = [cv2.CAP_PROP_N_THREADS, 1]
-            if kind == "stream":
-                parameters += [
-                    cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
-                    round(1000 * settings.open_timeout_seconds),
-                ]
-                parameters += [
-                    cv2.CAP_PROP_READ_TIMEOUT_MSEC,
-                    round(1000 * settings.read_timeout_seconds),
-                ]
-            with _environment(kind == "stream"):
-                name = percent_encoded(source) if kind == "stream" else source
-                self._capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, parameters)
+            self._capture, self.decoding = _opened(source, kind == "stream", settings)
 
         # Request the luma plane if the pixel format has one.
         self._width_max = settings.working_width
@@ -91,7 +88,7 @@ class Capture:
         """Buffer of the latest frame; allocating a new one costs more than filling it."""
         pixels = (
             ""
-            if kind == "device"
+            if kind == "device" or self.decoding == "hardware"
             else _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT)
         )
         if pixels in LUMA_FORMATS and not colour:
@@ -192,20 +189,77 @@ class FrameSelector:
         return due
 
 
+def _opened(
+    source: str, stream: bool, settings: VisionSettings
+) -> tuple[cv2.VideoCapture, Decoding]:
+    """Open a file or stream, in hardware if the settings ask for it and it works.
+
+    Otherwise the log says so, once.
+    """
+    name = percent_encoded(source) if stream else source
+    parameters = [cv2.CAP_PROP_N_THREADS, 1]
+    if stream:
+        parameters += [
+            cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
+            round(1000 * settings.open_timeout_seconds),
+            cv2.CAP_PROP_READ_TIMEOUT_MSEC,
+            round(1000 * settings.read_timeout_seconds),
+        ]
+
+    def open_with(options: str, *more: int) -> cv2.VideoCapture:
+        with _environment(stream, options):
+            return cv2.VideoCapture(name, cv2.CAP_FFMPEG, [*parameters, *more])
+
+    # Software, or a device: OpenCV itself falls back to software.
+    wanted = settings.hardware_decoding
+    kinds = hardware.kinds_for(wanted)
+    options = hardware.device_options(kinds)
+    asked = (cv2.CAP_PROP_HW_ACCELERATION, cv2.VIDEO_ACCELERATION_ANY) if options else ()
+    capture = open_with(options, *asked)
+    if wanted == "none" or not capture.isOpened():
+        return capture, "software"
+    if options and capture.get(cv2.CAP_PROP_HW_ACCELERATION) > 0:
+        return capture, "hardware"
+
+    # V4L2 has a decoder for each codec, which is known now.
+    codec = _four_characters(capture, cv2.CAP_PROP_FOURCC)
+    if "v4l2" in kinds and (options := hardware.v4l2_options(codec)):
+        capture.release()
+        capture = open_with(options)
+        if capture.isOpened():
+            return capture, "hardware"
+        hardware.give_up("v4l2")
+        capture = open_with("")
+
+    _log_once(hardware.fallback(wanted))
+    return capture, "software"
+
+
+@cache
+def _log_once(text: str) -> None:
+    log.warning("%s", text)
+
+
 @contextmanager
-def _environment(stream: bool) -> Iterator[None]:
+def _environment(stream: bool, more: str = "") -> Iterator[None]:
     """Set FFmpeg's options in the environment, where it reads them when opening, for the block.
 
-    Options that the user has set take precedence.
+    Options that the user has set take precedence over those of streams.
+    more: further options.
     """
-    if not stream or _OPTIONS_VARIABLE in os.environ:
+    before = os.environ.get(_OPTIONS_VARIABLE)
+    options = [(STREAM_OPTIONS if stream else "") if before is None else before, more]
+    if before is None and not any(options):
         yield
         return
-    os.environ[_OPTIONS_VARIABLE] = STREAM_OPTIONS
+    os.environ[_OPTIONS_VARIABLE] = "|".join(filter(None, options))
     try:
         yield
     finally:
-        del os.environ[_OPTIONS_VARIABLE]
+        if before is None:
+            del os.environ[_OPTIONS_VARIABLE]
+        else:
+            os.environ[_OPTIONS_VARIABLE] = before
 
 
 def _four_characters(capture: cv2.VideoCapture, of: int) -> str:

@@ -19,6 +19,7 @@ import msgspec
 from msgspec import Struct
 
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source import hardware
 from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
 from camtopod.vision.source.recorded import FPS_UNKNOWN, RecordedSource
@@ -110,6 +111,12 @@ def probe(
             return Probe(f"cannot be opened{why and ': '}{why}")
         settled = SettledPicture() if picture else None
         seen = _watched(capture, kind != "file", settled)
+        if settings.hardware_decoding != "none" and kind != "device" and not seen.problem:
+            seen.remarks.append(
+                "decoded in hardware"
+                if capture.decoding == "hardware"
+                else hardware.fallback(settings.hardware_decoding)
+            )
         return seen if settled is None else _with_picture(seen, settled)
     finally:
         capture.release()
