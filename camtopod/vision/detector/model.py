@@ -134,7 +134,8 @@ def _cut(picture: Picture, part: Box, size: tuple[int, int]) -> Picture:
 
     # Scale what is inside of the picture.
     inside = picture[top:bottom, left:right]
-    x, y = round((left - part[0]) * factor), round((top - part[1]) * factor)
+    x = min(max(0, round((left - part[0]) * factor)), size[0] - 1)
+    y = min(max(0, round((top - part[1]) * factor)), size[1] - 1)
     width = max(1, min(size[0] - x, round((right - left) * factor)))
     height = max(1, min(size[1] - y, round((bottom - top) * factor)))
     way = cv2.INTER_AREA if factor < 0.6 else cv2.INTER_LINEAR
