@@ -493,7 +493,8 @@ class _Reader(TableReader):
             )
             return common
         read = self.table(_Detector, given, path_of_own, {"detector": common}).detector
-        self._check_labels(path_of_own, read)
+        if "labels" in own:
+            self._check_labels(path_of_own, read)
         if not read.model:
             self.report(
                 path_of_own,

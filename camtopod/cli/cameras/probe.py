@@ -9,17 +9,19 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
+from types import MappingProxyType
 
 import msgspec
 
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import exit_reason
 from camtopod.cli.exits import CommandError
-from camtopod.config import Config, toml_lines
+from camtopod.config import Config, detector_line, toml_lines
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
 from camtopod.visible import visible
-from camtopod.vision import VisionSettings
+from camtopod.vision import DetectorSettings, VisionSettings
+from camtopod.vision.detector import ModelReport
 from camtopod.vision.source import PROBE_SECONDS, SETTLE_SECONDS_MAX, Probe, ProbeRequest, hardware
 from camtopod.web import pictures
 
@@ -36,10 +38,11 @@ def probe_all(
     settings: Mapping[str, VisionSettings],
     on_probe: Callable[[str, Probe], None],
     folder: Path | None = None,
+    detectors: Mapping[str, DetectorSettings] = MappingProxyType({}),
 ) -> dict[str, Probe]:
     """Probe each source; return the results by camera id.
 
-    settings: those of each camera.
+    settings, detectors: those of each camera; detectors may be missing.
     on_probe: called with each result as soon as it is known.
     folder: where to keep a picture of each camera that gives one. Raises `CommandError` if it
         cannot be written.
@@ -53,7 +56,9 @@ def probe_all(
     # Probe all, and handle each result as soon as it is known.
     with ThreadPoolExecutor(PROCESSES_MAX) as pool:
         looks = {
-            pool.submit(_probe, source, settings[name], folder is not None): name
+            pool.submit(
+                _probe, source, settings[name], folder is not None, detectors.get(name)
+            ): name
             for name, source in sources.items()
         }
         found = {}
@@ -78,8 +83,11 @@ def _writing(folder: Path) -> Iterator[None]:
         ) from None
 
 
-def _probe(source: str, settings: VisionSettings, picture: bool) -> Probe:
+def _probe(
+    source: str, settings: VisionSettings, picture: bool, detector: DetectorSettings | None
+) -> Probe:
     """Probe one source in a process, which gets it through a pipe: command lines are public."""
+    request = ProbeRequest(source, settings, picture, detector or DetectorSettings())
     seconds = (
         settings.open_timeout_seconds
         + settings.read_timeout_seconds
@@ -90,7 +98,7 @@ def _probe(source: str, settings: VisionSettings, picture: bool) -> Probe:
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-m", PROGRAM],
-            input=msgspec.json.encode(ProbeRequest(source, settings, picture)),
+            input=msgspec.json.encode(request),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,  # libraries write there, perhaps with the password
             env={
@@ -113,7 +121,8 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
 
     folder: where to keep pictures of the cameras, or None.
     """
-    lines = toml_lines.key_lines(path.read_text(encoding="utf-8"))
+    text = path.read_text(encoding="utf-8")
+    lines = toml_lines.key_lines(text)
     status = exits.DONE
 
     def tell(camera: str, probe: Probe) -> None:
@@ -121,6 +130,16 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
         status = max(status, exits.INPUT if probe.problem else exits.DONE)
         where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
         print(visible(redact(f"{where}: {'; '.join(probe.lines)}")), file=sys.stderr, flush=True)
+        tell_detector(camera, probe.detector)
+
+    def tell_detector(camera: str, found: ModelReport) -> None:
+        nonlocal status
+        status = max(status, exits.CONFIG if found.problem else exits.DONE)
+        line, name = detector_line(text, camera, found.key)
+        if found.problem or found.text:
+            of = f" (camera {camera})" if camera and not name.startswith("cameras.") else ""
+            said = f"{path}:{line}: {name}: {found.problem or found.text}{of}"
+            print(visible(redact(said)), file=sys.stderr, flush=True)
 
     # Read the sources, then open cameras and bus.
     sources = {}
@@ -131,7 +150,14 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
         except OSError as error:
             tell(camera, Probe(f"cannot read {error.filename}: {error.strerror}"))
     settings = {camera: config.cameras[camera].vision for camera in sources}
-    probe_all(sources, settings, tell, folder)
+    detectors = {camera: config.cameras[camera].detector for camera in config.cameras}
+    probe_all(sources, settings, tell, folder, detectors)
+
+    # Detectors of cameras that cannot be opened here.
+    others = {camera: one for camera, one in detectors.items() if camera not in sources}
+    for camera, detector in (others if config.cameras else {"": config.detector}).items():
+        if detector.model:
+            tell_detector(camera, _probe("", config.vision, False, detector).detector)
     print(f"{path}: hardware decoding: {hardware.describe()}", file=sys.stderr)
     problem, found = _bus(config)
     print(visible(f"{path}: bus: {redact(problem or found)}"), file=sys.stderr)

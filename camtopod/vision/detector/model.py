@@ -148,6 +148,8 @@ def _cut(picture: Picture, part: Box, size: tuple[int, int]) -> Picture:
 
 
 def _reason(error: cv2.error) -> str:
-    """Return the sentence in an error of OpenCV."""
-    text = str(error).partition("error: ")[2] or str(error)
-    return " ".join(text.split(")", 1)[-1].split()).partition(" in function ")[0] or text.strip()
+    """Return the sentence in an error of OpenCV, without its place in the source code."""
+    text = " ".join(str(error).split())
+    _, found, last = text.rpartition("error: (")
+    sentence = last.partition(") ")[2] if found else text
+    return sentence.partition(" in function ")[0]

@@ -15,7 +15,7 @@ BOXES_MAX = 10
 """Boxes that are listed, those of the highest scores."""
 
 
-class ModelReport(Struct):
+class ModelReport(Struct, frozen=True):
     """What a model is, or why it cannot be used."""
 
     problem: str = ""

@@ -142,6 +142,11 @@ class Capture:
             return None
         return Frame(0.0, luma, self.picture(PICTURE_WIDTH_MAX) if self._colour else None)
 
+    @property
+    def has_picture(self) -> bool:
+        """True if a frame has been retrieved."""
+        return self._picture is not None
+
     def picture(self, width_max: int) -> Luma:
         """Return a copy of the latest retrieved frame, at most ``width_max`` pixels wide.
 

@@ -18,7 +18,8 @@ import cv2
 import msgspec
 from msgspec import Struct
 
-from camtopod.vision.settings import VisionSettings
+from camtopod.vision.detector import ModelReport, look_once
+from camtopod.vision.settings import DetectorSettings, VisionSettings
 from camtopod.vision.source import hardware
 from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
@@ -55,6 +56,9 @@ _CODECS = {
 """Name of a codec by its four-character code."""
 
 
+_NO_DETECTOR = DetectorSettings()
+
+
 class ProbeRequest(Struct):
     """What to probe: a source, with the grabber's settings."""
 
@@ -62,6 +66,8 @@ class ProbeRequest(Struct):
     settings: VisionSettings
     picture: bool = False
     """Return a picture of the scene without people, too."""
+    detector: DetectorSettings = DetectorSettings()
+    """Use the detector once, too, if it has a model; a source need not be given then."""
 
 
 class Probe(Struct):
@@ -77,6 +83,8 @@ class Probe(Struct):
     """What could be improved."""
     picture: bytes = b""
     """The scene without people as JPEG, as far as it has settled; empty unless requested."""
+    detector: ModelReport = ModelReport()
+    """What the detector is, and what it saw; empty if there is none."""
 
     @property
     def lines(self) -> list[str]:
@@ -89,9 +97,13 @@ class Probe(Struct):
 
 
 def probe(
-    source: str, settings: VisionSettings, complaints: FfmpegLog, picture: bool = False
+    source: str,
+    settings: VisionSettings,
+    complaints: FfmpegLog,
+    picture: bool = False,
+    detector: DetectorSettings = _NO_DETECTOR,
 ) -> Probe:
-    """Open the source and count its frames.
+    """Open the source, count its frames, and look once with the detector.
 
     Takes at most the timeouts plus `PROBE_SECONDS`, with a picture plus `SETTLE_SECONDS_MAX`. Never
     raises for a source that does not work.
@@ -104,7 +116,7 @@ def probe(
         except OSError as error:
             return Probe(error.strerror or str(error).removeprefix(f"{path}: "))
 
-    capture = Capture(path, settings, colour=picture)
+    capture = Capture(path, settings, colour=picture or bool(detector.model))
     try:
         if not capture.is_open:
             why = _of_device(source) if kind == "device" else complaints.newest_reason()
@@ -117,6 +129,9 @@ def probe(
                 if capture.decoding == "hardware"
                 else hardware.fallback(settings.hardware_decoding)
             )
+        if detector.model and not seen.problem:
+            latest = capture.picture(capture.size[0]) if capture.has_picture else None
+            seen.detector = look_once(detector, latest)
         return seen if settled is None else _with_picture(seen, settled)
     finally:
         capture.release()
@@ -220,5 +235,10 @@ def decoders() -> list[str]:
 if __name__ == "__main__":
     asked = msgspec.json.decode(sys.stdin.buffer.read(), type=ProbeRequest)
     with captured_log() as heard:
-        answer = probe(asked.source, asked.settings, heard, asked.picture)
+        if asked.source:
+            answer = probe(asked.source, asked.settings, heard, asked.picture, asked.detector)
+        else:
+            answer = Probe("no source")
+        if asked.detector.model and answer.detector == ModelReport():
+            answer.detector = look_once(asked.detector)
     sys.stdout.buffer.write(msgspec.json.encode(answer))
