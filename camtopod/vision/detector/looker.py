@@ -18,7 +18,7 @@ from camtopod.vision.detector.fusion import Known, fuse, same, same_box, share_i
 from camtopod.vision.detector.model import Detection, Picture
 from camtopod.vision.settings import DetectorSettings
 
-LOOKS_SAVED_MAX = 2.0
+LOOKS_SAVED_MAX = 2
 """Looks that can be saved up while nothing moves."""
 STANDING_SECONDS = 0.5
 """Time between two looks at people who stand, and for which a detection of them counts."""
@@ -138,11 +138,12 @@ class Detector:
         dt = 0.0 if self._t is None else max(0.0, t - self._t)
         self._t = t
         earned = dt * self._settings.looks_per_second_max
-        self._saved = min(LOOKS_SAVED_MAX, self._saved + earned)
+        self._saved = min(float(LOOKS_SAVED_MAX), self._saved + earned)
 
         # Less often at people who stand, and where it is of no use.
         pause = STANDING_SECONDS if only_standing else 0.0
         pause = USELESS_SECONDS if self._agreement.useless else pause
+        looks = min(1 if self._agreement.useless else LOOKS_SAVED_MAX, int(self._saved + 1e-6))
         if t - self._last < pause or not regions:
             return []
 
@@ -150,7 +151,7 @@ class Detector:
         size = (picture.shape[1], picture.shape[0])
         if self._crops is None or size != self._size:
             self._crops, self._size = Crops(size, self._model.size), size
-        parts = self._crops.plan(t, regions, int(self._saved + 1e-6))
+        parts = self._crops.plan(t, regions, looks)
         self._saved -= len(parts)
         self._last = t if parts else self._last
         return parts

@@ -1,0 +1,373 @@
+"""A detector beside motion: what it adds to the events, and where it is not believed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from coloured_scenes import FACTOR, SETTINGS, ColouredScene
+from onnx_models import write_model
+from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Place, line
+
+from camtopod.codec import to_json
+from camtopod.records import Event
+from camtopod.vision.detect import Blob, Box
+from camtopod.vision.detector import Detection, Detector, Known, Model
+from camtopod.vision.detector.agreement import Agreement
+from camtopod.vision.detector.crops import Crops
+from camtopod.vision.detector.fusion import fuse
+from camtopod.vision.detector.model import Picture
+from camtopod.vision.grabber import Grabber
+from camtopod.vision.pipeline import ViewPipeline
+from camtopod.vision.settings import DetectorSettings, VisionSettings
+
+SIDE_BY_SIDE = (
+    Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), seed=1),
+    Person(line(5.0, (-0.11, 0.7), (0.99, 0.7), 8.0), seed=2),
+)
+ALONE = (Person(line(5.0, (-0.05, 0.7), (1.05, 0.5), 8.0)),)
+GREY = tuple(Person(person.where, shade=30, seed=person.seed) for person in SIDE_BY_SIDE)
+"""The same people in colours that the models do not know."""
+
+
+class Drawn:
+    """A model that knows where the people of a scene are drawn.
+
+    late: least visible share of a person that it finds.
+    """
+
+    size = (160, 160)
+
+    def __init__(self, scene: ColouredScene, late: float = 0.0) -> None:
+        self._scene, self._late = scene, late
+        self.t = 0.0
+        self.times: list[float] = []
+        self.parts: list[Box] = []
+
+    def look(self, picture: Picture, part: Box) -> list[Detection]:
+        self.times.append(self.t)
+        self.parts.append(part)
+        found = []
+        for left, top, right, bottom in self._scene.boxes(self.t):
+            x, y = max(left, 0), max(top, 0)
+            r, b = min(right, WIDTH * FACTOR), min(bottom, HEIGHT * FACTOR)
+            shown = max(0, r - x) * max(0, b - y) / ((right - left) * (bottom - top))
+            middle = part[0] <= (x + r) / 2 <= part[2] and part[1] <= (y + b) / 2 <= part[3]
+            if shown > self._late and middle:
+                found.append(Detection((x, y, r, b), 0.8, "person"))
+        return found
+
+
+class Timed(Detector):
+    """A detector that tells its model the time."""
+
+    def __init__(self, model: Drawn, settings: DetectorSettings) -> None:
+        super().__init__(model, settings)
+        self.drawn = model
+
+    def step(
+        self,
+        t: float,
+        picture: Picture,
+        moving: Picture,
+        blobs: list[Blob],
+        known: list[Known],  # type: ignore[override]
+    ) -> list[Blob]:
+        self.drawn.t = t
+        return super().step(t, picture, moving, blobs, known)
+
+
+def drawn(scene: ColouredScene, late: float = 0.5, rate: float = 7.0) -> Timed:
+    return Timed(Drawn(scene, late), DetectorSettings("m.onnx", looks_per_second_max=rate))
+
+
+@pytest.fixture
+def detector(tmp_path: Path) -> Callable[..., Detector]:
+    def make(blind: bool = False) -> Detector:
+        path = write_model(tmp_path / "m.onnx", "yolox", blind=blind)
+        settings = DetectorSettings(model=str(path))
+        return Detector(Model(settings), settings)
+
+    return make
+
+
+def lines(events: list[Event]) -> list[bytes]:
+    return [to_json(event) for event in events]
+
+
+def kinds(events: list[Event]) -> list[str]:
+    return [event.kind for event in events]
+
+
+# --- what it adds ---------------------------------------------------------------------------------
+
+
+def test_one_passage_is_the_same_with_a_detector(detector: Callable[..., Detector]) -> None:
+    events = ColouredScene(ALONE).events(18, detector())
+    assert kinds(events) == ["entry", "exit"]
+    entry, leaving = events
+    assert entry.track == leaving.track
+    assert entry.t == pytest.approx(5.2, abs=0.5)
+    assert leaving.t == pytest.approx(12.8, abs=0.5)
+
+
+def test_two_who_enter_side_by_side_are_two() -> None:
+    assert len(ColouredScene(SIDE_BY_SIDE).events(20, None)) < 4
+    scene = ColouredScene(SIDE_BY_SIDE)
+    events = scene.events(20, drawn(scene))
+    assert kinds(events) == ["entry", "entry", "exit", "exit"]
+    assert len({event.track for event in events}) == 2
+    for entry in events[:2]:
+        assert entry.t == pytest.approx(5.3, abs=0.8), "motion dates the entries"
+        assert entry.x == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_model_splits_two_who_enter_side_by_side(detector: Callable[..., Detector]) -> None:
+    apart = (
+        Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), seed=1),
+        Person(line(5.3, (-0.05, 0.66), (1.05, 0.66), 8.0), seed=2),
+    )
+    events = ColouredScene(apart).events(20, detector())
+    assert kinds(events) == ["entry", "entry", "exit", "exit"]
+    assert len({event.track for event in events}) == 2
+
+
+def test_whoever_stands_is_held_while_others_pass() -> None:
+    def where(t: float) -> Place | None:
+        if t < 9:
+            return line(5.0, (-0.05, 0.7), (0.5, 0.7), 4.0)(t)
+        return (0.5, 0.7) if t < 50 else line(50.0, (0.5, 0.7), (1.05, 0.7), 4.0)(t)
+
+    people = [
+        Person(where),
+        Person(line(20.0, (-0.05, 0.75), (1.05, 0.75), 8.0), seed=1),
+        Person(line(30.0, (1.05, 0.72), (-0.05, 0.72), 8.0), seed=2),
+    ]
+    scene = ColouredScene(people)
+    events = scene.events(60, drawn(scene))
+    assert kinds(events) == ["entry", "entry", "exit", "entry", "exit", "exit"]
+    first, last = events[0], events[-1]
+    assert first.track == last.track
+    assert last.t == pytest.approx(54.0, abs=0.6)
+
+
+def test_what_moves_and_is_no_person_is_no_event_where_the_detector_is_believed() -> None:
+    other = Person(line(16.0, (-0.05, 0.8), (1.05, 0.8), 8.0), tall=0.12, shade=20)
+    assert len(ColouredScene(ALONE, [other]).events(30, None)) >= 4
+    scene = ColouredScene(ALONE, [other])
+    assert kinds(scene.events(30, drawn(scene))) == ["entry", "exit"]
+
+
+# --- where it is not believed ---------------------------------------------------------------------
+
+
+def test_a_blind_detector_changes_nothing(detector: Callable[..., Detector]) -> None:
+    for people, others in ((SIDE_BY_SIDE, ()), ((), GREY)):
+        blind = detector(blind=True)
+        events = ColouredScene(people, others).events(20, blind)
+        assert lines(events) == lines(ColouredScene(people, others).events(20, None))
+        assert not blind.seen.believed
+        assert blind.statistics()["detector_agreement"] < 0.1
+
+
+def test_where_agreement_falls_motion_alone_counts_again(
+    detector: Callable[..., Detector],
+) -> None:
+    believed = []
+    later = [
+        Person(line(15.0 + 3 * k, (-0.05, 0.7), (1.05, 0.7), 7.0), tall=0.3, shade=30, seed=k)
+        for k in range(8)
+    ]
+    both = detector()
+    view = ViewPipeline("cam", SETTINGS, lambda seen: believed.append(both.seen.believed), both)
+    events = ColouredScene(ALONE, later).events(50, both, pipeline=view)
+    assert any(believed)
+    assert not believed[-1]
+    assert sum(event.t > 35 for event in events) >= 4, "people that it does not see"
+
+
+def test_agreement_has_a_memory_and_two_thresholds() -> None:
+    agreement = Agreement()
+    assert not agreement.believed
+    for _ in range(10):
+        agreement.add(0.02, 0.016)
+    assert agreement.believed
+    for _ in range(9):
+        agreement.add(0.02, 0.0)
+    assert 0.3 < agreement.share < 0.45
+    assert agreement.believed, "it is between the thresholds"
+    for _ in range(60):
+        agreement.add(0.02, 0.0)
+    assert not agreement.believed
+    assert agreement.useless
+
+
+# --- without one ----------------------------------------------------------------------------------
+
+
+def test_pictures_alone_change_nothing() -> None:
+    """Without a detector the pictures in colour have no say."""
+    scene, view = ColouredScene(SIDE_BY_SIDE), ViewPipeline("cam", SETTINGS)
+    events: list[Event] = []
+    for k in range(round(20 * FPS)):
+        picture = scene.picture(k / FPS)
+        events += view.process(k / FPS, cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), picture)
+    events = sorted(events + view.finish(), key=lambda event: event.t)
+    assert lines(events) == lines(ColouredScene(SIDE_BY_SIDE).events(20, None))
+    assert not any(key.startswith("detector") for key in view.statistics())
+
+
+# --- looks ----------------------------------------------------------------------------------------
+
+
+def test_it_looks_only_when_something_moves_and_not_too_often() -> None:
+    scene = ColouredScene(ALONE)
+    often = drawn(scene)
+    scene.events(30, often)
+    assert 35 <= len(often.drawn.times) <= 70
+    assert min(often.drawn.times) >= 4.9
+    assert max(often.drawn.times) <= 15.5
+
+    scene = ColouredScene(ALONE)
+    rarely = drawn(scene, rate=2.0)
+    scene.events(30, rarely)
+    assert len(rarely.drawn.times) <= 24
+    assert rarely.statistics()["detector_looks"] == len(rarely.drawn.times)
+
+
+def test_a_detector_that_sees_nothing_is_hardly_asked() -> None:
+    crowd = [Person(line(4.0 + k, (-0.05, 0.7), (1.05, 0.7), 8.0), seed=k) for k in range(40)]
+    scene = ColouredScene(crowd)
+    blind = drawn(scene, late=2.0)
+    scene.events(50, blind)
+    assert sum(t > 25 for t in blind.drawn.times) <= 26, "once a second"
+
+
+def test_parts_have_the_shape_of_the_input_and_hold_their_regions() -> None:
+    near, far, other = (
+        (10.0, 10.0, 40.0, 90.0),
+        (50.0, 20.0, 80.0, 95.0),
+        (900.0, 500.0, 930.0, 580.0),
+    )
+    crops = Crops((1000, 600), (320, 160))
+    first, second = crops.plan(0.0, [near, far, other], 2)
+    for part in (first, second):
+        assert (part[2] - part[0]) / (part[3] - part[1]) == pytest.approx(2.0)
+        assert 0 <= part[0] <= part[2] <= 1000
+        assert 0 <= part[1] <= part[3] <= 600
+    for box in (near, far):
+        assert first[0] <= box[0] <= box[2] <= first[2]
+    assert second[0] <= other[0] <= other[2] <= second[2]
+
+    # With fewer looks than parts, those that have waited come first.
+    apart = Crops((4000, 600), (320, 160))
+    low: Box = (3900.0, 500.0, 3930.0, 540.0)
+    assert apart.plan(0.0, [near, low], 1)[0] != apart.plan(1.0, [near, low], 1)[0]
+    assert crops.plan(2.0, [], 2) == crops.plan(2.0, [near], 0) == []
+
+
+def test_a_large_part_reaches_out_of_the_picture_evenly() -> None:
+    [part] = Crops((400, 100), (160, 160)).plan(0.0, [(5.0, 0.0, 395.0, 100.0)], 1)
+    assert part == pytest.approx((0.0, -150.0, 400.0, 250.0))
+
+
+# --- fusion ---------------------------------------------------------------------------------------
+
+
+def blob(*box: float) -> Blob:
+    return Blob(*box, (box[0] + box[2]) / 2, (box[2] - box[0]) * (box[3] - box[1]))  # type: ignore[arg-type]
+
+
+def mask(*boxes: Box) -> Picture:
+    moving = np.zeros((100, 200), np.uint8)
+    for left, top, right, bottom in boxes:
+        moving[int(top) : int(bottom), int(left) : int(right)] = 255
+    return moving
+
+
+WHOLE = [(0.0, 0.0, 200.0, 100.0)]
+
+
+def test_pieces_of_one_detection_are_joined() -> None:
+    pieces = [blob(50, 20, 60, 30), blob(50, 40, 60, 60)]
+    moving = mask(*(piece.box for piece in pieces))
+    [one] = fuse(pieces, [(48, 18, 62, 61)], WHOLE, [], moving)
+    assert (one.box, one.detected, one.part_of) == ((48, 18, 62, 61), True, 0)
+
+
+def test_a_blob_with_two_detections_is_split_and_remembers_it() -> None:
+    group = blob(50, 20, 80, 60)
+    found = fuse([group], [(50, 20, 64, 60), (66, 22, 80, 60)], WHOLE, [], mask(group.box))
+    assert [one.detected for one in found] == [True, True]
+    assert len({one.part_of for one in found}) == 1
+    assert found[0].part_of
+
+
+def test_what_is_not_detected_stays_and_says_whether_it_was_looked_at() -> None:
+    here, there = blob(20, 20, 30, 60), blob(150, 20, 160, 60)
+    looked = [(0.0, 0.0, 100.0, 100.0)]
+    first, second = fuse([here, there], [], looked, [], mask(here.box, there.box))
+    assert (first.box, first.detected) == (here.box, False)
+    assert second is there
+
+
+def test_a_detection_without_motion_counts_where_something_is_tracked() -> None:
+    box = (50.0, 20.0, 64.0, 60.0)
+    assert fuse([], [box], WHOLE, [], mask()) == []
+    [one] = fuse([], [box], WHOLE, [Known((51, 21, 63, 60), True, True)], mask())
+    assert one.box == box
+
+
+def test_a_detection_reaches_to_the_border_that_its_motion_touches() -> None:
+    cut = blob(0, 20, 12, 60)
+    [one] = fuse([cut], [(2.5, 21, 13, 60)], WHOLE, [], mask(cut.box))
+    assert one.box == (0, 21, 13, 60)
+
+
+def test_a_tracked_neighbour_that_is_not_detected_is_kept_by_its_motion() -> None:
+    group, known = blob(50, 20, 80, 60), Known((66, 20, 80, 60), True, False)
+    found = fuse([group], [(50, 20, 64, 60)], WHOLE, [known], mask(group.box))
+    assert sorted((one.box, one.detected) for one in found) == [
+        ((50, 20, 64, 60), True),
+        ((66, 20, 80, 60), False),
+    ]
+    alone = mask((50, 20, 64, 60))
+    assert len(fuse([group], [(50, 20, 64, 60)], WHOLE, [known], alone)) == 1, "nothing moves there"
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def test_frames_of_a_file_come_in_colour_for_the_detector(tmp_path: Path) -> None:
+    path = tmp_path / "film.mp4"
+    size = (WIDTH * FACTOR, HEIGHT * FACTOR)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, size)
+    scene = ColouredScene(ALONE)
+    for k in range(round(16 * FPS)):
+        writer.write(scene.picture(k / FPS))
+    writer.release()
+
+    shapes = set()
+
+    class Shown(Drawn):
+        def look(self, picture: Picture, part: Box) -> list[Detection]:
+            shapes.add(picture.shape)
+            return super().look(picture, part)
+
+    looking = Timed(Shown(scene), DetectorSettings("m.onnx"))
+    found = []
+    for one in (looking, None):
+        grabber = Grabber(
+            "cam",
+            str(path),
+            wall_clock=lambda: 0.0,
+            settings=VisionSettings(working_width=WIDTH),
+            detector=one,
+        )
+        found.append(kinds([event for event in grabber.events() if event is not None]))
+        assert ("detector_looks" in grabber.statistics()) == (one is not None)
+    assert found == [["entry", "exit"]] * 2
+    assert shapes == {(HEIGHT * FACTOR, WIDTH * FACTOR, 3)}

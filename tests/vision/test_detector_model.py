@@ -1,0 +1,247 @@
+"""Models of each layout of outputs: recognised, decoded, and refused where they cannot be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from onnx import TensorProto, helper, save
+from onnx_models import Picture, draw_person, write_model
+
+from camtopod.vision.detect import Box
+from camtopod.vision.detector import (
+    LABELS,
+    Detection,
+    DetectorError,
+    HeaderError,
+    Model,
+    input_size,
+    layouts,
+    look_once,
+)
+from camtopod.vision.detector.coco import IDS, class_number, label_name
+from camtopod.vision.detector.crops import whole
+from camtopod.vision.settings import DetectorSettings, Layout
+
+PEOPLE = ((40, 30, 80, 130), (180, 60, 220, 170))
+"""Boxes in a picture of 300 x 200 pixels."""
+ALONE: tuple[Layout, ...] = ("end-to-end", "rt-detr")
+"""Layouts whose test models find a single person."""
+
+
+def picture() -> Picture:
+    made = np.full((200, 300, 3), 120, np.uint8)
+    for box in PEOPLE:
+        draw_person(made, box)
+    return made
+
+
+def settings(path: Path, **given: Any) -> DetectorSettings:
+    return DetectorSettings(model=str(path), **given)
+
+
+def found(model: Model) -> list[Detection]:
+    return sorted(model.look(picture(), whole((300, 200), model.size)))
+
+
+def assert_near(box: Box, expected: tuple[int, int, int, int], pixels: float) -> None:
+    assert box == pytest.approx(expected, abs=pixels)
+
+
+# --- every layout ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("layout", layouts.LAYOUTS)
+def test_a_layout_is_recognised_and_its_boxes_are_right(tmp_path: Path, layout: Layout) -> None:
+    model = Model(settings(write_model(tmp_path / "m.onnx", layout)))
+    assert model.form.layout == layout
+    assert model.size == (160, 160)
+    people = found(model)
+    assert {one.label for one in people} == {"person"}
+    assert min(one.score for one in people) > 0.9
+    assert len(people) == (1 if layout in ALONE else 2)
+    for one, expected in zip(people, PEOPLE, strict=False):
+        assert_near(one.box, expected, 3.0)
+
+
+@pytest.mark.parametrize("layout", ["yolox", "yolov8", "ssd"])
+def test_an_input_need_not_be_square(tmp_path: Path, layout: Layout) -> None:
+    model = Model(settings(write_model(tmp_path / "m.onnx", layout, (256, 160))))
+    assert model.size == (256, 160)
+    for one, expected in zip(found(model), PEOPLE, strict=True):
+        assert_near(one.box, expected, 4.0)
+
+
+def test_a_part_of_the_picture_is_looked_at_in_pixels_of_the_whole(tmp_path: Path) -> None:
+    model = Model(settings(write_model(tmp_path / "m.onnx", "yolov8")))
+    [one] = model.look(picture(), (140.0, 55.0, 260.0, 175.0))
+    assert_near(one.box, PEOPLE[1], 2.0)
+
+
+def test_positions_may_be_pixels_where_the_layout_is_named(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "m.onnx", "yolox", decoded=True)
+    with pytest.raises(DetectorError, match='write layout = "yolox" or "yolov5"') as caught:
+        Model(settings(path))
+    assert caught.value.key == "model"
+    people = found(Model(settings(path, layout="yolox")))
+    assert len(people) == 2
+    assert_near(people[0].box, PEOPLE[0], 3.0)
+
+
+def test_another_layout_than_the_outputs_is_refused(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "m.onnx", "yolov8")
+    with pytest.raises(DetectorError, match=r"not of the layout 'ssd'.*yolov8") as caught:
+        Model(settings(path, layout="ssd"))
+    assert caught.value.key == "layout"
+
+
+def test_a_size_that_the_file_leaves_open_is_640(tmp_path: Path) -> None:
+    model = Model(settings(write_model(tmp_path / "m.onnx", "yolov8", (640, 640), open_size=True)))
+    assert model.size == (640, 640)
+    assert len(found(model)) == 2
+
+
+def test_a_model_with_one_class_has_people(tmp_path: Path) -> None:
+    model = Model(settings(write_model(tmp_path / "m.onnx", "yolox", classes=1)))
+    assert [one.label for one in found(model)] == ["person", "person"]
+
+
+# --- labels ---------------------------------------------------------------------------------------
+
+
+def test_labels_are_names_of_coco_or_numbers(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "m.onnx", "yolox")
+    assert found(Model(settings(path, labels=("bicycle", 7)))) == []
+    assert len(found(Model(settings(path, labels=(0,))))) == 2
+
+    other = write_model(tmp_path / "other.onnx", "yolox", classes=5)
+    assert len(found(Model(settings(other, labels=(0, 3))))) == 2
+    for labels, words in ((("person",), "5 classes"), ((5,), "no class 5")):
+        with pytest.raises(DetectorError, match=words) as caught:
+            Model(settings(other, labels=labels))
+        assert caught.value.key == "labels"
+
+
+def test_coco_has_80_labels_and_numbers_of_its_own() -> None:
+    assert len(LABELS) == len(set(LABELS)) == len(IDS) == 80
+    assert (IDS[0], IDS[-1]) == (1, 90)
+    for label in LABELS:
+        for classes, from_one in ((80, False), (None, True), (91, False)):
+            number = class_number(label, classes, from_one)
+            assert label_name(number, classes, from_one) == label
+    assert label_name(12, None, True) == "12"
+    assert label_name(3, 5, False) == "3"
+
+
+# --- decoding -------------------------------------------------------------------------------------
+
+
+def test_the_better_of_two_boxes_of_a_class_is_kept() -> None:
+    boxes = np.array([[0, 0, 10, 20], [1, 0, 11, 20], [30, 0, 40, 20], [0, 0, 10, 20]], np.float32)
+    scores = np.array([0.9, 0.8, 0.7, 0.6], np.float32)
+    kept = layouts.without_overlaps(layouts.Found(boxes, scores, np.array([0, 0, 0, 1])))
+    assert kept.scores.tolist() == pytest.approx([0.9, 0.7, 0.6])
+
+
+def test_what_is_no_number_is_no_box() -> None:
+    output = np.zeros((1, 1, 3, 7), np.float32)
+    output[0, 0, :, 1:3] = 1, 0.9
+    output[0, 0, 0, 3:] = 0.1, 0.1, 0.2, 0.5
+    output[0, 0, 1, 3:] = np.nan
+    output[0, 0, 2, 2] = np.nan
+    one = layouts.decode([output], layouts.Form("ssd", None), (100, 200), [1], 0.5)
+    assert one.boxes.tolist() == [pytest.approx([10, 20, 20, 100])]
+
+
+def test_boxes_and_scores_in_one_output_are_told_by_their_values() -> None:
+    output = np.full((1, 300, 84), 0.2, np.float32)
+    assert layouts.recognise([output], (640, 640), None).layout == "rt-detr"
+    output[..., :4] *= 640
+    with pytest.raises(layouts.LayoutError, match=r"\(1, 300, 84\).*known are yolox, "):
+        layouts.recognise([output], (640, 640), None)
+
+
+@pytest.mark.parametrize(
+    "shapes", [[(1, 84)], [(2, 300, 6)], [(1, 3, 80, 80, 85)], [(1, 9, 5)] * 3]
+)
+def test_other_shapes_are_of_no_known_layout(shapes: list[tuple[int, ...]]) -> None:
+    with pytest.raises(layouts.LayoutError, match="known are"):
+        layouts.recognise([np.zeros(shape, np.float32) for shape in shapes], (640, 640), None)
+
+
+# --- files that cannot be used --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "has no graph"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:00\n", "not an ONNX"),
+        (b"\xff" * 100, "not an ONNX"),
+        (bytes(range(256)), "not an ONNX"),
+    ],
+)
+def test_a_file_that_is_no_model_is_refused(tmp_path: Path, content: bytes, words: str) -> None:
+    path = tmp_path / "m.onnx"
+    path.write_bytes(content)
+    with pytest.raises(DetectorError, match=words) as caught:
+        Model(settings(path))
+    assert caught.value.key == "model"
+
+
+def test_a_model_that_ends_early_is_refused_wherever_it_ends(tmp_path: Path) -> None:
+    content = write_model(tmp_path / "m.onnx", "yolov8").read_bytes()
+    short = tmp_path / "short.onnx"
+    for length in range(1, len(content), len(content) // 37):
+        short.write_bytes(content[:length])
+        with pytest.raises(DetectorError):
+            Model(settings(short))
+
+
+def test_an_operation_that_opencv_does_not_have_is_named(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "m.onnx", "yolov8")
+    path.write_bytes(path.read_bytes().replace(b"Conv", b"Konv"))
+    with pytest.raises(DetectorError, match=r'OpenCV cannot load it: .*"Konv"$'):
+        Model(settings(path))
+
+
+@pytest.mark.parametrize(
+    ("shapes", "words"),
+    [
+        ([[1, 3, 100, 160]], "160 x 100 pixels: multiples of 32"),
+        ([[1, 3, 4096, 4096]], "up to 2048"),
+        ([[1, 1, 160, 160]], "does not take one picture"),
+        ([[4, 3, 160, 160]], "does not take one picture"),
+        ([[1, 3, 160, 160], [1, 2]], r"its inputs: \(1, 3, 160, 160\) and \(1, 2\)"),
+    ],
+)
+def test_other_inputs_are_refused(tmp_path: Path, shapes: list[list[int]], words: str) -> None:
+    inputs = [
+        helper.make_tensor_value_info(f"i{k}", TensorProto.FLOAT, shape)
+        for k, shape in enumerate(shapes)
+    ]
+    out = helper.make_tensor_value_info("out", TensorProto.FLOAT, shapes[0])
+    graph = helper.make_graph([helper.make_node("Relu", ["i0"], ["out"])], "g", inputs, [out])
+    save(helper.make_model(graph), str(tmp_path / "m.onnx"))
+    with pytest.raises(HeaderError, match=words):
+        input_size(str(tmp_path / "m.onnx"))
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DetectorError, match=r"cannot read .*/none\.onnx: No such file"):
+        Model(settings(tmp_path / "none.onnx"))
+
+
+# --- once, for people -----------------------------------------------------------------------------
+
+
+def test_a_report_has_layout_size_time_and_boxes(tmp_path: Path) -> None:
+    given = settings(write_model(tmp_path / "person.onnx", "yolox"))
+    text = look_once(given, picture()).text
+    assert text.startswith("person.onnx: layout yolox, 160x160, 80 classes, ")
+    assert " ms a look; in the whole picture: person 1.00 at (" in text
+    assert text.count("person 1.00") == 2
+    assert look_once(given).text.endswith("in an empty picture: nothing")
+    assert look_once(settings(tmp_path)).problem
