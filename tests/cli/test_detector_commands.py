@@ -1,0 +1,230 @@
+"""`[detector]` in a configuration, in `camtopod check`, `check --probe` and `grab`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import msgspec
+import pytest
+from coloured_scenes import FACTOR, ColouredScene
+from onnx_models import write_model
+from rendered_scenes import FPS, HEIGHT, WIDTH, Person, line
+
+from camtopod.cli.main import main
+from camtopod.config import detector_line
+from camtopod.config.settings import Config, ConfigError, load, parse
+from camtopod.vision import DetectorSettings
+
+BUS = '[bus]\nconnect = ["tcp/127.0.0.1:9"]\nconnect_seconds = 0.1\n'
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Somebody in the models' colours, from the first picture on."""
+    path = tmp_path_factory.mktemp("film") / "hall.mp4"
+    scene = ColouredScene([Person(line(0.0, (0.2, 0.9), (1.05, 0.9), 14.0), tall=0.6)])
+    size = (WIDTH * FACTOR, HEIGHT * FACTOR)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, size)
+    for k in range(round(16 * FPS)):
+        writer.write(scene.picture(k / FPS))
+    writer.release()
+    return path
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "c.toml"
+    path.write_text(text)
+    return path
+
+
+# --- settings -------------------------------------------------------------------------------------
+
+
+def test_a_camera_has_the_common_detector_one_of_its_own_or_none() -> None:
+    config = parse(
+        '[detector]\nmodel = "a.onnx"\nscore = 0.5\n'
+        "[cameras.plain]\n[cameras.off]\ndetector = false\n"
+        '[cameras.own.detector]\nmodel = "b.onnx"\nlabels = ["person", 3]\n'
+        "[cameras.inline]\ndetector = { looks_per_second_max = 2.0 }\n"
+    )
+    common = DetectorSettings("a.onnx", score=0.5)
+    of = {name: camera.detector for name, camera in config.cameras.items()}
+    assert config.detector == of["plain"] == common
+    assert of["off"] == DetectorSettings()
+    assert of["own"] == DetectorSettings("b.onnx", ("person", 3), 0.5)
+    assert of["inline"] == msgspec.structs.replace(common, looks_per_second_max=2.0)
+    assert config.for_camera("new", "0").cameras["new"].detector == common
+    assert Config().detector.model == ""
+
+
+def test_a_camera_alone_may_have_a_detector() -> None:
+    config = parse('[cameras.own.detector]\nmodel = "b.onnx"\n[cameras.other]\n')
+    assert config.cameras["own"].detector.model == "b.onnx"
+    assert config.cameras["other"].detector == DetectorSettings()
+
+
+def test_a_model_s_path_is_relative_to_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MODELS", "/srv/models")
+    path = write(
+        tmp_path,
+        '[detector]\nmodel = "a.onnx"\n[cameras.b.detector]\nmodel = "$MODELS/b.onnx"\n'
+        "[cameras.c]\ndetector = false\n",
+    )
+    config = load(path)
+    assert config.detector.model == str(tmp_path / "a.onnx")
+    assert config.cameras["b"].detector.model == "/srv/models/b.onnx"
+    assert config.cameras["c"].detector.model == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[detector]\nscore = 0.5\n", ":1: detector: model is missing"),
+        ('[detector]\nmodel = "a"\nscore = 2\n', ":3: detector.score: expected a number <= 1.0"),
+        ('[detector]\nmodel = "a"\nscore = 0\n', ":3: detector.score: expected a number > 0.0"),
+        (
+            '[detector]\nmodel = "a"\nlabels = [\n"person",\n"persn"]\n',
+            ":5: detector.labels: COCO has no 'persn'; did you mean 'person'?",
+        ),
+        ('[detector]\nmodel = "a"\nlabels = []\n', ":3: detector.labels: is empty"),
+        (
+            '[detector]\nmodel = "a"\nlayout = "yolo"\n',
+            ":3: detector.layout: expected one of yolox, yolov5, ",
+        ),
+        ('[detector]\nmodel = "a"\nmodle = "b"\n', ":3: detector.modle: no such key"),
+        (
+            '[detector]\nmodel = "a"\nlooks_per_second_max = 0\n',
+            ":3: detector.looks_per_second_max: expected a number > 0.0",
+        ),
+        (
+            "[cameras.a]\ndetector = true\n",
+            ":2: cameras.a.detector: expected false, or a table [cameras.a.detector]",
+        ),
+        ("[cameras.a.detector]\nscore = 0.5\n", ":1: cameras.a.detector: model is missing"),
+        (
+            '[cameras.a.detector]\nmodel = "a"\nlabels = ["cow", "elefant"]\n',
+            ":3: cameras.a.detector.labels: COCO has no 'elefant'; did you mean 'elephant'?",
+        ),
+    ],
+)
+def test_a_mistake_has_its_line(text: str, said: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse(text, "c.toml")
+    assert f"c.toml{said}" in str(caught.value)
+    assert len(caught.value.problems) == 1
+
+
+def test_the_line_of_a_setting_is_that_of_the_nearest_table() -> None:
+    text = '[detector]\nmodel = "a"\n\n[cameras.b.detector]\nscore = 0.5\n'
+    assert detector_line(text, "b", "score") == (5, "cameras.b.detector.score")
+    assert detector_line(text, "b", "model") == (2, "detector.model")
+    assert detector_line(text, "c", "layout") == (1, "detector")
+
+
+# --- check ----------------------------------------------------------------------------------------
+
+
+def test_check_says_which_camera_has_which_detector(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_model(tmp_path / "person.onnx", "yolox")
+    path = write(
+        tmp_path,
+        '[detector]\nmodel = "person.onnx"\nlabels = ["person", "dog"]\n'
+        '[cameras.a]\nsource = "0"\n[cameras.b]\nsource = "1"\ndetector = false\n',
+    )
+    assert main(["check", str(path)]) == 0
+    said = capsys.readouterr().err
+    assert f"{path}:4: cameras.a: detector person.onnx (person, dog)\n" in said
+    assert f"{path}:6: cameras.b: detector = false\n" in said
+
+
+@pytest.mark.parametrize("content", [None, b"nothing of the kind"])
+def test_a_model_that_cannot_be_read_is_78_with_its_line(
+    tmp_path: Path, film: Path, capsys: pytest.CaptureFixture[str], content: bytes | None
+) -> None:
+    model = tmp_path / "person.onnx"
+    if content is not None:
+        model.write_bytes(content)
+    path = write(
+        tmp_path,
+        f'[cameras.a]\nsource = "{film}"\n\n[detector]\nmodel = "person.onnx"\n'
+        '[cameras.b]\ndetector = false\n[cameras.c.detector]\nmodel = "other.onnx"\n',
+    )
+    why = f"cannot read {model}: No such file" if content is None else f"{model} is not an ONNX"
+
+    assert main(["check", str(path)]) == 78
+    said = capsys.readouterr().err
+    assert f"{path}:5: detector.model: {why}" in said
+    assert f"{path}:9: cameras.c.detector.model: cannot read {tmp_path / 'other.onnx'}" in said
+
+    out = str(tmp_path / "out")
+    assert main(["--config", str(path), "grab", "--camera", "a", "--out", out]) == 78
+    assert f"{path}:5: detector.model: {why}" in capsys.readouterr().err
+    assert main(["--config", str(path), "grab", "--camera", "b", str(film), "--out", out]) == 0
+
+
+def test_a_model_of_another_layout_is_78_with_the_line_of_the_layout(
+    tmp_path: Path, film: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_model(tmp_path / "person.onnx", "yolov8")
+    text = f'[cameras.a]\nsource = "{film}"\n[detector]\nmodel = "person.onnx"\nlayout = "ssd"\n'
+    path = write(tmp_path, BUS + text)
+    assert main(["--config", str(path), "grab", "--camera", "a", "--out", "-"]) == 78
+    assert f"{path}:8: detector.layout: its outputs, (1, 84, 525), are not of the layout" in (
+        capsys.readouterr().err
+    )
+    assert main(["check", str(path), "--probe"]) == 78
+    assert f"{path}:8: detector.layout: its outputs" in capsys.readouterr().err
+
+
+def test_probe_looks_once_and_prints_layout_milliseconds_and_boxes(
+    tmp_path: Path, film: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_model(tmp_path / "person.onnx", "yolov5")
+    path = write(
+        tmp_path,
+        f'{BUS}[detector]\nmodel = "person.onnx"\n[cameras.a]\nsource = "{film}"\n[cameras.b]\n',
+    )
+    assert main(["check", str(path), "--probe"]) == 69, "there is no bus"
+    said = capsys.readouterr().err
+    start = f"{path}:5: detector.model: person.onnx: layout yolov5, 160x160, 80 classes, "
+    a, b = sorted(each.removeprefix(start) for each in said.splitlines() if start in each)[::-1]
+    if "camera a" not in a:
+        a, b = b, a
+    assert " ms a look; in the whole picture: person " in a
+    assert a.endswith("(camera a)")
+    assert b.endswith("in an empty picture: nothing (camera b)"), "it has no source here"
+
+
+# --- grab -----------------------------------------------------------------------------------------
+
+
+def test_grab_uses_the_detector_of_the_camera(
+    tmp_path: Path, film: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from camtopod.vision import detector as package
+
+    loaded = []
+
+    class Noted(package.Model):
+        def __init__(self, settings: DetectorSettings) -> None:
+            loaded.append(settings)
+            super().__init__(settings)
+
+    monkeypatch.setattr(package, "Model", Noted, raising=False)
+    write_model(tmp_path / "person.onnx", "yolox")
+    path = write(
+        tmp_path,
+        '[detector]\nmodel = "person.onnx"\n[cameras.b]\ndetector = false\n'
+        "[cameras.c.detector]\nscore = 0.7\n",
+    )
+    for camera in "abc":
+        out = str(tmp_path / camera)
+        assert (
+            main(["--config", str(path), "grab", "--camera", camera, str(film), "--out", out]) == 0
+        )
+    assert [settings.score for settings in loaded] == [0.4, 0.7]
