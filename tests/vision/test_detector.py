@@ -322,9 +322,15 @@ def test_a_detection_without_motion_counts_where_something_is_tracked() -> None:
 
 
 def test_a_detection_reaches_to_the_border_that_its_motion_touches() -> None:
-    cut = blob(0, 20, 12, 60)
-    [one] = fuse([cut], [(2.5, 21, 13, 60)], WHOLE, [], mask(cut.box))
+    legs = blob(0, 45, 12, 60)
+    [one] = fuse([legs], [(2.5, 21, 13, 60)], WHOLE, [], mask(legs.box))
     assert one.box == (0, 21, 13, 60)
+
+
+def test_motion_of_the_detection_s_outline_keeps_its_own() -> None:
+    steady = blob(50, 20, 64, 60)
+    [one] = fuse([steady], [(52, 18, 67, 61)], WHOLE, [], mask(steady.box))
+    assert (one.box, one.foot_x, one.detected) == (steady.box, steady.foot_x, True)
 
 
 def test_a_tracked_neighbour_that_is_not_detected_is_kept_by_its_motion() -> None:

@@ -1,7 +1,8 @@
 """Motion and detections of one frame -> the blobs that are tracked.
 
-Used only where the detector is believed. What moves and is detected once becomes the detection's
-box, whatever pieces motion shows of it or adds to it (joins pieces, drops shadows). What moves and
+Used only where the detector is believed. What moves and is detected once keeps its outline, which
+is steadier than a detection's, if the two are much alike; else it becomes the detection's box,
+whatever pieces motion shows of it or adds to it (joins pieces, drops shadows). What moves and
 is detected several times is split. What moves and is not detected stays as it is: it dates entries
 and exits, as a detector sees people late at the border. What is detected and does not move is kept
 if it is tracked: somebody stands.
@@ -70,6 +71,10 @@ def fuse(
     for d, box in enumerate(detections):
         own_blobs = [b for b, own in enumerate(links) if d in own]
         if not own_blobs and not any(same(one.box, box) for one in known):
+            continue
+        alone = own_blobs[0] if len(own_blobs) == 1 and len(links[own_blobs[0]]) == 1 else None
+        if alone is not None and same_box(blobs[alone].box, box):
+            found.append(replace(blobs[alone], detected=True))
             continue
         shared = next((b + 1 for b in own_blobs if len(links[b]) > 1), 0)
         outline = _to_border(box, [blobs[b].box for b in own_blobs], (width, height))
