@@ -61,6 +61,34 @@ def test_every_border_is_an_edge(a: Place, b: Place, sides: list[str]) -> None:
     assert passages(events) == list(zip(["entry", "exit"], sides, strict=True))
 
 
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [
+        ((-0.1, 0.8), (1.1, 0.8)),
+        ((1.1, 0.8), (-0.1, 0.8)),
+        ((0.4, 1.3), (0.6, -0.1)),
+        ((0.6, -0.1), (0.4, 1.3)),
+    ],
+)
+def test_who_is_seen_late_has_crossed_the_border_where_and_when_it_was(a: Place, b: Place) -> None:
+    """The first and last pictures within the border miss the person, who walks straight on."""
+    way = line(5.0, a, b, 7.0)
+
+    def where(t: float) -> Place | None:
+        place = way(t)
+        hidden = place is None or min(*place, 1 - place[0], 1 - place[1]) < 0.06
+        return None if hidden else place
+
+    late, early = Scene([Person(where)]).events(15.0)
+    entry, exit_ = Scene([Person(way)]).events(15.0)
+    for seen, true in ((late, entry), (early, exit_)):
+        assert seen.kind == true.kind
+        assert side(seen) == side(true)
+        assert seen.t == pytest.approx(true.t, abs=0.7), "1.3 s late at the bottom border"
+        assert seen.x == pytest.approx(true.x, abs=0.08)
+        assert seen.y == pytest.approx(true.y, abs=0.05)
+
+
 def test_a_quiet_scene_has_no_events_whatever_the_light_does() -> None:
     assert Scene([], noise=3.0).events(20) == []
     assert Scene([], light=lambda t: 0.75 if 8 < t < 14 else 1.0).events(20) == []

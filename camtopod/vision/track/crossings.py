@@ -26,6 +26,10 @@ REACH_SECONDS = 0.4
 """Time within which a box that reaches the border at its speed counts as being at it."""
 CUT_SHARE = 0.7
 """Visible share of a person below which the top of the picture counts as border."""
+BORDER_SECONDS_MAX = 1.5
+"""Longest time between a sighting and the crossing of the border that it is moved to."""
+DATED_SECONDS_MAX = 0.7
+"""Longest time that it is dated back or forward; an exit is known no sooner after the sighting."""
 TOUCH_PIXELS = 1.5
 """Distance from the border (pixels) within which it cuts a box."""
 FOOT_SIGHTINGS = 5
@@ -232,9 +236,11 @@ class Crossings:
         cut_by_side = at.box[0] <= TOUCH_PIXELS or at.box[2] >= self._width - TOUCH_PIXELS
         if cut_by_side:
             y = _foot_row(list(track.history), latest=kind == "exit")
+        at = self._at_border(track, at._replace(foot=(x, y)), edge, 1.0 if kind == "exit" else -1.0)
+        x, y = at.foot
 
         # Count it, and say why.
-        self._note(reason, track, at._replace(foot=(x, y)), edge, other=other or track.successor)
+        self._note(reason, track, at, edge, other=other or track.successor)
         if kind == "entry":
             self.entries += 1
         else:
@@ -243,6 +249,27 @@ class Crossings:
         return Event(
             self._camera, kind, round(at.t, 6), round(x, 4), round(y, 4), str(track.number)
         )
+
+    def _at_border(self, track: Track, at: Sighting, edge: Edge | None, sense: float) -> Sighting:
+        """Return a sighting moved along the way of the track to where it crosses the border.
+
+        Objects are first seen some pictures after they have entered, above all beside others, and
+        last seen before they have left.
+        sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
+        """
+        x, y = at.foot
+        dx, dy = track.velocity
+        distance, speed = {
+            "left border": (at.box[2] - track.width / 2, -dx),
+            "right border": (self._width - at.box[0] - track.width / 2, dx),
+            "top border": (y, -dy),
+            "bottom border": (self._height - at.box[1] - track.height / 2, dy),
+        }.get(edge or "", (0.0, 0.0))
+        seconds = distance / (sense * speed) if sense * speed > 0.0 else 0.0
+        if not 0.0 < seconds <= BORDER_SECONDS_MAX:
+            return at
+        ahead, dated = sense * seconds, sense * min(seconds, DATED_SECONDS_MAX)
+        return at._replace(t=at.t + dated, foot=(x + ahead * dx, y + ahead * dy))
 
 
 def _foot_row(sightings: list[Sighting], latest: bool) -> float:
