@@ -344,6 +344,15 @@ def test_a_tracked_neighbour_that_is_not_detected_is_kept_by_its_motion() -> Non
     assert len(fuse([group], [(50, 20, 64, 60)], WHOLE, [known], alone)) == 1, "nothing moves there"
 
 
+def test_who_leaves_beside_another_is_kept_by_what_is_still_in_view() -> None:
+    group, leaving = blob(0, 20, 24, 60), Known((-9, 20, 5, 60), True, False)
+    found = fuse([group], [(10, 20, 24, 60)], WHOLE, [leaving], mask(group.box))
+    assert sorted((one.box, one.detected) for one in found) == [
+        ((0, 20, 5, 60), False),
+        ((10, 20, 24, 60), True),
+    ]
+
+
 # --- files ----------------------------------------------------------------------------------------
 
 

@@ -57,6 +57,8 @@ def fuse(
     All in pixels of the working picture.
     """
     height, width = moving.shape
+    picture = (0.0, 0.0, float(width), float(height))
+    shown = [(one, box) for one in known if (box := _common(one.box, picture)) is not None]
     links = [[d for d, box in enumerate(detections) if _linked(blob.box, box)] for blob in blobs]
     fused = []
 
@@ -70,10 +72,15 @@ def fuse(
     found = []
     for d, box in enumerate(detections):
         own_blobs = [b for b, own in enumerate(links) if d in own]
-        if not own_blobs and not any(same(one.box, box) for one in known):
+        if not own_blobs and not any(same(track, box) for _, track in shown):
             continue
         alone = own_blobs[0] if len(own_blobs) == 1 and len(links[own_blobs[0]]) == 1 else None
-        if alone is not None and same_box(blobs[alone].box, box):
+        others = [track for one, track in shown if one.confirmed and not same(track, box)]
+        if (
+            alone is not None
+            and same_box(blobs[alone].box, box)
+            and not any(same(track, blobs[alone].box) for track in others)
+        ):
             found.append(replace(blobs[alone], detected=True))
             continue
         shared = next((b + 1 for b in own_blobs if len(links[b]) > 1), 0)
@@ -82,12 +89,12 @@ def fuse(
 
     # Tracked objects that move within a blob of others and are not detected in this frame.
     boxes = [blob.box for blob in found]
-    for one in known:
-        if not one.confirmed or any(same(one.box, box) for box in boxes):
+    for one, track in shown:
+        if not one.confirmed or any(same(track, box) for box in boxes):
             continue
         for b, blob in enumerate(blobs):
-            rest = _common(one.box, blob.box)
-            if links[b] and rest is not None and _moves_beside(rest, one.box, boxes, moving):
+            rest = _common(track, blob.box)
+            if links[b] and rest is not None and _moves_beside(rest, track, boxes, moving):
                 fused.append(_blob(rest, detected=False, part_of=0))
                 break
     return fused + found
@@ -140,7 +147,10 @@ def _to_border(box: Box, blobs: Sequence[Box], size: tuple[int, int]) -> Box:
 
 
 def _moves_beside(rest: Box, track: Box, others: Sequence[Box], moving: Luma) -> bool:
-    """Return True if enough of a track's box moves outside of the boxes of others."""
+    """Return True if enough of a track's box moves outside of the boxes of others.
+
+    rest: the part of it that is in a blob; track: the part that is in the picture.
+    """
     if _area(rest) < SAME_SHARE * _area(track):
         return False
     count, covered = share_inside(moving, rest, others)
