@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from camtopod.records import Event
 from camtopod.vision.detect import Luma
+from camtopod.vision.detector import Seen
 from camtopod.vision.track import Decision, Track
 
 
@@ -32,6 +33,8 @@ class Analysis(NamedTuple):
     """Events that have become certain in this frame."""
     decisions: Sequence[Decision]
     """Beginnings and ends of tracks that were decided in this frame."""
+    looked: Seen | None = None
+    """What the detector saw; None if there is none."""
 
 
 Observer = Callable[[Analysis], None]

@@ -153,6 +153,7 @@ class ViewPipeline:
             self._crossings.doors.learned(self._tracker.stature.height),
             events,
             self._decisions.copy(),
+            None if self._detector is None else self._detector.seen,
         )
         self._decisions.clear()
         self._observer(self._latest)

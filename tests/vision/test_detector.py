@@ -14,6 +14,7 @@ from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Place, line
 
 from camtopod.codec import to_json
 from camtopod.records import Event
+from camtopod.vision.analysis import Analysis
 from camtopod.vision.detect import Blob, Box
 from camtopod.vision.detector import Detection, Detector, Known, Model
 from camtopod.vision.detector.agreement import Agreement
@@ -23,6 +24,7 @@ from camtopod.vision.detector.model import Picture
 from camtopod.vision.grabber import Grabber
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import DetectorSettings, VisionSettings
+from camtopod.vision.show.overlay import Overlay, Words
 
 SIDE_BY_SIDE = (
     Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), seed=1),
@@ -351,6 +353,27 @@ def test_who_leaves_beside_another_is_kept_by_what_is_still_in_view() -> None:
         ((0, 20, 5, 60), False),
         ((10, 20, 24, 60), True),
     ]
+
+
+# --- pictures -------------------------------------------------------------------------------------
+
+
+def test_detections_are_drawn_and_whether_they_are_believed() -> None:
+    scene = ColouredScene(ALONE)
+    looking = drawn(scene)
+    overlay = Overlay("cam", SETTINGS, Words("{:.1f} s".format, lambda decision: decision.reason))
+    violet = []
+
+    def observe(seen: Analysis) -> None:
+        overlay.remember(seen)
+        assert seen.looked is not None
+        if seen.looked.detections:
+            picture = overlay.draw(seen)
+            violet.append(bool((picture == (220, 120, 220)).all(axis=2).any()))
+
+    scene.events(16, looking, pipeline=ViewPipeline("cam", SETTINGS, observe, looking))
+    assert len(violet) > 20
+    assert all(violet)
 
 
 # --- files ----------------------------------------------------------------------------------------

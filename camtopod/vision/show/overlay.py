@@ -1,8 +1,9 @@
 """Draw what the pipeline made of a frame into an enlarged copy of the working picture.
 
 Green: an object; grey: a track that is not one yet, or is lost at the moment; yellow: foreground;
-red: ignored areas; blue: doors, named ones filled. Events are discs at their place: an entry green,
-an exit red. Below the picture are the latest decisions in words.
+red: ignored areas; blue: doors, named ones filled; violet: what the detector found in this frame.
+Events are discs at their place: an entry green, an exit red. Below the picture are the latest
+decisions in words.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from camtopod.records import Event
 from camtopod.vision.analysis import Analysis
 from camtopod.vision.detect import Luma
+from camtopod.vision.detector import Seen
 from camtopod.vision.settings import Polygon, VisionSettings
 from camtopod.vision.show.shown_file import Picture
 from camtopod.vision.track import Decision, Track
@@ -38,6 +40,7 @@ _TENTATIVE: Colour = (170, 170, 170)
 _FOREGROUND: Colour = (60, 220, 240)
 _IGNORED: Colour = (70, 70, 220)
 _DOOR: Colour = (240, 150, 60)
+_DETECTION: Colour = (220, 120, 220)
 _ENTRY: Colour = (60, 200, 60)
 _EXIT: Colour = (90, 90, 250)
 _WORDS: Colour = (235, 235, 235)
@@ -104,7 +107,9 @@ class Overlay:
         if seen.moving is not None:
             _draw_outline(picture, seen.moving)
 
-        # Tracks and events.
+        # Detections, tracks, events.
+        if seen.looked is not None:
+            _draw_detections(picture, seen.looked, factor)
         for track in seen.broken:
             self._draw_track(picture, track, factor, lost=True)
         for track in seen.tracks:
@@ -114,6 +119,9 @@ class Overlay:
 
         # Words.
         state = "" if seen.moving is not None else "  most of the picture has changed"
+        if seen.looked is not None:
+            state += f"  detector {'' if seen.looked.believed else 'not '}believed, "
+            state += f"agreement {seen.looked.agreement:.2f}"
         _write(picture, (6, 16), f"{self._camera}  {self._words.time(seen.t)}{state}", _WORDS)
         return cv2.vconcat([picture, self._strip()])
 
@@ -182,6 +190,14 @@ def _draw_outline(picture: Picture, moving: Luma) -> None:
     mask = cv2.resize(moving, (width, height), interpolation=cv2.INTER_NEAREST)
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     cv2.drawContours(picture, outlines, -1, _FOREGROUND, 1)
+
+
+def _draw_detections(picture: Picture, looked: Seen, factor: float) -> None:
+    """Draw what the detector has found in this frame, with scores."""
+    for one in looked.detections:
+        left, top, right, bottom = (round(factor * value) for value in one.box)
+        cv2.rectangle(picture, (left, top), (right, bottom), _DETECTION, 1)
+        _write(picture, (left, bottom + 12), f"{one.label} {one.score:.2f}", _DETECTION)
 
 
 def _draw_event(picture: Picture, event: Event) -> None:
