@@ -115,6 +115,9 @@ def _is_clear(plan: Plan, seed: int) -> bool:
     walks = simulate_walks(plan, TRIAL_SECONDS, TRIAL_RATE, rng)
     seen = passages(plan, walks)
     truth = truth_of(plan, seen)
+    # Nobody turns back, so who enters and leaves on the same path only grazes the view.
+    if any(passage.way_in == passage.way_out for passage in seen):
+        return False
     passed: dict[tuple[str, int], int] = {}
     for passage in seen:
         for way in (passage.way_in, passage.way_out):
