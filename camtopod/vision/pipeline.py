@@ -16,6 +16,8 @@ GHOST_SECONDS = 3.0
 
 A ghost is the hole that an object leaves in the background model.
 """
+GHOST_REACH_HEIGHTS = 1.0
+"""Largest distance (heights) that something has moved that may still be a ghost."""
 GHOST_MOVE_HEIGHTS = 0.1
 """An object that moves less than this (heights of the object) stands still."""
 STEP_SECONDS_MAX = 1.0
@@ -177,6 +179,8 @@ class ViewPipeline:
         Movement is judged over the sightings that are kept.
         """
         past = track.history[0]
+        if track.confirmed and track.reach > GHOST_REACH_HEIGHTS * track.height:
+            return False  # it has come here, so it is an object that stands
         if track.last.t < t or len(track.history) < 8 or t - track.first.t < GHOST_SECONDS:
             return False
         reach = GHOST_MOVE_HEIGHTS * track.height

@@ -117,7 +117,6 @@ def test_one_passage_is_the_same_with_a_detector(detector: Callable[..., Detecto
 
 
 def test_two_who_enter_side_by_side_are_two() -> None:
-    assert len(ColouredScene(SIDE_BY_SIDE).events(20, None)) < 4
     scene = ColouredScene(SIDE_BY_SIDE)
     events = scene.events(20, drawn(scene))
     assert kinds(events) == ["entry", "entry", "exit", "exit"]

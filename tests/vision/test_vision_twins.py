@@ -180,7 +180,10 @@ def test_only_what_is_near_or_overlaps_can_be_a_track_s(seed: int) -> None:
     seen = made(2000)
     taken = 0
     for track in followed.active:
-        gate = tracker.GATE_HEIGHTS * track.height + 2 * track.kalman.uncertainty
+        gate = (
+            tracker.GATE_HEIGHTS * max(track.height, 0.7 * track.width)
+            + 2 * track.kalman.uncertainty
+        )
         x, top, foot_x, bottom = track.kalman.position
         for blob, cost in zip(seen, followed._costs(track, seen), strict=True):
             head = np.hypot(blob.head[0] - x, blob.top - top)
@@ -223,8 +226,8 @@ def test_stature_is_the_line_through_the_heights() -> None:
     learned = stature.Stature()
     rows = np.random.default_rng(3).uniform(50, 170, 40)
     for number, row in enumerate(rows):
-        learned.add(number % 3, float(row), 20.0 + 0.3 * float(row))
-    learned.add(9, 100.0, 300.0)  # no person
+        learned.add(number % 3, float(row), 20.0 + 0.3 * float(row), 10.0)
+    learned.add(9, 100.0, 300.0, 10.0)  # no person
     for row in (60.0, 100.0, 160.0):
         assert learned.height(row) == pytest.approx(20.0 + 0.3 * row, abs=0.1)
 

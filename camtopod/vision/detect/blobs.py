@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from camtopod.vision.detect.background import Luma
+from camtopod.vision.detect.heads import find_heads
 from camtopod.vision.detect.motion import Box, Motion
 
 FRAGMENT_PIXELS_MIN = 6
@@ -48,6 +49,8 @@ class Blob:
     """Whether a detector sees an object in it; None: it has not looked, or is not believed."""
     part_of: int = 0
     """Number of the moving region that a detector has split into several blobs; 0 if it has not."""
+    heads: tuple[float, ...] = ()
+    """Columns of the heads in its outline, from left to right; empty if below two."""
 
     @property
     def box(self) -> Box:
@@ -144,7 +147,9 @@ def _blob(group: list[int], box: Box, area: int, labels: Luma, motion: Motion) -
 
     # Foot: middle of the lowest fifth.
     feet = np.flatnonzero(mask[-max(1, (bottom - top) // 5) :].any(axis=0))
-    return Blob(left, top, right, bottom, left + float(feet[0] + feet[-1] + 1) / 2, area)
+    foot_x = left + float(feet[0] + feet[-1] + 1) / 2
+    heads = tuple(left + column + 0.5 for column in find_heads(mask))
+    return Blob(left, top, right, bottom, foot_x, area, heads=heads)
 
 
 def _merge(

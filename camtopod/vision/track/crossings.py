@@ -22,7 +22,7 @@ from camtopod.vision.track.track import Changes, Sighting, Track
 
 BORDER_SHARE = 0.025
 """Distance from the border within which a box is at it (share of the picture's diagonal)."""
-REACH_SECONDS = 0.4
+REACH_SECONDS = 0.6
 """Time within which a box that reaches the border at its speed counts as being at it."""
 CUT_SHARE = 0.7
 """Visible share of a person below which the top of the picture counts as border."""
@@ -90,18 +90,18 @@ class Crossings:
         margin = top_margin = self._margin
         if top <= TOUCH_PIXELS:
             top_margin = max(margin, CUT_SHARE * height)
-        from_right, from_bottom = self._width - right, self._height - bottom
         dx, dy = drift
 
-        # Pixels missing to be at each border; 0 or less where it is there.
-        missing: tuple[tuple[float, Edge], ...] = (
-            (min(left - margin, left + dx), "left border"),
-            (min(from_right - margin, from_right - dx), "right border"),
-            (min(bottom - top_margin, bottom + dy), "top border"),
-            (min(from_bottom - margin, from_bottom - dy), "bottom border"),
+        # Distance to each border, the distance within which it is near, and the way towards it.
+        borders: tuple[tuple[float, float, float, Edge], ...] = (
+            (left, margin, -dx, "left border"),
+            (self._width - right, margin, dx, "right border"),
+            (bottom, top_margin, -dy, "top border"),
+            (self._height - bottom, margin, dy, "bottom border"),
         )
-        least, border = min(missing)
-        return border if least <= 0 else None
+        near = [(distance, border) for distance, near, _, border in borders if distance <= near]
+        reached = [(distance, border) for distance, _, way, border in borders if distance <= way]
+        return min(near or reached, default=(0.0, None))[1]
 
     def at_edge(self, track: Track) -> Edge | None:
         """Return the edge at which the track was last seen, if objects leave there."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from math import hypot
 from typing import Literal
 
 import cv2
@@ -23,10 +24,12 @@ from camtopod.vision.settings import Polygon
 Door = Literal["named door", "learned door"]
 """How a place is known to be a door."""
 
-DOOR_EVENTS_MIN = 3
+DOOR_EVENTS_MIN = 2
 """Unexplained beginnings and ends of tracks that make a door."""
 DOOR_HEIGHTS = 0.6
 """Radius around a foot point in which they count (heights of the person)."""
+DOOR_SHARE_MIN = 0.04
+"""Least radius of a learned door, as a share of the picture's diagonal, for objects far away."""
 REMEMBERED_MAX = 200
 """Unexplained beginnings and ends that are kept, the newest."""
 GRID_ROWS, GRID_COLUMNS = 24, 32
@@ -73,6 +76,8 @@ class Doors:
         radius = DOOR_HEIGHTS * height
         if any(_is_at(place, x, y, radius) for place in self._named):
             return "named door"
+
+        radius = max(radius, DOOR_SHARE_MIN * hypot(*self._size))
         near = sum(
             1 for a, b in self._unexplained if (a - x) ** 2 + (b - y) ** 2 <= radius * radius
         )

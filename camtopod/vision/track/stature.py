@@ -11,6 +11,8 @@ SAMPLES_MAX = 400
 """Samples kept, the newest."""
 SAMPLES_MIN = 20
 """Samples needed for a fit."""
+SLIMNESS = 0.4
+"""Width of a person over the height, while few have been seen."""
 OBJECTS_MIN = 2
 """Objects needed for a fit: one object does not tell the height of others."""
 _REFIT_SAMPLES_MIN = 10
@@ -25,15 +27,17 @@ class Stature:
     def __init__(self) -> None:
         self._rows: deque[float] = deque(maxlen=SAMPLES_MAX)
         self._heights: deque[float] = deque(maxlen=SAMPLES_MAX)
+        self._slimness: deque[float] = deque([SLIMNESS] * SAMPLES_MIN, maxlen=SAMPLES_MAX)
         self._objects: set[int] = set()
         self._new = 0
         self._line: tuple[float, float] | None = None
         self._middle = 0.0
 
-    def add(self, track: int, foot_y: float, height: float) -> None:
-        """Add a sighting of ``track``: feet in row ``foot_y``, ``height`` tall, pixels."""
+    def add(self, track: int, foot_y: float, height: float, width: float) -> None:
+        """Add a sighting of ``track``: feet in row ``foot_y``; height and width, pixels."""
         self._rows.append(foot_y)
         self._heights.append(height)
+        self._slimness.append(width / height)
         if len(self._objects) < OBJECTS_MIN:
             self._objects.add(track)
         self._new += 1
@@ -60,6 +64,10 @@ class Stature:
             residual = np.abs(heights - (base + slope * rows))
             kept = residual <= 2.5 * _median(residual) + 1e-9
         self._line = (base, slope)
+
+    def width(self, height: float) -> float:
+        """Return the usual width in pixels of an object of some height."""
+        return height * _median(np.array(self._slimness))
 
     def height(self, foot_y: float) -> float | None:
         """Return the expected height in pixels; None if unknown.

@@ -12,6 +12,8 @@ from camtopod.vision.track.kalman import Kalman, Vector
 
 HISTORY_SIGHTINGS = 16
 """Sightings kept of an object, the newest."""
+WIDTH_SHARE = 0.7
+"""Share of the width that counts as the size of wide objects, such as cars."""
 
 
 @dataclass(slots=True, eq=False)
@@ -48,6 +50,10 @@ class Track:
     """Time when the border last cut its box, seconds."""
     measured_at: tuple[float, float] = (0.0, 0.0)
     """Foot point where its height was last measured."""
+    whole_sightings: int = 0
+    """Sightings of its blob that the border does not cut, since a person was last added to it."""
+    crowded_sightings: int = 0
+    """Those of them with more heads than tracks: see `companions`."""
     lack: Lack | None = None
     """What a tentative track lacked in the latest frame that showed it."""
     edge: Edge | None = None
@@ -62,6 +68,11 @@ class Track:
     """Track of the moving region that a detector has split to begin this one."""
     successor: int = 0
     """Number of the object that came in where this one left; 0 if there is none."""
+
+    @property
+    def size(self) -> float:
+        """Size that decides how far it may move: its height, or most of its width, pixels."""
+        return max(self.height, WIDTH_SHARE * self.width)
 
     @property
     def box(self) -> Box:

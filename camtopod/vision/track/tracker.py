@@ -5,6 +5,9 @@ then it is *confirmed*. In each frame, blobs that cover several confirmed tracks
 group (people crossing or walking side by side). The other blobs are assigned one to one (Kalman
 prediction, Hungarian method, gate in heights of the person).
 
+A blob that shows more heads than tracks, picture after picture, gets tracks for the others
+(`companions`).
+
 A confirmed track that is out of sight for longer than the patience has *ended* if it was at an edge
 of the view. In mid-view it is *broken*: it is kept for some seconds, and a track confirmed nearby
 continues it. A passage that breaks behind a lamp post thus stays one passage. Behind an ignored
@@ -23,6 +26,7 @@ from scipy.optimize import linear_sum_assignment
 
 from camtopod.vision.detect import Blob, Box
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.track.companions import count_heads, missing_track
 from camtopod.vision.track.decisions import Edge
 from camtopod.vision.track.kalman import Kalman
 from camtopod.vision.track.recorder import Recorder
@@ -140,7 +144,7 @@ class Tracker:
 
         # Predict.
         for track in self.active:
-            track.kalman.predict(dt, track.height, coasting=track.last.t < t - 1.5 * dt)
+            track.kalman.predict(dt, track.size, coasting=track.last.t < t - 1.5 * dt)
             track.frames += 1
             track.covered = False
 
@@ -154,6 +158,7 @@ class Tracker:
         # Confirm, split and end tracks.
         appeared = self._confirm(t)
         left += self._hand_over(t, appeared)
+        appeared += self._add_companions(t, blobs)
         return self._retire(t, appeared, left)
 
     # -- sightings ------------------------------
@@ -227,7 +232,7 @@ class Tracker:
         Tentative tracks have a higher cost, so that they yield to confirmed ones.
         """
         head_x, head_y, foot_x, foot_y = track.kalman.position
-        scale = max(track.height, self.stature.height(foot_y) or 0.0)
+        scale = max(track.size, self.stature.height(foot_y) or 0.0)
         gate = GATE_HEIGHTS * scale + 2 * track.kalman.uncertainty
         height_min = PIECE_HEIGHT_MIN * track.height if track.confirmed else 0.0
         leftmost = min(head_x, foot_x, track.last.box[0]) - gate
@@ -267,9 +272,10 @@ class Tracker:
             track.confirmed
             and step > STATURE_STEP_HEIGHTS * track.height
             and not self._touches(blob.box)
+            and not blob.heads
         ):
             track.measured_at = blob.foot
-            self.stature.add(track.number, blob.bottom, blob.height)
+            self.stature.add(track.number, blob.bottom, blob.height, blob.width)
 
     def _seen(self, track: Track, sighting: Sighting) -> None:
         """Record a sighting."""
@@ -402,9 +408,10 @@ class Tracker:
             elif from_behind and self._edges.goes_behind(other):
                 reach = STITCH_HEIGHTS + BEHIND_HEIGHTS_PER_SECOND * gap
                 x, y = x + gap * other.velocity[0], y + gap * other.velocity[1]
-            reach *= max(track.height, other.height)
+            height, other_height = _height(track.first.box), _height(other.last.box)
+            reach *= max(height, other_height)
             distance = hypot(track.first.foot[0] - x, track.first.foot[1] - y)
-            ratio = track.height / other.height
+            ratio = height / other_height
             if distance < reach * best_score and 0.4 < ratio < 2.5:
                 best, best_score = other, distance / reach
 
@@ -439,6 +446,28 @@ class Tracker:
                 left.append(self._split(track, turn))
                 appeared.append(track)
         return left
+
+    def _add_companions(self, t: float, blobs: list[Blob]) -> list[Track]:
+        """Begin the tracks of people who were taken for one object; return those that appeared."""
+        appeared = []
+        for blob in blobs:
+            if self._touches(blob.box):
+                continue
+            held = [
+                track
+                for track in self.active
+                if track.confirmed and track.last.t == t and _holds(blob.box, track.last.box)
+            ]
+            width, height = self.stature.width(blob.height), self.stature.height(blob.bottom)
+            if not held or not count_heads(blob, held, width, height):
+                continue
+            added = missing_track(t, blob, held, self._next)
+            if added is not None:
+                self._next += 1
+                self.active.append(added)
+                if not self._stitch(t, added):
+                    appeared.append(added)
+        return appeared
 
     def _split(self, track: Track, turn: int) -> Track:
         """Split ``track`` at sighting ``turn``; return the part before it, which keeps the number.
@@ -567,6 +596,10 @@ def _holds(outer: Box, inner: Box) -> bool:
     """Return True if the middle of ``inner`` is in ``outer``."""
     x, y = _middle(inner)
     return outer[0] <= x <= outer[2] and outer[1] <= y <= outer[3]
+
+
+def _height(box: Box) -> float:
+    return box[3] - box[1]
 
 
 def _middle(box: Box) -> tuple[float, float]:
