@@ -238,11 +238,20 @@ class _Connection:
 class MessageSubscription(_Connection):
     """The messages of one topic below the broker's prefix, oldest first.
 
+    with_topics: put each message's topic and a blank in front of it, as `mosquitto_sub -v` does.
+
     Messages that are published while there is no connection are missing. Raises `MqttError`.
     """
 
-    def __init__(self, source: Broker, topic: str, limit_messages: int = MESSAGES_MAX) -> None:
+    def __init__(
+        self,
+        source: Broker,
+        topic: str,
+        limit_messages: int = MESSAGES_MAX,
+        with_topics: bool = False,
+    ) -> None:
         super().__init__(source)
+        self._with_topics = with_topics
         self.topic = f"{source.prefix}/{topic}"
         self.dropped = 0
         """Number of messages dropped because too many were waiting."""
@@ -286,6 +295,8 @@ class MessageSubscription(_Connection):
 
     def _on_message(self, _: Client, __: Any, message: MQTTMessage) -> None:
         payload = bytes(message.payload)
+        if self._with_topics:
+            payload = message.topic.encode() + b" " + payload
         with self._mutex:
             full = f"{self._waiting.maxsize}" if self._waiting.full() else ""
             if self._waiting_bytes + len(payload) > WAITING_BYTES_MAX:

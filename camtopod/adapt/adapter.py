@@ -24,6 +24,10 @@ _STRING = re.compile(rb'("(?:[^"\\]|\\.)*(?:"|$))(\s*:)?')
 """A JSON string, and the colon after it if it is a key."""
 
 
+_XML_TEXT = re.compile(rb"\"[^\"]*\"?|'[^']*'?|(?<=>)[^<]+")
+"""A value of an attribute, or text between tags."""
+
+
 class Adapter(Protocol):
     """Converter of one format, line by line."""
 
@@ -84,6 +88,8 @@ def quotable(line: bytes) -> bytes:
     """
     if line.startswith(b"{"):
         return _STRING.sub(lambda found: found[0] if found[2] else b'"..."', line)
+    if line.startswith(b"<"):
+        return _XML_TEXT.sub(b'"..."', line)
     word, blank, _ = line.partition(b" ")
     shown = word if b"/" in word or b"," in word else b"..."  # a topic, numbers
     return shown + blank + b"..." if blank else shown

@@ -1,5 +1,8 @@
 """Events from Frigate's ``frigate/events``: one message for each change of a tracked object.
 
+Checked against `TrackedObject.to_dict` in Frigate's source as of 0.17.2, which has all fields of
+`_Seen`, and against the page "MQTT" of its documentation.
+
 Only the fields of `_Seen` are read: labels of recognised faces, licence plates and the like never
 enter memory.
 

@@ -158,6 +158,14 @@ class TrackEvents:
             events += self._seen(label, corner, t)
         return events
 
+    def end(self, name: Any) -> list[Event]:
+        """End the track of an id that the tracker declares ended; return its exit, if any."""
+        label = _label(name)
+        track = None if label is None else self._tracks.pop(label, None)
+        if label is None or track is None or not track.lived:
+            return []
+        return [self._event("exit", label, track.last)]
+
     def is_late(self, t: float) -> bool:
         """Return True if `update` would ignore a frame of this time as out of order."""
         return 0 < self._t - t <= self._lost

@@ -55,6 +55,10 @@ _NO_EVENTS = {
     "mot": "boxes with an id below 0 (untracked detections) or a confidence of 0 belong to no "
     "track",
     "scenescape": "no object entered or left, or only objects that are not among --label",
+    "axis": "no object entered or left, or only objects that are not among --label",
+    "onvif": "no object entered or left, or only objects that are not among --label",
+    "deepstream": "no object entered or left, the objects have no tracker's id, or they are not "
+    "among --label",
 }
 """Format -> why well-formed lines may give no events."""
 
@@ -67,7 +71,9 @@ def add_parser(subparsers: Any) -> None:
         description="Publishes events on the bus, and ends when the daemon has stored them all. "
         "Formats: jsonl, event lines as `camtopod grab --out` writes them; frigate, messages of "
         "frigate/events, one a line (mosquitto_sub -t frigate/events); mot, a MOTChallenge text "
-        "file; scenescape, messages of scenescape/data/camera/ID, one a line.",
+        "file; scenescape, messages of scenescape/data/camera/ID, one a line; axis, AXIS scene "
+        "metadata, frames or object tracks, one message a line; onvif, scene descriptions of "
+        "Profile M, XML documents or JSON messages; deepstream, messages of nvmsgconv, one a line.",
         epilog="example: camtopod ingest jsonl events.jsonl --site hq",
     )
     parser.add_argument(

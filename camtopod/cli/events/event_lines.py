@@ -6,6 +6,7 @@ Valid lines become events; others are counted, and the first one of each reason 
 from __future__ import annotations
 
 import heapq
+import logging
 import os
 import sys
 from collections import Counter
@@ -13,12 +14,14 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from typing import BinaryIO, NamedTuple
 
-from camtopod.adapt import LINE_BYTES_MAX, Adapter, quotable
+from camtopod.adapt import LINE_BYTES_MAX, Adapter, Fragmentation, quotable
 from camtopod.cli.exits import InputError
 from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json
 from camtopod.records import Event
 from camtopod.redact import redact
 from camtopod.visible import visible
+
+log = logging.getLogger(__name__)
 
 QUOTE_CHARACTERS_MAX = 120
 """Most bytes of a rejected line that are quoted."""
@@ -85,8 +88,10 @@ class LineReader:
     ) -> Iterator[Event]:
         """Yield events from another program's numbered lines.
 
-        Of a rejected line only its structure is quoted, no text.
+        Of a rejected line only its structure is quoted, no text. A tracker that breaks tracks up is
+        warned of.
         """
+        fragmentation = Fragmentation()
         for number, text in lines:
             self.read += 1
             try:
@@ -99,10 +104,16 @@ class LineReader:
                 )
                 continue
             self.events += len(events)
-            yield from events
+            for event in events:
+                if (warning := fragmentation.note(event)) is not None:
+                    log.warning("%s", warning)
+                yield event
         events = adapter.close()
         self.events += len(events)
-        yield from events
+        for event in events:
+            if (warning := fragmentation.note(event)) is not None:
+                log.warning("%s", warning)
+            yield event
 
     def reject(self, reason: str, where: str, text: bytes = b"") -> None:
         """Count a rejected line; print the first one of each reason to standard error."""

@@ -9,21 +9,32 @@ import threading
 from collections.abc import Iterator
 
 from camtopod import mqtt
-from camtopod.adapt import ANY_CAMERA, LINE_BYTES_MAX, Adapter, Frigate, Mot, SceneScape, Size
+from camtopod.adapt import (
+    ANY_CAMERA,
+    LINE_BYTES_MAX,
+    Adapter,
+    Axis,
+    DeepStream,
+    Frigate,
+    Mot,
+    Onvif,
+    SceneScape,
+    Size,
+)
 from camtopod.cli import exits
 from camtopod.cli.events import broker_options
 from camtopod.cli.events.event_lines import LineReader, numbered, open_input
 from camtopod.cli.exits import CommandError
 from camtopod.config import RESERVED
-from camtopod.records import Event
+from camtopod.records import CAMERA_PATTERN, Event
 
-FORMATS = ("jsonl", "frigate", "mot", "scenescape")
+FORMATS = ("jsonl", "frigate", "mot", "scenescape", "axis", "onvif", "deepstream")
 """Names of the formats."""
 _OPTIONS = {
-    "size": ("frigate", "mot", "scenescape"),
-    "label": ("frigate", "scenescape"),
+    "size": ("frigate", "mot", "scenescape", "deepstream"),
+    "label": ("frigate", "scenescape", "axis", "onvif", "deepstream"),
     "tracked": ("scenescape",),
-    "camera": ("mot",),
+    "camera": ("mot", "axis", "onvif", "deepstream"),
     "fps": ("mot",),
     "start": ("mot",),
 }
@@ -41,21 +52,27 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         help="size in pixels of the pictures that the boxes refer to (frigate: detect width and "
-        "height, not needed if Frigate sends path_data); may be repeated",
+        "height, not needed if Frigate sends path_data; deepstream: nvstreammux width and height); "
+        "may be repeated",
     )
     group.add_argument(
         "--label",
         metavar="NAME",
         action="append",
         default=[],
-        help="frigate, scenescape: only objects of this kind (person, car, ...); may be repeated",
+        help="all but mot and jsonl: only objects of this kind (person, car, ...); may be repeated",
     )
     group.add_argument(
         "--tracked",
         action="store_true",
         help="scenescape: ids come from a tracker (gvatrack in the pipeline)",
     )
-    group.add_argument("--camera", metavar="ID", help="mot: the camera's id")
+    group.add_argument(
+        "--camera",
+        metavar="ID",
+        help="mot: the camera's id; axis, onvif, deepstream: the id of the one camera (default: as "
+        "the topic or the message names it)",
+    )
     group.add_argument("--fps", type=float, metavar="N", help="mot: frames per second")
     group.add_argument(
         "--start",
@@ -64,7 +81,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="mot: event time of the first frame (default 0)",
     )
     group = parser.add_argument_group(
-        "MQTT", "FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX (frigate, scenescape)"
+        "MQTT",
+        "FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX (frigate, scenescape, axis, onvif, "
+        "deepstream)",
     )
     broker_options.add_options(group)
 
@@ -100,7 +119,22 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
             raise CommandError(
                 f"--{option} is for {' and '.join(formats)}, not {args.format}", exits.USAGE
             )
+    if args.camera in RESERVED:
+        raise CommandError(
+            f"--camera {args.camera}: this name is reserved on the bus, use another", exits.USAGE
+        )
+    if args.camera is not None and not re.match(CAMERA_PATTERN, args.camera):
+        raise CommandError(
+            f"--camera {args.camera!r}: use 1 to 64 of the characters A-Z a-z 0-9 _ . -",
+            exits.USAGE,
+        )
     sizes = _sizes(args.size)
+    if args.format == "axis":
+        return Axis(args.camera, args.label)
+    if args.format == "onvif":
+        return Onvif(args.camera, args.label)
+    if args.format == "deepstream":
+        return DeepStream(sizes, args.camera, args.label)
     if args.format == "frigate":
         return Frigate(sizes, args.label)
     if args.format == "scenescape":
@@ -115,10 +149,6 @@ def _mot(args: argparse.Namespace, sizes: dict[str, Size]) -> Mot:
     ]
     if missing:
         raise CommandError(f"mot needs {' and '.join(missing)}", exits.USAGE)
-    if args.camera in RESERVED:
-        raise CommandError(
-            f"--camera {args.camera}: this name is reserved on the bus, use another", exits.USAGE
-        )
     size = sizes.get(args.camera) or sizes.get(ANY_CAMERA)
     if size is None:
         raise CommandError(
@@ -147,4 +177,4 @@ def _messages(args: argparse.Namespace, topic: str) -> mqtt.MessageSubscription:
     """Subscribe to ``topic`` at the broker."""
     source = broker_options.broker_of(args, args.file)
     with broker_options.connecting(exits.INPUT):
-        return mqtt.MessageSubscription(source, topic)
+        return mqtt.MessageSubscription(source, topic, with_topics=topic == "#")

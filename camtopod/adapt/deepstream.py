@@ -1,0 +1,122 @@
+"""Events from NVIDIA DeepStream's messages (Gst-nvmsgconv): full and minimal schema.
+
+- Minimal: one message a frame, ``objects`` a list of strings
+  ``id|left|top|right|bottom|Type|#|...``; the camera is ``sensorId``.
+- Full: one message an object, with ``object.id`` and ``object.bbox``; the camera is ``sensor.id``.
+
+As in the page "Gst-nvmsgconv" of DeepStream's documentation (looked up for 5.0 to 9.2). Boxes are
+pixels of the stream muxer's pictures, so their size is needed. ``@timestamp`` is ISO 8601;
+milliseconds since the epoch are read, too. Attributes behind the type (plates, ages) are not read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from msgspec import Struct, field
+
+from camtopod import codec
+from camtopod.adapt.adapter import Sizes, size_of
+from camtopod.adapt.camera_streams import Box, CameraStreams, Name, Seen, seconds_of, split_topic
+from camtopod.codec import Rejected
+from camtopod.records import Event
+
+UNTRACKED = 2**64 - 1
+"""Id of an object that DeepStream's tracker does not follow."""
+_FIELDS_MIN = 5
+"""Fields that an object's string must have."""
+
+
+class _Sensor(Struct, frozen=True):
+    id: str | int
+
+
+class _Box(Struct, frozen=True):
+    left: float = field(name="topleftx")
+    top: float = field(name="toplefty")
+    right: float = field(name="bottomrightx")
+    bottom: float = field(name="bottomrighty")
+
+
+class _Object(Struct, frozen=True):
+    id: str | int
+    bbox: _Box | None = None
+    person: object = None
+    vehicle: object = None
+    face: object = None
+    type: str = ""
+
+    def kind(self) -> str:
+        """Return the kind: the full schema has a member of that name."""
+        members = {"Person": self.person, "Vehicle": self.vehicle, "Face": self.face}
+        return self.type or next((name for name, one in members.items() if one is not None), "")
+
+
+class _Message(Struct, frozen=True):
+    time: str | int | float = field(name="@timestamp")
+    sensorId: str | int | None = None
+    objects: list[str] | None = None
+    sensor: _Sensor | None = None
+    object: _Object | None = None
+
+
+class DeepStream:
+    """Adapter for both schemas: one JSON object a line, with or without the topic in front.
+
+    sizes: sizes of the muxer's pictures (``nvstreammux width height``).
+    camera: id of the one camera; None to take it from the messages.
+    labels: kinds of objects (``Person``) that count; empty for all.
+    """
+
+    topic = "#"
+
+    def __init__(
+        self, sizes: Sizes, camera: str | None = None, labels: Collection[str] = ()
+    ) -> None:
+        self._sizes = sizes
+        self._streams = CameraStreams(camera, labels)
+
+    def receive(self, line: bytes) -> list[Event]:
+        """Return the events that a message makes certain. Raises `Rejected`."""
+        message = codec.read(_Message, split_topic(line)[1])
+        sensor = message.sensorId
+        if sensor is None and message.sensor is not None:
+            sensor = message.sensor.id
+        camera = self._streams.name("" if sensor is None else str(sensor))
+        if message.objects is None and message.object is None:
+            raise Rejected("malformed", "has neither objects nor object")
+
+        # The objects of the frame, or the one object.
+        seen = Seen()
+        for text in message.objects or []:
+            seen.add(*_object(text))
+        one = message.object
+        if one is not None:
+            if one.bbox is None:
+                raise Rejected("no-box", "the object has no bbox")
+            box = one.bbox
+            seen.add(_name(one.id), (box.left, box.top, box.right, box.bottom), one.kind())
+        stream = self._streams.at(camera, size_of(camera, self._sizes))
+        return stream.update(seen, [], seconds_of(message.time))
+
+    def close(self) -> list[Event]:
+        """Return the exits of objects out of sight. Those in a camera's last frame are in view."""
+        return self._streams.close()
+
+
+def _object(text: str) -> tuple[Name, Box, str]:
+    """Return id, box and kind of an object's string. Raises `Rejected`."""
+    fields = text.split("|")
+    if len(fields) < _FIELDS_MIN:
+        raise Rejected("malformed", "an object is not id|left|top|right|bottom|...")
+    try:
+        left, top, right, bottom = (float(number) for number in fields[1:_FIELDS_MIN])
+    except ValueError:
+        raise Rejected("malformed", "a side of a box is no number") from None
+    kind = fields[_FIELDS_MIN] if len(fields) > _FIELDS_MIN else ""
+    return _name(fields[0]), (left, top, right, bottom), kind
+
+
+def _name(given: str | int) -> Name:
+    """Return the name of a track; None if the object is not tracked."""
+    return None if str(given).strip() in ("", "-1", str(UNTRACKED)) else str(given).strip()

@@ -1,0 +1,315 @@
+"""Events from ONVIF scene descriptions (Profile M): XML of a metadata stream, or JSON by MQTT.
+
+- XML: documents ``tt:MetadataStream``, one after another, as an RTSP metadata stream carries them.
+  They may span lines, or share one.
+- JSON: messages of ``PREFIX/onvif-mj/VideoAnalytics/PROFILE/MODULE``, whose keys are XML's names
+  (attributes with ``@`` in front).
+
+Fields, coordinates and topics are those of the ONVIF Analytics Service Specification (chapter
+"Scene Description", with "Metadata in JSON over MQTT", since 22.06). Coordinates are -1 to 1,
+x right and y up, after the transformations of frame and appearance: scale, then translate.
+
+An object that ``ObjectTree/Delete`` names has left at once. Renames, splits and merges are not
+followed; heads, faces and plates are not counted beside their owner. Modules of one camera
+(``Source``) number their objects independently and are kept apart.
+
+XML comes from the network: a document with a DOCTYPE, thus with entities, is refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Collection, Iterable, Iterator
+from typing import Any
+from xml.etree import ElementTree
+
+from msgspec import Struct, field
+
+from camtopod import codec
+from camtopod.adapt.camera_streams import Box, CameraStreams, Name, Seen, likeliest, seconds_of
+from camtopod.adapt.camera_streams import split_topic as split
+from camtopod.codec import Rejected
+from camtopod.records import Event
+
+DOCUMENT_BYTES_MAX = 1024 * 1024
+"""Longest accepted XML document, bytes."""
+FRAMES_MAX = 1000
+"""Frames accepted in a document or message."""
+_END = re.compile(rb"</(?:[\w.-]+:)?MetadataStream\s*>|<(?:[\w.-]+:)?MetadataStream[^<>]*/>")
+"""End of a document."""
+_MODULE_CHARACTERS_MAX = 30
+"""Characters of a module's name in the name of a track."""
+
+
+class _Vector(Struct, frozen=True):
+    x: float = field(name="@x", default=0.0)
+    y: float = field(name="@y", default=0.0)
+
+
+class _Transformation(Struct, frozen=True):
+    """Point = scale * point + translate, by axis; without a scale it is 1."""
+
+    translate: _Vector = field(name="Translate", default=_Vector())
+    scale: _Vector = field(name="Scale", default=_Vector(1.0, 1.0))
+
+    def apply(self, x: float, y: float) -> tuple[float, float]:
+        """Return a point in the parent's coordinates."""
+        return self.scale.x * x + self.translate.x, self.scale.y * y + self.translate.y
+
+
+class _Box(Struct, frozen=True):
+    left: float = field(name="@left")
+    top: float = field(name="@top")
+    right: float = field(name="@right")
+    bottom: float = field(name="@bottom")
+
+
+class _Shape(Struct, frozen=True):
+    box: _Box | None = field(name="BoundingBox", default=None)
+
+
+class _Type(Struct, frozen=True):
+    text: str = field(name="#text", default="")
+    likelihood: float | None = field(name="@Likelihood", default=None)
+
+
+class _Class(Struct, frozen=True):
+    types: list[_Type] | _Type = field(name="Type", default_factory=list)
+
+
+class _Appearance(Struct, frozen=True):
+    transformation: _Transformation = field(name="Transformation", default=_Transformation())
+    shape: _Shape = field(name="Shape", default=_Shape())
+    kind: _Class = field(name="Class", default=_Class())
+
+
+class _Object(Struct, frozen=True):
+    id: int | str | None = field(name="@ObjectId", default=None)
+    appearance: _Appearance = field(name="Appearance", default=_Appearance())
+
+
+class _ObjectId(Struct, frozen=True):
+    id: int | str | None = field(name="@ObjectId", default=None)
+
+
+class _ObjectTree(Struct, frozen=True):
+    delete: list[_ObjectId] | _ObjectId = field(name="Delete", default_factory=list)
+
+
+class _Frame(Struct, frozen=True):
+    time: str = field(name="@UtcTime")
+    source: str = field(name="@Source", default="")
+    transformation: _Transformation = field(name="Transformation", default=_Transformation())
+    objects: list[_Object] | _Object = field(name="Object", default_factory=list)
+    tree: _ObjectTree = field(name="ObjectTree", default=_ObjectTree())
+
+
+class _Message(Struct, frozen=True):
+    frames: list[_Frame] | _Frame = field(name="Frame")
+
+
+class Onvif:
+    """Adapter for scene descriptions, XML or JSON (one object a line, its topic may be in front).
+
+    camera: the camera's id; None to take it from the topic's level before ``onvif-mj``.
+    labels: kinds of objects (``Human``, ``Vehicle``) that count; empty for all.
+    """
+
+    topic = "#"
+
+    def __init__(self, camera: str | None = None, labels: Collection[str] = ()) -> None:
+        self._streams = CameraStreams(camera, labels)
+        self._text = bytearray()
+        """XML after the last whole document."""
+        self._certain: list[Event] = []
+        """Events not returned yet: those of frames before a refused one."""
+
+    def receive(self, line: bytes) -> list[Event]:
+        """Return the events that a line makes certain. Raises `Rejected`."""
+        if self._text or line.startswith(b"<"):
+            return self._xml(line)
+
+        # JSON by MQTT.
+        levels, message = split(line)
+        if levels and ("onvif-mj" not in levels[:-1] or "VideoAnalytics" not in levels):
+            raise Rejected("other-topic", "is not of .../onvif-mj/VideoAnalytics/...")
+        place = levels.index("onvif-mj") if levels else 0
+        camera = self._streams.name(levels[place - 1] if place else "")
+        self._read(camera, _many(codec.read(_Message, message).frames))
+        return self._take()
+
+    def close(self) -> list[Event]:
+        """Return the exits of objects out of sight. Those in the last frame are in view."""
+        while _END.search(self._text):  # documents after a refused one of the last line
+            with contextlib.suppress(Rejected):
+                self._read_documents(0)
+        return self._take() + self._streams.close()
+
+    def _xml(self, line: bytes) -> list[Event]:
+        """Return the events of the documents that end in a line. Raises `Rejected`."""
+        start = max(self._text.rfind(b"<"), 0)  # before it no document ends
+        self._text += line + b"\n"  # in front of the next line, which may go on in a tag
+        self._read_documents(start)
+        if len(self._text) > DOCUMENT_BYTES_MAX:
+            self._text.clear()
+            raise Rejected("too-long", f"a document of more than {DOCUMENT_BYTES_MAX} bytes")
+        return self._take()
+
+    def _read_documents(self, start: int) -> None:
+        """Read the whole documents of the text, which end after ``start``. Raises `Rejected`."""
+        while (end := _END.search(self._text, start)) is not None:
+            document = bytes(self._text[: end.end()])
+            del self._text[: end.end()]
+            start = 0
+            if not self._text.strip():
+                self._text.clear()
+            self._read(self._streams.name(""), _frames_of(document.strip()))
+
+    def _read(self, camera: str, frames: list[_Frame]) -> None:
+        """Read frames; their events are certain. Raises `Rejected`."""
+        if len(frames) > FRAMES_MAX:
+            raise Rejected("too-many", f"more than {FRAMES_MAX} frames in a message")
+        for frame in frames:
+            module = frame.source[:_MODULE_CHARACTERS_MAX]
+
+            # Boxes, and the objects that are gone.
+            seen = Seen()
+            for one in _many(frame.objects):
+                box = one.appearance.shape.box
+                if box is not None:
+                    types = _many(one.appearance.kind.types)
+                    kind = likeliest([(each.likelihood, each.text) for each in types])
+                    transformations = (one.appearance.transformation, frame.transformation)
+                    seen.add(_name(module, one.id), _fractions(box, transformations), kind)
+            ended = [_name(module, gone.id) for gone in _many(frame.tree.delete)]
+
+            # Events.
+            stream = self._streams.at(camera, (1, 1), module)
+            self._certain += stream.update(seen, ended, seconds_of(frame.time))
+
+    def _take(self) -> list[Event]:
+        """Return the events not returned yet."""
+        certain, self._certain = self._certain, []
+        return certain
+
+
+def _many(value: Any) -> Any:
+    """Return a list of what may be one item or several."""
+    return value if isinstance(value, list) else [value]
+
+
+def _name(module: str, number: int | str | None) -> Name:
+    """Return the name of a track: ids are unique within a module only."""
+    if number is None or not module:
+        return number
+    return f"{module}-{number}"
+
+
+def _fractions(box: _Box, transformations: Iterable[_Transformation]) -> Box:
+    """Return a box in fractions of the picture, y down.
+
+    transformations: from the inner to the outer one.
+    """
+    xs, ys = [], []
+    for x, y in ((box.left, box.top), (box.right, box.bottom)):
+        for transformation in transformations:
+            x, y = transformation.apply(x, y)
+        xs.append((x + 1) / 2)
+        ys.append((1 - y) / 2)
+    return xs[0], min(ys), xs[1], max(ys)
+
+
+def _frames_of(document: bytes) -> list[_Frame]:
+    """Return the frames of an XML document. Raises `Rejected`."""
+    if len(document) > DOCUMENT_BYTES_MAX:
+        raise Rejected("too-long", f"a document of more than {DOCUMENT_BYTES_MAX} bytes")
+    if b"<!DOCTYPE" in document.upper() or b"<!ENTITY" in document.upper():
+        raise Rejected("doctype", "a document with a DOCTYPE, which may hold entities")
+
+    # The encoding is fixed, so that no other one hides a DOCTYPE.
+    try:
+        parser = ElementTree.XMLParser(encoding="utf-8")
+        root = ElementTree.fromstring(document, parser)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise Rejected("malformed", f"is no XML: {error}") from None
+    frames = [_plain_frame(each) for each in root.iter() if _tag(each) == "Frame"]
+    return codec.read(_Message, codec.to_json({"Frame": frames})).frames  # type: ignore[return-value]
+
+
+def _plain_frame(frame: ElementTree.Element) -> dict[str, Any]:
+    """Return a frame in the form of the JSON messages."""
+    plain: dict[str, Any] = dict(_attributes(frame))
+    plain |= _transformation(frame)
+    plain["Object"] = [_plain_object(each) for each in _children(frame, "Object")]
+    gone = [
+        dict(_attributes(each))
+        for tree in _children(frame, "ObjectTree")
+        for each in _children(tree, "Delete")
+    ]
+    plain["ObjectTree"] = {"Delete": gone}
+    return plain
+
+
+def _plain_object(one: ElementTree.Element) -> dict[str, Any]:
+    """Return an object in the form of the JSON messages."""
+    plain: dict[str, Any] = dict(_attributes(one))
+    for appearance in _children(one, "Appearance"):
+        inner: dict[str, Any] = _transformation(appearance)
+        for shape in _children(appearance, "Shape"):
+            for box in _children(shape, "BoundingBox"):
+                inner["Shape"] = {"BoundingBox": _numbers(box)}
+        inner["Class"] = {"Type": list(_types(appearance))}
+        plain["Appearance"] = inner
+    return plain
+
+
+def _types(appearance: ElementTree.Element) -> Iterator[dict[str, Any]]:
+    """Yield the kinds of an object: ``Type`` with a likelihood, or the older ``ClassCandidate``."""
+    for kind in _children(appearance, "Class"):
+        for each in _children(kind, "Type"):
+            yield {
+                "#text": (each.text or "").strip(),
+                "@Likelihood": _number(each.get("Likelihood", "0")),
+            }
+        for candidate in _children(kind, "ClassCandidate"):
+            texts = {_tag(part): (part.text or "").strip() for part in candidate}
+            yield {
+                "#text": texts.get("Type", ""),
+                "@Likelihood": _number(texts.get("Likelihood", "0")),
+            }
+
+
+def _transformation(parent: ElementTree.Element) -> dict[str, Any]:
+    """Return the transformation of an element, by its JSON key."""
+    for found in _children(parent, "Transformation"):
+        return {"Transformation": {_tag(part): _numbers(part) for part in found}}
+    return {}
+
+
+def _children(parent: ElementTree.Element, tag: str) -> Iterator[ElementTree.Element]:
+    return (child for child in parent if _tag(child) == tag)
+
+
+def _tag(element: ElementTree.Element) -> str:
+    """Return the name of an element without its namespace."""
+    return str(element.tag).rpartition("}")[2]
+
+
+def _attributes(element: ElementTree.Element) -> Iterator[tuple[str, str]]:
+    return ((f"@{name}", value) for name, value in element.items())
+
+
+def _numbers(element: ElementTree.Element) -> dict[str, float]:
+    """Return the numeric attributes of an element. Raises `Rejected`."""
+    return {name: _number(value) for name, value in _attributes(element)}
+
+
+def _number(text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        raise Rejected("malformed", "an attribute is no number") from None
+    if not -1e9 < number < 1e9:
+        raise Rejected("bad-value", "a number is out of range")
+    return number
