@@ -93,6 +93,7 @@ class ViewPipeline:
         else:
             self._tracker.restart()
 
+        self._crossings.began = waiting[0][0]
         self._t = None
         events = []
         for t, frame in waiting:

@@ -74,3 +74,9 @@ def test_one_who_walks_alone_stays_one() -> None:
     for tall in (0.3, 0.5):
         man = Person(line(5.0, (-0.05, 0.9), (1.05, 0.9), 8.0), tall=tall)
         assert len(Scene([man]).events(18)) == 2
+
+
+def test_no_event_is_dated_before_the_first_frame() -> None:
+    for moment in np.linspace(-1.5, 0.5, 9).tolist():
+        man = Person(line(moment, (-0.05, 0.7), (1.05, 0.7), 6.0))
+        assert all(event.t >= 0.0 for event in Scene([man]).events(9))

@@ -8,7 +8,7 @@ it is reported only when the object is confirmed; an exit has the time of the la
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import hypot
+from math import hypot, inf
 from statistics import median
 
 from camtopod.records import Event, Kind
@@ -69,6 +69,8 @@ class Crossings:
         self._ignored = ignored
         self.doors = Doors(width, height, doors)
         self._walks: dict[int, set[tuple[int, int]]] = {}
+        self.began = -inf
+        """Time of the first frame, seconds: there are no earlier events."""
         self.entries = 0
         self.exits = 0
 
@@ -180,6 +182,9 @@ class Crossings:
             return []
         edge = self.begins_at_edge(track)
         if edge is not None:
+            if self._at_border(track, track.first, edge, -1.0).t < self.began:
+                self._note("from start", track, track.first)
+                return []
             track.entered = True
             return [self._event("entered", track, track.first, edge)]
         if (parent := self._entered_with(track)) is not None:
