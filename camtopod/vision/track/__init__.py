@@ -2,9 +2,10 @@
 
 `tracker` is the centre and explains the method. It uses `track` (state of an object), `kalman`
 (prediction of positions), `stature` (expected height of a person), `companions` (people who entered
-side by side) and `swap` (two people changing places at the border). `crossings` turns track changes into events, with `doors` for entrances away
-from the border and `ignored_areas` for objects that walk into one. `decisions` has the reasons why
-a track became an event or not, and `recorder` hands them out.
+side by side) and `swap` (two people changing places at the border). `crossings` turns track changes
+into events, with `doors` for entrances away from the border and `ignored_areas` for objects that
+walk into one. `decisions` has the reasons why a track became an event or not, and `recorder` hands
+them out.
 """
 
 from __future__ import annotations
