@@ -213,3 +213,63 @@ def test_what_adapters_write_is_what_learn_reads(recording: Path, tmp_path: Path
     assert main(["ingest", "frigate", str(recording), "--out", str(out)]) == exits.DONE
     assert main(["learn", str(out), "--topology", str(topology)]) == exits.DONE
     assert json.loads(topology.read_bytes())["events"] == 20
+
+
+def frames(names: list[str]) -> bytes:
+    """Return DeepStream's minimal messages, four a second, with one object or none."""
+    lines = []
+    for n, name in enumerate(names):
+        objects = [f"{name}|900|100|1000|540|Person"] if name else []
+        message = {"@timestamp": 1000 * T0 + 250 * n, "sensorId": "lobby", "objects": objects}
+        lines.append(json.dumps(message).encode() + b"\n")
+    return b"".join(lines)
+
+
+def test_analytics_of_cameras(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Axis, ONVIF and DeepStream, each from a file; a line that does not fit is quoted."""
+    box = '<BoundingBox left="-0.2" top="0.6" right="0.2" bottom="-0.2"/>'
+    one = f'<Object ObjectId="7"><Appearance><Shape>{box}</Shape></Appearance></Object>'
+    xml = "".join(
+        f"<MetadataStream><VideoAnalytics>\n<Frame UtcTime="
+        f'"2023-11-14T22:13:{n:02}Z">{one if 4 < n < 9 else ""}</Frame>\n'
+        f"</VideoAnalytics></MetadataStream>\n"
+        for n in range(15)
+    )
+    detection = {
+        "object_track_id": "a",
+        "bounding_box": {"left": 0.4, "top": 0.2, "right": 0.6, "bottom": 0.6},
+    }
+    axis = b"".join(
+        json.dumps(
+            {
+                "timestamp": f"2023-11-14T22:13:{n:02}Z",
+                "detections": [detection] if 4 < n < 9 else [],
+            }
+        ).encode()
+        + b"\n"
+        for n in range(15)
+    )
+    deepstream = frames([""] * 20 + ["7"] * 16 + [""] * 20)
+    for name, text, options in (
+        ("onvif", xml.encode(), ["--camera", "lobby"]),
+        ("axis", axis, ["--camera", "lobby"]),
+        ("deepstream", deepstream, ["--size", "1900x900"]),
+    ):
+        file, out = tmp_path / name, tmp_path / "out.jsonl"
+        file.write_bytes(text + b"rubbish\n")
+        assert main(["ingest", name, str(file), *options, "--out", str(out)]) == exits.DONE
+        places = [(e.camera, e.kind, e.x, e.y) for e in lines_of(out)]
+        assert places == [("lobby", "entry", 0.5, 0.6), ("lobby", "exit", 0.5, 0.6)]
+        assert "lines were rejected: malformed 1" in capsys.readouterr().err
+
+
+def test_a_tracker_that_breaks_tracks_up_is_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out = tmp_path / "ds.jsonl", tmp_path / "out.jsonl"
+    file.write_bytes(frames([""] * 20 + [str(n // 4) for n in range(400)]))
+    size = ["--size", "1900x900"]
+    assert main(["ingest", "deepstream", str(file), *size, "--out", str(out)]) == exits.DONE
+    err = capsys.readouterr().err
+    assert err.count("entries begin in mid-view") == 1
+    assert "camera lobby: 1" in err

@@ -251,6 +251,25 @@ def test_messages_that_wait_have_a_limit(tmp_path: Path, caplog: pytest.LogCaptu
     assert "90 messages of frigate/events were dropped" in caplog.text
 
 
+def test_topics_tell_cameras_apart(tmp_path: Path) -> None:
+    from paho.mqtt.publish import multiple
+
+    with mosquitto(tmp_path) as broker:
+        source = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/axis")
+        with contextlib.closing(
+            mqtt.MessageSubscription(source, "#", with_topics=True)
+        ) as messages:
+            topics = ("axis/lobby", "axis/hall/com.axis.scene.frame.v1", "other/lobby", "axis/end")
+            sent = [{"topic": topic, "payload": b"{}", "qos": 1} for topic in topics]
+            multiple(sent, hostname="127.0.0.1", port=broker.port)
+            read = messages.read(threading.Event())
+            assert [next(read) for _ in range(3)] == [
+                b"axis/lobby {}",
+                b"axis/hall/com.axis.scene.frame.v1 {}",
+                b"axis/end {}",
+            ]
+
+
 def test_bytes_that_wait_have_a_limit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
