@@ -9,6 +9,7 @@ import logging
 import os
 import re
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -17,7 +18,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from camtopod.cli import exits
+from camtopod.cli import exits, implicit_config
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal import standard_streams
 from camtopod.config import DEFAULT_ENDPOINT, is_endpoint, secret_files, settings
@@ -37,7 +38,7 @@ def configuration_and_text(args: argparse.Namespace) -> tuple[settings.Config, b
     try:
         raw = b"" if args.config is None else args.config.read_bytes()
     except OSError as error:
-        raise InputError(f"cannot read {args.config}: {error.strerror}") from None
+        raise InputError(_unreadable(args, error)) from None
     return configuration(args, raw), raw
 
 
@@ -57,9 +58,17 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> setting
         try:
             loaded = settings.load(args.config, raw)
         except settings.ConfigError as error:
-            raise CommandError(f"the configuration has mistakes:\n{error}", exits.CONFIG) from None
+            if not implicit_config.may_skip(args):
+                raise CommandError(
+                    f"the configuration has mistakes{_found(args)}:\n{error}", exits.CONFIG
+                ) from None
+            _skip(args, f"has mistakes (`camtopod check {args.config}` lists them)")
         except OSError as error:
-            raise InputError(f"cannot read {args.config}: {error.strerror}") from None
+            if not implicit_config.may_skip(args):
+                raise InputError(_unreadable(args, error)) from None
+            _skip(args, f"cannot be read ({error.strerror})")
+    if args.config is not None:
+        _name_once(args)
         if above is None:  # otherwise the supervisor warns, once for all cameras
             for sentence in secret_files.find_exposed(loaded.secrets(args.config)):
                 log.warning("%s", sentence)
@@ -75,6 +84,39 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> setting
                 f"{error.filename}: {error.strerror}"
             ) from None
     return loaded
+
+
+def _unreadable(args: argparse.Namespace, error: OSError) -> str:
+    return f"cannot read {args.config}: {error.strerror}{_found(args)}"
+
+
+def _found(args: argparse.Namespace) -> str:
+    """Return why a file is read that nobody gave, and how to go without it; "" if it was given."""
+    if not getattr(args, "config_found", False):
+        return ""
+    return f" ({implicit_config.shown(args.config)} is read as there is no --config; none: no file)"
+
+
+def _skip(args: argparse.Namespace, why: str) -> None:
+    """Go on without the configuration that was found, and say so."""
+    where = implicit_config.shown(args.config)
+    _say(args, logging.WARNING, f"{where} {why}: it is not used, every setting has its default")
+    args.config, args.config_found = None, False
+
+
+def _name_once(args: argparse.Namespace) -> None:
+    """Say which configuration was found, the first time that it is read."""
+    if getattr(args, "config_found", False) and not getattr(args, "config_named", False):
+        args.config_named = True
+        _say(args, logging.INFO, f"configuration: {implicit_config.shown(args.config)}")
+
+
+def _say(args: argparse.Namespace, level: int, message: str) -> None:
+    """Log a message, or print it if the command does not log."""
+    if getattr(args, "logs", False):
+        log.log(level, "%s", message)
+    else:
+        print(visible(f"camtopod: {redact(message)}"), file=sys.stderr)
 
 
 def configuration_text(args: argparse.Namespace) -> str:
@@ -115,7 +157,8 @@ def with_options(args: argparse.Namespace, loaded: settings.Config) -> settings.
 class _Formatter(logging.Formatter):
     """Log formatter: one line a record, without secrets, times in UTC.
 
-    A traceback adds further, indented lines.
+    A traceback adds further, indented lines. In the journal, which has times of its own, text has
+    none, and no level of ordinary messages.
     """
 
     converter = staticmethod(time.gmtime)
@@ -123,6 +166,7 @@ class _Formatter(logging.Formatter):
     def __init__(self, form: str) -> None:
         super().__init__()
         self._form = form
+        self._stamped = not _to_journal()
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line in the form "text", "logfmt" or "json"."""
@@ -138,15 +182,30 @@ class _Formatter(logging.Formatter):
         if self._form == "logfmt":
             quoted = json.dumps(message + trace, ensure_ascii=False)
             return visible(f"t={stamp} level={level} from={name} message={quoted}")
-        line = visible(message if level == "info" else f"{level}: {message}")
-        return line + visible_lines(trace)
+        line = visible(f"{level}: {message}")
+        if not self._stamped:  # the journal has its own times
+            return (visible(message) if level == "info" else line) + visible_lines(trace)
+        return f"{stamp[:-5]}Z {line}{visible_lines(trace)}"
+
+
+def _to_journal() -> bool:
+    """Return True if standard error is the journal, as of systemd.exec(5)."""
+    with contextlib.suppress(OSError):
+        mine = os.fstat(2)
+        return os.environ.get("JOURNAL_STREAM") == f"{mine.st_dev}:{mine.st_ino}"
+    return False
 
 
 def start_logging(args: argparse.Namespace) -> None:
-    """Send the messages of all modules to standard error, in the format of ``--log-format``."""
+    """Send the messages of all modules to standard error, in the format of ``--log-format``.
+
+    Messages below ``--log-level`` are left out.
+    """
     handler = logging.StreamHandler()
     handler.setFormatter(_Formatter(args.log_format))
-    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+    level = logging.getLevelNamesMapping()[getattr(args, "log_level", "info").upper()]
+    logging.basicConfig(level=level, handlers=[handler], force=True)
+    args.logs = True
 
 
 class SignalRequests(NamedTuple):

@@ -7,9 +7,10 @@ parsers of its own subcommands, if it has any. ``run(args) -> int`` does the wor
 exit status.
 
 The common options are added here, before and after the command's name, and arrive as
-``args.config`` (path or None), ``args.site`` (str or None), ``args.connect`` (list of endpoints,
-maybe empty) and ``args.log_format``. `camtopod.cli.common` has functions that several commands
-share.
+``args.config`` (path or None; without --config that of a file that is found, see
+`camtopod.cli.implicit_config`), ``args.site`` (str or None), ``args.connect`` (list of endpoints,
+maybe empty), ``args.log_format`` and ``args.log_level``. `camtopod.cli.common` has functions that
+several commands share.
 """
 
 from __future__ import annotations
@@ -23,15 +24,15 @@ import logging
 import os
 import signal
 import sys
+import textwrap
 import threading
 import traceback
 import types
 from collections.abc import Collection, Sequence
-from pathlib import Path
 from typing import Any, NoReturn, TextIO, cast
 
 from camtopod import __version__
-from camtopod.cli import exits
+from camtopod.cli import exits, implicit_config
 from camtopod.cli.terminal import standard_streams
 from camtopod.redact import redact
 from camtopod.visible import visible, visible_lines
@@ -81,6 +82,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "camtopod.cli.commands.keys",
         "create a private certificate authority and certificates for the bus",
     ),
+    "schema": (
+        "camtopod.cli.commands.schema",
+        "print the JSON Schema of a message or of the configuration",
+    ),
     "check": ("camtopod.cli.commands.check", "check a configuration and list all mistakes"),
     "doctor": (
         "camtopod.cli.commands.doctor",
@@ -95,6 +100,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 LOG_FORMATS = ("text", "logfmt", "json")
 """Values of --log-format."""
+LOG_LEVELS = ("debug", "info", "warning", "error")
+"""Values of --log-level: the least important messages that are shown."""
 _LINEAR_ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables set to 1 before NumPy is loaded.
 
@@ -104,7 +111,7 @@ _KEEP_ON = ("run", "grab")
 """Commands that reload their configuration on SIGHUP and never end by it."""
 _UNTIL_TOLD = (*_KEEP_ON, "web", "bridge", "watch", "ingest")
 """Commands that run until a signal ends them, even if nothing reads their standard error."""
-_WITH_VALUE = ("--config", "--site", "--connect", "--log-format")
+_WITH_VALUE = ("--config", "--site", "--connect", "--log-format", "--log-level")
 """Common options that take a value."""
 
 
@@ -204,12 +211,16 @@ class _Parser(argparse.ArgumentParser):
 
 def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
     """Return the parsed arguments and the command's `run`."""
+    if not arguments:
+        print(_FIRST_STEPS, file=sys.stderr)
+        raise SystemExit(exits.USAGE)
     name = _command_in(arguments)
     parser, modules = parser_of([name] if name in COMMANDS else [])
     if name is not None and not modules:
         parser.error(f"no command {name!r}; one of {', '.join(COMMANDS)}")
     args = parser.parse_args(arguments)
     args.connect = args.connect or []
+    implicit_config.find(args)
     return args, modules[args.command].run
 
 
@@ -267,7 +278,11 @@ def _add_common(parser: argparse.ArgumentParser, top: bool) -> None:
     group = parser.add_argument_group("common options")
     default: Any = None if top else argparse.SUPPRESS
     group.add_argument(
-        "--config", type=Path, metavar="FILE", default=default, help="configuration, a TOML file"
+        "--config",
+        metavar="FILE",
+        default=default,
+        help="configuration, a TOML file; none: read no file (default: ./camtopod.toml, else "
+        "/etc/camtopod/camtopod.toml, if there is one)",
     )
     group.add_argument(
         "--site",
@@ -287,6 +302,12 @@ def _add_common(parser: argparse.ArgumentParser, top: bool) -> None:
         choices=LOG_FORMATS,
         default="text" if top else argparse.SUPPRESS,
         help="format of the messages on standard error (default: text)",
+    )
+    group.add_argument(
+        "--log-level",
+        choices=LOG_LEVELS,
+        default="info" if top else argparse.SUPPRESS,
+        help="least important messages to show (default: info)",
     )
 
 
@@ -320,3 +341,13 @@ _DESCRIPTION = (
     "Learns the topology of a camera network from anonymous entry and exit events, and predicts "
     "in which camera an object that leaves a view appears next."
 )
+_FIRST_STEPS = f"""\
+{textwrap.fill(_DESCRIPTION, 80)}
+
+Begin with one of these:
+    camtopod demo                      the whole system on simulated cameras, nothing to configure
+    camtopod init lobby=rtsp://...     probe your cameras and write camtopod.toml; then run and grab
+    camtopod web                       the page of a daemon that runs, in the browser
+
+camtopod --help lists all commands, camtopod COMMAND --help the options of one."""
+"""Answer to a command line without anything."""

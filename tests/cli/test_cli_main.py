@@ -76,6 +76,17 @@ def test_every_command_has_its_own_help(name: str, capsys: pytest.CaptureFixture
     out = capsys.readouterr().out
     assert f"camtopod {name}" in out
     assert "--connect ENDPOINT" in out
+    assert re.search(rf"example: camtopod .*\b{name}\b", out)
+
+
+def test_alone_it_says_how_to_begin(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main.main([])
+    assert caught.value.code == exits.USAGE
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert re.findall(r"(?m)^    camtopod (\w+)", err) == ["demo", "init", "web"]
+    assert len(err.splitlines()) <= 12
 
 
 @pytest.mark.parametrize(
@@ -304,7 +315,7 @@ def test_log_formats(form: str, capsys: pytest.CaptureFixture[str]) -> None:
     logging.getLogger("camtopod.serve.x").warning('says "%s"', "no")
     line = capsys.readouterr().err.rstrip("\n")
     if form == "text":
-        assert line == 'warning: says "no"'
+        assert re.fullmatch(r'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ warning: says "no"', line)
     elif form == "json":
         record = json.loads(line)
         assert (record["level"], record["from"], record["message"]) == (
@@ -315,6 +326,28 @@ def test_log_formats(form: str, capsys: pytest.CaptureFixture[str]) -> None:
         assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", record["t"])
     else:
         assert re.fullmatch(r't=\S+Z level=warning from=serve\.x message="says \\"no\\""', line)
+
+
+def test_the_journal_has_its_own_times(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = os.fstat(2)
+    monkeypatch.setenv("JOURNAL_STREAM", f"{mine.st_dev}:{mine.st_ino}")
+    start_logging(arguments())
+    logging.getLogger("camtopod.x").info("runs")
+    logging.getLogger("camtopod.x").warning("stands")
+    assert capsys.readouterr().err == "runs\nwarning: stands\n"
+
+
+@pytest.mark.parametrize(
+    ("level", "shown"),
+    [("debug", 4), ("info", 3), ("warning", 2), ("error", 1)],
+)
+def test_log_levels(level: str, shown: int, capsys: pytest.CaptureFixture[str]) -> None:
+    start_logging(arguments(log_level=level))
+    for each in main.LOG_LEVELS:
+        logging.getLogger("camtopod.x").log(logging.getLevelNamesMapping()[each.upper()], each)
+    assert len(capsys.readouterr().err.splitlines()) == shown
 
 
 def test_the_bus_s_error_is_an_expected_one() -> None:

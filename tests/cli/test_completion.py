@@ -61,7 +61,16 @@ def output(*command: str | Path, cwd: Path) -> list[str]:
         ("grab --sp", {"--speed"}),
         (
             "check --",
-            {"--example", "--schema", "--help", "--config", "--site", "--connect", "--log-format"},
+            {
+                "--example",
+                "--schema",
+                "--help",
+                "--config",
+                "--site",
+                "--connect",
+                "--log-format",
+                "--log-level",
+            },
         ),
         ("--log-format ", {"text", "logfmt", "json"}),
         ("ingest fr", {"frigate"}),

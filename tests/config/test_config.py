@@ -187,7 +187,8 @@ def test_the_settings_of_a_camera_that_leave_everything_as_it_is() -> None:
 
 @pytest.mark.parametrize("key", VisionSettings.__struct_fields__)
 def test_every_key_of_vision_may_stand_in_a_camera_s_table(key: str) -> None:
-    value = {"ignore": "[]", "doors": "[]", "min_height": "0.5"}.get(key, "2")
+    values = {"ignore": "[]", "doors": "[]", "min_height": "0.5", "hardware_decoding": '"any"'}
+    value = values.get(key, "2")
     config = parse(f"[cameras.a]\nsource = '0'\n{key} = {value}\n")
     assert msgspec.json.encode(getattr(config.cameras["a"].vision, key)).decode() in (
         value,

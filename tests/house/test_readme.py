@@ -31,6 +31,7 @@ ALL = "\n".join(TEXTS.values())
 PLACEHOLDERS = {
     "camtopod COMMAND --help": "camtopod learn events.jsonl",
     "camtopod completion SHELL": "camtopod completion zsh",
+    "camtopod schema NAME": "camtopod schema event",
     "--format F": "--format dot",
     "camtopod ingest FORMAT [FILE]": "camtopod ingest jsonl FILE",
     "camtopod keys init\\|camera NAME\\|list": "camtopod keys init; camtopod keys camera NAME; camtopod keys list",

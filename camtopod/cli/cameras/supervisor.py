@@ -225,6 +225,8 @@ def command(
         "--log-format",
         args.log_format,
     ]
+    if (level := getattr(args, "log_level", "info")) != "info":
+        line += ["--log-level", level]
     if args.site is not None:
         line += ["--site", args.site]
     for endpoint in args.connect:

@@ -41,7 +41,7 @@ def add_parser(subparsers: Any) -> None:
         nargs="?",
         type=Path,
         metavar="CONFIG",
-        help="the configuration file (default: that of --config)",
+        help="the configuration file (default: that of --config, else the one that is found)",
     )
     parser.add_argument(
         "--example",
@@ -90,7 +90,9 @@ def run(args: argparse.Namespace) -> int:
         )
     path = args.file or args.config
     if path is None:
-        raise CommandError("no configuration given: camtopod check CONFIG", exits.USAGE)
+        raise CommandError(
+            "no configuration given, and none found: camtopod check CONFIG", exits.USAGE
+        )
     try:
         raw = path.read_bytes()
         loaded = with_options(args, settings.load(path, raw))

@@ -24,6 +24,7 @@ _shtab_camtopod_commands() {
     predict:'predict for each recorded exit where the object appears next'
     report:'write the web page of one topology to a file'
     run:'run the daemon: learn the topology from events on the bus and predict'
+    schema:'print the JSON Schema of a message or of the configuration'
     simulate:'simulate a camera network: event lines and their ground truth'
     watch:'show cameras, topology and predictions live in the terminal'
     web:'serve a web page: map, cameras, links, versions and health'
@@ -46,10 +47,11 @@ _shtab_camtopod_keys_commands() {
 _shtab_camtopod_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "(- : *)--version[show program\'s version number and exit]"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -60,10 +62,11 @@ _shtab_camtopod_bridge_options=(
   "--discovery[Home Assistant\'s discovery prefix (default\: homeassistant)]:PREFIX:"
   "--password-file[file with the MQTT user\'s password (default\: \$CAMTOPOD_MQTT_PASSWORD)]:FILE:_files"
   "--ca[mqtts\: file of the certificate authorities to trust (default\: the system\'s)]:FILE:_files"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
   ":broker as mqtt\[s\]\:\/\/\[USER\@\]HOST\[\:PORT\]\[\/PREFIX\]\; default PREFIX of the topics\: camtopod:"
 )
 
@@ -76,11 +79,12 @@ _shtab_camtopod_check_options=(
   "--probe[also open each of its cameras, and the bus]"
   "--pictures[with --probe\: store a picture of each camera as DIR\/NAME.jpg, replacing an older one\; \`camtopod web\` and \`report\` draw zones on it. It shows the scene without the people who walk through it, and takes 6 to 30 seconds. It is stored only there and not sent]:DIR:_files -/"
   "--schema[print the JSON Schema of the configuration, for editors]"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  ":the configuration file (default\: that of --config):_files"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
+  ":the configuration file (default\: that of --config, else the one that is found):_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -88,10 +92,11 @@ _shtab_camtopod_check_defaults_added=0
 
 _shtab_camtopod_completion_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
   ":shell to print the script for:(bash zsh fish)"
 )
 
@@ -104,10 +109,11 @@ _shtab_camtopod_demo_options=(
   "--seed[seed of the simulated people\; same site (default\: 1)]:seed:"
   "--minutes[length of the recording (default\: 18.0)]:minutes:"
   "--keep[also keep the videos and the state]"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -116,10 +122,11 @@ _shtab_camtopod_demo_defaults_added=0
 _shtab_camtopod_doctor_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--out[write the report to FILE\; if it ends in .tar.gz, one file per part (default\: standard output)]:FILE:_files"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -129,10 +136,11 @@ _shtab_camtopod_export_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--format[format of the output]:format:(dot graphml svg json aicity)"
   "--out[write to FILE (default\: standard output)]:FILE:_files"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
   ":topology as \`camtopod learn\` writes it (\'-\'\: standard input):_files"
 )
 
@@ -149,10 +157,11 @@ _shtab_camtopod_grab_options=(
   "--realtime[video file\: read it in real time instead of as fast as possible]"
   "--speed[video file\: with --realtime, read it FACTOR times as fast]:FACTOR:"
   "--state[directory of the spool (default\: \[state\] directory)]:DIRECTORY:_files -/"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
   ":rtsp\:\/\/ URL, video file or device number:_files"
 )
 
@@ -165,19 +174,20 @@ _shtab_camtopod_ingest_options=(
   "--state[directory of the spool (default\: \[state\] directory)]:DIRECTORY:_files -/"
   "--boot[number the events under this name, so that they count once however often they are ingested (default\: digest of a regular file)]:NAME:"
   "--anew[count the events of a regular file again, as if they were new]"
-  "*--size[size in pixels of the pictures that the boxes refer to (frigate\: detect width and height, not needed if Frigate sends path_data)\; may be repeated]:[CAMERA=]WxH:"
-  "*--label[frigate, scenescape\: only objects of this kind (person, car, ...)\; may be repeated]:NAME:"
+  "*--size[size in pixels of the pictures that the boxes refer to (frigate\: detect width and height, not needed if Frigate sends path_data\; deepstream\: nvstreammux width and height)\; may be repeated]:[CAMERA=]WxH:"
+  "*--label[all but mot and jsonl\: only objects of this kind (person, car, ...)\; may be repeated]:NAME:"
   "--tracked[scenescape\: ids come from a tracker (gvatrack in the pipeline)]"
-  "--camera[mot\: the camera\'s id]:ID:"
+  "--camera[mot\: the camera\'s id\; axis, onvif, deepstream\: the id of the one camera (default\: as the topic or the message names it)]:ID:"
   "--fps[mot\: frames per second]:N:"
   "--start[mot\: event time of the first frame (default 0)]:SECONDS:"
   "--password-file[file with the MQTT user\'s password (default\: \$CAMTOPOD_MQTT_PASSWORD)]:FILE:_files"
   "--ca[mqtts\: file of the certificate authorities to trust (default\: the system\'s)]:FILE:_files"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  ":one of\: jsonl, frigate, mot, scenescape:(jsonl frigate mot scenescape)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
+  ":one of\: jsonl, frigate, mot, scenescape, axis, onvif, deepstream:(jsonl frigate mot scenescape axis onvif deepstream)"
   ":input (default\: standard input):_files"
 )
 
@@ -191,10 +201,11 @@ _shtab_camtopod_init_options=(
   "--credentials[for systemd services, whose users cannot read secrets\: every camera\'s source goes into a file of that folder, and the configuration refers to it as \$CREDENTIALS_DIRECTORY\/NAME, where systemd passes it to the camera\'s service\; the daemon reports its health at 127.0.0.1\:8787]"
   "--as-given[take the streams as they are given. Otherwise, where the form of a URL tells how the maker names a camera\'s streams, the smaller one is taken if it is at least 360 pixels high\: it is cheaper to decode, and pictures are analysed at a smaller size still]"
   "--force[overwrite existing files]"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
   "*:rtsp\:\/\/ URL, video file or device number\; \'-\'\: read them from standard input, one a line, as other users of this machine can read passwords on a command line:_files"
 )
 
@@ -204,10 +215,11 @@ _shtab_camtopod_init_defaults_added=0
 _shtab_camtopod_keys_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -219,10 +231,11 @@ _shtab_camtopod_keys_camera_options=(
   "--days[validity of the certificate, days (default\: 1825)]:N:"
   "--replace[replace the existing one, which loses its rights]"
   "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
   "*:the camera\'s id, or any name for a reader:"
 )
 
@@ -235,10 +248,11 @@ _shtab_camtopod_keys_daemon_options=(
   "--days[validity of the certificate, days (default\: 1825)]:N:"
   "--replace[replace the existing one, which loses its rights]"
   "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -251,10 +265,11 @@ _shtab_camtopod_keys_init_options=(
   "--days[validity of the certificate, days (default\: 1825)]:N:"
   "--replace[replace the existing one, which loses its rights]"
   "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -263,10 +278,11 @@ _shtab_camtopod_keys_init_defaults_added=0
 _shtab_camtopod_keys_list_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -277,10 +293,11 @@ _shtab_camtopod_keys_reader_options=(
   "--days[validity of the certificate, days (default\: 1825)]:N:"
   "--replace[replace the existing one, which loses its rights]"
   "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
   "*:the camera\'s id, or any name for a reader:"
 )
 
@@ -290,10 +307,11 @@ _shtab_camtopod_keys_reader_defaults_added=0
 _shtab_camtopod_keys_revoke_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--keys[folder of the authority and the certificates (default\: camtopod-keys)]:FOLDER:_files -/"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
   ":role of the certificate:(camera reader)"
   "*:the camera\'s id, or any name for a reader:"
 )
@@ -306,10 +324,11 @@ _shtab_camtopod_learn_options=(
   "--topology[write the final topology to this file (\'-\'\: standard output)]:OUT.json:_files"
   "--updates[write every version to this file, one a line]:OUT.jsonl:_files"
   "--state[create a state directory from which a daemon can continue (its \[state\] directory)]:DIR:_files -/"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
   "*:files of event lines (\'-\'\: standard input):_files"
 )
 
@@ -318,10 +337,11 @@ _shtab_camtopod_learn_defaults_added=0
 
 _shtab_camtopod_predict_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
   ":topology as \`camtopod learn\` writes it:_files"
   ":file of event lines (\'-\'\: standard input):_files"
 )
@@ -334,10 +354,11 @@ _shtab_camtopod_report_options=(
   "--out[write to FILE (default\: standard output)]:FILE:_files"
   "--updates[earlier versions, as \`camtopod learn --updates\` writes them]:FILE:_files"
   "--pictures[directory with a picture of each camera, CAMERA.jpg or CAMERA.png (\`camtopod init --pictures\` makes them), to include in the file]:DIR:_files -/"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
   ":topology as \`camtopod learn\` writes it (\'-\'\: standard input):_files"
 )
 
@@ -348,14 +369,28 @@ _shtab_camtopod_run_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--state[directory of the journal (default\: \[state\] directory)]:DIRECTORY:_files -/"
   "--shard[be shard I (from 0) of N daemons that share the cameras of the site]:I/N:"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
 )
 
 # guard to ensure default positional specs are added only once per session
 _shtab_camtopod_run_defaults_added=0
+
+_shtab_camtopod_schema_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
+  ":the message, or configuration:(event topology delta prediction status ack configuration)"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_camtopod_schema_defaults_added=0
 
 _shtab_camtopod_simulate_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -398,10 +433,11 @@ _shtab_camtopod_simulate_options=(
   "--no-links[no paths between cameras\: each walker appears in one view only]"
   "--no-track[events without track]"
   "--no-positions[events without x and y]"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -411,10 +447,11 @@ _shtab_camtopod_watch_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--once[show the state once and end]"
   "--plain[show plain lines of text, even if rich (\[terminal\]) is installed]"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -425,10 +462,11 @@ _shtab_camtopod_web_options=(
   "--listen[address to listen on (default\: 127.0.0.1\:8780, this machine only\; port 0\: a free one)]:HOST:PORT:"
   "*--name[additional host name to accept, for example behind a reverse proxy (addresses need none)\; may be repeated]:NAME:"
   "--pictures[directory on this machine with a picture of each camera, CAMERA.jpg or CAMERA.png (\`camtopod init --pictures\` makes them\; copy those of other machines)]:DIR:_files -/"
-  "--config[configuration, a TOML file]:FILE:_files"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -467,6 +505,7 @@ _shtab_camtopod() {
         predict) _arguments -C -s $_shtab_camtopod_predict_options ;;
         report) _arguments -C -s $_shtab_camtopod_report_options ;;
         run) _arguments -C -s $_shtab_camtopod_run_options ;;
+        schema) _arguments -C -s $_shtab_camtopod_schema_options ;;
         simulate) _arguments -C -s $_shtab_camtopod_simulate_options ;;
         watch) _arguments -C -s $_shtab_camtopod_watch_options ;;
         web) _arguments -C -s $_shtab_camtopod_web_options ;;

@@ -1,0 +1,135 @@
+"""`camtopod schema`: valid for what the program publishes and reads, and wrong where that is."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import msgspec
+import pytest
+from fake_bus_daemon import LEFT, learned, put, running
+from rendered_scenes import Scene
+from serving import (
+    camtopod,
+    closing_event,
+    free_endpoint,
+    numbered,
+    small_config,
+    wait_for,
+    walkers,
+)
+
+from camtopod.cli import exits
+from camtopod.cli.generated.config_schema import text
+from camtopod.cli.generated.message_schemas import NAMES, message_schema
+from camtopod.cli.main import main
+from camtopod.codec import to_json
+from camtopod.records import Event
+from camtopod.serve.bus import dial
+
+
+def validator(name: str) -> Any:
+    schema = message_schema(name)
+    kind = jsonschema.validators.validator_for(schema)
+    kind.check_schema(schema)
+    return kind(schema)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_is_a_schema_and_is_printed(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    validator(name)
+    assert main(["schema", name]) == 0
+    out = capsys.readouterr().out
+    assert json.loads(out) == json.loads(json.dumps(message_schema(name)))
+    assert r"\Z" not in out, "JavaScript does not know it"
+
+
+def test_that_of_the_configuration_is_the_one_of_check(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema", "configuration"]) == 0
+    assert capsys.readouterr().out == text()
+
+
+@pytest.mark.parametrize("arguments", [[], ["events"]])
+def test_a_wrong_name_is_answered_with_the_right_ones(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["schema", *arguments])
+    assert caught.value.code == exits.USAGE
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert all(name in err for name in NAMES)
+
+
+def test_what_is_on_the_bus_is_valid(tmp_path: Path) -> None:
+    heard: dict[str, list[Any]] = {name: [] for name in NAMES}
+    added = threading.Lock()
+
+    def hear(name: str) -> Any:
+        def on_message(key: str, payload: bytes) -> None:
+            with added:
+                heard[name].append(msgspec.msgpack.decode(payload))
+
+        return on_message
+
+    film = Scene([]).film(tmp_path / "yard.mp4", 3.0)
+    events = [*numbered(walkers(200)), closing_event()]
+    with (
+        running(tmp_path, free_endpoint()) as daemon,
+        dial(small_config(tmp_path, daemon.endpoint)) as bus,
+    ):
+        for name, key in {
+            "event": "event/*",
+            "topology": "topology",
+            "delta": "topology/delta",
+            "prediction": "prediction/*",
+            "status": "status/*",
+            "ack": "ack/*",
+        }.items():
+            bus.subscribe(key, hear(name))
+        bus.query("status/daemon")  # the daemon has the subscriptions once it has answered
+        put(bus, *events)
+        learned(daemon, events)
+        put(bus, Event(kind="exit", **LEFT))
+        endpoint, state = daemon.endpoint, str(tmp_path / "grabber")
+        grab = camtopod("--connect", endpoint, "grab", "--camera", "yard",
+                        str(film), "--realtime", "--state", state)  # fmt: skip
+        try:
+            wait_for(
+                lambda: (
+                    all(heard[name] for name in NAMES if name != "configuration")
+                    and any("camera" in status for status in heard["status"])
+                ),
+                f"one message of each kind, {[name for name in NAMES if not heard[name]]}",
+            )
+        finally:
+            grab.terminate()
+            grab.wait(60)
+        [(_, whole)] = bus.query("topology", one=True)
+        heard["topology"].append(msgspec.msgpack.decode(whole))
+
+    assert any("version" in status for status in heard["status"])
+    for name, messages in heard.items():
+        for message in messages:
+            validator(name).validate(json.loads(msgspec.json.encode(message)))
+
+
+@pytest.mark.parametrize(
+    ("given", "wrong"),
+    [
+        ({}, False),
+        ({"y": None}, True),
+        ({"x": 1.5}, True),
+        ({"camera": "a b"}, True),
+        ({"kind": "passes"}, True),
+        ({"t": None}, True),
+        ({"track": 17, "new": "ignored"}, False),
+    ],
+)
+def test_mistakes_in_an_event_are_found(given: dict[str, Any], wrong: bool) -> None:
+    event = json.loads(to_json(Event("a", "exit", 1.5, 0.5, 0.5))) | given
+    event = {key: value for key, value in event.items() if value is not None}
+    assert validator("event").is_valid(event) != wrong
