@@ -467,10 +467,13 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next
     """Where an object that has just left a view appears next.
 
     next: possible next appearances, by falling probability.
-    leave: probability that the object leaves the site; with those of ``next`` it sums to 1.
+    leave: probability that the object leaves the site; with those of ``next``, and with ``others``
+        if that is there, it sums to 1.
     look, in_view: by falling probability; present if other views overlap the one that was left. The
         probabilities of ``look`` may sum to more than 1, as several cameras may see the object at
         once.
+    others: sum of the probabilities of next appearances that are left out of ``next``; None if
+        ``next`` has all of them.
     """
 
     camera: str
@@ -482,6 +485,7 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next
     next_: list[NextCamera]
     look: list[Look] | None = None
     in_view: list[InView] | None = None
+    others: float | None = None
 
 
 class Ack(Struct, frozen=True, omit_defaults=True):

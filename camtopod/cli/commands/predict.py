@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
-from typing import Any
+from typing import Any, TypeVar
+
+from msgspec.structs import replace
 
 from camtopod.cli.commands.export import load
 from camtopod.cli.events import Line, LineReader
@@ -12,6 +15,14 @@ from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.predict import Predictor
+from camtopod.records import InView, Look, Prediction
+
+_QUANTILES = ("q10", "q50", "q90")
+_PROBABILITY_DIGITS = 4
+"""Decimal places of probabilities with --top."""
+_SECONDS_DIGITS = 2
+"""Decimal places of seconds with --top."""
+_T = TypeVar("_T", Look, InView)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -21,7 +32,7 @@ def add_parser(subparsers: Any) -> None:
         help="predict for each recorded exit where the object appears next",
         description="Predicts for each exit of recorded events where the object appears next, and "
         "prints one prediction per line.",
-        epilog="example: camtopod predict topology.json events.jsonl > predictions.jsonl",
+        epilog="example: camtopod predict topology.json events.jsonl --top 3 > predictions.jsonl",
     )
     parser.add_argument(
         "topology", metavar="TOPOLOGY.json", help="topology as `camtopod learn` writes it"
@@ -29,6 +40,21 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "events", metavar="EVENTS", help="file of event lines ('-': standard input)"
     )
+    parser.add_argument(
+        "--top",
+        metavar="N",
+        type=_count,
+        help="print only the N likeliest next appearances; the probabilities of the rest are "
+        "summed in the field others. Probabilities have 4 digits and still add up to 1, seconds "
+        "have 2",
+    )
+
+
+def _count(text: str) -> int:
+    """Parse the value of --top."""
+    if not text.isdecimal() or not text.isascii() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,7 +75,8 @@ def run(args: argparse.Namespace) -> int:
             if waiting and lines[k].event.t > lines[waiting[0]].event.t:
                 _observe(predictor, lines, waiting)
             if lines[k].event.kind == "exit":
-                answers[k] = to_json(predictor.predict(lines[k].event))
+                answer = predictor.predict(lines[k].event)
+                answers[k] = to_json(answer if args.top is None else shortened(answer, args.top))
             waiting.append(k)
             progress.show("%d exits predicted of %d lines", len(answers), len(lines))
 
@@ -60,6 +87,53 @@ def run(args: argparse.Namespace) -> int:
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
     return 0
+
+
+def shortened(prediction: Prediction, most: int) -> Prediction:
+    """Return the ``most`` likeliest next appearances, in rounded figures that add up to 1.
+
+    The probabilities of those that are left out are in ``others``.
+    """
+    kept, rest = prediction.next_[:most], prediction.next_[most:]
+    shares = [prediction.leave, *(one.probability for one in kept)]
+    shares += [sum(one.probability for one in rest)] if rest else []
+    leave, *probabilities = _rounded_shares(shares)
+    return replace(
+        prediction,
+        leave=leave,
+        others=probabilities.pop() if rest else None,
+        next_=[
+            replace(
+                one,
+                probability=probability,
+                **{name: round(getattr(one, name), _SECONDS_DIGITS) for name in _QUANTILES},
+            )
+            for one, probability in zip(kept, probabilities, strict=True)
+        ],
+        look=_rounded(prediction.look, most),
+        in_view=_rounded(prediction.in_view, most),
+    )
+
+
+def _rounded_shares(shares: list[float]) -> list[float]:
+    """Round shares that sum to 1 so that they still do: the largest remainders are rounded up."""
+    scaled = [share * 10**_PROBABILITY_DIGITS for share in shares]
+    units = [math.floor(one) for one in scaled]
+    missing = 10**_PROBABILITY_DIGITS - sum(units)
+    order = sorted(range(len(shares)), key=lambda k: units[k] - scaled[k])
+    for k in order[: max(missing, 0)]:
+        units[k] += 1
+    return [unit / 10**_PROBABILITY_DIGITS for unit in units]
+
+
+def _rounded(listed: list[_T] | None, most: int) -> list[_T] | None:
+    """Return the first ``most`` of a list of `Look` or `InView`, with rounded probabilities."""
+    if listed is None:
+        return None
+    return [
+        replace(one, probability=round(one.probability, _PROBABILITY_DIGITS))
+        for one in listed[:most]
+    ]
 
 
 def _observe(predictor: Predictor, lines: list[Line], waiting: list[int]) -> None:

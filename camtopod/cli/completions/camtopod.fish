@@ -51,7 +51,7 @@ function _shtab_camtopod_using
 end
 
 set -g _shtab_camtopod_commands demo init grab run learn predict simulate watch web export report ingest bridge keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' schema check doctor completion
-set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --log-level --loiterers --lost --minutes --missed --moved --name --objects-per-second --one-way --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --seed --shard --show --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --uneven --updates --zone-separation --zone-stretch
+set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --log-level --loiterers --lost --minutes --missed --moved --name --objects-per-second --one-way --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --seed --shard --show --site --size --slow-share --speed --speed-sd --start --state --top --topology --truth --u-turn --uneven --updates --zone-separation --zone-stretch
 
 complete -c camtopod -e
 complete -c camtopod -f
@@ -125,6 +125,7 @@ complete -c camtopod -n '_shtab_camtopod_using learn' -l log-level -xka "debug i
 complete -c camtopod -n '_shtab_camtopod_using learn; and test $_shtab_camtopod_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'files of event lines ('"'"'-'"'"': standard input)'
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a predict -d 'predict for each recorded exit where the object appears next'
 complete -c camtopod -n '_shtab_camtopod_using predict' -s h -l help -d 'show this help message and exit'
+complete -c camtopod -n '_shtab_camtopod_using predict' -l top -x -d 'print only the N likeliest next appearances; the probabilities of the rest are summed in the field others. Probabilities have 4 digits and still add up to 1, seconds have 2'
 complete -c camtopod -n '_shtab_camtopod_using predict' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file; none: read no file (default: ./camtopod.toml, else /etc/camtopod/camtopod.toml, if there is one)'
 complete -c camtopod -n '_shtab_camtopod_using predict' -l site -x -d 'name of the site, the second part of every key on the bus'
 complete -c camtopod -n '_shtab_camtopod_using predict' -l connect -x -d 'zenoh endpoint to connect to, for example tcp/192.168.1.5:7447; may be repeated'

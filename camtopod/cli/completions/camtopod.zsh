@@ -337,6 +337,7 @@ _shtab_camtopod_learn_defaults_added=0
 
 _shtab_camtopod_predict_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--top[print only the N likeliest next appearances\; the probabilities of the rest are summed in the field others. Probabilities have 4 digits and still add up to 1, seconds have 2]:N:"
   "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
