@@ -260,12 +260,17 @@ class MessageSubscription(_Connection):
         self._waiting_bytes = 0
         self._connect()
 
-    def read(self, stop: threading.Event) -> Iterator[bytes]:
-        """Yield the messages until ``stop`` is set."""
+    def read(self, stop: threading.Event, ticks: bool = False) -> Iterator[bytes]:
+        """Yield the messages until ``stop`` is set.
+
+        ticks: yield an empty one, too, while none comes.
+        """
         while not stop.is_set():
             try:
                 message = self._waiting.get(timeout=_TICK_SECONDS)
             except queue.Empty:
+                if ticks:
+                    yield b""
                 continue
             with self._mutex:
                 self._waiting_bytes -= len(message)

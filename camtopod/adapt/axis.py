@@ -143,6 +143,10 @@ class Axis:
             return self._whole(codec.read(_Track, message), levels)
         raise Rejected("malformed", "is neither a frame nor an object track")
 
+    def silent(self, now: float) -> list[Event]:
+        """Return the exits in cameras that are silent, see `CameraStreams.silent`."""
+        return self._streams.silent(now)
+
     def close(self) -> list[Event]:
         """Return the exits of objects out of sight. Those in a camera's last frame are in view."""
         return self._streams.close()

@@ -18,6 +18,14 @@ from camtopod.records import CAMERA_PATTERN, Event
 
 STREAMS_MAX = 1000
 """Cameras (or analytics modules of cameras) followed; messages of further ones are refused."""
+SILENT_SECONDS = 2.5
+"""Time without a frame after which a camera's objects have left.
+
+Many sources send nothing while nobody is in view. An exit that waited for the next frame would be
+too late to be learned.
+"""
+_CHECK_SECONDS = 0.5
+"""Interval at which silence is looked for."""
 OBJECTS_MAX = 1000
 """Objects accepted in a frame."""
 KINDS_MAX = 10_000
@@ -60,6 +68,12 @@ class CameraStream:
         self._labels = labels
         self._kinds: dict[Name, str] = {}
         """Latest known kind of each track: trackers do not classify an object in each frame."""
+        self.arrived = 0.0
+        """When the latest frame came, seconds of the clock of `CameraStreams.silent`."""
+
+    def lose(self) -> list[Event]:
+        """Return the exits of all objects, as the camera is silent."""
+        return checked(self._tracks.lose())
 
     def update(self, seen: Seen, ended: Iterable[Name], t: float) -> list[Event]:
         """Return the events that a frame at ``t`` (seconds) makes certain.
@@ -113,6 +127,7 @@ class CameraStreams:
         """What the messages call the one camera."""
         self._labels = frozenset(label.lower() for label in labels)
         self._streams: dict[tuple[str, str], CameraStream] = {}
+        self._now = self._checked = 0.0
 
     def name(self, given: str) -> str:
         """Return the camera's id: the one camera's, or ``given``. Raises `Rejected`."""
@@ -138,7 +153,21 @@ class CameraStreams:
                 raise Rejected("too-many-cameras", f"more than {STREAMS_MAX} cameras")
             stream = CameraStream(camera, size, self._labels)
             self._streams[camera, module] = stream
+        stream.arrived = self._now
         return stream
+
+    def silent(self, now: float) -> list[Event]:
+        """Return the exits of the objects of cameras that have sent no frame for `SILENT_SECONDS`.
+
+        now: seconds of a clock that runs evenly. To be called before each message that comes live,
+        and often in between. Without calls no camera counts as silent.
+        """
+        self._now = now
+        if now - self._checked < _CHECK_SECONDS:
+            return []
+        self._checked = now
+        silent = (one for one in self._streams.values() if now - one.arrived > SILENT_SECONDS)
+        return [event for stream in silent for event in stream.lose()]
 
     def close(self) -> list[Event]:
         """Return the exits of objects out of sight, of all cameras."""

@@ -99,6 +99,10 @@ class DeepStream:
         stream = self._streams.at(camera, size_of(camera, self._sizes))
         return stream.update(seen, [], seconds_of(message.time))
 
+    def silent(self, now: float) -> list[Event]:
+        """Return the exits in cameras that are silent, see `CameraStreams.silent`."""
+        return self._streams.silent(now)
+
     def close(self) -> list[Event]:
         """Return the exits of objects out of sight. Those in a camera's last frame are in view."""
         return self._streams.close()

@@ -139,6 +139,10 @@ class Onvif:
         self._read(camera, _many(codec.read(_Message, message).frames))
         return self._take()
 
+    def silent(self, now: float) -> list[Event]:
+        """Return the exits in cameras that are silent, see `CameraStreams.silent`."""
+        return self._streams.silent(now)
+
     def close(self) -> list[Event]:
         """Return the exits of objects out of sight. Those in the last frame are in view."""
         while _END.search(self._text):  # documents after a refused one of the last line

@@ -166,6 +166,12 @@ class TrackEvents:
             return []
         return [self._event("exit", label, track.last)]
 
+    def lose(self) -> list[Event]:
+        """End all tracks, as no frame has come for too long; return their exits."""
+        lived = {label: track for label, track in self._tracks.items() if track.lived}
+        self._tracks = {}
+        return [self._event("exit", label, track.last) for label, track in lived.items()]
+
     def is_late(self, t: float) -> bool:
         """Return True if `update` would ignore a frame of this time as out of order."""
         return 0 < self._t - t <= self._lost

@@ -389,6 +389,19 @@ def test_deepstream_needs_the_size_and_takes_milliseconds() -> None:
     assert seconds_of("2023-11-14T23:13:20.250+01:00") == T + 0.25
 
 
+def test_a_camera_that_falls_silent_has_nobody_in_view() -> None:
+    """DeepStream sends nothing of an empty view: its last exit does not wait for the next object."""
+    reader = deepstream()
+    events = reader.receive(minimal(0))
+    for n in range(8):
+        assert reader.silent(100 + n / 4) == []
+        events += reader.receive(minimal(2 + n / 4, "957|96|150|288|540|Person"))
+    assert reader.silent(103.9) == []
+    events += reader.silent(104.5)
+    assert [(e.kind, e.t - T) for e in events] == [("entry", 2.0), ("exit", 3.75)]
+    assert reader.silent(200.0) == reader.close() == []
+
+
 def test_cameras_have_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_streams, "STREAMS_MAX", 3)
     reader = deepstream()

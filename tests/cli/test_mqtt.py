@@ -268,6 +268,7 @@ def test_topics_tell_cameras_apart(tmp_path: Path) -> None:
                 b"axis/hall/com.axis.scene.frame.v1 {}",
                 b"axis/end {}",
             ]
+            assert next(messages.read(threading.Event(), ticks=True)) == b""
 
 
 def test_bytes_that_wait_have_a_limit(

@@ -9,8 +9,9 @@ import heapq
 import logging
 import os
 import sys
+import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from typing import BinaryIO, NamedTuple
 
@@ -47,6 +48,7 @@ class LineReader:
         self.read = 0
         self.events = 0
         self._files: list[BinaryIO] = []
+        self._fragmentation = Fragmentation()
 
     def merged(self, paths: list[str]) -> Iterator[Line]:
         """Yield lines of several files, merged by event time.
@@ -84,15 +86,39 @@ class LineReader:
             yield Line(event, path, number)
 
     def adapted(
-        self, path: str, lines: Iterable[tuple[int, bytes]], adapter: Adapter
+        self,
+        path: str,
+        lines: Iterable[tuple[int, bytes]],
+        adapter: Adapter,
+        silent: Callable[[float], list[Event]] | None = None,
     ) -> Iterator[Event]:
         """Yield events from another program's numbered lines.
+
+        silent: of lines that come live, the adapter's method that returns the events of cameras
+            that are silent. Empty lines are then no lines, but occasions to ask it.
 
         Of a rejected line only its structure is quoted, no text. A tracker that breaks tracks up is
         warned of.
         """
-        fragmentation = Fragmentation()
+        for event in self._adapted(path, lines, adapter, silent):
+            self.events += 1
+            if (warning := self._fragmentation.note(event)) is not None:
+                log.warning("%s", warning)
+            yield event
+
+    def _adapted(
+        self,
+        path: str,
+        lines: Iterable[tuple[int, bytes]],
+        adapter: Adapter,
+        silent: Callable[[float], list[Event]] | None,
+    ) -> Iterator[Event]:
+        """Yield the events of lines as `adapted` does, and count and quote rejected lines."""
         for number, text in lines:
+            if silent is not None:
+                yield from silent(time.monotonic())
+                if not text:
+                    continue
             self.read += 1
             try:
                 if len(text) > LINE_BYTES_MAX:
@@ -103,17 +129,8 @@ class LineReader:
                     error.reason, f"{path}:{number}: {error}", quotable(text[:LINE_BYTES_MAX])
                 )
                 continue
-            self.events += len(events)
-            for event in events:
-                if (warning := fragmentation.note(event)) is not None:
-                    log.warning("%s", warning)
-                yield event
-        events = adapter.close()
-        self.events += len(events)
-        for event in events:
-            if (warning := fragmentation.note(event)) is not None:
-                log.warning("%s", warning)
-            yield event
+            yield from events
+        yield from adapter.close()
 
     def reject(self, reason: str, where: str, text: bytes = b"") -> None:
         """Count a rejected line; print the first one of each reason to standard error."""

@@ -101,6 +101,9 @@ def events(
             raise CommandError(f"{args.format} cannot be read from MQTT, give a file", exits.USAGE)
         messages = _messages(args, adapter.topic)
         stack.callback(messages.close)
+        if isinstance(adapter, Axis | Onvif | DeepStream):  # cameras that may be silent
+            lines = enumerate(messages.read(stop, ticks=True), 1)
+            return reader.adapted(messages.topic, lines, adapter, adapter.silent)
         return reader.adapted(messages.topic, enumerate(messages.read(stop), 1), adapter)
     if args.password_file or args.ca:
         raise CommandError("--password-file and --ca are for mqtt[s]:// only", exits.USAGE)
