@@ -119,6 +119,7 @@ class LineReader:
                 yield from silent(time.monotonic())
                 if not text:
                     continue
+                number = self.read + 1
             self.read += 1
             try:
                 if len(text) > LINE_BYTES_MAX:
