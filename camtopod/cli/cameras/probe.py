@@ -16,6 +16,7 @@ import msgspec
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import exit_reason
 from camtopod.cli.exits import CommandError
+from camtopod.cli.site_choice import right_site
 from camtopod.config import Config, detector_line, toml_lines
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
@@ -172,8 +173,8 @@ def _bus(config: Config) -> tuple[str, str]:
             # A camera's certificate does not allow to see whether a daemon is there.
             if not bus.list_alive("daemon") and not config.bus.tls.ca:
                 return (
-                    f"connected to {bus.endpoint}, but no daemon of site {bus.site} is there: "
-                    f"start it with `camtopod run`",
+                    f"connected to {bus.endpoint}, but no daemon of site {bus.site} is there"
+                    f"{right_site(bus, config) or ': start it with `camtopod run`'}",
                     "",
                 )
             return "", f"connected to {bus.endpoint}, site {bus.site}"

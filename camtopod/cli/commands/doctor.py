@@ -25,6 +25,7 @@ import msgspec
 from camtopod.cli import exits, machine_report
 from camtopod.cli.common import configuration, with_options
 from camtopod.cli.exits import CommandError
+from camtopod.cli.site_choice import sites_instead
 from camtopod.config import TABLES, Config, secret_files
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, access, dial
@@ -221,6 +222,8 @@ def _bus(config: Config) -> Iterator[str]:
         for role in ("daemon", "grabber"):
             names = ", ".join(sorted(bus.list_alive(role)))
             yield f"{role}s there: {names or f'none seen{hidden}'}"
+        if others := sites_instead(bus, config):
+            yield f"sites with a daemon on this bus: {', '.join(others)}"
         statuses = {key.removeprefix("status/"): _status(raw) for key, raw in bus.query("status/*")}
     for name, status in sorted(statuses.items()):
         refusals = {key: status.pop(key) for key in _REFUSALS if key in status}

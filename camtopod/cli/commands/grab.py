@@ -387,7 +387,7 @@ def _to_bus(
             raise CommandError(
                 f"{publisher.unacknowledged} events are not acknowledged: is `camtopod run` "
                 f"running for site {config.site.name}? They are kept in {spool.path} and published "
-                f"when this camera is grabbed again"
+                f"when this camera is grabbed again{connection.other_site()}"
             )
     return exits.DONE
 
@@ -512,19 +512,21 @@ class _Connection:
 
     def _look(self, bus: Bus) -> None:
         """Track until the end whether the daemon is reached."""
-        reached_at = time.monotonic()
+        reached_at, other = time.monotonic(), None
         while not self._closed.wait(_DAEMON_LOOK_SECONDS):
             if not bus.connected:
                 reached_at = math.inf
                 self._note(f"the connection to the daemon at {bus.endpoint} is lost")
             elif self._daemons or self._config.bus.tls.ca:
+                other = None
                 self._note("")
             else:
                 reached_at = min(reached_at, time.monotonic())
                 if time.monotonic() - reached_at >= DAEMON_SECONDS:
+                    other = self.other_site() if other is None else other
                     self._note(
                         f"connected to the bus at {bus.endpoint}, but no daemon of site {bus.site} "
-                        f"is there"
+                        f"is there{other}"
                     )
 
     def _note(self, why: str) -> None:
@@ -536,6 +538,12 @@ class _Connection:
             log.warning("%s; events are kept in the spool", why)
         elif before:
             log.info("connected to the daemon again")
+
+    def other_site(self) -> str:
+        """Return which site has a daemon if this one has none; see `camtopod.cli.site_choice`."""
+        from camtopod.cli.site_choice import right_site
+
+        return "" if self._bus is None else right_site(self._bus, self._config)
 
     def status(self) -> dict[str, Any]:
         """Return the content of ``status/{camera}``."""

@@ -29,11 +29,12 @@ from camtopod.cli.events import (
     open_input,
 )
 from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli.site_choice import right_site
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN, Event
-from camtopod.serve.bus import BusError, dial
+from camtopod.serve.bus import Bus, BusError, dial
 from camtopod.serve.outbox import Publisher, open_spool
 from camtopod.serve.storage import StateError
 
@@ -221,8 +222,8 @@ def _publish(
                 stop.wait(KNOWN_SECONDS)
         outcome.publishing(batch, spool.boot)
         publisher.publish(*batch)
-        _wait(publisher, UNACKNOWLEDGED_MAX, stop, config.site.name, daemons, progress)
-    _wait(publisher, 0, stop, config.site.name, daemons, progress)
+        _wait(publisher, UNACKNOWLEDGED_MAX, stop, bus, config, daemons, progress)
+    _wait(publisher, 0, stop, bus, config, daemons, progress)
 
     # Report the outcome.
     log.info(
@@ -284,7 +285,8 @@ def _wait(
     publisher: Publisher,
     most: int,
     stop: threading.Event,
-    site: str,
+    bus: Bus,
+    config: Config,
     daemons: set[str],
     progress: Progress,
 ) -> None:
@@ -305,7 +307,8 @@ def _wait(
         before = now
         if patience <= 0:
             raise CommandError(
-                f"{now} events are not acknowledged: is `camtopod run` running for site {site}? "
-                f"They are kept in the spool and published with the next ingest",
+                f"{now} events are not acknowledged: is `camtopod run` running for site "
+                f"{bus.site}? They are kept in the spool and published with the next ingest of "
+                f"this site{right_site(bus, config)}",
                 exits.BUS,
             )

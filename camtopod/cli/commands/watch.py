@@ -14,6 +14,7 @@ from typing import Any
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.exits import CommandError
+from camtopod.cli.site_choice import dial_as_reader
 from camtopod.cli.terminal import (
     SiteState,
     SiteView,
@@ -25,7 +26,7 @@ from camtopod.cli.terminal import (
     topology_lines,
     transit,
 )
-from camtopod.serve.bus import BusError, TopologySubscriber, dial
+from camtopod.serve.bus import BusError, TopologySubscriber
 from camtopod.serve.runtime import clock
 from camtopod.visible import visible
 
@@ -66,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     config = configuration(args)
     board = SiteState()
     try:
-        bus = dial(config)
+        bus, config = dial_as_reader(args, config)
     except BusError as error:
         raise CommandError(str(error), exits.BUS) from None
     with bus, until_signal() as stop:

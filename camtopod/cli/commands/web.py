@@ -23,7 +23,8 @@ from camtopod.cli.common import (
     until_signal,
 )
 from camtopod.cli.exits import CommandError
-from camtopod.serve.bus import BusError, dial
+from camtopod.cli.site_choice import dial_as_reader
+from camtopod.serve.bus import BusError
 from camtopod.serve.runtime import Progress, clock
 
 log = logging.getLogger(__name__)
@@ -93,7 +94,8 @@ def run(args: argparse.Namespace) -> int:
     with until_signal() as stop, ends_within(stop, LEAVE_SECONDS), contextlib.ExitStack() as stack:
         listener = stack.enter_context(listening(host, port))
         try:
-            bus = stack.enter_context(dial(config))
+            bus, config = dial_as_reader(args, config)
+            stack.enter_context(bus)
         except BusError as error:
             raise CommandError(str(error), exits.BUS) from None
         every, progress = config.limits.status_seconds, Progress()

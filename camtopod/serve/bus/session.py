@@ -336,6 +336,17 @@ class Bus:
         ]
         return [name for name in names if re.match(CAMERA_PATTERN, name)]
 
+    def list_sites(self) -> list[str]:
+        """Return the names of all sites that have a daemon on this bus, sorted."""
+        answers = self._session.liveliness().get(
+            f"{PREFIX}/*/alive/daemon/*",
+            zenoh.handlers.FifoChannel(_REPLIES_MAX),
+            timeout=self._query_seconds,
+        )
+        keys = [str(reply.ok.key_expr) for reply in answers if reply.ok is not None]
+        names = {key.removeprefix(f"{PREFIX}/").partition("/")[0] for key in keys}
+        return sorted(name for name in names if re.match(CAMERA_PATTERN, name))
+
     def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
         """Call ``on_change(name, alive)`` for programs of a role: those present, and each change.
 

@@ -1,0 +1,54 @@
+"""Which site a program is of: readers take the only one on the bus, all name the right one."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+
+from msgspec.structs import replace
+
+from camtopod.config import Config, SiteSettings
+from camtopod.serve.bus import Bus, dial
+
+log = logging.getLogger(__name__)
+
+
+def dial_as_reader(args: argparse.Namespace, config: Config) -> tuple[Bus, Config]:
+    """Open the session of a program that only reads; return it with the configuration to use.
+
+    If no site was given, and the bus has the daemon of one other site only, that site is taken, and
+    the log says so. Raises `BusError`.
+    """
+    bus = dial(config)
+    others = sites_instead(bus, config)
+    if len(others) == 1 and args.site is None and config.site == SiteSettings():
+        [name] = others
+        log.info("site %s, the only one on this bus; no --site is given", name)
+        bus.site = name
+        return bus, replace(config, site=SiteSettings(name))
+    if others:
+        log.warning("no daemon of site %s is there%s", bus.site, _named(others))
+    return bus, config
+
+
+def sites_instead(bus: Bus, config: Config) -> list[str]:
+    """Return the sites that have a daemon on the bus if that of ``bus`` has none."""
+    if config.bus.tls.ca:  # a certificate is of one site and may not see others
+        return []
+    sites = bus.list_sites()
+    return [] if bus.site in sites else sites
+
+
+def right_site(bus: Bus, config: Config) -> str:
+    """Return the end of a sentence that says that there is no daemon: which site has one, or ""."""
+    return _named(sites_instead(bus, config))
+
+
+def _named(sites: list[str]) -> str:
+    if not sites:
+        return ""
+    one = len(sites) == 1
+    return (
+        f"; there is {'one' if one else 'a daemon each'} of {'site' if one else 'sites'} "
+        f"{', '.join(sites)}: add --site {sites[0] if one else 'NAME'}"
+    )

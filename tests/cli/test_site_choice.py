@@ -1,0 +1,118 @@
+"""The site of a program that was not told one: readers take the only one, writers name it."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from fake_bus_daemon import running
+from msgspec.structs import replace
+from serving import camtopod, free_endpoint, small_config
+
+from camtopod.cli import exits
+from camtopod.cli.commands import ingest
+from camtopod.cli.main import main
+from camtopod.cli.site_choice import dial_as_reader, right_site
+from camtopod.config import Config, SiteSettings
+from camtopod.serve.bus import dial
+from camtopod.serve.daemon import Daemon
+
+
+@pytest.fixture(scope="module")
+def mall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    with running(tmp_path_factory.mktemp("mall"), free_endpoint(), site="mall") as daemon:
+        yield daemon
+
+
+@contextlib.contextmanager
+def as_reader(config: Config, site: str | None = None) -> Iterator[str]:
+    """Return the site of a reader that was given ``site`` on its command line."""
+    if site is not None:
+        config = replace(config, site=SiteSettings(site))
+    bus, config = dial_as_reader(argparse.Namespace(site=site), config)
+    with bus:
+        assert bus.site == config.site.name
+        yield bus.site
+
+
+def test_a_reader_takes_the_only_site_and_says_so(
+    mall: Daemon, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = small_config(tmp_path, mall.endpoint)
+    with caplog.at_level("INFO"), as_reader(config) as site:
+        assert site == "mall"
+    assert "site mall, the only one on this bus" in caplog.text
+
+
+@pytest.mark.parametrize("where", ["option", "file"])
+def test_a_reader_keeps_the_site_that_it_was_told(
+    where: str, mall: Daemon, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = small_config(tmp_path, mall.endpoint)
+    if where == "file":
+        config = replace(config, site=SiteSettings("hq"))
+    with as_reader(config, "hq" if where == "option" else None) as site:
+        assert site == "hq"
+    assert "no daemon of site hq is there; there is one of site mall: add --site mall" in (
+        caplog.text
+    )
+
+
+def test_with_several_sites_none_is_taken(mall: Daemon, tmp_path: Path) -> None:
+    config = small_config(tmp_path, mall.endpoint)
+    with dial(replace(config, site=SiteSettings("annex"))) as other:
+        other.announce("daemon", "d2")
+        with dial(config) as bus:
+            assert bus.list_sites() == ["annex", "mall"]
+            assert right_site(bus, config) == (
+                "; there is a daemon each of sites annex, mall: add --site NAME"
+            )
+        with as_reader(config) as site:
+            assert site == "site"
+        with as_reader(config, "annex") as site:
+            assert site == "annex"
+
+
+def test_watch_shows_the_only_site(mall: Daemon) -> None:
+    watch = camtopod("--connect", mall.endpoint, "watch", "--once", stdout=-1, stderr=-1)
+    out, err = watch.communicate(timeout=60)
+    assert watch.returncode == 0
+    assert b"site mall" in out.splitlines()[0]
+    assert b"site mall, the only one on this bus" in err
+
+
+def test_ingest_takes_no_site_but_names_it(
+    mall: Daemon,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(ingest, "PATIENCE_SECONDS", 0.2)
+    events = tmp_path / "events.jsonl"
+    events.write_text('{"camera":"a","kind":"exit","t":1.5}\n')
+    options = ["--connect", mall.endpoint, "ingest", "jsonl", str(events)]
+    assert main([*options, "--state", str(tmp_path / "spool")]) == exits.BUS
+    said = capsys.readouterr().err
+    assert "running for site site?" in said
+    assert "there is one of site mall: add --site mall" in said
+
+
+def test_grab_names_it_too(mall: Daemon, tmp_path: Path) -> None:
+    grab = camtopod(
+        "--connect", mall.endpoint, "grab", "--camera", "a", "4242", "--state", str(tmp_path),
+        stderr=-1,
+    )  # fmt: skip
+    assert grab.stderr is not None
+    try:
+        for line in grab.stderr:
+            if b"no daemon of site" in line:
+                assert b"there is one of site mall: add --site mall" in line
+                break
+        else:
+            pytest.fail("it ended")
+    finally:
+        grab.terminate()
+        grab.communicate(timeout=60)
