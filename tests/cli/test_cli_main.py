@@ -79,6 +79,18 @@ def test_every_command_has_its_own_help(name: str, capsys: pytest.CaptureFixture
     assert re.search(rf"example: camtopod .*\b{name}\b", out)
 
 
+def test_every_command_below_keys_has_an_example() -> None:
+    parser, _ = main.parser_of(["keys"])
+    [keys] = [one for one in parser._actions if isinstance(one, argparse._SubParsersAction)]
+    inner = [
+        one for one in keys.choices["keys"]._actions if isinstance(one, argparse._SubParsersAction)
+    ]
+    for name, command in inner[0].choices.items():
+        example = str(command.epilog).removeprefix("example: camtopod ")
+        assert example.startswith(f"keys {name}")
+        parser.parse_args(example.split())
+
+
 def test_alone_it_says_how_to_begin(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main.main([])

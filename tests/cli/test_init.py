@@ -393,12 +393,66 @@ def test_nothing_is_overwritten_unless_told(
     assert main(["init", "lobby=rtsp://u:first@h/x"]) == 0
     before = everything_below(tmp_path)
     assert set(before) == {"camtopod.toml", "secrets/lobby"}
-    assert main(["init", "rtsp://other/x"]) == 1
+    assert main(["init", "lobby=rtsp://other/x"]) == 1
+    assert "camtopod.toml has cameras.lobby already" in capsys.readouterr().err
     assert main(["init", "lobby=rtsp://u:second@h/x", "--out", "other.toml"]) == 1
     assert "secrets/lobby: exists already; overwrite with --force" in capsys.readouterr().err
     assert everything_below(tmp_path) == before
     assert main(["init", "--force", "lobby=rtsp://u:second@h/x"]) == 0
     assert everything_below(tmp_path)["secrets/lobby"] == (0o600, "rtsp://u:second@h/x\n")
+
+
+def test_cameras_are_added_to_a_file_whose_rest_stays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(probes, "_probe", lambda *_: Probe("", "H.264", 640, 480, 15.0))
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "camtopod.toml"
+    mine = (
+        '# mine\r\n[site]\r\nname = "hq"   # ours\r\n[cameras.lobby]\r\nsource = "rtsp://h/1"\r\n'
+        "min_height = 0.1\r\n[vision]\r\nanalysed_fps = 9.0 # slow"
+    )
+    out.write_bytes(mine.encode())
+    out.chmod(0o640)
+    assert main(["init", "hall=rtsp://u:p@h/2", "rtsp://gate/3"]) == 0
+    text = out.read_bytes().decode()
+    assert text.startswith(mine)
+    assert text.count("\n") == text.count("\r\n")
+    assert out.stat().st_mode & 0o777 == 0o640
+    loaded = settings.load(out)
+    assert list(loaded.cameras) == ["lobby", "hall", "gate"]
+    assert (loaded.site.name, loaded.cameras["lobby"].vision.min_height) == ("hq", 0.1)
+    assert (tmp_path / "secrets" / "hall").read_text() == "rtsp://u:p@h/2\n"
+    assert "camtopod.toml has hall, gate now, after what it had" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("written", "options", "status", "said"),
+    [
+        ("[site]\nnmae = 1\n", [], 78, "camtopod.toml:2: site.nmae"),
+        ('cameras = {a = {source = "0"}}\n', [], 78, "write cameras as tables"),
+        ("[cameras.b]\nsource = '0'\n", [], 1, "has cameras.b already"),
+        ("", ["--site", "hq"], 2, "leave them out to add cameras"),
+        ("\udcff", [], 78, "not UTF-8"),
+    ],
+)
+def test_a_file_that_cannot_be_added_to_stays(
+    written: str,
+    options: list[str],
+    status: int,
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(probes, "_probe", lambda *_: Probe("", "H.264", 640, 480, 15.0))
+    monkeypatch.chdir(tmp_path)
+    raw = written.encode(errors="surrogateescape")
+    Path("camtopod.toml").write_bytes(raw)
+    assert main([*options, "init", "b=rtsp://u:p@h/2"]) == status
+    assert said in capsys.readouterr().err
+    assert Path("camtopod.toml").read_bytes() == raw
+    assert not Path("secrets").exists()
 
 
 def test_sources_from_standard_input_and_a_daemon_elsewhere(tmp_path: Path) -> None:

@@ -13,11 +13,14 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from msgspec.structs import replace
+
 from camtopod.cli import exits
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated import table
 from camtopod.config import RESERVED, TABLES, Config, secret_files
+from camtopod.config.settings import ConfigError, parse
 from camtopod.redact import holds_secret, redact
 from camtopod.visible import visible
 from camtopod.vision.source import (
@@ -53,7 +56,8 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "init",
         help="probe cameras and write a configuration",
-        description="Probes each camera and writes a commented configuration with all of them. A "
+        description="Probes each camera and writes a commented configuration with all of them, or "
+        "adds them at the end of one that exists, whose text stays as it is. A "
         "camera is named after its host or path, or as given: lobby=rtsp://... A URL with a "
         f"password or a token goes into a file of its own in the folder {SECRETS} beside the "
         "configuration, which only you can read.",
@@ -71,7 +75,7 @@ def add_parser(subparsers: Any) -> None:
         type=Path,
         default=Path("camtopod.toml"),
         metavar="FILE",
-        help="configuration file to write (default: %(default)s)",
+        help="configuration file to write or to add to (default: %(default)s)",
     )
     parser.add_argument(
         "--pictures",
@@ -97,7 +101,9 @@ def add_parser(subparsers: Any) -> None:
         f"{ENOUGH_HEIGHT} pixels high: it is cheaper to decode, and pictures are analysed at a "
         "smaller size still",
     )
-    parser.add_argument("--force", action="store_true", help="overwrite existing files")
+    parser.add_argument(
+        "--force", action="store_true", help="overwrite existing files, also the configuration"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -107,8 +113,14 @@ def run(args: argparse.Namespace) -> int:
     """
     from camtopod.cli.cameras import probe_all
 
-    settings = configuration(args)
+    before = None if args.force else _existing(args.out)
+    settings = configuration(args) if before is None else _unchanged(args, before)
     cameras = with_names(_given(args.sources))
+    if twice := cameras.keys() & settings.cameras.keys() if before is not None else ():
+        raise CommandError(
+            f"{args.out} has cameras.{', cameras.'.join(sorted(twice))} already: give another name "
+            f"(NAME=SOURCE) or edit that table; --force writes the whole file anew"
+        )
     folder, handed = args.out.parent / SECRETS, args.credentials
     secrets = {
         name: folder / name
@@ -124,7 +136,8 @@ def run(args: argparse.Namespace) -> int:
         if args.pictures is None
         else [pictures.stored_path(args.pictures, name) for name in cameras]
     )
-    there = [path for path in (args.out, *secrets.values(), *kept) if path.exists()]
+    whole = [args.out] if before is None else []
+    there = [path for path in (*whole, *secrets.values(), *kept) if path.exists()]
     if there and not args.force:
         raise CommandError(
             f"{', '.join(map(str, there))}: exists already; overwrite with --force, "
@@ -163,10 +176,13 @@ def run(args: argparse.Namespace) -> int:
             _say(f"  {name:<{width}}  {'; '.join(words[name])}")
 
     # Write the configuration and the secrets.
-    text = configuration_text(settings, cameras, words, secrets.keys(), handed)
+    if before is None:
+        text = configuration_text(settings, cameras, words, secrets.keys(), handed)
+    else:
+        text = with_cameras(before, args.out, camera_tables(cameras, words, secrets.keys(), handed))
     try:
         _write(args.out, text, {path: _located(cameras[name]) for name, path in secrets.items()})
-        if handed:
+        if handed and before is None:
             # The services' users have to read it; it contains no password.
             args.out.chmod(0o644)
     except OSError as error:
@@ -175,7 +191,8 @@ def run(args: argparse.Namespace) -> int:
     # Say what comes next.
     what = "the sources" if handed else "URLs with secrets"
     where = f"; {what} are in {folder}, readable only by you" if secrets else ""
-    _say(f"{args.out} is written{where}")
+    done = "is written" if before is None else f"has {', '.join(cameras)} now, after what it had"
+    _say(f"{args.out} {done}{where}")
     _say(_next_services(args.out, settings, cameras) if handed else _next(args.out, settings))
     return exits.INPUT if any(probe.problem for probe in probes.values()) else exits.DONE
 
@@ -250,7 +267,23 @@ def configuration_text(
     parts.append(
         "# One table per camera; its name is the camera's id on the bus and free to choose."
     )
-    folder = CREDENTIALS if handed else SECRETS
+    parts += camera_tables(cameras, words, secret, handed)
+
+    # Bus, state and health.
+    parts += [table("bus", TABLES["bus"], bus), table("state", TABLES["state"], {})]
+    if handed and not settings.bus.connect:  # otherwise the daemon is on another machine
+        parts.append(table("health", TABLES["health"], {"listen": HEALTH}))
+    return "\n".join(part.rstrip("\n") + "\n" for part in parts)
+
+
+def camera_tables(
+    cameras: Mapping[str, str],
+    words: Mapping[str, Sequence[str]],
+    secret: Collection[str],
+    handed: bool = False,
+) -> list[str]:
+    """Return the table of each camera; arguments as of `configuration_text`."""
+    folder, parts = CREDENTIALS if handed else SECRETS, []
     for name, source in cameras.items():
         key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
         where = (
@@ -261,12 +294,63 @@ def configuration_text(
         parts.append(
             "\n".join([*lines, f"{where[0]} = {json.dumps(where[1], ensure_ascii=False)}"])
         )
+    return parts
 
-    # Bus, state and health.
-    parts += [table("bus", TABLES["bus"], bus), table("state", TABLES["state"], {})]
-    if handed and not settings.bus.connect:  # otherwise the daemon is on another machine
-        parts.append(table("health", TABLES["health"], {"listen": HEALTH}))
-    return "\n".join(part.rstrip("\n") + "\n" for part in parts)
+
+def with_cameras(before: str, out: Path, tables: Sequence[str]) -> str:
+    """Return the text of a configuration with further tables at its end.
+
+    Raises `CommandError` if that is not the same configuration with these cameras.
+
+    before: the text of the file ``out``.
+    """
+    added = "".join(f"\n{table}\n" for table in tables)
+    if before and not before.endswith("\n"):
+        added = f"\n{added}"
+    text = before + (added.replace("\n", "\r\n") if "\r\n" in before else added)
+    old = parse(before)
+    try:
+        new = parse(text)
+    except ConfigError as error:
+        raise CommandError(
+            f"{out}: tables cannot be added at its end ({str(error).splitlines()[0]}); write "
+            f"cameras as tables [cameras.NAME], or use another --out",
+            exits.CONFIG,
+        ) from None
+    kept = {name: camera for name, camera in new.cameras.items() if name in old.cameras}
+    assert replace(new, cameras=kept) == old, "the other settings are as they were"
+    return text
+
+
+def _existing(out: Path) -> str | None:
+    """Return the text of the configuration to add to; None if there is none.
+
+    Raises `CommandError` if it cannot be read.
+    """
+    try:
+        return out.read_bytes().decode("utf-8")
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except UnicodeDecodeError:
+        raise CommandError(f"{out}: the file is not UTF-8", exits.CONFIG) from None
+    except OSError as error:
+        raise InputError(f"cannot read {out}: {error.strerror}") from None
+
+
+def _unchanged(args: argparse.Namespace, before: str) -> Config:
+    """Return the configuration that cameras are added to. Raises `CommandError`."""
+    if args.site is not None or args.connect:
+        raise CommandError(
+            f"{args.out} exists, so --site and --connect would not be written: leave them out to "
+            f"add cameras; --force writes the whole file anew",
+            exits.USAGE,
+        )
+    try:
+        return parse(before, str(args.out))
+    except ConfigError as error:
+        raise CommandError(
+            f"nothing is added, as the configuration has mistakes:\n{error}", exits.CONFIG
+        ) from None
 
 
 def _given(arguments: Sequence[str]) -> list[tuple[str, str]]:
@@ -342,7 +426,11 @@ def _write(out: Path, text: str, secrets: Mapping[Path, str]) -> None:
     for path, source in secrets.items():
         path.parent.mkdir(mode=0o700, exist_ok=True)
         secret_files.write(path, source.encode() + b"\n")
-    out.write_text(text, encoding="utf-8")
+    mode = out.stat().st_mode & 0o777 if out.exists() else None
+    if mode is None:
+        out.write_text(text, encoding="utf-8")
+    else:  # the old one stays whole if the disk is full
+        secret_files.write(out.resolve(), text.encode(), mode)
 
 
 def _next(out: Path, settings: Config) -> str:

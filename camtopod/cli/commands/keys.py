@@ -59,7 +59,11 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
         epilog="example: camtopod keys camera lobby hall",
     )
     commands = parser.add_subparsers(dest="keys_command", metavar="WHAT", required=True)
-    init = commands.add_parser("init", help="create an authority and the daemon's certificate")
+    init = commands.add_parser(
+        "init",
+        help="create an authority and the daemon's certificate",
+        epilog="example: camtopod keys init --host 192.0.2.10",
+    )
     init.add_argument(
         "--authority-days",
         type=_days,
@@ -68,9 +72,15 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
         help="validity of the authority, days (default: %(default)s)",
     )
     daemon = commands.add_parser(
-        "daemon", help="issue a new certificate for the daemon, or for a zenoh router"
+        "daemon",
+        help="issue a new certificate for the daemon, or for a zenoh router",
+        epilog="example: camtopod keys daemon --host 192.0.2.10 --replace",
     )
-    camera = commands.add_parser("camera", help="issue a certificate for each camera")
+    camera = commands.add_parser(
+        "camera",
+        help="issue a certificate for each camera",
+        epilog="example: camtopod keys camera lobby hall",
+    )
     camera.add_argument(
         "--for",
         dest="cameras",
@@ -81,10 +91,20 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
         "CAMERA is one of them; may be repeated",
     )
     reader = commands.add_parser(
-        "reader", help="issue a certificate for a program that reads topology and predictions"
+        "reader",
+        help="issue a certificate for a program that reads topology and predictions",
+        epilog="example: camtopod keys reader web",
     )
-    revoke = commands.add_parser("revoke", help="revoke the certificate of a camera or reader")
-    listing = commands.add_parser("list", help="list all certificates and when they expire")
+    revoke = commands.add_parser(
+        "revoke",
+        help="revoke the certificate of a camera or reader",
+        epilog="example: camtopod keys revoke camera lobby",
+    )
+    listing = commands.add_parser(
+        "list",
+        help="list all certificates and when they expire",
+        epilog="example: camtopod keys list",
+    )
     revoke.add_argument("role", choices=("camera", "reader"), help="role of the certificate")
     for named in (camera, reader, revoke):
         named.add_argument(

@@ -196,11 +196,11 @@ _shtab_camtopod_ingest_defaults_added=0
 
 _shtab_camtopod_init_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--out[configuration file to write (default\: camtopod.toml)]:FILE:_files"
+  "--out[configuration file to write or to add to (default\: camtopod.toml)]:FILE:_files"
   "--pictures[also store a picture of each camera as DIR\/NAME.jpg\; \`camtopod web\` and \`report\` draw zones on it. It shows the scene without the people who walk through it, and takes 6 to 30 seconds. It is stored only there and not sent\; \`init\` stores no other picture]:DIR:_files -/"
   "--credentials[for systemd services, whose users cannot read secrets\: every camera\'s source goes into a file of that folder, and the configuration refers to it as \$CREDENTIALS_DIRECTORY\/NAME, where systemd passes it to the camera\'s service\; the daemon reports its health at 127.0.0.1\:8787]"
   "--as-given[take the streams as they are given. Otherwise, where the form of a URL tells how the maker names a camera\'s streams, the smaller one is taken if it is at least 360 pixels high\: it is cheaper to decode, and pictures are analysed at a smaller size still]"
-  "--force[overwrite existing files]"
+  "--force[overwrite existing files, also the configuration]"
   "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
