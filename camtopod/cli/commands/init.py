@@ -20,7 +20,7 @@ from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated import table
 from camtopod.config import RESERVED, TABLES, Config, secret_files
-from camtopod.config.settings import ConfigError, parse
+from camtopod.config import settings as configurations
 from camtopod.redact import holds_secret, redact
 from camtopod.visible import visible
 from camtopod.vision.source import (
@@ -308,10 +308,10 @@ def with_cameras(before: str, out: Path, tables: Sequence[str]) -> str:
     if before and not before.endswith("\n"):
         added = f"\n{added}"
     text = before + (added.replace("\n", "\r\n") if "\r\n" in before else added)
-    old = parse(before)
+    old = configurations.parse(before)
     try:
-        new = parse(text)
-    except ConfigError as error:
+        new = configurations.parse(text)
+    except configurations.ConfigError as error:
         raise CommandError(
             f"{out}: tables cannot be added at its end ({str(error).splitlines()[0]}); write "
             f"cameras as tables [cameras.NAME], or use another --out",
@@ -346,8 +346,8 @@ def _unchanged(args: argparse.Namespace, before: str) -> Config:
             exits.USAGE,
         )
     try:
-        return parse(before, str(args.out))
-    except ConfigError as error:
+        return configurations.parse(before, str(args.out))
+    except configurations.ConfigError as error:
         raise CommandError(
             f"nothing is added, as the configuration has mistakes:\n{error}", exits.CONFIG
         ) from None
