@@ -1,7 +1,7 @@
 """Score the grabber's events on real clips against ground truth.
 
-    python -m bench grab_truth [FOLDER...] [--variants] [--phases 4] [--details] [--json FILE]
-                               [--data FOLDER] [--vtest FILE] [--rtsp]
+    python -m bench grab_truth [FOLDER...] [--drawn SEEDS] [--variants] [--phases 4] [--details]
+                               [--json FILE] [--data FOLDER] [--vtest FILE] [--rtsp]
 
 Each FOLDER holds clips with their truth beside them: NAME.mp4 with NAME.jsonl, a line for each
 event, ``{"kind": "entry", "t": 8.25, "x": 0.31, "y": 0.88}`` (seconds from the beginning of the
@@ -11,6 +11,9 @@ FOLDER it scores the two clips with which the grabber was developed: one-by-one/
 the environment's CAMTOPOD_TEST_DATA) and Debian's vtest.avi.
 
 An event counts as found within 1.5 s and 0.12 of the picture's diagonal, if it is of the same kind.
+``--drawn`` adds drawn scenes of situations that are hard (two who enter together, a highway, a door
+in mid-view): for finding errors, not for judging how good the grabber is.
+
 Each clip is analysed several times, at 7 pictures a second, with the first frames left out, as a
 single clip's figures vary with the pictures that happen to be taken. ``--variants`` adds what can
 be made of the clips: mirrored, backwards in time, cropped where nobody enters or leaves, with half
@@ -33,6 +36,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
+from bench.scenes.drawn_clips import drawn_clips
 from bench.support import rtsp_streams as streams
 from bench.support.truth_clips import Clip, TruthError, clip_of, clips_in, with_variants
 from bench.support.watched_clips import HERE, VTEST, best_offset, match, one_by_one, shifted
@@ -113,6 +117,13 @@ def main(argv: list[str]) -> int:
         "--phases", type=int, default=PHASES, help="runs a clip (default: %(default)s)"
     )
     parser.add_argument(
+        "--drawn",
+        type=int,
+        default=0,
+        metavar="SEEDS",
+        help="also score drawn scenes, each from this many seeds",
+    )
+    parser.add_argument(
         "--details", action="store_true", help="list missed and spurious events of the first run"
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
@@ -132,7 +143,8 @@ def main(argv: list[str]) -> int:
     # Score the clips.
     try:
         clips = [clip for folder in arguments.folders for clip in clips_in(folder)]
-        if not arguments.folders:
+        clips += drawn_clips(arguments.drawn)
+        if not clips:
             clips = developed_with(arguments.vtest)
     except TruthError as error:
         print(f"grab_truth: {error}", file=sys.stderr)
