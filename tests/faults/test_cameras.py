@@ -364,7 +364,7 @@ def test_a_good_camera_is_said_to_run_and_only_its_events_are_data(
         },
     )
     assert out.returncode == 0
-    assert "camera good is running" in out.stderr.splitlines()
+    assert "info: camera good is running\n" in out.stderr
     assert all(event_from_json(line).camera == "good" for line in out.stdout.splitlines())
     assert len(out.stdout.splitlines()) >= 4
 
