@@ -21,7 +21,7 @@ STREAMS_MAX = 1000
 SILENT_SECONDS = 2.5
 """Time without a frame after which a camera's objects have left.
 
-Many sources send nothing while nobody is in view. An exit that waited for the next frame would be
+Many sources send nothing while the view is empty. An exit that waited for the next frame would be
 too late to be learned.
 """
 _CHECK_SECONDS = 0.5
@@ -78,7 +78,7 @@ class CameraStream:
     def update(self, seen: Seen, ended: Iterable[Name], t: float) -> list[Event]:
         """Return the events that a frame at ``t`` (seconds) makes certain.
 
-        ended: tracks that the tracker says are over.
+        ended: tracks that the tracker reports as ended.
 
         Raises `Rejected` if a later frame came before.
         """

@@ -91,21 +91,21 @@ def _unreadable(args: argparse.Namespace, error: OSError) -> str:
 
 
 def _found(args: argparse.Namespace) -> str:
-    """Return why a file is read that nobody gave, and how to go without it; "" if it was given."""
+    """Return a note that the file was found, not given with --config; "" if it was given."""
     if not getattr(args, "config_found", False):
         return ""
     return f" ({implicit_config.shown(args.config)} is read as there is no --config; none: no file)"
 
 
 def _skip(args: argparse.Namespace, why: str) -> None:
-    """Go on without the configuration that was found, and say so."""
+    """Warn about the configuration that was found, and continue without it."""
     where = implicit_config.shown(args.config)
     _say(args, logging.WARNING, f"{where} {why}: it is not used, every setting has its default")
     args.config, args.config_found = None, False
 
 
 def _name_once(args: argparse.Namespace) -> None:
-    """Say which configuration was found, the first time that it is read."""
+    """Log the path of the configuration that was found, the first time that it is read."""
     if getattr(args, "config_found", False) and not getattr(args, "config_named", False):
         args.config_named = True
         _say(args, logging.INFO, f"configuration: {implicit_config.shown(args.config)}")

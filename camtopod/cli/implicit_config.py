@@ -1,4 +1,4 @@
-"""The configuration that is read without --config: which file, and what if it has mistakes."""
+"""The configuration file that is read without --config."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ PLACES = (Path("camtopod.toml"), Path("/etc/camtopod/camtopod.toml"))
 NONE = "none"
 """Value of --config for no configuration at all."""
 _NEED_IT = ("run", "grab", "ingest", "keys", "check", "doctor")
-"""Commands that do not go on without an implicit file that cannot be used.
+"""Commands that stop if the file that was found cannot be used.
 
-They publish, learn or make certificates for the site that it names, or say what is wrong with it.
+They publish, learn or make certificates for a site, which the file may name, or check the file.
 """
 
 
@@ -38,7 +38,7 @@ def may_skip(args: argparse.Namespace) -> bool:
 
 
 def shown(path: Path) -> str:
-    """Return how messages call a file that was found: it says in which directory it is."""
+    """Return the path of a file that was found as messages show it, with its directory."""
     return str(path) if path.is_absolute() else f"./{path}"
 
 
@@ -48,6 +48,6 @@ def _exists(path: Path) -> bool:
         os.stat(path)
     except (FileNotFoundError, NotADirectoryError):
         return False
-    except OSError:  # reading it says why
+    except OSError:  # reading it will give the reason
         return True
     return True

@@ -1,4 +1,4 @@
-"""Which site a program is of: readers take the only one on the bus, all name the right one."""
+"""The site of a program without --site: readers take the only site on the bus."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def sites_instead(bus: Bus, config: Config) -> list[str]:
 
 
 def right_site(bus: Bus, config: Config) -> str:
-    """Return the end of a sentence that says that there is no daemon: which site has one, or ""."""
+    """Return the end of the message that a site has no daemon: the sites that have one, or ""."""
     return _named(sites_instead(bus, config))
 
 

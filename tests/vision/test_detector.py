@@ -1,4 +1,4 @@
-"""A detector beside motion: what it adds to the events, and where it is not believed."""
+"""A detector beside motion: what it adds to the events, and where it is not trusted."""
 
 from __future__ import annotations
 
@@ -155,14 +155,14 @@ def test_whoever_stands_is_held_while_others_pass() -> None:
     assert last.t == pytest.approx(54.0, abs=0.6)
 
 
-def test_what_moves_and_is_no_person_is_no_event_where_the_detector_is_believed() -> None:
+def test_what_moves_and_is_no_person_is_no_event_where_the_detector_is_trusted() -> None:
     other = Person(line(16.0, (-0.05, 0.8), (1.05, 0.8), 8.0), tall=0.12, shade=20)
     assert len(ColouredScene(ALONE, [other]).events(30, None)) >= 4
     scene = ColouredScene(ALONE, [other])
     assert kinds(scene.events(30, drawn(scene))) == ["entry", "exit"]
 
 
-# --- where it is not believed ---------------------------------------------------------------------
+# --- where it is not trusted ---------------------------------------------------------------------
 
 
 def test_a_blind_detector_changes_nothing(detector: Callable[..., Detector]) -> None:
@@ -170,39 +170,39 @@ def test_a_blind_detector_changes_nothing(detector: Callable[..., Detector]) -> 
         blind = detector(blind=True)
         events = ColouredScene(people, others).events(20, blind)
         assert lines(events) == lines(ColouredScene(people, others).events(20, None))
-        assert not blind.seen.believed
+        assert not blind.seen.trusted
         assert blind.statistics()["detector_agreement"] < 0.1
 
 
 def test_where_agreement_falls_motion_alone_counts_again(
     detector: Callable[..., Detector],
 ) -> None:
-    believed = []
+    trusted = []
     later = [
         Person(line(15.0 + 3 * k, (-0.05, 0.7), (1.05, 0.7), 7.0), tall=0.3, shade=30, seed=k)
         for k in range(8)
     ]
     both = detector()
-    view = ViewPipeline("cam", SETTINGS, lambda seen: believed.append(both.seen.believed), both)
+    view = ViewPipeline("cam", SETTINGS, lambda seen: trusted.append(both.seen.trusted), both)
     events = ColouredScene(ALONE, later).events(50, both, pipeline=view)
-    assert any(believed)
-    assert not believed[-1]
+    assert any(trusted)
+    assert not trusted[-1]
     assert sum(event.t > 35 for event in events) >= 4, "people that it does not see"
 
 
 def test_agreement_has_a_memory_and_two_thresholds() -> None:
     agreement = Agreement()
-    assert not agreement.believed
+    assert not agreement.trusted
     for _ in range(10):
         agreement.add(0.02, 0.016)
-    assert agreement.believed
+    assert agreement.trusted
     for _ in range(9):
         agreement.add(0.02, 0.0)
     assert 0.3 < agreement.share < 0.45
-    assert agreement.believed, "it is between the thresholds"
+    assert agreement.trusted, "it is between the thresholds"
     for _ in range(60):
         agreement.add(0.02, 0.0)
-    assert not agreement.believed
+    assert not agreement.trusted
     assert agreement.useless
 
 
@@ -357,7 +357,7 @@ def test_who_leaves_beside_another_is_kept_by_what_is_still_in_view() -> None:
 # --- pictures -------------------------------------------------------------------------------------
 
 
-def test_detections_are_drawn_and_whether_they_are_believed() -> None:
+def test_detections_are_drawn_and_whether_they_are_trusted() -> None:
     scene = ColouredScene(ALONE)
     looking = drawn(scene)
     overlay = Overlay("cam", SETTINGS, Words("{:.1f} s".format, lambda decision: decision.reason))

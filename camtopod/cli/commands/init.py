@@ -204,7 +204,7 @@ def smaller_streams(
 ) -> dict[str, tuple[str, Probe]]:
     """Return (URL, probe) of the smaller stream of each camera that has one which is big enough.
 
-    cameras, probes: sources and what was found there, by camera id.
+    cameras, probes: source and probe of each camera, by camera id.
     look: probes sources by camera id.
     """
     guesses = {

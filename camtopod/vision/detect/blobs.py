@@ -46,7 +46,7 @@ class Blob:
     foot_x: float
     area: float
     detected: bool | None = None
-    """Whether a detector sees an object in it; None: it has not looked, or is not believed."""
+    """Whether a detector sees an object in it; None: it has not looked, or is not trusted."""
     part_of: int = 0
     """Number of the moving region that a detector has split into several blobs; 0 if it has not."""
     heads: tuple[float, ...] = ()

@@ -1,13 +1,13 @@
 """The optional detector of people, a model that the operator has put on this machine.
 
-Motion says where and when to look and dates entries and exits; the detector says who is there and
-how many. Reading order:
+Motion chooses the parts of the picture to look at and dates entries and exits; the detector counts
+the people in them. Reading order:
 
-- `looker`: the step of the pipeline: when to look, and what follows;
-- `crops`: which parts of the picture to look at;
+- `looker`: the step of the pipeline; decides when to look;
+- `crops`: the parts of the picture to look at;
 - `model`: the model on OpenCV's DNN, with `onnx_header` (size of its input), `layouts` (its outputs
   -> boxes) and `coco` (names of its classes);
-- `agreement`: whether the detector is believed at this camera;
+- `agreement`: whether the detector is trusted at this camera;
 - `fusion`: motion and detections -> the blobs that are tracked;
 - `once`: describes a model for people (`camtopod check --probe`).
 """

@@ -1,17 +1,17 @@
-"""How far a detector and motion agree at one camera: whether the detector is believed there.
+"""Agreement of a detector with motion at one camera; it decides whether the detector is trusted.
 
 Measured without ground truth, as the share of the moving area that is inside of the detector's
 boxes. On real views a detector sees most of what moves (0.7 to 0.9) or hardly any of it (0.1 and
-less): people from above, cars where it looks for people, a dark picture. Where it is believed, it
-decides who is there and how many; elsewhere motion alone does.
+less): people from above, cars where it looks for people, a dark picture. Where it is trusted, its
+detections are the objects that are tracked; elsewhere the blobs of motion are.
 """
 
 from __future__ import annotations
 
-BELIEVED_FROM = 0.45
-"""Agreement from which a detector is believed."""
-BELIEVED_DOWN_TO = 0.3
-"""Agreement below which a detector is believed no more."""
+TRUSTED_FROM = 0.45
+"""Agreement from which a detector is trusted."""
+TRUSTED_DOWN_TO = 0.3
+"""Agreement below which a detector is trusted no longer."""
 USELESS_BELOW = 0.1
 """Agreement below which looks are a waste of time."""
 PRIOR = 0.25
@@ -31,7 +31,7 @@ class Agreement:
         self._area = PRIOR_AREA
         self._inside = PRIOR * PRIOR_AREA
         self._looks = 0
-        self._believed = False
+        self._trusted = False
 
     def add(self, area: float, inside: float) -> None:
         """Count the moving area of a look, and how much of it is inside of boxes.
@@ -42,7 +42,7 @@ class Agreement:
         self._area = kept * self._area + area
         self._inside = kept * self._inside + inside
         self._looks += 1
-        self._believed = self.share >= (BELIEVED_DOWN_TO if self._believed else BELIEVED_FROM)
+        self._trusted = self.share >= (TRUSTED_DOWN_TO if self._trusted else TRUSTED_FROM)
 
     @property
     def share(self) -> float:
@@ -50,9 +50,9 @@ class Agreement:
         return self._inside / self._area
 
     @property
-    def believed(self) -> bool:
-        """True if the detector decides who is there and how many."""
-        return self._believed
+    def trusted(self) -> bool:
+        """True if the detections of the detector are tracked, not the blobs of motion alone."""
+        return self._trusted
 
     @property
     def useless(self) -> bool:

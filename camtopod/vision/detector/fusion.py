@@ -1,11 +1,10 @@
 """Motion and detections of one frame -> the blobs that are tracked.
 
-Used only where the detector is believed. What moves and is detected once keeps its outline, which
-is steadier than a detection's, if the two are much alike; else it becomes the detection's box,
-whatever pieces motion shows of it or adds to it (joins pieces, drops shadows). What moves and
-is detected several times is split. What moves and is not detected stays as it is: it dates entries
-and exits, as a detector sees people late at the border. What is detected and does not move is kept
-if it is tracked: somebody stands.
+Used only where the detector is trusted. A blob with one detection keeps its outline, which is
+steadier than the box of a detection, if the two are much alike; otherwise the box of the detection
+replaces it, which joins pieces and drops shadows. A blob with several detections is split. A blob
+without a detection stays as it is: it dates entries and exits, as a detector finds people late at
+the border. A detection without motion is kept if it is tracked: a person who stands.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ def fuse(
 
     detections: boxes of objects.
     looked: parts of the picture that were looked at.
-    known: what is tracked.
+    known: the tracks.
     moving (H, W): mask of moving pixels.
 
     All in pixels of the working picture.
@@ -62,13 +61,13 @@ def fuse(
     links = [[d for d, box in enumerate(detections) if _linked(blob.box, box)] for blob in blobs]
     fused = []
 
-    # What moves and is not detected.
+    # Blobs without a detection.
     for blob, own in zip(blobs, links, strict=True):
         if not own:
             seen = any(_inside(blob.box, part) for part in looked)
             fused.append(replace(blob, detected=False) if seen else blob)
 
-    # What is detected: one blob each, with the number of the blob that several share.
+    # Detections: one blob each, with the number of the blob that several share.
     found = []
     for d, box in enumerate(detections):
         own_blobs = [b for b, own in enumerate(links) if d in own]
@@ -127,7 +126,7 @@ def share_inside(moving: Luma, part: Box, boxes: Sequence[Box]) -> tuple[int, in
 
 
 def _linked(blob: Box, detection: Box) -> bool:
-    """Return True if a blob shows a piece of what was detected, or holds it."""
+    """Return True if a blob shows a piece of a detected object, or contains it."""
     common = _common(blob, detection)
     if common is None:
         return False

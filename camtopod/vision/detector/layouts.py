@@ -1,6 +1,6 @@
 """Outputs of detectors -> boxes: the layouts in which exported models write them.
 
-Nobody standardised them, but the shapes differ. With C classes, an input of W x H pixels and
+There is no standard, but the shapes differ. With C classes, an input of W x H pixels and
 G = sum of (W / s) * (H / s) over the strides s = 8, 16, 32:
 
 - ``yolox``: (1, G, 5 + C): x, y, width, height, objectness, classes; positions relative to the cell

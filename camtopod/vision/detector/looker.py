@@ -1,7 +1,7 @@
 """The detector of one view: one more step of the pipeline, between blobs and tracks.
 
 In each frame it looks where something moves or stands, as often as it may, measures how far it
-agrees with motion, and returns the blobs to track: those of motion, or, where it is believed, those
+agrees with motion, and returns the blobs to track: those of motion, or, where it is trusted, those
 of `fusion`.
 """
 
@@ -44,7 +44,7 @@ class Seen(NamedTuple):
     parts: Sequence[Box] = ()
     """Parts that were looked at."""
     detections: Sequence[Detection] = ()
-    believed: bool = False
+    trusted: bool = False
     """The detector decides who is there and how many."""
     agreement: float = 0.0
     """Share of the moving area inside of its boxes, a running mean."""
@@ -105,10 +105,10 @@ class Detector:
             if one.score >= self._settings.score or any(same(k.box, one.box) for k in known)
         )
         self._measure(moving, looked, detections)
-        self.seen = Seen(looked, detections, self._agreement.believed, self._agreement.share)
+        self.seen = Seen(looked, detections, self._agreement.trusted, self._agreement.share)
 
-        # Where it is not believed, motion alone counts.
-        if not self._agreement.believed:
+        # Where it is not trusted, motion alone counts.
+        if not self._agreement.trusted:
             self._standing.clear()
             return blobs
         boxes = [one.box for one in detections]
@@ -117,7 +117,7 @@ class Detector:
 
     def holds(self, box: Box) -> bool:
         """Return True if somebody was detected in ``box`` lately (working picture)."""
-        return self._agreement.believed and (
+        return self._agreement.trusted and (
             any(same(box, one.box) for one in self.seen.detections)
             or any(same(box, standing) for _, standing in self._standing)
         )

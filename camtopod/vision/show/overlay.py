@@ -120,7 +120,7 @@ class Overlay:
         # Words.
         state = "" if seen.moving is not None else "  most of the picture has changed"
         if seen.looked is not None:
-            state += f"  detector {'' if seen.looked.believed else 'not '}believed, "
+            state += f"  detector {'' if seen.looked.trusted else 'not '}trusted, "
             state += f"agreement {seen.looked.agreement:.2f}"
         _write(picture, (6, 16), f"{self._camera}  {self._words.time(seen.t)}{state}", _WORDS)
         return cv2.vconcat([picture, self._strip()])

@@ -26,7 +26,7 @@ brief: followed for `value` seconds.
 patchy: seen in the share `value` of the frames.
 still: moved by `value` heights.
 low: as tall as the setting `min_height` in `value` sightings.
-undetected: the detector, which is believed here, saw it in the share `value` of its looks.
+undetected: the detector, which is trusted here, saw it in the share `value` of its looks.
 """
 
 Beginning = Literal["entered", "split", "from start", "beside others", "in mid-view", "continues"]

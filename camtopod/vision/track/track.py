@@ -59,7 +59,7 @@ class Track:
     edge: Edge | None = None
     """Edge by which it left; None while it has not."""
     looks: int = 0
-    """Sightings at which a detector has looked that is believed at this camera."""
+    """Sightings at which a detector has looked that is trusted at this camera."""
     detections: int = 0
     """Those of them in which it saw an object."""
     part_of: int = 0
