@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.support.films import floor
+from bench.support.films import draw_person, floor
 from bench.support.truth_clips import Clip, Picture
 from camtopod.records import Event, Kind
 from camtopod.vision import VisionSettings
@@ -101,23 +101,7 @@ def person(
     canvas: Canvas, x: float, y: float, size: float, t: float, colours: tuple[int, ...]
 ) -> None:
     """Draw a walking person of height ``size``."""
-    coat, trousers = colours[:3], colours[3:]
-    swing = 0.12 * float(np.sin(2 * np.pi * t))
-
-    def at(across: float, up: float) -> tuple[int, int]:
-        return _fixed(x + across * size), _fixed(y - up * size)
-
-    def limb(
-        a: tuple[float, float], b: tuple[float, float], wide: float, colour: tuple[int, ...]
-    ) -> None:
-        thick = max(1, round(wide * size))
-        cv2.line(canvas, at(*a), at(*b), colour, thick, cv2.LINE_AA, _SUBPIXEL)
-
-    for side in (-1, 1):
-        limb((0.04 * side, 0.48), (0.04 * side + side * swing, 0.03), 0.1, trousers)
-        limb((0.12 * side, 0.76), (0.12 * side - side * swing, 0.48), 0.07, coat)
-    limb((0.0, 0.5), (0.0, 0.74), 0.22, coat)
-    cv2.circle(canvas, at(0.0, 0.92), _fixed(0.075 * size), (120, 150, 190), -1, cv2.LINE_AA, 4)
+    draw_person(canvas, x, y, size, 0.12 * float(np.sin(2 * np.pi * t)), colours)
 
 
 def car_from_the_side(

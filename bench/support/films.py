@@ -162,7 +162,20 @@ def draw(picture: NDArray[Any], walker: Walker, t: float) -> None:
     x = -margin + (share if walker.rightwards else 1.0 - share) * (width + 2 * margin)
     y = walker.foot_row * height
     swing = 0.12 * np.sin(2 * np.pi * share * width / (2 * STRIDE_HEIGHTS * tall))
-    coat, trousers = walker.clothes[:3], walker.clothes[3:]
+    draw_person(picture, x, y, tall, swing, walker.clothes)
+
+
+def draw_person(
+    picture: NDArray[Any], x: float, y: float, tall: float, swing: float, clothes: tuple[int, ...]
+) -> None:
+    """Draw a person.
+
+    x, y (pixels): foot point.
+    tall (pixels): height.
+    swing: how far arms and legs swing, heights.
+    clothes: colours of coat and trousers, one after the other.
+    """
+    coat, trousers = clothes[:3], clothes[3:]
 
     def at(across: float, up: float) -> tuple[int, int]:
         return round((x + across * tall) * (1 << _SUBPIXEL)), round(

@@ -47,6 +47,29 @@ _ROLES: dict[str, rules.Role] = {
 """Subcommand -> role of the certificate that it issues."""
 
 
+SUBCOMMANDS = {
+    "init": (
+        "create an authority and the daemon's certificate",
+        "camtopod keys init --host 192.0.2.10",
+    ),
+    "daemon": (
+        "issue a new certificate for the daemon, or for a zenoh router",
+        "camtopod keys daemon --host 192.0.2.10 --replace",
+    ),
+    "camera": ("issue a certificate for each camera", "camtopod keys camera lobby hall"),
+    "reader": (
+        "issue a certificate for a program that reads topology and predictions",
+        "camtopod keys reader web",
+    ),
+    "revoke": (
+        "revoke the certificate of a camera or reader",
+        "camtopod keys revoke camera lobby",
+    ),
+    "list": ("list all certificates and when they expire", "camtopod keys list"),
+}
+"""Help and example of each subcommand."""
+
+
 def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
     """Add `keys` with its subcommands; return their parsers."""
     parser = subparsers.add_parser(
@@ -59,29 +82,38 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
         epilog="example: camtopod keys camera lobby hall",
     )
     commands = parser.add_subparsers(dest="keys_command", metavar="WHAT", required=True)
-    init = commands.add_parser(
-        "init",
-        help="create an authority and the daemon's certificate",
-        epilog="example: camtopod keys init --host 192.0.2.10",
-    )
-    init.add_argument(
+    inner = {
+        name: commands.add_parser(name, help=text, epilog=f"example: {example}")
+        for name, (text, example) in SUBCOMMANDS.items()
+    }
+    _add_own_options(inner)
+    _add_shared_options(inner)
+
+    # The folder may be given before or after the subcommand.
+    for its, folder in [
+        (parser, DEFAULT_FOLDER),
+        *((x, argparse.SUPPRESS) for x in inner.values()),
+    ]:
+        its.add_argument(
+            "--keys",
+            type=Path,
+            default=folder,
+            metavar="FOLDER",
+            help=f"folder of the authority and the certificates (default: {DEFAULT_FOLDER})",
+        )
+    return [*inner.values()]
+
+
+def _add_own_options(inner: dict[str, argparse.ArgumentParser]) -> None:
+    """Add the options of single subcommands."""
+    inner["init"].add_argument(
         "--authority-days",
         type=_days,
         default=AUTHORITY_DAYS,
         metavar="N",
         help="validity of the authority, days (default: %(default)s)",
     )
-    daemon = commands.add_parser(
-        "daemon",
-        help="issue a new certificate for the daemon, or for a zenoh router",
-        epilog="example: camtopod keys daemon --host 192.0.2.10 --replace",
-    )
-    camera = commands.add_parser(
-        "camera",
-        help="issue a certificate for each camera",
-        epilog="example: camtopod keys camera lobby hall",
-    )
-    camera.add_argument(
+    inner["camera"].add_argument(
         "--for",
         dest="cameras",
         action="append",
@@ -90,28 +122,19 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
         help="NAME is a program that publishes events of several cameras (`camtopod ingest`), and "
         "CAMERA is one of them; may be repeated",
     )
-    reader = commands.add_parser(
-        "reader",
-        help="issue a certificate for a program that reads topology and predictions",
-        epilog="example: camtopod keys reader web",
+    inner["revoke"].add_argument(
+        "role", choices=("camera", "reader"), help="role of the certificate"
     )
-    revoke = commands.add_parser(
-        "revoke",
-        help="revoke the certificate of a camera or reader",
-        epilog="example: camtopod keys revoke camera lobby",
-    )
-    listing = commands.add_parser(
-        "list",
-        help="list all certificates and when they expire",
-        epilog="example: camtopod keys list",
-    )
-    revoke.add_argument("role", choices=("camera", "reader"), help="role of the certificate")
-    for named in (camera, reader, revoke):
-        named.add_argument(
+
+
+def _add_shared_options(inner: dict[str, argparse.ArgumentParser]) -> None:
+    """Add the options that several subcommands have."""
+    for name in ("camera", "reader", "revoke"):
+        inner[name].add_argument(
             "names", nargs="+", metavar="NAME", help="the camera's id, or any name for a reader"
         )
-    for hosted, default in ((init, ""), (daemon, " (default: as before)")):
-        hosted.add_argument(
+    for name, default in (("init", ""), ("daemon", " (default: as before)")):
+        inner[name].add_argument(
             "--host",
             action="append",
             default=[],
@@ -119,29 +142,19 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
             help="host name or address at which others connect to the daemon; may be "
             f"repeated{default}",
         )
-    for made in (init, daemon, camera, reader):
-        made.add_argument(
+    for name in ("init", "daemon", "camera", "reader"):
+        inner[name].add_argument(
             "--days",
             type=_days,
             default=DAYS,
             metavar="N",
             help="validity of the certificate, days (default: %(default)s)",
         )
-        made.add_argument(
+        inner[name].add_argument(
             "--replace",
             action="store_true",
             help="replace the existing one, which loses its rights",
         )
-    inner = [init, daemon, camera, reader, revoke, listing]
-    for its, folder in [(parser, DEFAULT_FOLDER), *((each, argparse.SUPPRESS) for each in inner)]:
-        its.add_argument(
-            "--keys",
-            type=Path,
-            default=folder,
-            metavar="FOLDER",
-            help=f"folder of the authority and the certificates (default: {DEFAULT_FOLDER})",
-        )
-    return inner
 
 
 def run(args: argparse.Namespace) -> int:
