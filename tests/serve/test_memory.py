@@ -28,18 +28,24 @@ def resident_bytes():
 """
 
 THREADS = f"""{RESIDENT}
-def work():
-    fitted = [bytearray(60_000) for _ in range(300)]
-    all_fitted.wait()  # what waiting allocates would keep the end of the heap, if it came later
-    del fitted
-    freed.append(None)
-    while len(freed) < 3:  # a thread that ends would leave its arena to another
+def wait_for(steps, number):
+    steps[number] = True  # polling allocates nothing, other than a barrier
+    while not all(steps):
         time.sleep(0.001)
 
+def work(number):
+    fitted = [None] * 300  # a list that grows leaves small blocks between the large ones
+    wait_for(started, number)
+    for block in range(300):
+        fitted[block] = bytearray(60_000)
+    wait_for(allocated, number)
+    del fitted
+    wait_for(freed, number)  # a thread that ends would leave its arena to another
+
 bytearray(30_000_000)  # raises glibc's dynamic threshold, up to which it keeps free memory
-freed = []
-before, all_fitted = resident_bytes(), threading.Barrier(3)
-threads = [threading.Thread(target=work) for _ in range(3)]
+started, allocated, freed = ([False] * 3 for _ in range(3))
+before = resident_bytes()
+threads = [threading.Thread(target=work, args=(number,)) for number in range(3)]
 [thread.start() for thread in threads]
 [thread.join() for thread in threads]
 print(resident_bytes() - before)
