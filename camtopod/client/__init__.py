@@ -1,4 +1,4 @@
-"""Client library for other programs: publishable events from a tracker, live topology, predictions.
+"""Client library for other programs: events from a tracker, live topology, predictions.
 
     from camtopod.client import Topology
 
@@ -11,20 +11,27 @@ For a daemon on another machine pass its endpoint: ``connect="tcp/192.168.1.5:74
 dependencies are needed.
 
 Reading order: `site` (the public classes), `site_view` (their common part), `gate` (association
-priors), `errors`, then `prediction_queue` and `wakeup` (queueing and notification).
+priors), `publisher`, `errors`, then `prediction_queue` and `wakeup` (queueing and notification).
 """
 
 from camtopod.adapt import TrackEvents
 from camtopod.client.errors import NothingLearned, UnknownPlace
 from camtopod.client.gate import Gate
+from camtopod.client.publisher import Publisher
 from camtopod.client.site import Predictions, Topology
+from camtopod.records import Event, Prediction
 from camtopod.serve.bus import BusError
+from camtopod.serve.storage import StateError
 
 __all__ = [
     "BusError",
+    "Event",
     "Gate",
     "NothingLearned",
+    "Prediction",
     "Predictions",
+    "Publisher",
+    "StateError",
     "Topology",
     "TrackEvents",
     "UnknownPlace",

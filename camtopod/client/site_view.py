@@ -58,7 +58,7 @@ class SiteView:
         self, site: str | None = None, connect: str | Sequence[str] = (), config: Settings = None
     ) -> None:
         """Connect; arguments are those of `camtopod.client.Topology.connect`."""
-        settings = _settings(site, connect, config)
+        settings = settings_of(site, connect, config)
         self._bus = dial(settings)
         self._news = ChangeSignal()
         self._mutex = threading.Lock()  # predictors are not thread-safe
@@ -298,7 +298,7 @@ class SiteView:
         self._wake.set()
 
 
-def _settings(site: str | None, connect: str | Sequence[str], config: Settings) -> configs.Config:
+def settings_of(site: str | None, connect: str | Sequence[str], config: Settings) -> configs.Config:
     """Return the configuration with site and endpoints applied.
 
     Raises `camtopod.config.settings.ConfigError`, OSError, ValueError.

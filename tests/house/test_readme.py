@@ -7,6 +7,7 @@ pages of deploy/ in `test_deploy`.
 from __future__ import annotations
 
 import argparse
+import functools
 import importlib
 import re
 import shlex
@@ -16,8 +17,9 @@ from pathlib import Path
 import pytest
 from pages import FENCED, PAGES, blocks, invocations, links, shown
 from paths import ROOT
-from serving import numbered, walkers
+from serving import free_endpoint, numbered, walkers
 
+from camtopod import client
 from camtopod.cli.main import COMMANDS, parser_of
 from camtopod.codec import event_from_json
 from camtopod.learn.learner import Learner
@@ -228,17 +230,28 @@ def test_every_block_of_python_compiles_and_is_run_by_some_test() -> None:
     assert len(PYTHON) == 5
 
 
-def test_a_tracker_s_boxes_become_event_lines(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_tracker_s_boxes_are_published(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A person crosses an empty picture in four seconds."""
+    events: list[Event] = []
+
+    class Recording(client.Publisher):
+        def publish(self, *further: Event) -> None:
+            events.extend(further)
+            super().publish(*further)
+
+    recording = functools.partial(Recording, connect=free_endpoint(), state=tmp_path)
+    monkeypatch.setattr(client, "Publisher", recording)
+
     before, after = ([(k / 10, [], []) for k in some] for some in (range(20), range(60, 120)))
     there = [(k / 10, [7], [(48 * k - 960, 400, 48 * k - 860, 900)]) for k in range(20, 60)]
     exec(block_with("your_tracker"), {"your_tracker": [*before, *there, *after]})
-    events = [event_from_json(line) for line in capsys.readouterr().out.splitlines()]
     assert [(event.camera, event.kind, event.t) for event in events] == [
         ("lobby", "entry", 2.0),
         ("lobby", "exit", 5.9),
     ]
     assert len({event.track for event in events}) == 1
+    with recording("lobby") as again:
+        assert again.waiting == 2, "no daemon was there"
 
 
 def test_the_learner_s_surface_is_as_shown() -> None:

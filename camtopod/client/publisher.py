@@ -1,0 +1,129 @@
+"""Publish the events of a camera from another program, with the spool that grabbers have."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+from camtopod import codec
+from camtopod.client.site_view import Settings, settings_of
+from camtopod.config import Config
+from camtopod.records import CAMERA_PATTERN, Event
+from camtopod.serve.bus import Bus, BusError, dial
+from camtopod.serve.outbox import Publisher as Outbox
+from camtopod.serve.outbox import open_spool
+
+RETRY_SECONDS = 1.0
+"""Interval between two attempts to connect, and to store events that a full disk has delayed."""
+
+
+class Publisher:
+    """Publish the events of one camera: each is on disk until a daemon has stored it.
+
+        with Publisher("lobby") as publisher:
+            for t, ids, boxes in tracker:
+                publisher.publish(*tracks.update(ids, boxes, t))
+            publisher.wait_stored(10.0)
+
+    A daemon that is not there is waited for in the background, and events that no daemon has stored
+    by the end are published when the camera's next publisher starts. All methods may be called from
+    any thread.
+
+    camera: id of the camera; one program at a time may publish it.
+    site, connect, config: as for `camtopod.client.Topology.connect`.
+    state: directory for the spool; without it that of the configuration.
+
+    Raises ValueError for an invalid camera, site or endpoint; `StateError` (an OSError) if the
+    directory cannot be written or another program publishes this camera from it;
+    `camtopod.config.settings.ConfigError` or OSError if the configuration cannot be read.
+    """
+
+    def __init__(
+        self,
+        camera: str,
+        site: str | None = None,
+        connect: str | Sequence[str] = (),
+        config: Settings = None,
+        state: str | Path | None = None,
+    ) -> None:
+        if not re.match(CAMERA_PATTERN, camera):
+            raise ValueError(f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
+        settings = settings_of(site, connect, config)
+        directory = settings.state_directory if state is None else Path(state)
+        self.camera = camera
+        self._spool = open_spool(directory, settings.site.name, camera, settings.limits)
+        self._outbox = Outbox(self._spool, settings.limits.spool_batch_events)
+        self._mutex = threading.Lock()  # of the outbox, the bus and the spool
+        self._bus: Bus | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(
+            target=self._keep_going, args=[settings], name=f"publisher of {camera}", daemon=True
+        )
+        self._thread.start()
+
+    def publish(self, *events: Event) -> None:
+        """Store events in the spool, and publish them if there is a connection.
+
+        Raises ValueError for an event of another camera or with values out of range, before any of
+        the events is stored, and if this publisher is closed.
+        """
+        for event in events:
+            if event.camera != self.camera:
+                raise ValueError(f"an event of {event.camera}: this publishes {self.camera} only")
+            codec.event_from_msgpack(codec.to_msgpack(event))
+        with self._mutex:
+            if self._closing.is_set():
+                raise ValueError(f"the publisher of {self.camera} is closed")
+            self._outbox.publish(*events)
+
+    def wait_stored(self, seconds: float) -> bool:
+        """Wait until a daemon has stored all events; return False if not within ``seconds``."""
+        return self._outbox.wait_acknowledged(seconds)
+
+    @property
+    def waiting(self) -> int:
+        """Number of events that are not known to be stored by a daemon."""
+        return self._outbox.unacknowledged
+
+    @property
+    def dropped(self) -> int:
+        """Number of events lost because the spool was full, or could not be written for long."""
+        return self._outbox.statistics()["dropped"]
+
+    def close(self) -> None:
+        """Leave the bus; events that no daemon has stored stay in the spool."""
+        self._closing.set()
+        with self._mutex:
+            if self._bus is not None:
+                self._bus.close()
+                self._bus = None
+            self._spool.close()
+
+    def __enter__(self) -> Publisher:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _keep_going(self, settings: Config) -> None:
+        """Connect as soon as possible; store events later that could not be stored at once."""
+        while not self._closing.is_set():
+            if self._bus is None:
+                with contextlib.suppress(BusError):  # the daemon is waited for
+                    self._use(dial(settings))
+            with self._mutex:
+                if not self._closing.is_set():
+                    self._outbox.retry()
+            self._closing.wait(RETRY_SECONDS)
+
+    def _use(self, bus: Bus) -> None:
+        """Publish on a bus from now on, unless closed meanwhile."""
+        with self._mutex:
+            if self._closing.is_set():
+                bus.close()
+            else:
+                self._outbox.attach(bus, [self.camera])
+                self._bus = bus

@@ -1,0 +1,63 @@
+"""Events of another program, published with a spool."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from fake_bus_daemon import running
+from serving import WAIT_SECONDS, free_endpoint, wait_for, walkers
+
+from camtopod.client import Event, Publisher, StateError
+
+EVENTS = [event for event in walkers(20) if event.camera == "a"]
+
+
+def test_a_daemon_stores_what_is_published(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with (
+        running(tmp_path, endpoint) as daemon,
+        Publisher("a", connect=endpoint, state=tmp_path / "state-of-a") as publisher,
+    ):
+        publisher.publish(*EVENTS[:10])
+        publisher.publish(*EVENTS[10:])
+        assert publisher.wait_stored(WAIT_SECONDS)
+        assert (publisher.waiting, publisher.dropped) == (0, 0)
+        wait_for(lambda: daemon.status()["events"]["stored"] == len(EVENTS), "all events")
+
+
+def test_events_wait_for_a_daemon_that_comes_later(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with Publisher("a", connect=endpoint, state=tmp_path / "state-of-a") as publisher:
+        publisher.publish(*EVENTS[:10])
+        assert publisher.waiting == 10
+    with (
+        Publisher("a", connect=endpoint, state=tmp_path / "state-of-a") as publisher,
+        running(tmp_path, endpoint) as daemon,
+    ):
+        publisher.publish(*EVENTS[10:])
+        assert publisher.wait_stored(WAIT_SECONDS)
+        wait_for(lambda: daemon.status()["events"]["stored"] == len(EVENTS), "all events")
+
+
+def test_what_is_wrong_is_refused_before_anything_is_stored(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with pytest.raises(ValueError, match="1 to 64 of the characters"):
+        Publisher("the lobby", connect=endpoint, state=tmp_path)
+    with pytest.raises(ValueError, match="write it like tcp/"):
+        Publisher("a", connect="127.0.0.1", state=tmp_path)
+    with Publisher("a", connect=endpoint, state=tmp_path) as publisher:
+        with pytest.raises(ValueError, match="this publishes a only"):
+            publisher.publish(EVENTS[0], Event("b", "entry", 1.0))
+        with pytest.raises(ValueError, match="x"):
+            publisher.publish(EVENTS[0], Event("a", "entry", 1.0, 1.5, 0.5))
+        assert publisher.waiting == 0
+        with pytest.raises(StateError, match="held by another camtopod process"):
+            Publisher("a", connect=endpoint, state=tmp_path)
+    with pytest.raises(ValueError, match="closed"):
+        publisher.publish(EVENTS[0])
+
+
+def test_a_directory_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    with pytest.raises(StateError, match="cannot write the state directory"):
+        Publisher("a", connect=free_endpoint(), state="/proc/none")
