@@ -34,24 +34,26 @@ PairRelation = Literal["overlapped", "unseen_path"]
 
 
 class Event(Struct, frozen=True, omit_defaults=True, gc=False):
-    """One object that appears in the view of a camera (``entry``) or leaves it (``exit``).
-
-    x, y (fractions of the image): foot point; both or neither.
-    track: ties the entry and the exit of one passage through this camera's view.
-    boot, seq: incarnation of the publisher, and a gap-free count within it; they make delivery
-        idempotent.
-    clock_sd (seconds): standard deviation of ``t``.
-    """
+    """One object that appears in the view of a camera (``entry``) or leaves it (``exit``)."""
 
     camera: CameraId
+    """Id of the camera."""
     kind: Kind
+    """``entry`` or ``exit``."""
     t: Annotated[float, Meta(ge=-1e11, le=1e11)]
+    """Time of capture, seconds since the Unix epoch."""
     x: Annotated[float, Meta(ge=0, le=1)] | None = None
+    """Foot point, as a fraction of the image's width from the left; with ``y`` or not at all."""
     y: Annotated[float, Meta(ge=0, le=1)] | None = None
+    """Foot point, as a fraction of the image's height from the top; with ``x`` or not at all."""
     track: Annotated[str, Meta(max_length=128)] | int | None = None
+    """Ties the entry and the exit of one passage through this camera's view."""
     boot: Annotated[str, Meta(max_length=64)] | None = None
+    """Incarnation of the publisher; with ``seq``, an event that is delivered twice counts once."""
     seq: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
+    """Number of the event in a count without gaps, within ``boot`` and the camera."""
     clock_sd: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+    """Standard deviation of ``t``, seconds."""
 
 
 class Zone(Struct, frozen=True, omit_defaults=True):
@@ -433,59 +435,79 @@ class Delta(Struct, frozen=True, omit_defaults=True):
 
 
 class NextCamera(Struct, frozen=True):
-    """One possible next appearance of an object; the quantiles are in seconds after its exit."""
+    """One possible next appearance of an object that has left a view."""
 
     camera: str
+    """Camera in whose view it appears."""
     zone: str
+    """Id of the zone where it appears."""
     probability: float
+    """Probability of this appearance."""
     q10: float
+    """Beginning of the time window, seconds after the exit: it appears earlier in 10 % of cases."""
     q50: float
+    """Median time of the appearance, seconds after the exit."""
     q90: float
+    """End of the time window, seconds after the exit: it appears later in 10 % of cases."""
 
 
 class Look(Struct, frozen=True):
     """Probability that a camera sees the object when it exits or, if none does, sees it next."""
 
     camera: str
+    """The camera, which is not the one whose view the object left."""
     probability: float
+    """The probability."""
 
 
 class InView(Struct, frozen=True):
-    """A passage under way in the view of ``camera`` that may be of the object that left.
-
-    since (Unix seconds): when the passage began.
-    probability: probability that the passage is of that object.
-    """
+    """A passage under way in another view that may be of the object that left."""
 
     camera: str
+    """Camera that sees the passage."""
     track: str
+    """Track of the passage in that view."""
     since: float
+    """Time when the passage began, seconds since the Unix epoch."""
     probability: float
+    """Probability that the passage is of the object that left."""
 
 
 class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next"}):
-    """Where an object that has just left a view appears next.
-
-    next: possible next appearances, by falling probability.
-    leave: probability that the object leaves the site; with those of ``next``, and with ``others``
-        if that is there, it sums to 1.
-    look, in_view: by falling probability; present if other views overlap the one that was left. The
-        probabilities of ``look`` may sum to more than 1, as several cameras may see the object at
-        once.
-    others: sum of the probabilities of next appearances that are left out of ``next``; None if
-        ``next`` has all of them.
-    """
+    """Where an object that has just left a view appears next."""
 
     camera: str
+    """Camera whose view the object left."""
     zone: str | None
+    """Id of the zone where it left; None if the camera has no zone yet."""
     t: float
+    """Time of the exit, seconds since the Unix epoch."""
     track: str | None
+    """Track of the object in that view; None if unknown."""
     version: int
+    """Version of the topology that was used."""
     leave: float
+    """Probability that the object leaves the site.
+
+    With the probabilities of ``next``, and with ``others`` if that is there, it sums to 1.
+    """
     next_: list[NextCamera]
+    """Possible next appearances, by falling probability; the JSON key is ``next``."""
     look: list[Look] | None = None
+    """Cameras that may see the object now or next, by falling probability.
+
+    It is there if other views overlap the one that was left. The probabilities may sum to more than
+    1, as several cameras may see the object at once.
+    """
     in_view: list[InView] | None = None
+    """Passages under way that may be of the object, by falling probability.
+
+    It is there if other views overlap the one that was left.
+    """
     others: float | None = None
+    """Sum of the probabilities of the appearances that are left out of ``next``; None if
+    ``next`` has all of them.
+    """
 
 
 class Ack(Struct, frozen=True, omit_defaults=True):

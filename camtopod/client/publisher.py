@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import re
 import threading
 from collections.abc import Sequence
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from camtopod import codec
 from camtopod.client.site_view import Settings, settings_of
@@ -16,6 +19,8 @@ from camtopod.serve.bus import Bus, BusError, dial
 from camtopod.serve.outbox import Publisher as Outbox
 from camtopod.serve.outbox import open_spool
 
+ATTEMPT_SECONDS = 2.0
+"""Longest attempt to connect; `Publisher.close` waits until the present one has ended."""
 RETRY_SECONDS = 1.0
 """Interval between two attempts to connect, and to store events that a full disk has delayed."""
 
@@ -63,6 +68,7 @@ class Publisher:
             target=self._keep_going, args=[settings], name=f"publisher of {camera}", daemon=True
         )
         self._thread.start()
+        atexit.register(self.close)  # a thread inside zenoh must not see the interpreter end
 
     def publish(self, *events: Event) -> None:
         """Store events in the spool, and publish them if there is a connection.
@@ -95,11 +101,14 @@ class Publisher:
 
     def close(self) -> None:
         """Leave the bus; events that no daemon has stored stay in the spool."""
+        if self._closing.is_set():
+            return
+        atexit.unregister(self.close)
         self._closing.set()
+        self._thread.join()
         with self._mutex:
             if self._bus is not None:
-                self._bus.close()
-                self._bus = None
+                self._bus.close()  # before the spool, which answers queries until then
             self._spool.close()
 
     def __enter__(self) -> Publisher:
@@ -110,6 +119,8 @@ class Publisher:
 
     def _keep_going(self, settings: Config) -> None:
         """Connect as soon as possible; store events later that could not be stored at once."""
+        seconds = min(settings.bus.connect_seconds, ATTEMPT_SECONDS)
+        settings = replace(settings, bus=replace(settings.bus, connect_seconds=seconds))
         while not self._closing.is_set():
             if self._bus is None:
                 with contextlib.suppress(BusError):  # the daemon is waited for

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from fake_bus_daemon import running
+from paths import ROOT
 from serving import WAIT_SECONDS, free_endpoint, wait_for, walkers
 
 from camtopod.client import Event, Publisher, StateError
@@ -54,6 +57,7 @@ def test_what_is_wrong_is_refused_before_anything_is_stored(tmp_path: Path) -> N
         assert publisher.waiting == 0
         with pytest.raises(StateError, match="held by another camtopod process"):
             Publisher("a", connect=endpoint, state=tmp_path)
+    publisher.close()
     with pytest.raises(ValueError, match="closed"):
         publisher.publish(EVENTS[0])
 
@@ -61,3 +65,15 @@ def test_what_is_wrong_is_refused_before_anything_is_stored(tmp_path: Path) -> N
 def test_a_directory_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     with pytest.raises(StateError, match="cannot write the state directory"):
         Publisher("a", connect=free_endpoint(), state="/proc/none")
+
+
+def test_a_program_that_never_closes_it_ends_in_peace(tmp_path: Path) -> None:
+    program = (
+        "from camtopod.client import Event, Publisher\n"
+        f"Publisher('a', connect={free_endpoint()!r}, state={str(tmp_path)!r}).publish("
+        "Event('a', 'entry', 1.0))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, cwd=ROOT)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+    with Publisher("a", connect=free_endpoint(), state=tmp_path) as publisher:
+        assert publisher.waiting == 1

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 from msgspec import Struct
 
+from camtopod import records
 from camtopod.cli.generated.config_schema import schema as configuration_schema
+from camtopod.cli.generated.example_config import attribute_docs
 from camtopod.records import (
     DELTA_SCHEMA,
     TOPOLOGY_SCHEMA,
@@ -20,6 +24,7 @@ from camtopod.records import (
 )
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_NONE = re.compile(r"\bNone\b")
 
 
 class Status(Struct):
@@ -45,7 +50,7 @@ class Status(Struct):
     version: int | None = None
 
 
-_MESSAGES: dict[str, type[Struct]] = {
+MESSAGES: dict[str, type[Struct]] = {
     "event": Event,
     "topology": Topology,
     "delta": Delta,
@@ -53,7 +58,8 @@ _MESSAGES: dict[str, type[Struct]] = {
     "status": Status,
     "ack": Ack,
 }
-NAMES = (*_MESSAGES, "configuration")
+"""The messages on the bus, by name."""
+NAMES = (*MESSAGES, "configuration")
 """Names of the schemas."""
 
 
@@ -69,23 +75,48 @@ def message_schema(name: str) -> dict[str, Any]:
     """
     if name == "configuration":
         return configuration_schema()
-    kind = _MESSAGES[name]
-    made = _portable(msgspec.json.schema(kind))
-    described = made["$defs"][kind.__name__]
-    properties = described["properties"]
-    if name == "event":  # a position has both coordinates
-        described["dependentRequired"] = {"x": ["y"], "y": ["x"]}
-    elif name == "topology":
-        properties["schema"] = {"const": TOPOLOGY_SCHEMA}
-    elif name == "delta":
-        properties["schema"] = {"const": DELTA_SCHEMA}
-    return {"$schema": _DIALECT, "title": f"camtopod {name}", **made}
+    reference, made = described_types([MESSAGES[name]], "#/$defs/{name}")
+    return {
+        "$schema": _DIALECT,
+        "title": f"camtopod {name}",
+        **reference[0],
+        "$defs": made,
+    }
+
+
+def described_types(
+    kinds: Sequence[type[Struct]], ref_template: str
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Return a reference to the schema of each type, and all schemas by the name of the type.
+
+    ref_template: form of the references, with ``{name}`` for the name of a type.
+    """
+    references, made = msgspec.json.schema_components(kinds, ref_template=ref_template)
+    for name, described in made.items():
+        _describe(described, Status if name == "Status" else getattr(records, name))
+
+    # What the types cannot express.
+    if "Event" in made:  # a position has both coordinates
+        made["Event"]["dependentRequired"] = {"x": ["y"], "y": ["x"]}
+    for kind, schema in (("Topology", TOPOLOGY_SCHEMA), ("Delta", DELTA_SCHEMA)):
+        if kind in made:
+            made[kind]["properties"]["schema"] = {"const": schema}
+    return list(references), _portable(made)
+
+
+def _describe(described: dict[str, Any], kind: type[Struct]) -> None:
+    """Add the docstrings of a type's fields to its schema."""
+    documents = attribute_docs(kind)
+    for field in msgspec.structs.fields(kind):
+        if field.name in documents:
+            described["properties"][field.encode_name]["description"] = documents[field.name]
 
 
 def _portable(node: Any) -> Any:
     r"""Return a schema without what only Python reads.
 
-    Patterns end with ``$`` instead of ``\Z``. Descriptions have no markup of docstrings.
+    Patterns end with ``$`` instead of ``\Z``. Descriptions have no markup of docstrings, and null
+    for None.
     """
     if isinstance(node, list):
         return [_portable(one) for one in node]
@@ -96,5 +127,5 @@ def _portable(node: Any) -> Any:
         portable["pattern"] = pattern.replace(r"\Z", "$")
     if isinstance(text := portable.get("description"), str):
         lines = (line.removeprefix("    ") for line in text.splitlines())
-        portable["description"] = "\n".join(lines).replace("`", "")
+        portable["description"] = _NONE.sub("null", "\n".join(lines).replace("`", ""))
     return portable
