@@ -14,6 +14,7 @@ from msgspec import Struct
 
 from camtopod import __version__, codec
 from camtopod.records import Alarm, CameraId, Prediction, Topology
+from camtopod.topology import links_between_views
 
 DISCOVERY = "homeassistant"
 """Home Assistant's default topic prefix for discovery."""
@@ -128,7 +129,7 @@ def site_state(
         "reason": said.reason if alive else "the daemon is not running",
         "version": None if topology is None else topology.version,
         "cameras": None if topology is None else len(topology.cameras),
-        "links": None if topology is None else len(topology.links),
+        "links": None if topology is None else len(links_between_views(topology)),
         "score": None if score is None else round(100.0 * score.top1, 1),
         "usual": None if score is None else round(100.0 * score.baseline_top1, 1),
     }

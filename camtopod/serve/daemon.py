@@ -61,6 +61,7 @@ from camtopod.serve.runtime import Heartbeat, Progress, changed_settings
 from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.shards import ShardMembership, WholeSite
 from camtopod.serve.storage import CurrentVersion, Journal, StateError, Version, head_of
+from camtopod.topology import waiting_for_links
 
 if TYPE_CHECKING:
     from camtopod.serve.shards import ShardExchange
@@ -299,6 +300,8 @@ class Daemon:
         receiver, learning, head = self._receiver, self._learning, self.newest and self.newest.head
         reason = self._reason or self._rivals.reason or "; ".join(self.failing())
         now, cameras = self._steady(), receiver.cameras
+        counted = cameras.status()
+        newest = [c["newest"] for c in counted.values() if c["newest"] is not None]
         reason = (
             reason
             or receiver.duplicates.reason
@@ -327,6 +330,7 @@ class Daemon:
             "reject_samples": receiver.rejects.samples(),
             "dropped": receiver.dropped,
             "learner": learning.statistics,
+            "catching_up": learning.catching_up(min(self._clock(), max(newest, default=0.0))),
             **self._live.counts,
             "score": None if head is None else head.score,
             "alarms": [] if head is None else head.alarms[-STATUS_ALARMS:],
@@ -335,7 +339,7 @@ class Daemon:
             "journal": {"damaged": self._learning.damaged, **self._journal.status()},
             "cameras": {
                 camera: {**counters, "alive": camera in self._puller.alive}
-                for camera, counters in sorted(receiver.cameras.status().items())
+                for camera, counters in sorted(counted.items())
             },
         }
 
@@ -568,12 +572,14 @@ class Daemon:
             if alarm.version == said.version:
                 log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
         log.info(
-            "version %d: %d cameras, %d zones, %d links",
+            "version %d: %d cameras, %d zones, %d links between views",
             said.version,
             said.cameras,
             said.zones,
             said.links,
         )
+        if not said.links:
+            log.info("%s", waiting_for_links(version.newest.topology))
 
     def _publish_prediction(self, prediction: Prediction) -> None:
         self.bus.publish(f"prediction/{prediction.camera}", prediction, "prediction")

@@ -4,12 +4,19 @@ The records of a topology are in `camtopod.records`. Reading order: `lag_bins` (
 times), `histograms` (transit-time histograms as a version stores them), `grid` (image positions as
 integers, and blocks of the image) and `shared_constants`. `camera_pairs` (overlapped views or
 unseen paths) and `markov_chain` (the chain over cameras) are computed from links. `versions` has
-digests of versions and the deltas between them.
+digests of versions and the deltas between them. `first_links` says what a site without links waits
+for.
 """
 
 from __future__ import annotations
 
 from camtopod.topology.camera_pairs import find_camera_pairs, relation_of
+from camtopod.topology.first_links import (
+    lacks_in_words,
+    likely_links,
+    links_between_views,
+    waiting_for_links,
+)
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE, block_of, blocks_of
 from camtopod.topology.histograms import (
     DIGITS,
@@ -75,8 +82,11 @@ __all__ = [
     "counts_histogram",
     "estimate_markov_chain",
     "find_camera_pairs",
+    "lacks_in_words",
     "lag_smoothing_matrix",
+    "likely_links",
     "link_key",
+    "links_between_views",
     "make_delta",
     "masses_on_bins",
     "offset_bins",
@@ -87,5 +97,6 @@ __all__ = [
     "step_histogram",
     "sum_as_counts",
     "sum_as_steps",
+    "waiting_for_links",
     "with_digest",
 ]

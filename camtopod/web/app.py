@@ -40,7 +40,7 @@ from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import Beat, Clock, Progress
 from camtopod.web.feed import Feed
 from camtopod.web.outbox import PageQueues
-from camtopod.web.pictures import picture_of
+from camtopod.web.pictures import picture_of, pictured
 from camtopod.web.version_cache import VersionCache
 from camtopod.web.version_diff import changes
 
@@ -220,6 +220,13 @@ class Routes:
     @property
     def _newest(self) -> Topology | None:
         return None if self._feed.stories is None else self._feed.stories.topology
+
+    def pictures(self, request: Request) -> Response:
+        """Return the cameras of which there is a picture."""
+        try:
+            return _json(pictured(self._pictures))
+        except OSError:  # the command has warned of it
+            return _json([])
 
     def picture(self, request: Request) -> Response:
         """Return a camera's picture, if there is one in the folder."""
@@ -411,6 +418,7 @@ def application(site: Routes, names: Collection[str], any_address: bool, beat: B
         Route("/data/versions", site.versions),
         Route("/data/version/{version:version}", site.version),
         Route("/data/changes/{old:version}/{new:version}", site.changes),
+        Route("/data/pictures", site.pictures),
         Route("/picture/{camera}", site.picture),
         Route("/live", site.live),
     ]

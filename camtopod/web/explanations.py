@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from camtopod.learn import Settings
 from camtopod.learn.links import MONTE_CARLO_SEED, mahalanobis, monte_carlo
 from camtopod.records import Link, Model, Pair, Topology, Zone, ZoneModel
-from camtopod.topology import LagBins, smooth
-from camtopod.web.map_data import in_words, nearness, why_provisional
+from camtopod.topology import LagBins, lacks_in_words, smooth
+from camtopod.web.map_data import nearness, why_provisional
 
 CURVE_SHARE_MIN = 0.004
 """Share of its peak below which the fitted curve is not drawn."""
@@ -211,7 +211,7 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
 
     # Unmet rules of a weak link.
     if weak:
-        lacks = f" It lacks {in_words(link.lacks)}." if link.lacks else ""
+        lacks = f" It lacks {lacks_in_words(link.lacks)}." if link.lacks else ""
         said.append(
             f"It is not published: not all rules for that are met yet (among them q ≤ {rule:g} and "
             f"{_share(Settings().publish_probability_min)} of the departures).{lacks} "

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import queue
 import re
 import threading
@@ -95,7 +96,12 @@ class Feed:
         self._silent: set[str] = set()
         self._looked_at_cameras = -1e18
         self._unheard_since = clock()  # no status can arrive while the bus is unreachable
-        self._live: dict[str, Any] = {"live": False, "reason": WAITING, "since": clock()}
+        self._live: dict[str, Any] = {
+            "live": False,
+            "reason": WAITING,
+            "since": clock(),
+            "catching_up": None,
+        }
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
         self._second, self._this_second = 0, 0
         self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
@@ -304,14 +310,20 @@ class Feed:
 
         # Tell the pages if it has changed.
         with self._mutex:
-            if self._live["reason"] == reason:
+            behind = _whole_percent(self._status.get(DAEMON, {}).get("catching_up"))
+            if (self._live["reason"], self._live["catching_up"]) == (reason, behind):
                 return
             # Another reason for the same silence does not change its beginning.
-            if not reason or self._live["live"]:
+            if reason != self._live["reason"] and (not reason or self._live["live"]):
                 self._live["since"] = (
                     now if not reason else max(heard or 0.0, now - self._silent_seconds)
                 )
-            self._live = {**self._live, "live": not reason, "reason": reason}
+            self._live = {
+                **self._live,
+                "live": not reason,
+                "reason": reason,
+                "catching_up": behind,
+            }
             told = msgspec.json.encode(self._live)
         self._hub.send("live", told)
 
@@ -329,6 +341,12 @@ class Feed:
             self._silent.update(gone)
         for name, status in gone.items():
             self._tell_health(name, status)
+
+
+def _whole_percent(catching_up: Any) -> int | None:
+    """Return how much of what is to be learned is learned, in percent; None if all of it is."""
+    share = catching_up.get("share") if isinstance(catching_up, dict) else None
+    return math.floor(100 * share) if isinstance(share, float) and 0 <= share <= 1 else None
 
 
 def _row(

@@ -9,7 +9,8 @@ from msgspec import Struct
 
 from camtopod.export import Edge, edges
 from camtopod.learn import Settings
-from camtopod.records import Alarm, Lacks, Link, Pair, PairRelation, SelfScore, Topology
+from camtopod.records import Alarm, Link, Pair, PairRelation, SelfScore, Topology
+from camtopod.topology import lacks_in_words, likely_links, link_key, waiting_for_links
 from camtopod.web.layout import Place, places
 
 SETTLED_TRANSITIONS_MIN = 30.0
@@ -21,9 +22,6 @@ SUSPECTED_Q_MAX = 0.05
 """Largest q value with which a weak link appears on the map, as provisional."""
 SUSPECTED_TRANSITIONS_MIN = 5.0
 """Transitions from which a weak link appears on the map, as provisional."""
-
-LONGEST = {"minutes": 120.0, "hours": 48.0, "days": math.inf}
-"""Amount from which a duration is given in the next larger unit."""
 
 
 class MapCamera(Struct, frozen=True):
@@ -55,6 +53,8 @@ class MapEdge(Struct, frozen=True):
     relation: PairRelation
     provisional: str
     """Why the edge is provisional; "" if it is settled."""
+    published: bool
+    """False for an edge of weak links only."""
     transitions: float
     ways: list[Direction]
 
@@ -72,6 +72,8 @@ class Map(Struct, frozen=True):
     """By the two camera ids, sorted and separated by a space."""
     score: SelfScore | None
     alarms: list[Alarm]
+    waiting: str
+    """What is waited for until the first link between views, in words; "" if there is one."""
 
 
 class MapChange(Struct, frozen=True):
@@ -92,6 +94,7 @@ class MapChange(Struct, frozen=True):
     gone_edges: list[str]
     score: SelfScore | None
     alarms: list[Alarm]
+    waiting: str
 
 
 def draw(topology: Topology, before: Map | None = None) -> Map:
@@ -124,6 +127,7 @@ def draw(topology: Topology, before: Map | None = None) -> Map:
         drawn,
         topology.score,
         topology.alarms or [],
+        waiting_for_links(topology),
     )
 
 
@@ -142,21 +146,23 @@ def change(old: Map, new: Map) -> MapChange:
         [key for key in old.edges if key not in new.edges],
         new.score,
         new.alarms,
+        new.waiting,
     )
 
 
 def map_edges(topology: Topology) -> dict[str, MapEdge]:
-    """Return the published pairs, and those with nearly sufficient evidence."""
+    """Return the published pairs, and those with at least half of the evidence."""
     camera = {zone.id: zone.camera for zone in topology.zones}
     ways: dict[str, list[Edge]] = {}
     best: dict[str, Link] = {}
 
-    # Weak links with nearly sufficient evidence.
-    suspected = [
+    # Weak links that are worth showing, those through one view aside.
+    suspected = likely_links(topology) + [
         link
         for link in topology.weak_links or []
         if link.q_value <= SUSPECTED_Q_MAX and link.transitions >= SUSPECTED_TRANSITIONS_MIN
     ]
+    suspected = list({link_key(link): link for link in suspected}.values())
 
     # Directions of each pair, from published links first, and the link nearest to publication.
     pairs = {_key(*pair.cameras): pair for pair in topology.pairs}
@@ -182,6 +188,7 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
         result[key] = MapEdge(
             pair.relation if pair else overlapped,
             why_provisional(pair, transitions, best.get(key)),
+            pair is not None,
             _digits(transitions, 2),
             [_way(edge) for edge in there],
         )
@@ -200,7 +207,7 @@ def why_provisional(pair: Pair | None, transitions: float, best: Link | None) ->
     """
     if pair is None:
         if best is not None and best.lacks is not None:
-            return f"not published yet: it lacks {in_words(best.lacks)}"
+            return f"not published yet: it lacks {lacks_in_words(best.lacks)}"
         q_value = 1.0 if best is None else best.q_value
         figure = f"q = {q_value:.2f}" if q_value >= 0.005 else "q < 0.005"
         if q_value <= Settings().publish_q_max:
@@ -218,24 +225,6 @@ def why_provisional(pair: Pair | None, transitions: float, best: Link | None) ->
     ):
         return f"the two tests of its relation disagree{f' ({pair.reason})' if pair.reason else ''}"
     return ""
-
-
-def in_words(lacks: Lacks) -> str:
-    """Return what a link lacks, in words."""
-    passages = (
-        "one more passage" if lacks.passages < 1.5 else f"about {lacks.passages:.0f} more passages"
-    )
-    minutes = lacks.seconds / 60.0
-    for unit, amount in (
-        ("minutes", minutes),
-        ("hours", minutes / 60.0),
-        ("days", minutes / 1440.0),
-    ):
-        if amount < LONGEST[unit]:
-            break
-    return (
-        f"{passages}, {max(amount, 1.0):.0f} {unit if amount >= 1.5 else unit[:-1]} at this traffic"
-    )
 
 
 def _places(
@@ -258,7 +247,7 @@ def _joined(drawn: Mapping[str, MapEdge]) -> dict[tuple[str, str], bool]:
     """Return the edges that determine the layout, with whether views overlap."""
     result = {}
     for key, edge in drawn.items():
-        if not edge.provisional.startswith("not published"):
+        if edge.published:
             a, b = key.split(" ")
             result[a, b] = edge.relation == "overlapped"
     return result

@@ -7,6 +7,7 @@ by every user of the machine.
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -25,6 +26,19 @@ def picture_of(folder: Path | None, camera: str) -> Path | None:
     return next(
         (path for ending in TYPES if (path := folder / f"{camera}{ending}").is_file()), None
     )
+
+
+def pictured(folder: Path | None) -> list[str]:
+    """Return the cameras that have a picture in the folder, sorted. Raises `OSError`."""
+    if folder is None:
+        return []
+    with os.scandir(folder) as files:
+        found = {
+            Path(file.name).stem
+            for file in files
+            if Path(file.name).suffix in TYPES and file.is_file()
+        }
+    return sorted(camera for camera in found if re.match(CAMERA_PATTERN, camera))
 
 
 def stored_path(folder: Path, camera: str) -> Path:

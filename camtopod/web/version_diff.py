@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from msgspec import Struct
 
 from camtopod.records import Alarm, Link, Pair, SelfScore, Topology, Zone
-from camtopod.topology import link_key
+from camtopod.topology import link_key, links_between_views
 
 SHARE_CHANGE_MIN = 0.05
 """Smallest change of a link's share that is reported."""
@@ -58,7 +58,7 @@ def summary(topology: Topology) -> Summary:
         topology.events,
         len(topology.cameras),
         len(topology.zones),
-        sum(link.relation != "visible" for link in topology.links),
+        len(links_between_views(topology)),
         len(topology.pairs),
         topology.score,
         [alarm for alarm in topology.alarms or [] if alarm.version == topology.version],

@@ -47,6 +47,7 @@ from camtopod.records import (
     Transit,
 )
 from camtopod.serve.daemon import Daemon
+from camtopod.topology import waiting_for_links
 
 NOW = 1_700_007_200.0
 NOTHING = Topology(TOPOLOGY_SCHEMA, "hq", "01J", 9, 1_700_003_600.0, 0, "sha256:0", [], [], [], [])
@@ -173,10 +174,34 @@ def test_without_either_nothing_is_said() -> None:
 
 def test_all_of_it_as_lines() -> None:
     text = lines(full(9).view(topology(links=2), "hq", NOW))
-    assert text[0] == "site hq: daemon running, 77 events stored, 0 duplicates, 2 rejected"
+    assert text[0] == "site hq: daemon running, 77 events stored, 2 rejected since its start"
     assert f"{'cam0007':<20} {'stalled':<11} {7:>8} {'7 s':>9}  {REASON}" in text
     assert any(line.startswith("lobby/1              hall/2               unseen") for line in text)
     assert text[-3] == "lobby/2 -> hall/2 0.61 in 6 to 10 s, bar/1 0.20 in -3 to -1 s"
+
+
+def test_a_daemon_that_is_behind_says_how_far() -> None:
+    board = SiteState(Steady())
+    told(board, "daemon", state="running", catching_up={"seconds": 2640.0, "share": 0.63})
+    assert (
+        "daemon running, catching up, 63% (44 minutes behind)"
+        in lines(board.view(None, "hq", NOW))[0]
+    )
+
+
+def test_links_are_those_between_views_and_without_one_it_says_what_it_waits_for() -> None:
+    inside = msgspec.structs.replace(topology(links=1).links[0], relation="visible")
+    without = msgspec.structs.replace(NOTHING, links=[inside])
+    text = shown(without)
+    assert "0 cameras, 0 zones, 0 links between views" in text
+    assert waiting_for_links(without) in text
+    assert "1 links between views" in shown(topology(links=1))
+
+
+def test_who_probably_returns_to_the_view_it_left_comes_back() -> None:
+    following = [NextCamera("lobby", "lobby/2", 0.6, 1.0, 2.0, 3.0)]
+    said = Prediction("lobby", "lobby/1", NOW, "17", 9, 0.4, following)
+    assert prediction_line(said) == "lobby/1 -> back to lobby/2 0.60 in 1 to 3 s"
 
 
 def test_who_is_not_heard_any_more_is_silent_whatever_was_said_last() -> None:

@@ -22,7 +22,7 @@ from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.learner_process import recovery
-from camtopod.serve.learner_process.feeder import LearnerFeeder
+from camtopod.serve.learner_process.feeder import CATCHING_UP_SECONDS, LearnerFeeder
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import recover
 from camtopod.serve.runtime.progress import no_beat
@@ -167,6 +167,20 @@ def test_a_version_that_was_not_stored_is_made_again(start: Start) -> None:
     again = start()
     again.run()
     assert before + again.published == uninterrupted()
+
+
+def test_it_says_how_far_it_is_behind(start: Start) -> None:
+    """Of what was stored since it was up to date, and by event time."""
+    one = start()
+    one.learn(EVENTS[:100])
+    watermark = one.learning.statistics["watermark"]
+    assert one.learning.catching_up(watermark + 1000.0) is None, "all of it is learned"
+    one.learning.feed(one.store(EVENTS[100:150]))
+    assert one.learning.catching_up(watermark + CATCHING_UP_SECONDS - 1.0) is None
+    behind = one.learning.catching_up(watermark + 1000.0)
+    assert behind == {"seconds": pytest.approx(1000.0), "share": 0.0}
+    one.learning.position += 20
+    assert (one.learning.catching_up(watermark + 1000.0) or {})["share"] == pytest.approx(0.4)
 
 
 def test_a_damaged_snapshot_costs_time_only(start: Start) -> None:

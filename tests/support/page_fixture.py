@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, cast
 
 from chromium import Browser
@@ -17,11 +18,12 @@ from camtopod.web import app
 
 
 class Shown:
-    """A web page on a fake bus."""
+    """A web page on a fake bus; ``pictures``: folder of camera pictures."""
 
-    def __init__(self, *versions: Topology) -> None:
+    def __init__(self, *versions: Topology, pictures: Path | None = None) -> None:
         self.bus = OneBus()
         self.bus.kept = {one.version: one for one in versions}
+        self.pictures = pictures
         self.address = ""
 
     @contextlib.contextmanager
@@ -30,7 +32,7 @@ class Shown:
         bus = cast(Bus, self.bus)
         with (
             listening("127.0.0.1", port) as listener,
-            app.serving(bus, listener, names("127.0.0.1"), None, time.time, 3600.0),
+            app.serving(bus, listener, names("127.0.0.1"), self.pictures, time.time, 3600.0),
         ):
             port = listener.getsockname()[1]
             self.address = f"http://127.0.0.1:{port}/"

@@ -199,7 +199,21 @@ def test_a_page_that_has_just_begun_does_not_blame_a_daemon_it_has_given_no_time
         "live": False,
         "reason": "no daemon has published its status yet",
         "since": 1000.0,
+        "catching_up": None,
     }
+
+
+def test_a_daemon_that_is_behind_is_told_in_whole_percent() -> None:
+    with Rig() as rig:
+        for share in (0.631, 0.634, 0.7):
+            behind = {"seconds": 900.0, "share": share}
+            rig.bus.publish("status/daemon", {"state": "running", "catching_up": behind})
+        rig.bus.publish("status/daemon", {"state": "running", "catching_up": None})
+        wait_for(lambda: rig.hub.of("live")[-1:] != [], "the first")
+        wait_for(lambda: rig.hub.of("live")[-1]["catching_up"] is None, "that it has caught up")
+        told = [one["catching_up"] for one in rig.hub.of("live")]
+        assert told == [63, 70, None]
+        assert all(one["live"] for one in rig.hub.of("live"))
 
 
 def test_a_grabber_that_says_nothing_more_is_silent_whatever_it_said_last() -> None:

@@ -129,6 +129,24 @@ def test_evidence_that_is_nearly_enough_is_on_the_map_and_moves_nobody() -> None
     assert key not in map_edges(with_weak(topology, transitions=4.0))
 
 
+def test_a_weak_link_that_is_half_way_is_on_the_map_whatever_its_figure() -> None:
+    topology = synthetic_topology(12)
+    key = f"{topology.cameras[0].id} {topology.cameras[-1].id}"
+    link = made_link(topology.zones[0].id, topology.zones[-1].id, 20.0, 4.0)
+    near, far = (replace(link, q_value=1.0, lacks=Lacks(n, 300.0)) for n in (4.0, 4.5))
+    assert not map_edges(replace(topology, weak_links=[near]))[key].published
+    assert key not in map_edges(replace(topology, weak_links=[far]))
+
+
+def test_a_map_without_links_says_what_it_waits_for() -> None:
+    topology = synthetic_topology(12)
+    inside = [link for link in topology.links if link.relation == "visible"]
+    assert draw(topology).waiting == ""
+    without = replace(topology, links=inside, pairs=[])
+    assert draw(without).waiting.startswith("No two cameras are linked yet: ")
+    assert change(draw(without), draw(topology)).waiting == ""
+
+
 # --- what changes
 # -----------------------------------------------------------------------------------
 

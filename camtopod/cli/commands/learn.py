@@ -26,6 +26,7 @@ from camtopod.records import Topology
 from camtopod.serve import RecordedState
 from camtopod.serve.runtime import wall
 from camtopod.serve.storage import StateError
+from camtopod.topology import links_between_views
 
 EPOCH = "recording"
 """Epoch of a topology learned from files, constant so that the same files give the same bytes."""
@@ -178,7 +179,7 @@ def _write(learner: Learner, updates: BinaryIO | None) -> None:
 
 def describe(topology: Topology) -> str:
     """Return one line about a topology."""
-    between = sum(link.relation != "visible" for link in topology.links)
+    between = len(links_between_views(topology))
     return (
         f"version {topology.version}: {topology.events} events, {len(topology.cameras)} cameras, "
         f"{len(topology.zones)} zones, {between} links between views, "

@@ -13,7 +13,8 @@ from msgspec import Struct
 
 from camtopod import codec
 from camtopod.predict import seen_now
-from camtopod.records import CAMERA_PATTERN, Alarm, Link, Prediction, Topology
+from camtopod.records import CAMERA_PATTERN, Alarm, Link, NextCamera, Prediction, Topology
+from camtopod.topology import links_between_views, waiting_for_links
 
 PREDICTIONS_KEPT = 30
 """Newest predictions that are kept."""
@@ -49,7 +50,13 @@ class _Events(Struct, frozen=True):
     """Counters of all events in the daemon's status."""
 
     stored: int = 0
-    duplicate: int = 0
+
+
+class _CatchingUp(Struct, frozen=True):
+    """How far the learner is behind: event time in seconds, and the share that is learned."""
+
+    seconds: float = 0.0
+    share: float = 0.0
 
 
 class _DaemonSaid(_Said, frozen=True):
@@ -57,6 +64,7 @@ class _DaemonSaid(_Said, frozen=True):
 
     events: _Events = _Events()
     rejects: dict[str, int] = {}
+    catching_up: _CatchingUp | None = None
     cameras: dict[str, _Counted] = {}
 
 
@@ -183,12 +191,13 @@ def _camera(
 
 
 def _counts(daemon: _DaemonSaid) -> str:
-    """Return the daemon's counters of stored, duplicate and rejected events, in words."""
+    """Return the daemon's counters of events, and how far the learner is behind, in words."""
     events = daemon.events
-    return (
-        f"{events.stored} events stored, {events.duplicate} duplicates, "
-        f"{sum(daemon.rejects.values())} rejected"
-    )
+    rejected = sum(daemon.rejects.values())
+    stored = f"{events.stored} events stored, {rejected} rejected since its start"
+    if (behind := daemon.catching_up) is None:
+        return stored
+    return f"catching up, {behind.share:.0%} ({behind.seconds / 60:.0f} minutes behind), {stored}"
 
 
 def daemon_line(view: SiteView) -> str:
@@ -202,12 +211,14 @@ def daemon_line(view: SiteView) -> str:
 def topology_lines(topology: Topology | None) -> list[str]:
     """Return lines about the newest topology and the score of its predictions."""
     if topology is None:
-        return ["topology: nothing learned yet"]
+        return ["topology: nothing learned yet; the first version comes a minute after ten events"]
     lines = [
         f"topology: version {topology.version}, {topology.events} events, "
         f"{len(topology.cameras)} cameras, {len(topology.zones)} zones, "
-        f"{len(topology.links)} links, {topology.digest[:19]}"
+        f"{len(links_between_views(topology))} links between views, {topology.digest[:19]}"
     ]
+    if waiting := waiting_for_links(topology):
+        lines.append(waiting)
     if (s := topology.score) is not None:
         lines.append(
             f"predictions: next camera right {s.top1:.2f} (baseline {s.baseline_top1:.2f}), "
@@ -235,11 +246,7 @@ def alarm_line(alarm: Alarm, now: float) -> str:
 
 def busiest_links(topology: Topology | None) -> list[Link]:
     """Return the links between views, busiest first."""
-    links = (
-        [link for link in topology.links if link.relation != "visible"]
-        if topology is not None
-        else []
-    )
+    links = [] if topology is None else links_between_views(topology)
     return sorted(links, key=lambda link: -link.transitions)
 
 
@@ -257,7 +264,7 @@ def prediction_line(prediction: Prediction) -> str:
         for one in seen_now(prediction.in_view or [])
     ]
     following = ", ".join(
-        f"{following.zone} {following.probability:.2f} "
+        f"{_place(prediction, following)} {following.probability:.2f} "
         f"in {following.q10:.0f} to {following.q90:.0f} s"
         for following in prediction.next_[:NEXT_SHOWN]
     )
@@ -267,3 +274,9 @@ def prediction_line(prediction: Prediction) -> str:
         f"{prediction.zone or prediction.camera} -> "
         f"{'; '.join([*seen, following] if following else seen)}"
     )
+
+
+def _place(prediction: Prediction, following: NextCamera) -> str:
+    """Return where an object is expected: a zone, or that it comes back to the view it left."""
+    back = following.camera == prediction.camera
+    return f"{'back to ' if back else ''}{following.zone}"

@@ -49,6 +49,11 @@ A message for each event would cost more than learning it.
 """
 QUEUED_EVENTS_MAX = 20_000
 """Most events kept in memory for the learner; more are read from the journal again."""
+CATCHING_UP_SECONDS = 180.0
+"""Event time by which the learner may be behind the newest stored event until it is catching up.
+
+A fit takes this long on a large site, and a camera's clock may be a minute ahead.
+"""
 REFUSED_SECONDS = 60.0
 """How long the status mentions refused cameras after an event of one."""
 _TICK_SECONDS = 0.2
@@ -91,7 +96,7 @@ class LearnerFeeder:
 
         # Progress through the journal.
         self._replay_until = self._stored = len(journal)
-        self._saved = self.position
+        self._saved = self._up_to_date_at = self.position
         self._due = False
         self._busy = False  # True while the process owes an answer
 
@@ -133,6 +138,24 @@ class LearnerFeeder:
     def waiting(self) -> int:
         """Number of events stored and not learned yet."""
         return max(0, self._stored - self.position)
+
+    def catching_up(self, newest: float) -> dict[str, float] | None:
+        """Return how far the learner is behind; None if it is up to date. Any thread.
+
+        ``seconds``: event time that is stored and not learned yet.
+        ``share``: events learned, of those stored since this was last asked of a learner that was
+        up to date.
+
+        newest: event time of the newest stored event, Unix seconds.
+        """
+        watermark = self.statistics["watermark"]
+        seconds = newest - watermark if watermark else 0.0  # it has none before its first events
+        if not self.waiting or seconds < CATCHING_UP_SECONDS:
+            self._up_to_date_at = self.position
+            return None
+        since = self._up_to_date_at
+        learned = (self.position - since) / max(1, self._stored - since)
+        return {"seconds": seconds, "share": min(1.0, max(0.0, learned))}
 
     @property
     def replaying(self) -> int:

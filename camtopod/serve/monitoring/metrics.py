@@ -131,7 +131,7 @@ SITE = (
     Metric("topology_timestamp_seconds", "topology.as_of", "Event time of the newest version"),
     Metric("topology_cameras", "topology.cameras", "Cameras in the topology"),
     Metric("topology_zones", "topology.zones", "Zones in the topology"),
-    Metric("topology_links", "topology.links", "Links in the topology"),
+    Metric("topology_links", "topology.links", "Links between views"),
     Metric("alarm_timestamp_seconds", "topology.alarm", "Event time of the newest alarm"),
     Metric("score_exits", "score.exits", "Number of predictions that are scored"),
     Metric("score_top1", "score.top1", "Share of next cameras that were the likeliest"),

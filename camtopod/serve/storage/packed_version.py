@@ -10,11 +10,14 @@ from typing import NamedTuple
 from msgspec import Raw, Struct
 
 from camtopod import codec
-from camtopod.records import Alarm, SelfScore, Topology
+from camtopod.records import Alarm, Relation, SelfScore, Topology
 
 
 class Head(Struct, frozen=True):
-    """The fields of a version that the daemon's status shows, and the lengths of its lists."""
+    """The fields of a version that the daemon's status shows, and the lengths of its lists.
+
+    links: number of links between views.
+    """
 
     epoch: str
     version: int
@@ -27,6 +30,12 @@ class Head(Struct, frozen=True):
     score: SelfScore | None
 
 
+class _Relation(Struct):
+    """The field of a `Link` that tells links between views from those through one view."""
+
+    relation: Relation
+
+
 class _Lists(Struct):
     """The fields of a `Topology` that a head is made from; items of lists stay undecoded."""
 
@@ -36,7 +45,7 @@ class _Lists(Struct):
     digest: str
     cameras: list[Raw]
     zones: list[Raw]
-    links: list[Raw]
+    links: list[_Relation]
     alarms: list[Alarm] | None = None
     score: SelfScore | None = None
 
@@ -98,7 +107,7 @@ def head_of(topology: Topology | bytes) -> Head:
         one.digest,
         len(one.cameras),
         len(one.zones),
-        len(one.links),
+        sum(link.relation != "visible" for link in one.links),
         one.alarms or [],
         one.score,
     )

@@ -2,7 +2,7 @@
 
 import { fill, h, s } from "./dom.js";
 import { link } from "./place.js";
-import { ago, clock, count, percent, plural, seconds, span, stateClass } from "./words.js";
+import { ago, clock, comesBack, count, percent, plural, seconds, span, stateClass } from "./words.js";
 
 const FRAME = [1600, 900]; // where there is no picture, pixels
 const SPREAD = 2; // standard deviations that a zone's ellipse shows
@@ -221,7 +221,8 @@ class Scene {
       this.pulse.textContent = `left at ${where}, probably leaves the site (${percent(prediction.leave)})`;
     else {
       const when = span(next.q10, next.q90);
-      this.pulse.textContent = `left at ${where}, next at ${next.zone} (${percent(next.probability)}) in ${when}`;
+      const place = comesBack(prediction) ? `comes back to ${next.zone}` : `next at ${next.zone}`;
+      this.pulse.textContent = `left at ${where}, ${place} (${percent(next.probability)}) in ${when}`;
     }
     this.zones.get(prediction.zone)?.classList.add("active");
     setTimeout(() => this.zones.get(prediction.zone)?.classList.remove("active"), 1500);

@@ -86,18 +86,18 @@ export class Health {
       h(
         "dl",
         { class: "figures wide" },
-        fact("Events stored", count(events.stored)),
+        fact("Events stored since its start", count(events.stored)),
+        fact("Stored ever", count(daemon.journal?.entries)),
         fact("Waiting to be learned", count(events.waiting)),
-        fact("Duplicates", count(events.duplicate)),
-        fact("Late", count(daemon.learner?.late)),
+        fact("Late, ever", count(daemon.learner?.late), "Events that came too late to be learned"),
         fact(
-          "Rejected",
+          "Rejected since its start",
           count(rejected),
           Object.entries(daemon.rejects ?? {})
             .map(([why, n]) => `${why}: ${n}`)
             .join(", ") || null,
         ),
-        fact("Predictions", count(daemon.predictions)),
+        fact("Predictions since its start", count(daemon.predictions)),
         dropped ? fact("Not shown here", count(dropped), "Messages dropped because this page's server was overloaded") : null,
       ),
     );

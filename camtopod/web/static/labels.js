@@ -34,11 +34,11 @@ export class Labels {
 
   // Draw those in sight: the cameras in `chosen` whatever happens, then those in `found`, then all others; nothing
   // under the boxes `covers`, [left, top, right, bottom] each.
-  draw(map, radius, chosen, found, covers) {
+  draw(map, chosen, found, covers) {
     const taken = new Taken();
     for (const box of covers) taken.add(...box);
-    const names = placeNames(map, radius, chosen, found, taken);
-    this.#show([...names, ...placeTimes(map, radius, chosen, taken)]);
+    const names = placeNames(map, chosen, found, taken);
+    this.#show([...names, ...placeTimes(map, chosen, taken)]);
   }
 
   #show(wanted) {
@@ -58,7 +58,7 @@ export class Labels {
   }
 }
 
-function placeNames(map, radius, chosen, found, taken) {
+function placeNames(map, chosen, found, taken) {
   const { clientWidth: width, clientHeight: height } = map.svg;
   const wanted = [];
   const inSight = [];
@@ -66,7 +66,8 @@ function placeNames(map, radius, chosen, found, taken) {
     const [x, y] = map.view.toScreen(node.x, node.y);
     if (x < -40 || y < -20 || x > width + 40 || y > height + 20) continue;
     inSight.push({ node, x, y });
-    taken.add(x - radius, y - radius, x + radius, y + radius);
+    const [wide, high] = map.halves(node);
+    taken.add(x - wide, y - high, x + wide, y + high);
   }
   const rank = ({ node }) =>
     (chosen.has(node.id) ? 1e13 : found.has(node.id) ? 1e12 : 0) + node.camera.entries + node.camera.exits;
@@ -74,8 +75,9 @@ function placeNames(map, radius, chosen, found, taken) {
   for (const { node, x, y } of inSight) {
     if (wanted.length >= NAMES_MAX) break;
     const half = (CHARACTER_PIXELS * node.id.length) / 2;
+    const [wide, high] = map.halves(node);
     const places = [node.side, ...SIDES].map(([dx, dy]) => {
-      const [mx, my] = [x + dx * (radius + half + 5), y + dy * (radius + LINE_PIXELS / 2 + 3)];
+      const [mx, my] = [x + dx * (wide + half + 5), y + dy * (high + LINE_PIXELS / 2 + 3)];
       return [mx - half, my - LINE_PIXELS / 2, mx + half, my + LINE_PIXELS / 2];
     });
     const inside = ([left, top, right, bottom]) => left >= 0 && top >= 0 && right <= width && bottom <= height;
@@ -92,7 +94,7 @@ function placeNames(map, radius, chosen, found, taken) {
   return wanted;
 }
 
-function placeTimes(map, radius, chosen, taken) {
+function placeTimes(map, chosen, taken) {
   const { clientWidth: width, clientHeight: height } = map.svg;
   const lines = [];
   for (const { a, b, edge, width: thick } of map.edges.values()) {
@@ -111,7 +113,7 @@ function placeTimes(map, radius, chosen, taken) {
     if (wanted.length >= TIMES_MAX) break;
     const text = edgeText(line);
     const half = (TIME_CHARACTER_PIXELS * text.length) / 2;
-    const [on, beside, further] = placesOf(line, half, radius);
+    const [on, beside, further] = placesOf(line, half, map);
     const free = ([x, y]) =>
       x > half && y > 8 && x < width - half && y < height - 8 && taken.free(x - half, y - 8, x + half, y + 8);
     const clearOf = (others) => ([x, y]) => others.every((one) => one === line || apart(one, x, y, half) > OTHER_PIXELS);
@@ -133,17 +135,24 @@ function placeTimes(map, radius, chosen, taken) {
 }
 
 // Where the time of an edge may stand: upon it, as long as enough of it stays in sight, beside it, and further beside.
-function placesOf({ ax, ay, dx, dy, length, thick }, half, radius) {
+function placesOf({ a, b, ax, ay, dx, dy, length, thick }, half, map) {
   const [ux, uy] = [dx / length, dy / length];
   const hidden = 2 * Math.min(half / Math.abs(ux), TIME_HEIGHT / 2 / Math.abs(uy));
-  const on = length - 2 * radius - hidden >= SEEN_PIXELS_MIN ? ALONG : [];
+  const under = [a, b].map((node) => hiddenBy(node, ux, uy, map));
+  const on = length - under[0] - under[1] - hidden >= SEEN_PIXELS_MIN ? ALONG : [];
   const aside = Math.abs(uy) * half + Math.abs(ux) * (TIME_HEIGHT / 2) + thick / 2 + 2;
   return [
     on.map((share) => [ax + share * dx, ay + share * dy]),
-    ...[aside, aside + radius].map((off) =>
+    ...[aside, aside + map.radius].map((off) =>
       [-off, off].map((one) => [ax + dx / 2 - one * uy, ay + dy / 2 + one * ux]),
     ),
   ];
+}
+
+// How many pixels of an edge in the direction (ux, uy) a camera covers.
+function hiddenBy(node, ux, uy, map) {
+  const [wide, high] = map.halves(node);
+  return node.shot && map.shot ? Math.min(wide / Math.abs(ux), high / Math.abs(uy)) : map.radius;
 }
 
 // Pixels between an edge and a time of half the width `half` at a place.

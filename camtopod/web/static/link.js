@@ -25,11 +25,13 @@ export async function pairPanel(app, a, b) {
   const [one, other] = story.cameras;
   const towards = (to) => story.links.filter((each) => each.to.startsWith(`${to}/`));
   return {
-    kind: KINDS[story.relation] ?? "Suspected path",
+    kind: KINDS[story.relation] ?? "Likely link",
     title: `${one} – ${other}`,
     chosen: story.cameras,
     body: [
-      story.provisional ? h("p", { class: "provisional-note" }, h("b", {}, "Provisional: "), story.provisional) : null,
+      story.provisional
+        ? h("p", { class: "provisional-note" }, h("b", {}, story.relation ? "Provisional: " : "Likely: "), story.provisional)
+        : null,
       h(
         "ul",
         { class: "why" },

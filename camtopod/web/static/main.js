@@ -119,7 +119,9 @@ class App {
   // Fetch the whole map, again if the server is away.
   async load() {
     try {
-      this.#use(await this.source.map());
+      const [map, pictures] = await Promise.all([this.source.map(), this.source.pictures()]);
+      this.network.pictures = new Map(pictures.map((id) => [id, this.source.picture(id)]));
+      this.#use(map);
     } catch (error) {
       if (!(error instanceof Away)) throw error;
       setTimeout(() => this.load(), RETRY_MILLISECONDS);
@@ -136,6 +138,7 @@ class App {
       this.rows.set(row.id, fresh);
     }
     this.network.health(new Set([...this.rows.values()].filter((row) => troubled(row.state)).map((row) => row.id)));
+    if (!this.map) this.network.tellEvents([...this.rows.values()].map((row) => row.events ?? 0));
     this.#shown?.onHealth?.(this.rows);
   }
 
@@ -264,8 +267,10 @@ class App {
       return;
     }
     const since = this.#lost ?? (this.#daemon && !this.#daemon.live ? this.#daemon.since : null);
-    this.pill.className = `pill ${since === null ? (this.#daemon ? "good" : "off") : "bad"}`;
-    this.pill.textContent = since === null ? (this.#daemon ? `live · ${version}` : "…") : `not live · ${version}`;
+    const behind = this.#daemon?.catching_up ?? null;
+    const state = !this.#daemon ? "…" : `${behind === null ? "live" : `catching up, ${behind} %`} · ${version}`;
+    this.pill.className = `pill ${since !== null ? "bad" : this.#daemon && behind === null ? "good" : "off"}`;
+    this.pill.textContent = since === null ? state : `not live · ${version}`;
     this.banner.hidden = since === null;
     document.body.classList.toggle("stale", since !== null);
     if (since === null) return;

@@ -1,6 +1,6 @@
 // The network map: cameras as nodes, black edges overlap, grey edges are unseen paths; dashed while provisional.
 
-import { fill, h, s } from "./dom.js";
+import { fill, h, s, say } from "./dom.js";
 import { Flow } from "./flow.js";
 import { Labels, SIDES } from "./labels.js";
 import { go } from "./place.js";
@@ -14,6 +14,14 @@ const NODE_PIXELS = [1.8, 11];
 const NEAR_SCALE = 0.8;
 const PICK_PIXELS = 14;
 const WIDTH_PIXELS = [1.2, 7]; // of an edge, by traffic
+const SHOT_SHARE = 0.56; // width of a camera's picture, of a hop
+const SHOT_PIXELS = [34, 136]; // below, the camera is a circle
+const SHOT_RATIO = 9 / 16;
+const SHOTS_MAX = 60; // pictures in sight; more take too much memory
+const SHOT_CLEAR_PIXELS = [84, 62]; // as CLEAR_PIXELS, for cameras with pictures
+const NARROW_CLEAR_PIXELS = [58, 46]; // the same on a narrow map, where pictures are smaller
+const LIKELY_PIXELS = 2.2; // width of an edge that is not published
+const NARROW_PIXELS = 720; // a map up to this wide has no room to spare for margins
 const INSETS = { top: 40, right: 40, bottom: 48, left: 40 };
 const CLEAR_PIXELS = [20, 34]; // beside and above a camera when all of it is shown, to what lies on the map
 const SHIFTS = [0, 0.25, 0.5, 0.75, 1]; // by how much of what lies at an edge of the map the cameras are kept from it
@@ -27,6 +35,8 @@ export class NetworkMap {
   #chosen = [];
   #ill = new Set(); // ids of those that need attention
   #found = null; // ids that match the search, or null
+  pictures = new Map(); // camera -> address of its picture
+  shot = 0; // width of the pictures in pixels; 0 while cameras are circles
   #covers = []; // elements that lie on it
   #covered = []; // where, [left, top, right, bottom] in its pixels
 
@@ -44,11 +54,13 @@ export class NetworkMap {
     this.world.append(this.edgeLayer, this.flowLayer, this.nodeLayer);
     this.svg.append(this.world, this.labelLayer);
     this.tip = h("div", { class: "tip", hidden: true });
+    this.soFar = h("p", {});
     this.nothing = h(
       "div",
       { class: "nothing" },
       h("h2", {}, "Nothing learned yet"),
-      h("p", {}, "The map appears with the first version, some minutes after the first events."),
+      this.soFar,
+      h("p", {}, "The map appears about a minute after the first ten entries and exits."),
     );
     element.append(this.svg, this.tip, this.nothing);
     this.view = new View(
@@ -81,6 +93,14 @@ export class NetworkMap {
       .map((element) => element.getBoundingClientRect())
       .filter((box) => box.width && box.height)
       .map((box) => [box.left - own.left, box.top - own.top, box.right - own.left, box.bottom - own.top]);
+  }
+
+  // Say how many events there are while there is no map; one number for each camera.
+  tellEvents(events) {
+    const heard = events.filter((n) => n > 0);
+    const all = heard.reduce((sum, n) => sum + n, 0);
+    const from = `${plural(heard.length, "camera")} so far.`;
+    say(this.soFar, heard.length ? `${plural(all, "event")} from ${from}` : "No camera has sent an event yet.");
   }
 
   // Show a map; what is the same object as before is left alone.
@@ -120,12 +140,12 @@ export class NetworkMap {
   // The margins with which the map is largest and no camera is under what lies on it.
   #insets(box, nodes) {
     const { clientWidth: width, clientHeight: height } = this.svg;
-    const boxes = this.#covered.map(([left, top, right, bottom]) => [
-      left - CLEAR_PIXELS[0],
-      top - CLEAR_PIXELS[1],
-      right + CLEAR_PIXELS[0],
-      bottom + CLEAR_PIXELS[1],
-    ]);
+    const pictured = nodes.length <= SHOTS_MAX && nodes.some((node) => this.pictures.has(node.id));
+    const [aside, off] = !pictured ? CLEAR_PIXELS : width > NARROW_PIXELS ? SHOT_CLEAR_PIXELS : NARROW_CLEAR_PIXELS;
+    const margins = Object.fromEntries(
+      Object.entries(INSETS).map(([side, inset]) => [side, Math.max(inset, ["left", "right"].includes(side) ? aside : off)]),
+    );
+    const boxes = this.#covered.map(([left, top, right, bottom]) => [left - aside, top - off, right + aside, bottom + off]);
     const free = ({ x, y }) => {
       const [px, py] = this.view.toScreen(x, y);
       return boxes.every(([left, top, right, bottom]) => px <= left || py <= top || px >= right || py >= bottom);
@@ -134,9 +154,9 @@ export class NetworkMap {
     const below = Math.max(0, ...boxes.map(([, top]) => (top > height / 2 ? height - top : 0)));
     const beside = Math.max(0, ...boxes.map(([left, , right]) => (left < width / 4 && right < width / 2 ? right : 0)));
     const least = (most, inset) => SHIFTS.map((share) => Math.max(inset, share * most));
-    const wanted = least(above, INSETS.top).flatMap((top) =>
-      least(below, INSETS.bottom).flatMap((bottom) =>
-        least(beside, INSETS.left).map((left) => ({ ...INSETS, top, bottom, left })),
+    const wanted = least(above, margins.top).flatMap((top) =>
+      least(below, margins.bottom).flatMap((bottom) =>
+        least(beside, margins.left).map((left) => ({ ...margins, top, bottom, left })),
       ),
     );
     const scaled = wanted.map((insets) => ({ insets, scale: this.view.scaleOf(box, insets) }));
@@ -145,7 +165,7 @@ export class NetworkMap {
       this.view.place(box, insets);
       return nodes.every(free);
     });
-    return best?.insets ?? { ...INSETS, top: Math.max(INSETS.top, above), bottom: Math.max(INSETS.bottom, below) };
+    return best?.insets ?? { ...margins, top: Math.max(margins.top, above), bottom: Math.max(margins.bottom, below) };
   }
 
   // Mark the cameras or the edge that are open beside the map.
@@ -202,8 +222,32 @@ export class NetworkMap {
       this.world.style.setProperty("--thin", Math.max(0.4, near).toFixed(2));
       this.world.style.setProperty("--dot", `${Math.max(DOT_PIXELS_MIN, 0.55 * radius) / scale}px`);
       this.world.style.setProperty("--ring", `${(0.25 * radius).toFixed(2)}px`);
-      this.labels.draw(this, radius, new Set(this.#chosen), new Set(this.#found), this.#covered);
+      this.radius = radius;
+      this.#showPictures();
+      this.labels.draw(this, new Set(this.#chosen), new Set(this.#found), this.#covered);
     });
+  }
+
+  // Half the width and half the height of a camera as drawn, in pixels.
+  halves(node) {
+    return node.shot && this.shot ? [this.shot / 2, (this.shot / 2) * SHOT_RATIO] : [this.radius, this.radius];
+  }
+
+  // Show the pictures of the cameras in sight, if they are large enough and few enough.
+  #showPictures() {
+    const wide = Math.min(SHOT_PIXELS[1], SHOT_SHARE * UNIT * this.view.scale);
+    const inSight = [...this.nodes.values()].filter((node) => this.pictures.has(node.id) && this.#inSight([node.id]));
+    this.shot = wide >= SHOT_PIXELS[0] && inSight.length <= SHOTS_MAX ? wide : 0;
+    this.svg.classList.toggle("with-shots", this.shot > 0);
+    if (!this.shot) return;
+    this.world.style.setProperty("--shot", `${(this.shot / this.view.scale).toFixed(2)}px`);
+    for (const node of inSight) {
+      if (node.shot) continue;
+      const href = this.pictures.get(node.id);
+      node.shot = [s("image", { href, preserveAspectRatio: "xMidYMid slice" }), s("rect", { class: "shot" })];
+      node.element.classList.add("pictured");
+      node.element.append(...node.shot);
+    }
   }
 
   #place(id, camera, held) {
@@ -230,12 +274,13 @@ export class NetworkMap {
       this.edgeLayer.append(drawn.element);
     }
     const share = Math.sqrt(edge.transitions / this.traffic);
-    const width = WIDTH_PIXELS[0] + (WIDTH_PIXELS[1] - WIDTH_PIXELS[0]) * share;
+    const width = edge.published ? WIDTH_PIXELS[0] + (WIDTH_PIXELS[1] - WIDTH_PIXELS[0]) * share : LIKELY_PIXELS;
     Object.assign(drawn, { a, b, edge, width });
     for (const [name, value] of Object.entries({ x1: a.x, y1: a.y, x2: b.x, y2: b.y }))
       drawn.element.setAttribute(name, value.toFixed(1));
     drawn.element.style.setProperty("--width", width.toFixed(2));
-    drawn.element.setAttribute("class", `edge ${edge.relation}${edge.provisional ? " provisional" : ""}`);
+    const look = !edge.published ? " likely" : edge.provisional ? " provisional" : "";
+    drawn.element.setAttribute("class", `edge ${edge.relation}${look}`);
   }
 
   // On which side of each node its name has most room.
@@ -279,6 +324,9 @@ export class NetworkMap {
     let best = null;
     let least = near;
     for (const node of this.nodes.values()) {
+      const [wide, high] = this.halves(node);
+      const inside = node.shot && Math.abs(node.x - mx) * scale < wide && Math.abs(node.y - my) * scale < high;
+      if (inside && this.shot) return { node };
       const apart = Math.hypot(node.x - mx, node.y - my);
       if (apart < least) [best, least] = [{ node }, apart];
     }
@@ -376,7 +424,7 @@ function edgeTip({ a, b, edge }) {
   const kind = edge.relation === "overlapped" ? "Overlapping views" : "Unseen path";
   return [
     h("b", {}, `${a.id} – ${b.id}`),
-    h("span", {}, kind + (edge.provisional ? ", provisional" : "")),
+    h("span", {}, kind + (!edge.published ? ", likely" : edge.provisional ? ", provisional" : "")),
     edge.ways.map((way) =>
       h(
         "span",

@@ -2,7 +2,7 @@
 
 import { fill, h, say } from "./dom.js";
 import { go, link } from "./place.js";
-import { clock, count, percent, plural, span } from "./words.js";
+import { clock, comesBack, count, percent, plural, span } from "./words.js";
 
 const OPEN_MAX = 100; // cameras; on the map of a larger site the predictions' list would hide too much
 const HITS_SHOWN = 8;
@@ -45,6 +45,7 @@ export class Overlays {
       h("summary", {}, "Predictions"),
       this.list,
     );
+    this.waiting = h("p", { class: "overlay waiting", role: "status", hidden: true });
     this.legend = h(
       "details",
       { class: "overlay key", open: !NARROW.matches },
@@ -55,6 +56,7 @@ export class Overlays {
         h("li", {}, h("i", { class: "stroke overlapped" }), "views overlap"),
         h("li", {}, h("i", { class: "stroke unseen" }), "unseen path"),
         h("li", {}, h("i", { class: "stroke unseen provisional" }), "provisional"),
+        h("li", {}, h("i", { class: "stroke unseen likely" }), "likely, not published yet"),
         h("li", {}, h("i", { class: "stroke wide" }), "wider: more traffic"),
         app.source.live ? h("li", {}, h("i", { class: "swatch dot" }), "predicted, under way") : null,
         app.source.live ? h("li", {}, h("i", { class: "swatch ill" }), "needs attention") : null,
@@ -78,23 +80,27 @@ export class Overlays {
       ),
       zoom,
       this.legend,
-      h("div", { class: "left" }, this.alarms, this.predictions),
+      h("div", { class: "left" }, this.waiting, this.alarms, this.predictions),
     );
-    app.network.coveredBy(this.search, zoom, this.legend, this.alarms, this.predictions); // not the search's hits, which pass
+    app.network.coveredBy(this.search, zoom, this.legend, this.waiting, this.alarms, this.predictions); // not the search's hits, which pass
   }
 
   update(map) {
     if (!this.#shown && Object.keys(map.cameras).length > OPEN_MAX) this.predictions.open = false;
     this.#shown = true;
     this.#tellAlarms(map.alarms);
-    const edges = Object.values(map.edges);
+    this.waiting.hidden = !map.waiting;
+    say(this.waiting, map.waiting);
+    const edges = Object.values(map.edges).filter((edge) => edge.published);
+    const likely = Object.keys(map.edges).length - edges.length;
     const overlapped = edges.filter((edge) => edge.relation === "overlapped").length;
     const provisional = edges.filter((edge) => edge.provisional).length;
     const kinds = `${count(overlapped)} overlapping${provisional ? `, ${count(provisional)} provisional` : ""}`;
-    this.summary.textContent = `${plural(Object.keys(map.cameras).length, "camera")}, ${plural(edges.length, "pair")} (${kinds})`;
+    this.summary.textContent = `${plural(Object.keys(map.cameras).length, "camera")}, ${plural(edges.length, "pair")} (${kinds})${likely ? `, ${count(likely)} likely` : ""}`;
   }
 
   predicted(prediction) {
+    if (comesBack(prediction)) return; // which moves nobody on the map
     this.#predictions = [prediction, ...this.#predictions].slice(0, PREDICTIONS_SHOWN);
     this.#timer ??= setTimeout(() => this.#list(), LIST_MILLISECONDS);
   }

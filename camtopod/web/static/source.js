@@ -38,6 +38,9 @@ class Server {
   changes(old, now) {
     return get(`data/changes/${old}/${now}`);
   }
+  pictures() {
+    return get("data/pictures");
+  }
   picture(id) {
     return `picture/${encodeURIComponent(id)}`;
   }
@@ -70,6 +73,9 @@ class Report {
   }
   async changes(old, now) {
     return this.#found(this.held.changes[`${old} ${now}`]);
+  }
+  async pictures() {
+    return Object.keys(this.held.pictures);
   }
   picture(id) {
     return this.held.pictures[id];

@@ -35,6 +35,7 @@ export class LinkTable {
         },
       },
     });
+    this.waiting = h("div", {});
     this.said = h("p", { class: "quiet", role: "status" });
     this.place = h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Links" });
     this.element = h(
@@ -43,6 +44,7 @@ export class LinkTable {
       h("h1", {}, "Links between cameras"),
       h("div", { class: "tools" }, input),
       this.said,
+      this.waiting,
       this.place,
     );
   }
@@ -61,7 +63,10 @@ export class LinkTable {
       edge.ways.map((way) => ({
         ...way,
         kind:
-          (edge.relation === "overlapped" ? "overlapping" : "unseen path") + (edge.provisional ? ", provisional" : ""),
+          (edge.relation === "overlapped" ? "overlapping" : "unseen path") +
+          (!edge.published ? ", likely" : edge.provisional ? ", provisional" : ""),
+        look: !edge.published ? " likely" : edge.provisional ? " provisional" : "",
+        published: edge.published,
         provisional: edge.provisional,
       })),
     );
@@ -70,7 +75,9 @@ export class LinkTable {
     );
     const by = COLUMNS[this.#order][1];
     wanted.sort((a, b) => (by(a) < by(b) ? -1 : by(a) > by(b) ? 1 : 0));
-    const all = plural(ways.length, "link");
+    const likely = ways.filter((way) => !way.published).length;
+    const all = plural(ways.length - likely, "link") + (likely ? ` and ${count(likely)} likely` : "");
+    fill(this.waiting, this.map?.waiting ? h("p", {}, this.map.waiting) : null);
     say(this.said, wanted.length === ways.length ? all : `${count(wanted.length)} of ${all}`);
     fill(
       this.place,
@@ -122,7 +129,7 @@ export class LinkTable {
                 "td",
                 { title: way.provisional || null },
                 h("span", {
-                  class: `stroke ${way.kind.startsWith("over") ? "overlapped" : "unseen"}${way.provisional ? " provisional" : ""}`,
+                  class: `stroke ${way.kind.startsWith("over") ? "overlapped" : "unseen"}${way.look}`,
                 }),
                 h("span", { class: "apart" }, way.kind),
               ),

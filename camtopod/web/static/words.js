@@ -63,6 +63,11 @@ export function ago(age) {
   return age < 172800 ? `${(age / 3600).toFixed(0)} h ago` : `${(age / 86400).toFixed(0)} days ago`;
 }
 
+// Whether an object most likely appears next where it has just left.
+export function comesBack({ camera, next, now, leave }) {
+  return !now.length && next.length > 0 && next[0].camera === camera && next[0].probability >= leave;
+}
+
 // Whether a camera's state asks for attention.
 export function troubled(state) {
   return !["running", "ended", "unknown", "no grabber", undefined].includes(state);

@@ -1,0 +1,98 @@
+"""What a site waits for until its first link between views, and what a weak link lacks, in words.
+
+A link joins the views of two cameras. Passages through one view are visible links in
+`Topology.links`; they are not counted as links where people read a number of links.
+"""
+
+from __future__ import annotations
+
+import math
+
+from camtopod.records import Lacks, Link, Topology
+
+NAMED_TRANSITIONS_MIN = 2.0
+"""Transitions from which a weak link is named as the nearest one to publication."""
+_LONGEST = {"minutes": 120.0, "hours": 48.0, "days": math.inf}
+"""Amount from which a duration is given in the next larger unit."""
+
+
+def links_between_views(topology: Topology) -> list[Link]:
+    """Return the published links between the views of two cameras."""
+    return [link for link in topology.links if link.relation != "visible"]
+
+
+def likely_links(topology: Topology) -> list[Link]:
+    """Return the weak links between views that are half-way to publication, nearest first.
+
+    Half-way: a link lacks at most as many passages as it has.
+    """
+    return [
+        link
+        for link in _lacking(topology)
+        if link.lacks is not None and link.lacks.passages <= link.transitions
+    ]
+
+
+def waiting_for_links(topology: Topology) -> str:
+    """Return what a site without links between views waits for, in words; "" if it has some."""
+    if links_between_views(topology):
+        return ""
+
+    # What there is so far.
+    passages = sum(zone.exits for zone in topology.zones)
+    so_far = f"{passages:,} {'passage' if passages == 1 else 'passages'} so far"
+    cameras = [camera.id for camera in topology.cameras]
+    if not cameras:
+        return "No camera is known yet."
+    if len(cameras) < 2:
+        return f"A link needs two cameras: only {cameras[0]} has sent events, {so_far}."
+    said = f"No two cameras are linked yet: {so_far}."
+
+    # The weak link that needs least time.
+    nearest = next(iter(_lacking(topology)), None)
+    if nearest is None or nearest.lacks is None:
+        return f"{said} A link takes about ten passages from one camera to another."
+    camera = {zone.id: zone.camera for zone in topology.zones}
+    total = nearest.transitions + nearest.lacks.passages
+    return (
+        f"{said} The nearest one, {camera[nearest.from_]} to {camera[nearest.to]}, has "
+        f"{nearest.transitions:.0f} of about {total:.0f}; "
+        f"about {duration_in_words(nearest.lacks.seconds)} at this traffic."
+    )
+
+
+def lacks_in_words(lacks: Lacks) -> str:
+    """Return what a weak link lacks, in words."""
+    passages = (
+        "one more passage" if lacks.passages < 1.5 else f"about {lacks.passages:.0f} more passages"
+    )
+    return f"{passages}, {duration_in_words(lacks.seconds)} at this traffic"
+
+
+def duration_in_words(seconds: float) -> str:
+    """Return a duration in whole minutes, hours or days, at least one minute."""
+    minutes = seconds / 60.0
+    for unit, amount in (
+        ("minutes", minutes),
+        ("hours", minutes / 60.0),
+        ("days", minutes / 1440.0),
+    ):
+        if amount < _LONGEST[unit]:
+            break
+    return f"{max(amount, 1.0):.0f} {unit if amount >= 1.5 else unit[:-1]}"
+
+
+def _lacking(topology: Topology) -> list[Link]:
+    """Return the weak links between views that more traffic would publish, nearest first."""
+    camera = {zone.id: zone.camera for zone in topology.zones}
+    found = [
+        link
+        for link in topology.weak_links or []
+        if link.lacks is not None
+        and link.transitions >= NAMED_TRANSITIONS_MIN
+        and camera[link.from_] != camera[link.to]
+    ]
+    return sorted(
+        found,
+        key=lambda link: (math.inf if link.lacks is None else link.lacks.seconds, link.q_value),
+    )

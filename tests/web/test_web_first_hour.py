@@ -1,0 +1,107 @@
+"""The page of a site that has just begun: what it waits for, its pictures, and how far it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from chromium import Browser
+from msgspec.structs import replace
+from page_fixture import Shown, opened
+from synthetic_topology import made_link, synthetic_topology
+
+from camtopod.records import Lacks, NextCamera, Prediction
+from camtopod.web.map_data import draw
+
+SITE = synthetic_topology(4)
+NAMES = [camera.id for camera in SITE.cameras]
+A, B = SITE.zones[0], SITE.zones[-1]
+LIKELY = replace(made_link(A.id, B.id, 20.0, 4.0), q_value=0.5, lacks=Lacks(3.0, 1800.0))
+YOUNG = replace(SITE, links=[], pairs=[], weak_links=[LIKELY])
+
+
+def test_before_the_first_version_it_says_how_many_events_there_are(browser: Browser) -> None:
+    shown = Shown()
+    with shown.serving():
+        opened(browser, shown)
+        browser.wait(lambda: "No camera has sent an event yet" in browser.text(".nothing"), "why")
+        shown.status(a={"events": 3, "newest": 1.0}, b={"events": 4, "newest": 1.0})
+        browser.go("#/health")  # which asks for the cameras' figures
+        browser.wait(lambda: "2 cameras" in browser.text(".page"), "the cameras")
+        browser.go("#/map")
+        browser.wait(lambda: "7 events from 2 cameras so far" in browser.text(".nothing"), "them")
+
+
+def test_without_a_link_it_says_what_it_waits_for_and_dots_what_is_likely(
+    browser: Browser,
+) -> None:
+    shown = Shown(YOUNG)
+    with shown.serving():
+        opened(browser, shown)
+        waiting = draw(YOUNG).waiting
+        browser.wait(lambda: browser.text(".waiting") == waiting, "what it waits for")
+        assert "has 4 of about 7; about 30 minutes" in waiting
+        assert browser.count(".edge.likely") == browser.count(".edge") == 1
+        assert browser.text(".key summary .quiet").endswith("0 pairs (0 overlapping), 1 likely")
+        browser.go(f"#/pair/{A.camera}/{B.camera}")
+        browser.wait(lambda: "about 3 more passages" in browser.text(".panel"), "what it lacks")
+        assert "Likely link" in browser.text(".panel .kind")
+        browser.go("#/links")
+        browser.wait(lambda: "0 links and 1 likely" in browser.text(".page"), "the table")
+        assert waiting in browser.text(".page")
+        shown.publish(replace(SITE, version=2))
+        browser.go("#/map")
+        browser.wait(lambda: browser.count(".edge.likely") == 0, "the links")
+        assert browser.text(".waiting") == ""
+
+
+def test_cameras_with_a_picture_are_shown_by_it(browser: Browser, tmp_path: Path) -> None:
+    for name in (NAMES[0], "not a camera"):
+        cv2.imwrite(str(tmp_path / f"{name}.jpg"), np.full((90, 160, 3), 120, np.uint8))
+    shown = Shown(YOUNG, pictures=tmp_path)
+    with shown.serving():
+        opened(browser, shown)
+        browser.wait(lambda: browser.count(".node.pictured image") == 1, "the picture")
+        assert browser.count(".node circle") == len(NAMES)
+        height = "return document.querySelector(arguments[0]).getBoundingClientRect().height"
+        assert browser.run(height, f".node[data-id={NAMES[0]}] image") > 40
+        assert browser.run(height, f".node[data-id={NAMES[0]}] circle") == 0
+        for _ in range(12):
+            browser.run("document.querySelector('[title=\"Zoom out\"]').click()")
+        browser.wait(
+            lambda: browser.run(height, f".node[data-id={NAMES[0]}] image") == 0,
+            "a circle where there is no room for a picture",
+        )
+    assert browser.complaints() == []
+
+
+def test_while_the_learner_is_behind_it_does_not_say_that_it_is_live(browser: Browser) -> None:
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown)
+        behind = {"seconds": 2640.0, "share": 0.634}
+        shown.bus.publish("status/daemon", {"state": "running", "catching_up": behind})
+        browser.wait(lambda: browser.text("#live") == "catching up, 63 % · version 1", "how far")
+        assert browser.text(".banner") == ""
+        shown.status()
+        browser.wait(lambda: browser.text("#live") == "live · version 1", "that it has caught up")
+
+
+def test_who_comes_back_is_not_in_the_list_and_is_told_at_the_camera(browser: Browser) -> None:
+    shown = Shown(SITE)
+
+    def told(to: str, selector: str) -> str:
+        """Predict, again as long as the page is connecting; return the text of the page."""
+        following = [NextCamera(to, f"{to}/1", 0.6, 4.0, 5.0, 6.0)]
+        said = Prediction(NAMES[0], None, 1.0, "x", 1, 0.4, following)
+        shown.bus.publish(f"prediction/{NAMES[0]}", said)
+        return browser.text(selector)
+
+    with shown.serving():
+        opened(browser, shown, f"#/camera/{NAMES[0]}")
+        browser.wait(lambda: browser.count(".scene") == 1, "the camera")
+        back, onward = f"comes back to {NAMES[0]}/1", f"{NAMES[0]} → {NAMES[1]}"
+        browser.wait(lambda: back in told(NAMES[0], ".panel"), "it at the camera")
+        browser.wait(lambda: onward in told(NAMES[1], ".predictions"), "another in the list")
+        assert f"{NAMES[0]} → {NAMES[0]}" not in browser.text(".predictions")
