@@ -38,6 +38,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from camtopod.records import CAMERA_PATTERN, Topology
 from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import Beat, Clock, Progress
+from camtopod.web.api import Api
 from camtopod.web.feed import Feed
 from camtopod.web.outbox import PageQueues
 from camtopod.web.pictures import picture_of, pictured
@@ -389,7 +390,9 @@ class _Connection(H11Protocol):
         self._timer = None if seconds is None else self.loop.call_later(seconds, then)
 
 
-def application(site: Routes, names: Collection[str], any_address: bool, beat: Beat) -> Starlette:
+def application(
+    site: Routes, api: Api, names: Collection[str], any_address: bool, beat: Beat
+) -> Starlette:
     """Return the web application, which accepts only ``names``, and addresses if ``any_address``.
 
     beat: called regularly as long as the application's event loop makes progress.
@@ -421,6 +424,8 @@ def application(site: Routes, names: Collection[str], any_address: bool, beat: B
         Route("/data/pictures", site.pictures),
         Route("/picture/{camera}", site.picture),
         Route("/live", site.live),
+        *api.routes(),
+        Route("/api/openapi.json", lambda request: FileResponse(str(STATIC / "openapi.json"))),
     ]
 
     middleware = [
@@ -460,9 +465,10 @@ def serving(
     )
     stop = threading.Event()
     hub = PageQueues()
-    feed = Feed(bus, hub, clock, status_seconds)
+    feed, past = Feed(bus, hub, clock, status_seconds), VersionCache(bus)
+    api = Api(bus, feed, past, is_open=not any_address)
     config = uvicorn.Config(
-        application(Routes(feed, VersionCache(bus), hub, pictures), names, any_address, page.beat),
+        application(Routes(feed, past, hub, pictures), api, names, any_address, page.beat),
         log_config=None,
         log_level="warning",
         access_log=False,
@@ -496,6 +502,7 @@ def serving(
     finally:
         stop.set()
         hub.close()
+        api.close()
         server.should_exit = True
         for thread in threads:
             thread.join(CLOSE_SECONDS + 1)

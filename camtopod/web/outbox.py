@@ -107,6 +107,10 @@ class PageQueues:
             self._boxes.add(box)
             return box
 
+    def __bool__(self) -> bool:
+        """Return True if any page is open."""
+        return bool(self._boxes)
+
     def leave(self, box: PageQueue) -> None:
         """Remove the queue of a page that has gone."""
         with self._mutex:

@@ -1,0 +1,150 @@
+"""Read-only HTTP API of the page's server, for programs in any language.
+
+`static/openapi.json` describes it. Predictions are streamed as server-sent events.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import AsyncIterator, Callable
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from camtopod import codec
+from camtopod.records import CAMERA_PATTERN, Prediction, Topology
+from camtopod.serve.bus import Bus, QueryError
+from camtopod.web.feed import Feed
+from camtopod.web.outbox import PageQueues
+from camtopod.web.version_cache import VersionCache
+
+BEAT_SECONDS = 10.0
+"""Longest interval between two messages of a stream; a comment is sent if there is nothing else."""
+ASKED = ("zone", "x", "y", "t", "now")
+"""Parameters of a query for a prediction beside ``camera``."""
+LOOPBACK_ONLY = (
+    "this API answers programs on its own machine only: set [web] password_file and token_file, "
+    "or let camtopod web listen on 127.0.0.1"
+)
+_EVERY_CAMERA = "*"
+"""Stands for all cameras; no camera has this id."""
+_VERSION = re.compile("[0-9]{1,18}")
+"""As many digits as the daemon accepts."""
+
+
+class Api:
+    """Handlers of the API.
+
+    is_open: whether requests are answered at all, as only this machine can make them or as they
+        carry a token.
+    """
+
+    def __init__(self, bus: Bus, feed: Feed, past: VersionCache, is_open: bool) -> None:
+        self._bus, self._feed, self._past, self._is_open = bus, feed, past, is_open
+        self._readers = PageQueues()
+        bus.subscribe("prediction/*", self._on_prediction)
+
+    def routes(self) -> list[Route]:
+        """Return the routes of the API."""
+        return [
+            Route("/api/topology", self._answering(self.topology)),
+            Route("/api/versions", self._answering(self.versions)),
+            Route("/api/status", self._answering(self.status)),
+            Route("/api/predict", self._answering(self.predict)),
+            Route("/api/predictions", self.predictions),
+        ]
+
+    def close(self) -> None:
+        """End all streams."""
+        self._readers.close()
+
+    def topology(self, request: Request) -> Response:
+        """Return the newest topology, or with ``version`` an older one of its epoch."""
+        newest = self._newest
+        if newest is None:
+            return _error(404, "nothing has been learned yet")
+        number = request.query_params.get("version", str(newest.version))
+        if not _VERSION.fullmatch(number):
+            return _error(400, f"version {number[:20]!r} is not a whole number")
+        found = self._past.version(newest, int(number))
+        if found is None:
+            return _error(404, f"version {number} is not kept, or the daemon does not answer")
+        return _content(codec.to_json(found))
+
+    def versions(self, request: Request) -> Response:
+        """Return summaries of the versions that are known without a query, oldest first."""
+        newest = self._newest
+        return _content(codec.to_json([] if newest is None else self._past.summaries(newest)))
+
+    def status(self, request: Request) -> Response:
+        """Return state, reason and counters of the daemon and of all cameras."""
+        return _content(codec.to_json(self._feed.health()))
+
+    def predict(self, request: Request) -> Response:
+        """Return the daemon's prediction for an exit: `ASKED` are those of ``predict/{camera}``."""
+        given = dict(request.query_params)
+        camera = given.pop("camera", "")
+        if not re.match(CAMERA_PATTERN, camera):
+            return _error(400, "camera: the id of the camera whose view the object left")
+        if unknown := sorted(set(given) - set(ASKED)):
+            return _error(400, f"unknown parameter {unknown[0][:20]!r}: use {', '.join(ASKED)}")
+        if any(set(value) & set(";=&?#") for value in given.values()):
+            return _error(400, "zone is an id of the topology; the others are numbers")
+
+        try:
+            answers = self._bus.query(f"predict/{camera}", given, one=True)
+        except QueryError as error:
+            return _error(400, str(error))
+        if not answers:
+            return _error(503, "the daemon does not answer")
+        return _content(codec.to_json(codec.read(Prediction, answers[0][1], pack=True)))
+
+    async def predictions(self, request: Request) -> Response:
+        """Stream the daemon's predictions, of all exits or those of ``camera``."""
+        if not self._is_open:
+            return _error(403, LOOPBACK_ONLY)
+        camera = request.query_params.get("camera", _EVERY_CAMERA)
+        if camera != _EVERY_CAMERA and not re.match(CAMERA_PATTERN, camera):
+            return _error(400, "camera: the id of a camera")
+        box = self._readers.open(camera)
+        if box is None:
+            return _error(503, "too many programs read predictions")
+
+        async def stream() -> AsyncIterator[bytes]:
+            with contextlib.ExitStack() as stack:
+                stack.callback(self._readers.leave, box)
+                yield b"retry: 1000\n\n"
+                while (messages := await box.take(BEAT_SECONDS)) is not None:
+                    yield messages or b": still here\n\n"
+
+        return StreamingResponse(stream(), media_type="text/event-stream")
+
+    @property
+    def _newest(self) -> Topology | None:
+        return None if self._feed.stories is None else self._feed.stories.topology
+
+    def _answering(self, handler: Callable[[Request], Response]) -> Callable[[Request], Response]:
+        """Return a handler that refuses requests if the API is not open."""
+        return handler if self._is_open else lambda request: _error(403, LOOPBACK_ONLY)
+
+    def _on_prediction(self, key: str, payload: bytes) -> None:
+        """Pass a prediction on to the programs that read; a slow one misses some."""
+        if not self._readers:
+            return
+        try:
+            prediction = codec.read(Prediction, payload, pack=True)
+        except codec.Rejected:
+            return
+        content = codec.to_json(prediction)
+        for camera in (prediction.camera, _EVERY_CAMERA):
+            self._readers.send("prediction", content, camera, passing=True)
+
+
+def _content(json: bytes) -> Response:
+    return Response(json, media_type="application/json")
+
+
+def _error(status: int, what: str) -> Response:
+    return JSONResponse({"error": what}, status)
