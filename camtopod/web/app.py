@@ -1,6 +1,6 @@
 """HTTP server of the page. Read-only; pages load nothing from other hosts.
 
-The only module that uses starlette and uvicorn.
+The only module that uses uvicorn, and with `api` the only one that uses starlette.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ HOMES = {
     "zenoh": ("serve.bus.session", "serve.bus.refusals"),
     "paho": ("mqtt",),
     "prometheus_client": ("serve.monitoring.metrics",),
-    "starlette": ("web.app",),
+    "starlette": ("web.app", "web.api"),
     "uvicorn": ("web.app",),
     "rich": ("cli.terminal.screen",),
     "cv2": ("vision", "sim", "export"),
