@@ -132,12 +132,16 @@ def _difference(was: Link, now: Link) -> str:
     apart = abs(was.transit.q50 - now.transit.q50)
     error = math.hypot(was.transit.q50_sd or 0.0, now.transit.q50_sd or 0.0)
     if apart > max(TIME_CHANGE_SD * error, TIME_CHANGE_SHARE * abs(was.transit.q50)):
-        parts.append(f"median time {was.transit.q50:.1f} s → {now.transit.q50:.1f} s")
+        parts.append(f"median time {_time(was.transit.q50)} → {_time(now.transit.q50)}")
     return ", ".join(parts)
 
 
 def _told(link: Link) -> str:
-    return f"{link.relation}, share {_percent(link.probability)}, {link.transit.q50:.1f} s"
+    return f"{link.relation}, share {_percent(link.probability)}, {_time(link.transit.q50)}"
+
+
+def _time(seconds: float) -> str:
+    return f"{-seconds:.1f} s before leaving" if seconds < 0 else f"{seconds:.1f} s"
 
 
 def _zones(old: dict[str, Zone], new: dict[str, Zone]) -> list[Change]:

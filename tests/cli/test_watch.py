@@ -198,6 +198,15 @@ def test_links_are_those_between_views_and_without_one_it_says_what_it_waits_for
     assert "1 links between views" in shown(topology(links=1))
 
 
+def test_where_views_overlap_no_time_is_negative() -> None:
+    site = topology(links=1)
+    early = msgspec.structs.replace(site.links[0].transit, q50=-4.53)
+    site = msgspec.structs.replace(
+        site, links=[msgspec.structs.replace(site.links[0], transit=early)]
+    )
+    assert "overlap, 4.5 s before" in shown(site)
+
+
 def test_who_probably_returns_to_the_view_it_left_comes_back() -> None:
     following = [NextCamera("lobby", "lobby/2", 0.6, 1.0, 2.0, 3.0)]
     said = Prediction("lobby", "lobby/1", NOW, "17", 9, 0.4, following)

@@ -124,6 +124,43 @@ def test_each_time_says_which_way_it_is_of_where_they_differ(browser: Browser, s
     assert sorted(times(browser)) == sorted(["9.0 s", f"{there} 15 {back} 27 s"])
 
 
+def test_overlapping_views_have_no_negative_time(browser: Browser, show: Shows) -> None:
+    """The object appears in the second view before it leaves the first."""
+    show(joined(("a", "b", -4.5, -4.5, 400.0), ("b", "c", 9.0, 9.0, 400.0)))
+    browser.wait(lambda: sorted(times(browser)) == ["9.0 s", "overlap"], "what is on the edges")
+    browser.go("#/link/a%2F1/b%2F1/overlapped")
+    browser.wait(lambda: "they appear at b/1 4.5 s before" in browser.text(".lead"), "the headline")
+    assert "−" not in browser.text(".lead")
+    browser.go("#/links")
+    browser.wait(lambda: "4.5 s before" in browser.text(".page table"), "the table")
+    browser.go("#/camera/a")
+    browser.wait(lambda: "overlap" in browser.text(".panel .links"), "the camera's list")
+
+
+def test_zones_at_the_border_of_the_picture_are_whole(browser: Browser, show: Shows) -> None:
+    corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 1.0)]
+    site = joined(("a", "b", 9.0, 9.0, 400.0))
+    zones = [
+        msgspec.structs.replace(site.zones[0], id=f"a/{k}", x=x, y=y)
+        for k, (x, y) in enumerate(corners, 1)
+    ]
+    cameras = [Camera("a", [zone.id for zone in zones]), site.cameras[1]]
+    show(msgspec.structs.replace(site, cameras=cameras, zones=[*zones, site.zones[1]]))
+    browser.go("#/camera/a")
+    browser.wait(lambda: browser.count(".scene .zone") == len(corners), "the zones")
+    outside = (
+        "const [panel] = boxes('.panel'); const frame = boxes('.scene svg')[0];"
+        "return boxes('.scene .zone text').filter((one) => one.left < frame.left || one.right > frame.right"
+        " || one.top < frame.top || one.bottom > frame.bottom).length"
+        " + boxes('.scene .zone').filter((one) => one.left < panel.left || one.right > panel.right).length"
+    )
+    assert browser.run(f"{BOXES} {outside}") == 0
+    assert (
+        browser.run("return getComputedStyle(document.querySelector('.scene svg')).overflow")
+        == "visible"
+    )
+
+
 def test_published_and_busy_edges_have_their_times_before_others(
     browser: Browser, show: Shows
 ) -> None:

@@ -251,7 +251,12 @@ def busiest_links(topology: Topology | None) -> list[Link]:
 
 
 def transit(link: Link) -> str:
-    """Return a link's transit time in words: median, and the range of four in five."""
+    """Return a link's transit time in words: median, and the range of four in five.
+
+    Where views overlap, an object appears in the second before it leaves the first.
+    """
+    if link.transit.q50 < 0:
+        return f"overlap, {-link.transit.q50:.1f} s before"
     return f"{link.transit.q50:.1f} ({link.transit.q10:.1f} to {link.transit.q90:.1f}) s"
 
 

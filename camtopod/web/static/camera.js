@@ -5,8 +5,10 @@ import { link } from "./place.js";
 import { ago, clock, comesBack, count, percent, plural, seconds, span, stateClass } from "./words.js";
 
 const FRAME = [1600, 900]; // where there is no picture, pixels
+const MARGINS = [0.06, 0.2]; // around the picture, of its width or height: zones lie on its edges
 const SPREAD = 2; // standard deviations that a zone's ellipse shows
 const COUNTS_UNITS = 44; // half the width of a zone's counts, in 400ths of the picture's
+const NUMBER_UNITS = 8; // the same of its number
 const HEAD_BEFORE = 0.055; // a passage ends so much of the width before a zone's middle, for its head to be seen
 const EVENTS_SHOWN = 40;
 const PASSAGE_SHARE_MIN = 0.12;
@@ -117,7 +119,7 @@ export function linkList(links, other, none) {
           ),
           h("span", { class: "bar", "aria-hidden": "true" }, bar(one.probability)),
           h("span", { class: "number" }, percent(one.probability)),
-          h("span", { class: "number" }, seconds(one.transit.q50)),
+          h("span", { class: "number" }, one.transit.q50 < 0 ? "overlap" : seconds(one.transit.q50)),
         ),
       ),
     ),
@@ -247,10 +249,11 @@ class Scene {
     this.marks = s("g", {}, this.events);
     this.zones = new Map();
     const placed = this.story.zones.filter((zone) => zone.x !== undefined && zone.x !== null);
+    const [mx, my] = margins(placed);
     const svg = s(
       "svg",
       {
-        viewBox: `0 0 ${width} ${height}`,
+        viewBox: [-mx * width, -my * height, (1 + 2 * mx) * width, (1 + 2 * my) * height].join(" "),
         role: "img",
         "aria-label": `View of ${this.story.id} with ${plural(placed.length, "learned zone")}`,
       },
@@ -276,8 +279,11 @@ class Scene {
     const { major, minor, turn } = ellipse(zone.cov, width, height);
     const [x, y] = [zone.x * width, zone.y * height];
     const unit = width / 400;
-    const inside = Math.min(width - COUNTS_UNITS * unit, Math.max(COUNTS_UNITS * unit, x));
-    const below = y + minor + 26 * unit < height ? y + 16 * unit : y - 12 * unit;
+    const within = (value, from, to) => Math.min(to, Math.max(from, value));
+    const inside = within(x, COUNTS_UNITS * unit, width - COUNTS_UNITS * unit);
+    const number = within(x, NUMBER_UNITS * unit, width - NUMBER_UNITS * unit);
+    const line = within(y, NUMBER_UNITS * unit, height - NUMBER_UNITS * unit) + 0.012 * width;
+    const below = line + (line + 16 * unit < height ? 12 * unit : -16 * unit);
     const counts = s(
       "text",
       { class: "counts", x: inside, y: below, "text-anchor": "middle" },
@@ -288,7 +294,7 @@ class Scene {
       "g",
       { class: "zone" },
       s("ellipse", { rx: major, ry: minor, transform: `translate(${x} ${y}) rotate(${turn})` }),
-      s("text", { x, y: y + 0.012 * width, "text-anchor": "middle" }, zone.id.slice(zone.id.lastIndexOf("/") + 1)),
+      s("text", { x: number, y: line, "text-anchor": "middle" }, zone.id.slice(zone.id.lastIndexOf("/") + 1)),
       counts,
       s("title", {}, `${zone.id}: ${count(zone.entries)} in, ${count(zone.exits)} out`),
     );
@@ -335,6 +341,17 @@ export function ellipse(cov, width, height) {
     minor: SPREAD * Math.sqrt(Math.max(middle - apart, 0)),
     turn: (0.5 * Math.atan2(2 * b, a - d) * 180) / Math.PI,
   };
+}
+
+// How far zones reach beyond the picture, of its width and of its height.
+function margins(zones) {
+  return [0, 1].map((axis) => {
+    const beyond = zones.map((zone) => {
+      const at = axis ? zone.y : zone.x;
+      return SPREAD * Math.sqrt(zone.cov[axis][axis]) - Math.min(at, 1 - at);
+    });
+    return Math.min(MARGINS[1], Math.max(MARGINS[0], ...beyond));
+  });
 }
 
 // The middle and the end point of the first part, up to `along`, of a curve with these three.

@@ -105,7 +105,7 @@ function placeTimes(map, chosen, taken) {
   }
   const rank = ({ a, b, edge }) =>
     (chosen.has(a.id) && chosen.has(b.id) ? 2e12 : 0) + (edge.provisional ? 0 : 1e12) + edge.transitions;
-  const long = lines.filter((line) => line.length >= EDGE_PIXELS_MIN && line.edge.ways.length);
+  const long = lines.filter(({ length, edge }) => length >= EDGE_PIXELS_MIN && edge.ways.length && edge.published);
   long.sort((one, other) => rank(other) - rank(one));
   const settled = lines.filter((line) => !line.edge.provisional);
   const wanted = [];
@@ -166,10 +166,11 @@ function apart({ ax, ay, dx, dy }, x, y, half) {
   );
 }
 
-// The transit time of an edge, one where both ways are about the same; else each with an arrow the way it is of, as the
+// The transit time of an edge, "overlap" if objects appear before they leave; one where both ways are about the same; else each with an arrow the way it is of, as the
 // edge lies on the screen.
 export function edgeText({ a, edge, dx, dy }) {
   const [one, other] = edge.ways;
+  if (edge.ways.some((way) => way.mode < 0)) return "overlap";
   if (!other) return seconds(one.mode);
   if (Math.abs(one.mode - other.mode) <= 0.15 * Math.max(Math.abs(one.mode), Math.abs(other.mode)))
     return seconds(one.mode);

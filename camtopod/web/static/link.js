@@ -5,7 +5,7 @@ import { axisX, axisY, points, scale, ticks } from "./chart.js";
 import { h, s } from "./dom.js";
 import { link } from "./place.js";
 import { NotThere } from "./source.js";
-import { count, percent, scientific, seconds, span } from "./words.js";
+import { count, percent, scientific, seconds, span, transit } from "./words.js";
 
 const WIDTH = 420;
 const HEIGHT = 250;
@@ -69,8 +69,10 @@ export async function linkPanel(app, from, to, relation) {
         "p",
         { class: "lead" },
         h("b", {}, percent(story.probability)),
-        ` of the objects that ${inOneView ? "enter" : "leave"} at ${story.from}, in `,
-        h("b", {}, seconds(t.q50)),
+        ` of the objects that ${inOneView ? "enter" : "leave"} at ${story.from}`,
+        t.q50 < 0
+          ? [` are in both views: they appear at ${story.to} `, h("b", {}, transit(t.q50))]
+          : [", in ", h("b", {}, seconds(t.q50))],
       ),
       chart(story),
       h("h3", {}, story.weak ? "Evidence so far" : "Evidence"),
@@ -89,8 +91,8 @@ export async function linkPanel(app, from, to, relation) {
           "Expected number in the window that was learned from",
         ),
         inOneView ? null : fact("Departures", count(story.departures)),
-        fact("Most frequent time", seconds(t.mode), "The mode, which the thesis takes as the weight of the edge"),
-        fact("Median", t.q50_sd ? `${seconds(t.q50)} ± ${seconds(t.q50_sd)}` : seconds(t.q50)),
+        fact("Most frequent time", transit(t.mode), "The mode, which the thesis takes as the weight of the edge"),
+        fact("Median", t.q50_sd ? `${transit(t.q50)} ± ${seconds(t.q50_sd)}` : transit(t.q50)),
         fact("Mean, sd", `${seconds(t.mean)}, ${seconds(t.sd)}`),
         fact("Middle 80 %", span(t.q10, t.q90)),
         inOneView

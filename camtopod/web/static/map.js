@@ -5,7 +5,7 @@ import { Flow } from "./flow.js";
 import { Labels, SIDES } from "./labels.js";
 import { go } from "./place.js";
 import { View } from "./view.js";
-import { count, percent, plural, seconds, span } from "./words.js";
+import { count, percent, plural, seconds, span, transit } from "./words.js";
 
 const UNIT = 110; // pixels of the map a hop, at scale 1
 const NODE_SHARE = 0.14; // radius of a node, of a hop
@@ -429,7 +429,9 @@ function edgeTip({ a, b, edge }) {
       h(
         "span",
         {},
-        `${way.from} → ${way.to}: ${seconds(way.mode)} (${span(way.q10, way.q90)}), ${percent(way.probability)}`,
+        way.mode < 0
+          ? `${way.from} → ${way.to}: both views, appears ${transit(way.mode)}, ${percent(way.probability)}`
+          : `${way.from} → ${way.to}: ${seconds(way.mode)} (${span(way.q10, way.q90)}), ${percent(way.probability)}`,
       ),
     ),
     edge.provisional ? h("span", { class: "note" }, edge.provisional) : null,

@@ -93,7 +93,7 @@ export class LinkTable {
             COLUMNS.map(([name], k) =>
               h(
                 "th",
-                { scope: "col", "aria-sort": k === this.#order ? sortOf(name) : null, class: k > 2 ? "number" : null },
+                { scope: "col", "aria-sort": k === this.#order ? sortOf(name) : null, class: k > 4 ? "apart number" : k > 2 ? "number" : null },
                 h(
                   "button",
                   {
@@ -134,9 +134,9 @@ export class LinkTable {
                 h("span", { class: "apart" }, way.kind),
               ),
               h("td", { class: "number" }, percent(way.probability)),
-              h("td", { class: "number" }, seconds(way.mode)),
-              h("td", { class: "number" }, span(way.q10, way.q90)),
-              h("td", { class: "number" }, count(way.transitions)),
+              h("td", { class: "number" }, way.mode < 0 ? `${seconds(-way.mode)} before` : seconds(way.mode)),
+              h("td", { class: "apart number" }, span(way.q10, way.q90)),
+              h("td", { class: "apart number" }, count(way.transitions)),
             ),
           ),
         ),

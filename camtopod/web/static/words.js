@@ -7,6 +7,11 @@ export function seconds(value) {
   return (value < 0 ? "−" : "") + (text ? `${text} s` : `${(size / 60).toFixed(1)} min`);
 }
 
+// A transit time; a negative one is of views that overlap: the object appears before it leaves.
+export function transit(value) {
+  return value < 0 ? `${seconds(-value)} before leaving` : seconds(value);
+}
+
 export function span(low, high) {
   const digits = Math.max(Math.abs(low), Math.abs(high)) < 10 ? 1 : 0;
   return `${signed(low, digits)} to ${signed(high, digits)} s`;
