@@ -1,61 +1,137 @@
-"""Drawing of the camera network as SVG, for any browser."""
+"""Drawing of the camera network as SVG: the page's map as a picture."""
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
 from xml.sax.saxutils import escape
 
-import numpy as np
-from numpy.typing import NDArray
-
 from camtopod.export.graph import Edge, edges, seconds
+from camtopod.export.layout import places
 from camtopod.records import Topology
 from camtopod.visible import visible
 
-NODE_WIDTH, NODE_HEIGHT = 110.0, 40.0
-"""Size of a camera's box, in units of the drawing."""
-PART_ROWS = 64
-"""Cameras whose repulsion is computed at a time, to limit memory."""
-DISTANCE_MIN = 1e-4
-"""Smallest distance of two cameras in the layout (share of its width); avoids division by 0."""
-STROKE = {True: "#111111", False: "#9a9a9a"}
+UNIT = 130.0
+"""Length of an unseen path in units of the drawing (pixels, if it is not scaled)."""
+RADIUS = 11.0
+"""Radius of a camera's circle."""
+MARGIN_X, MARGIN_Y = 90.0, 60.0
+"""Space between the outermost cameras and the border."""
+WIDTHS = (1.2, 7.0)
+"""Widths of the lines with least and most transitions."""
+CHARACTER = 7.5
+"""Width of a character of a name, at most."""
+TIME_CHARACTER = 6.2
+"""Width of a character of a transit time, on average."""
+LINE = 16.0
+"""Height of a line of text."""
+CELL = 64.0
+"""Size of the cells in which `_Taken` looks for boxes."""
+STROKE = {True: "#111513", False: "#85908a"}
 """Line colour, by whether the views overlap: black and grey in the thesis."""
+_ALONG = (0.5, 0.4, 0.6, 1 / 3, 2 / 3)
+"""Where on a line its times may be written, best first, as shares of its length."""
+_SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))
+"""Sides of a circle where the camera's name may be written: below, above, right, left."""
+_STYLE = (
+    "text{font:13px system-ui,-apple-system,'Segoe UI',Roboto,sans-serif;fill:#1b1f1d;"
+    "paint-order:stroke;stroke:#fff;stroke-width:4px;stroke-linejoin:round}"
+    ".time{font-size:12px;fill:#4a544f}.title{font-size:15px;font-weight:600}"
+)
+
+Point = tuple[float, float]
+
+
+class _Box(NamedTuple):
+    """A rectangle that a text or circle takes up."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+    def hits(self, other: _Box) -> bool:
+        """Return True if two boxes have an area in common."""
+        return (
+            self.left < other.right
+            and other.left < self.right
+            and self.top < other.bottom
+            and other.top < self.bottom
+        )
+
+
+class _Taken:
+    """The boxes that are taken, by cells, so that a new one is compared with its neighbours."""
+
+    def __init__(self) -> None:
+        self._cells: dict[tuple[int, int], list[_Box]] = {}
+
+    def add(self, box: _Box) -> None:
+        """Take a box."""
+        for cell in self._cells_of(box):
+            self._cells.setdefault(cell, []).append(box)
+
+    def is_free(self, box: _Box) -> bool:
+        """Return True if a box hits none that is taken."""
+        return not any(
+            box.hits(other) for cell in self._cells_of(box) for other in self._cells.get(cell, ())
+        )
+
+    @staticmethod
+    def _cells_of(box: _Box) -> list[tuple[int, int]]:
+        columns = range(math.floor(box.left / CELL), math.floor(box.right / CELL) + 1)
+        rows = range(math.floor(box.top / CELL), math.floor(box.bottom / CELL) + 1)
+        return [(column, row) for column in columns for row in rows]
 
 
 def to_svg(topology: Topology) -> str:
-    """Return the drawing: cameras as boxes, overlaps as black edges, unseen paths as grey ones.
+    """Return the drawing: cameras as circles, overlaps as black lines, unseen paths as grey ones.
 
-    Labels are the modes of the transit times in both directions.
+    The wider a line, the more objects take it. On an unseen path are its most frequent transit
+    times in both directions; tooltips say which is which.
     """
-    names = [camera.id for camera in topology.cameras]
-    found = edges(topology)
-
     # One line for both directions of a pair.
     both: dict[tuple[str, str], list[Edge]] = {}
-    for edge in found:
+    for edge in edges(topology):
         both.setdefault((min(edge.from_, edge.to), max(edge.from_, edge.to)), []).append(edge)
 
-    # Positions.
-    size = 230.0 * max(1.5, len(names) ** 0.5)
-    at = spring_layout(names, sorted(both)) * size
-    place = {name: (float(x) + 90, float(y) + 70) for name, (x, y) in zip(names, at, strict=True)}
-    width, height = size + 180, size + 130
+    # Positions, with a margin for names.
+    joined = {pair: any(way.overlapped for way in ways) for pair, ways in both.items()}
+    at = places((camera.id for camera in topology.cameras), joined, {})
+    left, top = (min((place[axis] for place in at.values()), default=0.0) for axis in (0, 1))
+    right, bottom = (max((place[axis] for place in at.values()), default=0.0) for axis in (0, 1))
+    where = {
+        name: (MARGIN_X + (x - left) * UNIT, MARGIN_Y + (y - top) * UNIT)
+        for name, (x, y) in at.items()
+    }
+    width = max(2 * MARGIN_X + (right - left) * UNIT, 420.0)
+    height = 2 * MARGIN_Y + (bottom - top) * UNIT + LINE
 
-    # Frame, edges, then nodes on top.
-    title = f"{topology.site}, version {topology.version}, {topology.events} events"
-    parts = [
-        '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif"'
-        f' viewBox="0 0 {width:.0f} {height:.0f}">',
-        f"<title>{_shown(title)}</title>",
-        f'<rect width="{width:.0f}" height="{height:.0f}" fill="#ffffff"/>',
-        f'<text x="16" y="24" font-size="14" fill="#333333">{_shown(title)}</text>',
-        _legend(height),
-    ]
-    parts += [
-        _edge(place[a], place[b], ways)
-        for (a, b), ways in sorted(both.items(), key=lambda item: item[0])
-    ]
-    parts += [_node(camera.id, len(camera.zones), place[camera.id]) for camera in topology.cameras]
-    return "\n".join([*parts, "</svg>", ""])
+    # Lines, circles, then texts where they hit nothing.
+    title = f"{topology.site}, version {topology.version}, {topology.events:,} events"
+    taken = _Taken()
+    for x, y in where.values():
+        taken.add(_Box(x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS))
+    names = [_name(name, where[name], both, where, taken) for name in sorted(where)]
+    most = max((sum(way.transitions for way in ways) for ways in both.values()), default=1.0)
+    lines = [_line(where[a], where[b], ways, most) for (a, b), ways in sorted(both.items())]
+    times = [_times(where[a], where[b], ways, taken) for (a, b), ways in _busiest_first(both)]
+    zones = {camera.id: len(camera.zones) for camera in topology.cameras}
+    return "\n".join(
+        [
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}">',
+            f"<title>{_shown(title)}</title><style>{_STYLE}</style>",
+            f'<rect width="{width:.0f}" height="{height:.0f}" fill="#ffffff"/>',
+            f'<text class="title" x="16" y="26">{_shown(title)}</text>',
+            *lines,
+            *(_circle(name, zones[name], where[name]) for name in sorted(where)),
+            *filter(None, times),
+            *filter(None, names),
+            _legend(height),
+            "</svg>",
+            "",
+        ]
+    )
 
 
 def _shown(text: str) -> str:
@@ -63,91 +139,99 @@ def _shown(text: str) -> str:
     return escape(visible(text))
 
 
-def spring_layout(
-    names: list[str], joined: list[tuple[str, str]], rounds: int = 200
-) -> NDArray[np.float64]:
-    """Return positions (n, 2) in the unit square: edges pull, all cameras repel each other.
+def _busiest_first(
+    both: dict[tuple[str, str], list[Edge]],
+) -> list[tuple[tuple[str, str], list[Edge]]]:
+    """Return the pairs with their directions, those with most transitions first."""
+    return sorted(both.items(), key=lambda item: (-sum(w.transitions for w in item[1]), item[0]))
 
-    Fruchterman & Reingold 1991.
+
+def _line(a: Point, b: Point, ways: list[Edge], most: float) -> str:
+    """Return the line between two cameras, with both directions in its tooltip.
+
+    most: number of transitions of the widest line.
     """
-    # Start on a circle.
-    n = len(names)
-    angle = 2 * np.pi * np.arange(n) / max(n, 1)
-    at = (
-        0.5
-        + 0.5 * np.column_stack([np.cos(angle), np.sin(angle)])
-        + 0.01 * np.sin(7.0 * angle + 1)[:, None]
-    )
-
-    # Move by the forces, with steps that shrink.
-    index = {name: k for k, name in enumerate(names)}
-    ends = np.array([(index[a], index[b]) for a, b in joined], np.intp).reshape(-1, 2)
-    one, other = np.concatenate([ends, ends[:, ::-1]]).T
-    ideal = 1.0 / max(n, 1) ** 0.5
-    for step in np.linspace(0.1, 0.001, rounds):
-        move = _pushes(at, ideal)
-        apart = at[one] - at[other]
-        np.subtract.at(move, one, apart * np.linalg.norm(apart, axis=1, keepdims=True) / ideal)
-        at += move * np.minimum(1.0, step / np.maximum(np.linalg.norm(move, axis=1), 1e-9))[:, None]
-
-    # Scale to the unit square.
-    span = np.ptp(at, axis=0) if n else np.ones(2)
-    result: NDArray[np.float64] = (
-        (at - at.min(0, initial=np.inf)) / np.maximum(span, 1e-9) if n > 1 else at
-    )
-    return result
-
-
-def _pushes(at: NDArray[np.float64], ideal: float) -> NDArray[np.float64]:
-    """Return the sum of repulsions on each camera, (n, 2), computed in parts of `PART_ROWS`."""
-    total = np.empty_like(at)
-    for first in range(0, len(at), PART_ROWS):
-        rows = slice(first, first + PART_ROWS)
-        x, y = (at[rows, axis, None] - at[:, axis] for axis in (0, 1))
-        force = ideal**2 / np.maximum(x * x + y * y, DISTANCE_MIN**2)
-        total[rows, 0], total[rows, 1] = (x * force).sum(1), (y * force).sum(1)
-    return total
-
-
-def _node(name: str, zones: int, at: tuple[float, float]) -> str:
-    """Return the box of a camera."""
-    x, y = at
-    corner = f'x="{x - NODE_WIDTH / 2:.1f}" y="{y - NODE_HEIGHT / 2:.1f}"'
-    size = f'width="{NODE_WIDTH:.0f}" height="{NODE_HEIGHT:.0f}"'
-    count = f"{zones} zone" if zones == 1 else f"{zones} zones"
-    shown = name if len(name) <= 14 else name[:13] + "…"
+    overlapped = any(way.overlapped for way in ways)
+    share = math.sqrt(sum(way.transitions for way in ways) / max(most, 1e-9))
+    width = WIDTHS[0] + (WIDTHS[1] - WIDTHS[0]) * share
+    told = "; ".join(f"{way.from_} → {way.to} {_time(way)}" for way in ways)
     return (
-        f'<g text-anchor="middle"><title>{_shown(name)}</title>'
-        f'<rect {corner} {size} rx="8" fill="#eef3f8" stroke="#44617b"/>'
-        f'<text x="{x:.1f}" y="{y - 2:.1f}" font-size="13" fill="#111111">{_shown(shown)}</text>'
-        f'<text x="{x:.1f}" y="{y + 13:.1f}" font-size="10" fill="#666666">{count}</text></g>'
-    )
-
-
-def _edge(a: tuple[float, float], b: tuple[float, float], ways: list[Edge]) -> str:
-    """Return the line between two cameras, with the transit times of both directions."""
-    overlapped = any(edge.overlapped for edge in ways)
-    thick = 1.5 + 3 * max(edge.probability for edge in ways)
-    label = " / ".join(f"{edge.from_} → {edge.to} {seconds(edge.transit.mode)}" for edge in ways)
-    times = " / ".join(seconds(edge.transit.mode) for edge in ways)
-    x, y = (a[0] + b[0]) / 2, (a[1] + b[1]) / 2
-    return (
-        f"<g><title>{_shown(label)}</title>"
+        f"<g><title>{_shown(told)}</title>"
         f'<line x1="{a[0]:.1f}" y1="{a[1]:.1f}" x2="{b[0]:.1f}" y2="{b[1]:.1f}"'
-        f' stroke="{STROKE[overlapped]}" stroke-width="{thick:.1f}"/>'
-        f'<text x="{x:.1f}" y="{y - 5:.1f}" font-size="11" text-anchor="middle" fill="#222222"'
-        f' stroke="#ffffff" stroke-width="3" paint-order="stroke">{times}</text></g>'
+        f' stroke="{STROKE[overlapped]}" stroke-width="{width:.1f}" stroke-linecap="round"/></g>'
     )
+
+
+def _circle(name: str, zones: int, at: Point) -> str:
+    """Return the circle of a camera."""
+    told = f"{name}, {zones} {'zone' if zones == 1 else 'zones'}"
+    return (
+        f"<g><title>{_shown(told)}</title>"
+        f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{RADIUS:.0f}" fill="#0f6b4f"'
+        f' stroke="#ffffff" stroke-width="3"/></g>'
+    )
+
+
+def _name(
+    name: str,
+    at: Point,
+    both: dict[tuple[str, str], list[Edge]],
+    where: dict[str, Point],
+    taken: _Taken,
+) -> str:
+    """Return the name of a camera, on the free side with fewest lines; "" if no side is free."""
+    # How far lines go towards each side, as the cosine of the angle between them.
+    others = [where[b if a == name else a] for a, b in both if name in (a, b)]
+    angles = [math.atan2(y - at[1], x - at[0]) for x, y in others]
+
+    def crowd(side: tuple[int, int]) -> float:
+        return max((math.cos(a - math.atan2(side[1], side[0])) for a in angles), default=-1.0)
+
+    # The first free side.
+    shown = name if len(name) <= 20 else name[:19] + "…"
+    half = CHARACTER * len(shown) / 2
+    for dx, dy in sorted(_SIDES, key=lambda side: round(crowd(side), 1)):
+        x = at[0] + dx * (RADIUS + half + 4)
+        y = at[1] + dy * (RADIUS + LINE / 2 + 2)
+        box = _Box(x - half, y - LINE / 2, x + half, y + LINE / 2)
+        if box.left >= 0 and taken.is_free(box):
+            taken.add(box)
+            return (
+                f'<text text-anchor="middle" x="{x:.1f}" y="{y + 4.5:.1f}">{_shown(shown)}</text>'
+            )
+    return ""
+
+
+def _times(a: Point, b: Point, ways: list[Edge], taken: _Taken) -> str:
+    """Return the transit times on a line, where they hit nothing; "" if nowhere."""
+    text = " / ".join(_time(way) for way in ways if not way.overlapped)
+    half = TIME_CHARACTER * len(text) / 2 + 2
+    for share in _ALONG if text else ():
+        x, y = (a[axis] + share * (b[axis] - a[axis]) for axis in (0, 1))
+        box = _Box(x - half, y - LINE / 2, x + half, y + LINE / 2)
+        if taken.is_free(box):
+            taken.add(box)
+            return (
+                f'<rect x="{box.left:.1f}" y="{box.top:.1f}" width="{2 * half:.1f}"'
+                f' height="{LINE:.0f}" rx="5" fill="#ffffff"/>'
+                f'<text class="time" text-anchor="middle" x="{x:.1f}" y="{y + 4:.1f}">{text}</text>'
+            )
+    return ""
+
+
+def _time(way: Edge) -> str:
+    """Return the most frequent transit time of one direction; where views overlap, that."""
+    return "overlap" if way.overlapped else seconds(way.transit.mode)
 
 
 def _legend(height: float) -> str:
     """Return the legend."""
     y = height - 18
     return (
-        f'<g font-size="11" fill="#333333"><line x1="16" y1="{y:.0f}" x2="44" y2="{y:.0f}"'
+        f'<g><line x1="16" y1="{y:.0f}" x2="44" y2="{y:.0f}"'
         f' stroke="{STROKE[True]}" stroke-width="3"/>'
-        f'<text x="50" y="{y + 4:.0f}">views overlap</text>'
-        f'<line x1="140" y1="{y:.0f}" x2="168" y2="{y:.0f}"'
+        f'<text class="time" x="50" y="{y + 4:.0f}">views overlap</text>'
+        f'<line x1="146" y1="{y:.0f}" x2="174" y2="{y:.0f}"'
         f' stroke="{STROKE[False]}" stroke-width="3"/>'
-        f'<text x="174" y="{y + 4:.0f}">unseen path; most frequent transit time</text></g>'
+        f'<text class="time" x="180" y="{y + 4:.0f}">unseen path, most frequent time</text></g>'
     )

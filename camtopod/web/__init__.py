@@ -1,7 +1,7 @@
 """Web page of a site: topology, predictions and health; `camtopod report` writes it as one file.
 
 Reading order: `app` is the HTTP server and `feed` follows the bus for it. `map_data` makes the map
-of a version (camera positions: `layout`), `explanations` the details of a camera, pair or link,
+of a version (camera positions: `camtopod.export`), `explanations` the details of a camera, pair or link,
 `version_diff` the differences of two versions, of which `version_cache` fetches older ones.
 `outbox` queues messages for open pages and `pictures` finds camera pictures. `report` gathers the
 data of a report, `single_file` makes one HTML file of it. The page itself is in ``static/``.

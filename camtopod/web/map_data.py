@@ -7,11 +7,10 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from camtopod.export import Edge, edges
+from camtopod.export import Edge, Place, edges, places
 from camtopod.learn import Settings
 from camtopod.records import Alarm, Link, Pair, PairRelation, SelfScore, Topology
 from camtopod.topology import lacks_in_words, likely_links, link_key, waiting_for_links
-from camtopod.web.layout import Place, places
 
 SETTLED_TRANSITIONS_MIN = 30.0
 """Transitions below which an edge is provisional.
@@ -25,7 +24,7 @@ SUSPECTED_TRANSITIONS_MIN = 5.0
 
 
 class MapCamera(Struct, frozen=True):
-    """A node; ``x`` and ``y`` as in `camtopod.web.layout.places`."""
+    """A node; ``x`` and ``y`` as in `camtopod.export.layout.places`."""
 
     x: float
     y: float

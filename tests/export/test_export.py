@@ -7,14 +7,11 @@ import json
 import re
 import shutil
 import subprocess
-import tracemalloc
-from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
 import msgspec
 import networkx as nx
-import numpy as np
 import pytest
 from synthetic_events import topology_of
 
@@ -23,7 +20,6 @@ from camtopod.codec import to_json
 from camtopod.export import FORMATS
 from camtopod.export.aicity import camera_numbers
 from camtopod.export.graph import edges
-from camtopod.export.svg import spring_layout
 from camtopod.records import Camera, Topology
 from camtopod.sim.simulation import SimSettings, simulate
 
@@ -102,24 +98,59 @@ def test_dot_survives_any_name(name: str) -> None:
     assert sum(line.startswith(b"node ") for line in done.stdout.splitlines()) == 2
 
 
+SVG = {"s": "http://www.w3.org/2000/svg"}
+
+
 def test_svg_is_xml_with_black_and_grey_edges() -> None:
     root = ElementTree.fromstring(FORMATS["svg"](TOPOLOGY))
-    space = {"s": "http://www.w3.org/2000/svg"}
     _, _, width, height = map(float, root.attrib["viewBox"].split())
-    groups = root.findall("s:g", space)
-    strokes = [
-        line.attrib["stroke"]
-        for g in groups
-        if g.find("s:title", space) is not None
-        for line in g.findall("s:line", space)
-    ]
-    assert strokes.count("#111111") == sum(overlapped for _, overlapped in PAIRS)
-    assert strokes.count("#9a9a9a") == sum(not overlapped for _, overlapped in PAIRS)
-    titles = {g.findtext("s:title", namespaces=space) for g in groups}
+    groups = [g for g in root.findall("s:g", SVG) if g.find("s:title", SVG) is not None]
+    strokes = [line.attrib["stroke"] for g in groups for line in g.findall("s:line", SVG)]
+    assert strokes.count("#111513") == sum(overlapped for _, overlapped in PAIRS)
+    assert strokes.count("#85908a") == sum(not overlapped for _, overlapped in PAIRS)
+    titles = {str(g.findtext("s:title", namespaces=SVG)).split(",")[0] for g in groups}
     assert {camera.id for camera in TOPOLOGY.cameras} <= titles
-    for rect in root.findall("s:g/s:rect", space):
-        assert 0 <= float(rect.attrib["x"]) <= width - float(rect.attrib["width"])
-        assert 0 <= float(rect.attrib["y"]) <= height - float(rect.attrib["height"])
+    for circle in root.findall("s:g/s:circle", SVG):
+        assert 11 <= float(circle.attrib["cx"]) <= width - 11
+        assert 11 <= float(circle.attrib["cy"]) <= height - 11
+
+
+def test_svg_writes_names_and_times_where_they_hit_nothing() -> None:
+    root = ElementTree.fromstring(FORMATS["svg"](TOPOLOGY))
+    circles = [
+        (float(c.attrib["cx"]), float(c.attrib["cy"])) for c in root.findall("s:g/s:circle", SVG)
+    ]
+    texts = [
+        (float(t.attrib["x"]), float(t.attrib["y"]) - 4.5, len(str(t.text)) * 5.5)
+        for t in root.findall("s:text", SVG)
+        if t.attrib.get("class") != "title"
+    ]
+    assert len(texts) > len(TOPOLOGY.cameras), "names, and times of paths"
+    for k, (x, y, width) in enumerate(texts):
+        assert all(abs(x - cx) > width / 2 or abs(y - cy) > 8 for cx, cy in circles)
+        for other, height, wide in texts[:k]:
+            assert abs(x - other) > (width + wide) / 2 or abs(y - height) > 12
+
+
+def test_mermaid_has_every_camera_and_edge() -> None:
+    text = FORMATS["mermaid"](TOPOLOGY)
+    name = dict(re.findall(r'^  (c\d+)\(\["([^"]+)"\]\)$', text, re.M))
+    assert list(name.values()) == [camera.id for camera in TOPOLOGY.cameras]
+    paths = re.findall(r'^  (c\d+) -->\|"[\d.]+ s"\| (c\d+)$', text, re.M)
+    overlaps = re.findall(r"^  (c\d+) === (c\d+)$", text, re.M)
+    assert len(name) + len(paths) + len(overlaps) + 1 == len(text.splitlines())
+    found = [(name[a], name[b], False) for a, b in paths]
+    assert related(found + [(name[a], name[b], True) for a, b in overlaps]) == PAIRS
+
+
+@pytest.mark.parametrize("name", ['a"b', "a#b", "end", "a\nb", "<b>&"])
+def test_mermaid_survives_any_name(name: str) -> None:
+    odd = msgspec.structs.replace(EMPTY, cameras=[Camera(name, [])])
+    _, node = FORMATS["mermaid"](odd).splitlines()
+    shown = re.fullmatch(r'  c0\(\["([^"<]+)"\]\)', node)
+    assert shown is not None
+    unescaped = shown[1].replace("#quot;", '"').replace("#lt;", "<").replace("#35;", "#")
+    assert unescaped == name.replace("\n", "\\n")
 
 
 def test_svg_survives_a_site_with_markup_in_its_name() -> None:
@@ -170,31 +201,6 @@ def test_an_empty_topology_is_no_error(name: str) -> None:
     FORMATS[name](EMPTY)
     alone = msgspec.structs.replace(EMPTY, cameras=TOPOLOGY.cameras[:1], zones=TOPOLOGY.zones[:5])
     FORMATS[name](alone)
-
-
-def test_a_large_site_is_laid_out_in_little_memory() -> None:
-    names = [str(k) for k in range(2000)]
-    tracemalloc.start()
-    try:
-        spring_layout(names, list(pairwise(names)), rounds=1)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert peak < 2000 * 2000 * 8 / 2, "half of what one number for each pair takes"
-
-
-def test_layout_is_the_same_each_time_and_puts_neighbours_together() -> None:
-    names = [f"n{k}" for k in range(12)]
-    chain = list(pairwise(names))
-    at = spring_layout(names, chain)
-    assert (at == spring_layout(names, chain)).all()
-    assert np.isfinite(at).all()
-    assert at.min() >= 0
-    assert at.max() <= 1
-    apart = np.linalg.norm(at[:, None] - at[None], axis=2)
-    near = np.mean([apart[i, i + 1] for i in range(11)])
-    assert near < 0.6 * apart[np.triu_indices(12, 2)].mean()
-    assert apart[np.triu_indices(12, 1)].min() > 0.02
 
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

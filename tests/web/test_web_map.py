@@ -8,8 +8,8 @@ import pytest
 from msgspec.structs import replace
 from synthetic_topology import made_link, synthetic_topology
 
+from camtopod.export import Place, places
 from camtopod.records import Lacks, Link, Pair, Topology
-from camtopod.web.layout import Place, places
 from camtopod.web.map_data import (
     Map,
     MapCamera,
