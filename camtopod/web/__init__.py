@@ -1,10 +1,11 @@
 """Web page of a site: topology, predictions and health; `camtopod report` writes it as one file.
 
-Reading order: `app` is the HTTP server and `feed` follows the bus for it. `map_data` makes the map
-of a version (camera positions: `camtopod.export`), `explanations` the details of a camera, pair or link,
-`version_diff` the differences of two versions, of which `version_cache` fetches older ones.
-`outbox` queues messages for open pages and `pictures` finds camera pictures. `report` gathers the
-data of a report, `single_file` makes one HTML file of it. The page itself is in ``static/``.
+Reading order: `app` is the HTTP server, `api` its part for programs, and `feed` follows the bus for
+both. `map_data` makes the map of a version (`camtopod.export` places the cameras), `explanations`
+the details of a camera, pair or link, `version_diff` the differences of two versions, of which
+`version_cache` fetches older ones. `outbox` queues messages for open pages and `pictures` finds
+camera pictures. `report` gathers the data of a report, `single_file` makes one HTML file of it. The
+page itself is in ``static/``.
 """
 
 from __future__ import annotations
