@@ -8,4 +8,4 @@ makes events of video; `client` is for programs that use the results. `cli` hold
 and `sim` simulated sites.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

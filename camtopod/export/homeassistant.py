@@ -24,6 +24,8 @@ STATE_CHARACTERS_MAX = 255
 """Longest state that Home Assistant accepts."""
 LEAVES_SITE = "leaves"
 """State in place of a camera if the object probably leaves the site."""
+NO_CAMERA = "none"
+"""State in place of a camera to look at if there is none."""
 
 Messages = dict[str, str]
 """Payload by topic."""
@@ -79,6 +81,7 @@ CAMERA_ENTITIES = (
     Entity("events", "Events", more={"state_class": "total_increasing"}),
     Entity("zones", "Zones", more=_DIAGNOSTIC),
     Entity("next", "Next camera", topic="prediction"),
+    Entity("look", "Look at", topic="prediction"),
 )
 
 
@@ -163,14 +166,23 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
     """Return the message with the most likely next camera after the latest exit.
 
     ``from`` and ``until`` are the times by which 10 and 90 percent of the objects have arrived.
+    ``look`` is the other camera that most probably sees the object now or, if none does, next,
+    with the probability ``sees``.
     """
-    shares = {LEAVES_SITE: prediction.leave}
+    next_: dict[str, float] = {}
     for one in prediction.next_:
-        shares[one.camera] = shares.get(one.camera, 0.0) + one.probability
+        next_[one.camera] = next_.get(one.camera, 0.0) + one.probability
 
     # The camera, or leaving the site, with the largest share.
+    shares = {LEAVES_SITE: prediction.leave, **next_}
     camera, probability = max(shares.items(), key=lambda item: item[1])
     place = next((one for one in prediction.next_ if one.camera == camera), None)
+
+    # The camera to look at; without overlapping views it follows from the next appearances.
+    looks = {one.camera: one.probability for one in prediction.look or []} or {
+        name: share for name, share in next_.items() if name != prediction.camera
+    }
+    look, sees = max(looks.items(), key=lambda item: item[1], default=(NO_CAMERA, 0.0))
 
     state = {
         "next": camera,
@@ -179,6 +191,8 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
         "left": _iso(prediction.t),
         "from": None if place is None else _iso(prediction.t + place.q10),
         "until": None if place is None else _iso(prediction.t + place.q90),
+        "look": look,
+        "sees": round(sees, 3),
     }
     return {topics.topic_of(prediction.camera, "prediction"): _json(state)}
 

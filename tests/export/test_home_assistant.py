@@ -20,7 +20,15 @@ from camtopod.cli import exits
 from camtopod.cli.main import main
 from camtopod.export import homeassistant
 from camtopod.export.homeassistant import CameraFigures, DaemonStatus, GrabberStatus, Topics
-from camtopod.records import TOPOLOGY_SCHEMA, Alarm, NextCamera, Prediction, SelfScore, Topology
+from camtopod.records import (
+    TOPOLOGY_SCHEMA,
+    Alarm,
+    Look,
+    NextCamera,
+    Prediction,
+    SelfScore,
+    Topology,
+)
 from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 
@@ -134,6 +142,18 @@ def test_the_next_camera_is_that_of_all_its_zones_together() -> None:
     )
     [state] = decoded(homeassistant.prediction_state(TOPICS, to_hall(0.6, ("hall", 0.4)))).values()
     assert (state["next"], state["until"]) == ("leaves", None)
+
+
+def test_the_camera_to_look_at_is_the_likeliest_other_one() -> None:
+    next_ = to_hall(0.1, ("lobby", 0.4), ("hall", 0.2), ("yard", 0.25), ("hall", 0.05))
+    assert next_.camera == "lobby"
+    [state] = decoded(homeassistant.prediction_state(TOPICS, next_)).values()
+    assert (state["look"], state["sees"]) == ("hall", 0.25)
+    seen = msgspec.structs.replace(next_, look=[Look("yard", 0.9), Look("hall", 0.1)])
+    [state] = decoded(homeassistant.prediction_state(TOPICS, seen)).values()
+    assert (state["look"], state["sees"]) == ("yard", 0.9)
+    [state] = decoded(homeassistant.prediction_state(TOPICS, to_hall(1.0))).values()
+    assert (state["look"], state["sees"]) == ("none", 0.0)
 
 
 # --- with a broker --------------------------------------------------------------------------------

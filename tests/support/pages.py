@@ -11,7 +11,7 @@ from paths import DEPLOY, ROOT, TESTS
 
 PAGES = (
     ROOT / "README.md",
-    *sorted(DEPLOY.glob("*.md")),
+    *sorted(DEPLOY.rglob("*.md")),
     ROOT / "bench" / "README.md",
     TESTS / "README.md",
     TESTS / "examples" / "README.md",
