@@ -19,6 +19,7 @@ from msgspec.structs import replace
 
 from camtopod import redact
 from camtopod.config import secret_files, toml_lines
+from camtopod.config.page_settings import Address, MapSettings, PlaceOnPlan, WebSettings
 from camtopod.config.toml_tables import (
     DEFAULT_ENDPOINT,
     Endpoint,
@@ -132,6 +133,10 @@ class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """A file only: play it at its own speed, not as fast as it decodes."""
     speed: Positive = 1.0
     """A file only, with realtime: play it at this many times its own speed."""
+    page: Address = ""
+    """Address of the camera's page at a recorder, to which the web page links."""
+    at: PlaceOnPlan = ()
+    """Where the camera is on the plan of [map]: x to the right and y downwards, as fractions."""
     vision: VisionSettings = VisionSettings()
     """The camera's settings of vision: those of [vision], and those in its own table."""
     detector: DetectorSettings = DetectorSettings()
@@ -252,6 +257,8 @@ class Config(Struct, frozen=True):
     keep: KeepSettings = KeepSettings()
     limits: Limits = Limits()
     health: HealthSettings = HealthSettings()
+    web: WebSettings = WebSettings()
+    map: MapSettings = MapSettings()
     shards: Sharding = Sharding()
 
     @property
@@ -282,6 +289,7 @@ class Config(Struct, frozen=True):
         files = [Path(camera.source_file) for camera in self.cameras.values() if camera.source_file]
         if any(redact.holds_secret(camera.source) for camera in self.cameras.values()):
             files.append(path)
+        files += [Path(file) for file in (self.web.password_file, self.web.token_file) if file]
         names = list(self.cameras) if "{camera}" in self.bus.tls.private_key else [""]
         keys = [self.bus.tls.private_key.replace("{camera}", name) for name in names]
         return files + [Path(key) for key in keys if key]
@@ -331,6 +339,8 @@ TABLES: dict[str, type[Struct]] = {
     "keep": KeepSettings,
     "limits": Limits,
     "health": HealthSettings,
+    "web": WebSettings,
+    "map": MapSettings,
     "shards": Sharding,
 }
 """The tables with fixed keys; all others are ``[cameras.ID]``."""
@@ -425,6 +435,7 @@ class _Reader(TableReader):
             if "." not in name
         }
         self._check_bus(tables["bus"])
+        self._check_web(tables["web"])
         detector = tables["detector"]
         assert isinstance(detector, DetectorSettings)
         self._check_labels(("detector",), detector)
@@ -473,6 +484,8 @@ class _Reader(TableReader):
             settings = self.table(CameraSettings, plain, path, {"vision": vision})
             settings = replace(settings, detector=self._own_detector(path, given, detector))
             self._check_source(path, given, settings)
+            if len(settings.at) == 1:
+                self.report((*path, "at"), f"cameras.{camera}.at: expected two numbers, x and y")
             cameras[camera] = settings
         return cameras
 
@@ -523,6 +536,13 @@ class _Reader(TableReader):
             if given.get(key) == "":
                 self.report((*path, key), f"{title}.{key}: is empty")
 
+    def _check_web(self, web: Struct) -> None:
+        """Check that a page for which programs need a token has a password for people."""
+        assert isinstance(web, WebSettings)
+        if web.token_file and not web.password_file:
+            what = "web.token_file: password_file is missing: people cannot give a token"
+            self.report(("web", "token_file"), what)
+
     def _check_bus(self, bus: Struct) -> None:
         """Check that all files of TLS are given or none, and that with TLS all endpoints use it."""
         assert isinstance(bus, BusSettings)
@@ -572,7 +592,15 @@ def _with_absolute_paths(folder: Path, config: Config) -> Config:
         for camera, settings in config.cameras.items()
     }
     detector = replace(config.detector, model=located(config.detector.model))
-    return replace(config, bus=replace(config.bus, tls=tls), cameras=cameras, detector=detector)
+    web = WebSettings(*(located(path) for path in msgspec.structs.astuple(config.web)))
+    return replace(
+        config,
+        bus=replace(config.bus, tls=tls),
+        cameras=cameras,
+        detector=detector,
+        web=web,
+        map=MapSettings(located(config.map.plan)),
+    )
 
 
 def _with_paths(tls: TlsSettings, change: Callable[[str], str]) -> TlsSettings:

@@ -1,23 +1,17 @@
-"""HTTP server of the page. Read-only; pages load nothing from other hosts.
-
-The only module that uses uvicorn, and with `api` the only one that uses starlette.
-"""
+"""HTTP server of the page. Read-only; pages load nothing from other hosts."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import ipaddress
 import logging
 import math
 import os
 import re
 import socket
 import threading
-import time
 from collections.abc import AsyncIterator, Callable, Collection, Iterator
 from importlib import resources
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -29,62 +23,34 @@ from starlette.convertors import IntegerConvertor, register_url_convertor
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from camtopod.records import CAMERA_PATTERN, Topology
 from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import Beat, Clock, Progress
 from camtopod.web.api import Api
+from camtopod.web.configured import Configured
+from camtopod.web.connections import Connection, Seldom
 from camtopod.web.feed import Feed
+from camtopod.web.guards import Named, Strict
+from camtopod.web.login import Login, LoginRequired
 from camtopod.web.outbox import PageQueues
 from camtopod.web.pictures import picture_of, pictured
 from camtopod.web.version_cache import VersionCache
 from camtopod.web.version_diff import changes
 
-log = logging.getLogger(__name__)
-
 BEAT_SECONDS = 4.0
 """Longest interval between two messages to a page."""
 CONNECTIONS_MAX = 1_024
 """Open connections; requests on further ones are answered with 503."""
-WAITING_MAX = 64
-"""Connections without a complete request; beyond it the oldest ones are closed.
-
-Only connections that have waited for longer than `GRACE_SECONDS` are closed.
-"""
-GRACE_SECONDS = 1.0
-"""Time for which a waiting connection is not closed: a request under way arrives within it."""
-REQUEST_SECONDS = 10.0
-"""Time after which a connection without a complete request is closed."""
-SEND_TIMEOUT_SECONDS = 30.0
-"""Time after which a client that accepts no data is disconnected."""
-LOG_SECONDS = 60.0
-"""Shortest interval between two equal log messages about clients."""
 CLOSE_SECONDS = 2
 """Time that open responses have to end when the server stops."""
 _TICK_SECONDS = 0.2
-HEADERS = {
-    "cache-control": "no-cache",
-    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
-    "img-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; "
-    "frame-ancestors 'none'",
-    "x-content-type-options": "nosniff",
-    "referrer-policy": "no-referrer",
-    "cross-origin-resource-policy": "same-origin",
-    "cross-origin-opener-policy": "same-origin",
-}
-"""Headers of every response: same origin only, no inline scripts, no caching without validation."""
-REFUSED = (
-    "This page does not accept that host name. Open it by its IP address, or allow the name: "
-    "camtopod web --name NAME\n"
-)
-"""Body of the response to a request for an unknown host name."""
-_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+)(?::[0-9]{1,5})?")
-"""Host header: address or name, and optionally a port."""
+_LOGGERS = ("camtopod.web.connections", "camtopod.web.login", "uvicorn.error")
+"""Loggers of messages about clients."""
+_NOTHING = Configured()
 STATIC = resources.files("camtopod.web") / "static"
 
 
@@ -100,64 +66,20 @@ class _Version(IntegerConvertor):
 register_url_convertor("version", _Version())
 
 
-class _Strict:
-    """Middleware that adds `HEADERS` to every response."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def strict(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                added = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
-                message = {**message, "headers": [*message["headers"], *added]}
-            await send(message)
-
-        await self._app(scope, receive, strict)
-
-
-class _Named:
-    """Middleware that refuses requests for host names other than ``names``.
-
-    With ``any_address`` every IP address is accepted, too. Otherwise any web page could read this
-    one by making its own name resolve to this server (DNS rebinding).
-    """
-
-    def __init__(self, app: ASGIApp, names: Collection[str], any_address: bool) -> None:
-        self._app = app
-        self._names, self._any_address = {name.lower() for name in names}, any_address
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        app = (
-            self._app
-            if scope["type"] != "http" or self._is_ours(Request(scope))
-            else PlainTextResponse(REFUSED, 421)
-        )
-        await app(scope, receive, send)
-
-    def _is_ours(self, request: Request) -> bool:
-        match = _HOST.fullmatch(request.headers.get("host", ""))
-        if match is None:
-            return False
-        asked = match[1].lower()
-        return asked in self._names or (self._any_address and _is_address(asked.strip("[]")))
-
-
-def _is_address(text: str) -> bool:
-    try:
-        ipaddress.ip_address(text)
-    except ValueError:
-        return False
-    return True
-
-
 class Routes:
     """Handlers of the routes."""
 
     def __init__(
-        self, feed: Feed, past: VersionCache, hub: PageQueues, pictures: Path | None
+        self,
+        feed: Feed,
+        past: VersionCache,
+        hub: PageQueues,
+        pictures: Path | None,
+        configured: Configured,
+        has_login: bool,
     ) -> None:
         self._feed, self._past, self._hub, self._pictures = feed, past, hub, pictures
+        self._configured, self._has_login = configured, has_login
 
     def map(self, request: Request) -> Response:
         """Return the newest version's map; null if nothing has been learned."""
@@ -165,7 +87,7 @@ class Routes:
 
     def health(self, request: Request) -> Response:
         """Return state and reason of the daemon and of every camera."""
-        return _json(self._feed.health())
+        return _json({**self._feed.health(), "login": self._has_login})
 
     def camera(self, request: Request) -> Response:
         """Return one camera's zones and links, and whether there is a picture."""
@@ -173,7 +95,13 @@ class Routes:
         story = self._feed.stories.camera(name) if self._feed.stories else None
         if story is None:
             return _json({"error": f"camera {name} is not in the newest version"}, 404)
-        return _json({**story, "picture": self._picture_of(name) is not None})
+        return _json(
+            {
+                **story,
+                "picture": self._picture_of(name) is not None,
+                "page": self._configured.pages.get(name),
+            }
+        )
 
     def pair(self, request: Request) -> Response:
         """Return the links between two cameras."""
@@ -270,131 +198,17 @@ class Routes:
         return StreamingResponse(stream(), media_type="text/event-stream")
 
 
-class _Seldom(logging.Filter):
-    """Log filter that passes each message once in `LOG_INTERVAL_SECONDS`, with the number
-    suppressed.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._said: dict[str, tuple[float, int]] = {}
-        """By message: time when it last passed, and how many were suppressed since."""
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Return True if the message is to be logged."""
-        now = time.monotonic()
-        said, meanwhile = self._said.get(record.msg, (-math.inf, 0))
-        if now - said < LOG_SECONDS:
-            self._said[record.msg] = said, meanwhile + 1
-            return False
-        self._said[record.msg] = now, 0
-        if meanwhile:
-            record.msg += f" ({meanwhile} more since the last such message)"
-        return True
-
-
-class _Connection(H11Protocol):
-    """HTTP connection with deadlines, so that idle or slow clients do not block others."""
-
-    waiting_since: float | None = None
-    """Time since when it waits for a request (seconds of the event loop); None while answering."""
-    _timer: asyncio.TimerHandle | None = None
-    """Deadline of the request, or of the client's next read."""
-    _unsent = 0
-    """Bytes that the client had not accepted when the timer was set."""
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Wait for a request."""
-        super().connection_made(transport)
-        self._wait()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Cancel the timer."""
-        self._stop_waiting()
-        super().connection_lost(exc)
-
-    def handle_events(self) -> None:
-        """Process received data, which may be a request or a part of one."""
-        super().handle_events()
-        if self.waiting_since is not None and self._answering:
-            self._stop_waiting()
-
-    def on_response_complete(self) -> None:
-        """Wait for the next request."""
-        super().on_response_complete()
-        if not self._answering and not self.transport.is_closing():
-            self._wait()
-
-    def pause_writing(self) -> None:
-        """Begin to watch a client that accepts less than it is sent."""
-        super().pause_writing()
-        self._watch_taking()
-
-    def resume_writing(self) -> None:
-        """Stop watching: the client has caught up."""
-        super().resume_writing()
-        if self.waiting_since is None and not self.transport.is_closing():
-            self._set_timer(None)
-
-    @property
-    def _answering(self) -> bool:
-        return self.cycle is not None and not self.cycle.response_complete
-
-    def _wait(self) -> None:
-        """Wait for a request, and close the oldest waiting connections if there are too many."""
-        self.waiting_since = now = self.loop.time()
-        self._set_timer(REQUEST_SECONDS, self._give_up)
-        waiting = [
-            one
-            for one in self.connections
-            if isinstance(one, _Connection) and one.waiting_since is not None
-        ]
-        old = [
-            (one.waiting_since or now, one)
-            for one in waiting
-            if (one.waiting_since or now) < now - GRACE_SECONDS
-        ]
-        for _, one in sorted(old, key=itemgetter(0))[: max(0, len(waiting) - WAITING_MAX)]:
-            one._give_up()
-
-    def _stop_waiting(self) -> None:
-        self.waiting_since = None
-        self._set_timer(None)
-
-    def _give_up(self) -> None:
-        """Close without a request; earlier responses are still sent."""
-        self._stop_waiting()
-        if not self.transport.is_closing():
-            log.warning(
-                "a client was disconnected: it sent no complete request in time, "
-                "or too many clients are waiting"
-            )
-            self.transport.close()
-        self._watch_taking()
-
-    def _watch_taking(self) -> None:
-        """Start the deadline for the client to accept data."""
-        self._unsent = self.transport.get_write_buffer_size()
-        self._set_timer(SEND_TIMEOUT_SECONDS, self._look_at_taking)
-
-    def _look_at_taking(self) -> None:
-        """Continue if the client has accepted data, else disconnect it."""
-        if self.transport.get_write_buffer_size() < self._unsent:
-            self._watch_taking()
-        else:
-            self.transport.abort()
-
-    def _set_timer(self, seconds: float | None, then: Callable[[], None] = lambda: None) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-        self._timer = None if seconds is None else self.loop.call_later(seconds, then)
-
-
 def application(
-    site: Routes, api: Api, names: Collection[str], any_address: bool, beat: Beat
+    site: Routes,
+    api: Api,
+    names: Collection[str],
+    any_address: bool,
+    login: Login | None,
+    beat: Beat,
 ) -> Starlette:
     """Return the web application, which accepts only ``names``, and addresses if ``any_address``.
 
+    login: asked for every request; None for a page without a password.
     beat: called regularly as long as the application's event loop makes progress.
     """
 
@@ -425,12 +239,14 @@ def application(
         Route("/picture/{camera}", site.picture),
         Route("/live", site.live),
         *api.routes(),
+        *([] if login is None else _login_routes(login)),
         Route("/api/openapi.json", lambda request: FileResponse(str(STATIC / "openapi.json"))),
     ]
 
     middleware = [
-        Middleware(_Strict),
-        Middleware(_Named, names=names, any_address=any_address),
+        Middleware(Strict),
+        Middleware(Named, names=names, any_address=any_address),
+        *([] if login is None else [Middleware(LoginRequired, login=login)]),
         Middleware(GZipMiddleware, minimum_size=1000, compresslevel=5),
     ]
     app = Starlette(routes=routes, middleware=middleware, lifespan=living)
@@ -449,6 +265,8 @@ def serving(
     any_address: bool = False,
     progress: Progress | None = None,
     stall_seconds: float = math.inf,
+    login: Login | None = None,
+    configured: Configured = _NOTHING,
 ) -> Iterator[Callable[[], bool]]:
     """Serve the page from a listening socket, in threads, while the block runs.
 
@@ -457,6 +275,8 @@ def serving(
     names, any_address: accepted host names, and whether every IP address is accepted.
     progress: receives the progress of the threads.
     stall_seconds: time after which a thread without progress counts as stalled.
+    login: None for a page without a password.
+    configured: what the configuration says about the page.
     """
     # Progress marks, bus followers, HTTP server.
     marks = progress or Progress()
@@ -466,9 +286,10 @@ def serving(
     stop = threading.Event()
     hub = PageQueues()
     feed, past = Feed(bus, hub, clock, status_seconds), VersionCache(bus)
-    api = Api(bus, feed, past, is_open=not any_address)
+    api = Api(bus, feed, past, is_open=login is not None or not any_address)
+    site = Routes(feed, past, hub, pictures, configured, login is not None)
     config = uvicorn.Config(
-        application(Routes(feed, past, hub, pictures), api, names, any_address, page.beat),
+        application(site, api, names, any_address, login, page.beat),
         log_config=None,
         log_level="warning",
         access_log=False,
@@ -476,7 +297,7 @@ def serving(
         server_header=False,
         limit_concurrency=CONNECTIONS_MAX,
         timeout_graceful_shutdown=CLOSE_SECONDS,
-        http=_Connection,
+        http=Connection,
     )
     server = uvicorn.Server(config)
 
@@ -492,7 +313,7 @@ def serving(
     ]
 
     # Limit repeated log messages.
-    seldom, loggers = _Seldom(), (log, logging.getLogger("uvicorn.error"))
+    seldom, loggers = Seldom(), [logging.getLogger(name) for name in _LOGGERS]
     for logger in loggers:
         logger.addFilter(seldom)
     for thread in threads:
@@ -508,6 +329,13 @@ def serving(
             thread.join(CLOSE_SECONDS + 1)
         for logger in loggers:
             logger.removeFilter(seldom)
+
+
+def _login_routes(login: Login) -> list[Route]:
+    return [
+        Route("/login", login.page, methods=["GET", "POST"]),
+        Route("/logout", login.logout, methods=["POST"]),
+    ]
 
 
 def _json(content: Any, status: int = 200) -> Response:

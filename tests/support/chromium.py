@@ -86,6 +86,11 @@ class Browser:
         """Run a script and return its result."""
         return self._driver.execute_script(script, *arguments)
 
+    @property
+    def address(self) -> str:
+        """The address of the page."""
+        return str(self._driver.current_url)
+
     def text(self, selector: str) -> str:
         """Return the text of the first element that matches; "" if it is missing or hidden."""
         script = (

@@ -14,16 +14,26 @@ from fake_bus import OneBus
 from camtopod.cli.commands.web import listening, names
 from camtopod.records import Topology
 from camtopod.serve.bus.session import Bus
-from camtopod.web import app
+from camtopod.web import Configured, Login, app
 
 
 class Shown:
-    """A web page on a fake bus; ``pictures``: folder of camera pictures."""
+    """A web page on a fake bus.
 
-    def __init__(self, *versions: Topology, pictures: Path | None = None) -> None:
+    pictures: folder of camera pictures.
+    """
+
+    def __init__(
+        self,
+        *versions: Topology,
+        pictures: Path | None = None,
+        login: Login | None = None,
+        configured: Configured | None = None,
+    ) -> None:
         self.bus = OneBus()
         self.bus.kept = {one.version: one for one in versions}
-        self.pictures = pictures
+        self.pictures, self.login = pictures, login
+        self.configured = configured or Configured()
         self.address = ""
 
     @contextlib.contextmanager
@@ -32,7 +42,16 @@ class Shown:
         bus = cast(Bus, self.bus)
         with (
             listening("127.0.0.1", port) as listener,
-            app.serving(bus, listener, names("127.0.0.1"), self.pictures, time.time, 3600.0),
+            app.serving(
+                bus,
+                listener,
+                names("127.0.0.1"),
+                self.pictures,
+                time.time,
+                3600.0,
+                login=self.login,
+                configured=self.configured,
+            ),
         ):
             port = listener.getsockname()[1]
             self.address = f"http://127.0.0.1:{port}/"

@@ -27,7 +27,7 @@ from camtopod.cli.commands.web import address, is_loopback, listening, names
 from camtopod.config.settings import BusSettings
 from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import Bus
-from camtopod.web import app, pictures
+from camtopod.web import app, connections, pictures
 
 SITE = synthetic_topology(12)
 CLOSED = next(link for link in SITE.links if link.relation == "unseen")
@@ -268,13 +268,13 @@ def test_idle_and_slow_clients_keep_nobody_out(
 def test_of_many_that_wait_the_oldest_are_closed(
     server: Server, crowd: Callable[[int], list[socket.socket]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(app, "GRACE_SECONDS", 0.0)
-    waiting = crowd(app.WAITING_MAX + 20)
+    monkeypatch.setattr(connections, "GRACE_SECONDS", 0.0)
+    waiting = crowd(connections.WAITING_MAX + 20)
     assert server.get("/data/map")[0] == 200
     wait_for(lambda: sum(closed(one) for one in waiting) >= 20, "the oldest to be closed")
     assert not any(closed(one) for one in waiting[40:])
-    monkeypatch.setattr(app, "GRACE_SECONDS", 60.0)
-    more = crowd(app.WAITING_MAX)
+    monkeypatch.setattr(connections, "GRACE_SECONDS", 60.0)
+    more = crowd(connections.WAITING_MAX)
     assert server.get("/data/map")[0] == 200
     for one in more:  # their requests may be on their way
         one.setblocking(True)
@@ -296,7 +296,7 @@ def closed(connection: socket.socket) -> bool:
 def test_a_request_has_to_come_in_time(
     server: Server, crowd: Callable[[int], list[socket.socket]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(app, "REQUEST_SECONDS", 0.3)
+    monkeypatch.setattr(connections, "REQUEST_SECONDS", 0.3)
     (idle,), (slow,), (used,) = crowd(1), crowd(1), crowd(1)
     used.sendall(b"GET /data/map HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
     assert used.recv(8) == b"HTTP/1.1"
@@ -322,13 +322,13 @@ def test_a_request_has_to_come_in_time(
 def test_a_client_that_takes_nothing_is_disconnected(
     server: Server, crowd: Callable[[int], list[socket.socket]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(app, "SEND_TIMEOUT_SECONDS", 0.5)
+    monkeypatch.setattr(connections, "SEND_TIMEOUT_SECONDS", 0.5)
     (greedy,) = crowd(1)
     ask = b"GET /static/map.js HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
     greedy.settimeout(5)
     with contextlib.suppress(TimeoutError, ConnectionError):
         greedy.sendall(ask * 2000)  # more than fits in all buffers between
-    monkeypatch.setattr(app, "REQUEST_SECONDS", 0.3)
+    monkeypatch.setattr(connections, "REQUEST_SECONDS", 0.3)
 
     def gone() -> bool:
         try:
@@ -345,8 +345,8 @@ def test_a_client_that_takes_nothing_is_disconnected(
 
 def test_what_clients_do_wrong_is_said_once_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
-    monkeypatch.setattr(app.time, "monotonic", lambda: now)
-    seldom, said = app._Seldom(), []
+    monkeypatch.setattr(connections.time, "monotonic", lambda: now)
+    seldom, said = connections.Seldom(), []
     for second in range(150):
         now = 100.0 + second
         for text in ("a", "b") if second == 0 else ("a",):

@@ -12,7 +12,7 @@ import re
 import socket
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from camtopod.cli import descriptors, exits
 from camtopod.cli.common import (
@@ -22,10 +22,14 @@ from camtopod.cli.common import (
     start_logging,
     until_signal,
 )
-from camtopod.cli.exits import CommandError
+from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.site_choice import dial_as_reader
+from camtopod.config import Config, secret_files
 from camtopod.serve.bus import BusError
 from camtopod.serve.runtime import Progress, clock
+
+if TYPE_CHECKING:
+    from camtopod.web import Login
 
 log = logging.getLogger(__name__)
 
@@ -75,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
     descriptors.raise_limit()
     try:
-        from camtopod.web import app
+        from camtopod.web import Configured, app
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn"):
             raise
@@ -89,6 +93,8 @@ def run(args: argparse.Namespace) -> int:
     if args.pictures is not None and not os.access(args.pictures, os.R_OK | os.X_OK):
         why = "no permission to read it" if args.pictures.exists() else "no such directory"
         log.warning("--pictures %s: %s; cameras are shown without pictures", args.pictures, why)
+
+    login = _login(config)
 
     # Listen, connect to the bus and serve.
     with until_signal() as stop, ends_within(stop, LEAVE_SECONDS), contextlib.ExitStack() as stack:
@@ -110,6 +116,8 @@ def run(args: argparse.Namespace) -> int:
                 not is_loopback(host),
                 progress,
                 config.health.stall_seconds,
+                login,
+                Configured.of(config),
             )
         )
         stack.enter_context(
@@ -118,13 +126,36 @@ def run(args: argparse.Namespace) -> int:
         log.info("the page is at http://%s/", _shown(listener))
         if not is_loopback(host):
             log.warning(
-                "there is no password: anyone who can connect to %s can read the page",
+                "there is no password ([web] password_file): anyone who can connect to %s can read"
+                " the page"
+                if login is None
+                else "the password crosses the network unencrypted unless a proxy with https is in"
+                " front of %s",
                 _shown(listener),
             )
         while not stop.wait(_LOOK_SECONDS):
             if not running():  # it has printed its traceback
                 raise CommandError("the web server has failed, see above; start it again")
     return exits.DONE
+
+
+def _login(config: Config) -> Login | None:
+    """Return the login of the configured password and token, if any. Raises `CommandError`."""
+    from camtopod.web import Login
+
+    files = config.web.password_file, config.web.token_file
+    if not files[0]:
+        return None
+    paths = [Path(file) for file in files if file]
+    if exposed := secret_files.find_exposed(paths):
+        raise CommandError(f"[web]: {exposed[0]}", exits.CONFIG)
+    try:
+        password, *token = [secret_files.read(path) for path in paths]
+        return Login(password, token[0] if token else None)
+    except OSError as error:
+        raise InputError(f"cannot read {error.filename}: {error.strerror}") from None
+    except ValueError as error:
+        raise CommandError(f"[web]: {error}", exits.CONFIG) from None
 
 
 def address(text: str) -> tuple[str, int]:

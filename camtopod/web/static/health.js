@@ -3,7 +3,7 @@
 import { fact } from "./camera.js";
 import { fill, h, more, say } from "./dom.js";
 import { link } from "./place.js";
-import { Away } from "./source.js";
+import { Away, logOut } from "./source.js";
 import { ago, count, plural, seconds, stateClass, troubled } from "./words.js";
 
 const EVERY_SECONDS = 4;
@@ -31,10 +31,11 @@ export class Health {
     this.daemon = h("div", { class: "card" });
     this.said = h("p", { class: "quiet", role: "status" });
     this.table = h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Cameras" });
+    this.leave = h("button", { type: "button", hidden: true, on: { click: () => logOut() } }, "Log out");
     this.element = h(
       "section",
       { class: "page" },
-      h("h1", {}, "Health"),
+      h("div", { class: "title" }, h("h1", {}, "Health"), this.leave),
       this.daemon,
       h("h2", {}, "Cameras"),
       h("div", { class: "tools" }, input),
@@ -67,7 +68,8 @@ export class Health {
 
   #draw() {
     if (!this.#content) return;
-    const { daemon, live, now, cameras, dropped } = this.#content;
+    const { daemon, live, now, cameras, dropped, login } = this.#content;
+    this.leave.hidden = !login;
     const events = daemon.events ?? {};
     const rejected = Object.values(daemon.rejects ?? {}).reduce((sum, n) => sum + n, 0);
     fill(

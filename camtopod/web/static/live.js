@@ -60,6 +60,7 @@ export class Connection {
     let why = "";
     try {
       const answer = await fetch("live", { cache: "no-store", signal: asked.signal });
+      if (answer.status === 401) location.reload(); // the session has ended
       if (!answer.ok) why = (await answer.json()).error ?? "";
     } catch (error) {
       if (!(error instanceof TypeError || error instanceof SyntaxError)) throw error; // as for any other question

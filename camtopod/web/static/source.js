@@ -46,6 +46,12 @@ class Server {
   }
 }
 
+// End this browser's session.
+export async function logOut() {
+  await fetch("logout", { method: "POST" });
+  location.reload();
+}
+
 class Report {
   live = false;
 
@@ -98,6 +104,7 @@ async function get(path) {
     if (error instanceof TypeError || error instanceof SyntaxError) throw new Away("The server cannot be reached.");
     throw error;
   }
+  if (answer.status === 401) location.reload(); // the session has ended: the server leads to the login
   if (answer.status === 404) throw new NotThere(content.error);
   if (!answer.ok) throw new Away(content.error);
   return content;

@@ -1,0 +1,34 @@
+"""What the configuration says about the page: where cameras are, and their recorders' pages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from msgspec import Struct
+
+from camtopod.config import Config
+from camtopod.export import Place
+
+
+class Configured(Struct, frozen=True):
+    """Settings of the page; the default is a page without any.
+
+    pages: camera -> address of its page at the recorder.
+    plan: picture of the floor plan beneath the map.
+    at: camera -> place on the plan, in fractions of its width and height.
+    """
+
+    pages: dict[str, str] = {}
+    plan: Path | None = None
+    at: dict[str, Place] = {}
+
+    @classmethod
+    def of(cls, config: Config) -> Configured:
+        """Return what a configuration says."""
+        plan = Path(config.map.plan) if config.map.plan else None
+        cameras = config.cameras.items()
+        return cls(
+            {name: camera.page for name, camera in cameras if camera.page},
+            plan,
+            {name: (camera.at[0], camera.at[1]) for name, camera in cameras if camera.at and plan},
+        )
