@@ -100,6 +100,7 @@ class Routes:
                 **story,
                 "picture": self._picture_of(name) is not None,
                 "page": self._configured.pages.get(name),
+                "hours": self._feed.hours_of(name),
             }
         )
 

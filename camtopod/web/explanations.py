@@ -38,6 +38,11 @@ class Explanations:
         self._zone_models = {} if model is None else {one.zone: one for one in model.zones}
         self._camera_models = {} if model is None else {one.camera: one for one in model.cameras}
 
+    @property
+    def last_events(self) -> dict[str, float]:
+        """By camera: time of its last learned event, Unix seconds."""
+        return {name: model.last_event for name, model in self._camera_models.items()}
+
     def camera(self, camera: str) -> dict[str, Any] | None:
         """Return a camera's zones, figures and links; None for an unknown camera."""
         found = self._cameras.get(camera)

@@ -25,6 +25,7 @@ from camtopod.records import CAMERA_PATTERN, Event, Look, NextCamera, Prediction
 from camtopod.serve.bus import Bus, TopologySubscriber
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.web.explanations import Explanations
+from camtopod.web.hourly_events import HourlyEvents
 from camtopod.web.map_data import Map, change, draw
 from camtopod.web.outbox import PageQueues
 
@@ -50,6 +51,10 @@ _TICK_SECONDS = 0.2
 DAEMON = "daemon"
 WAITING = "waiting for the daemon"
 """Reason while no status of the daemon has been received yet."""
+GONE_SECONDS = 86_400.0
+"""Event time without an event after which a camera without a grabber is gone."""
+GONE = "gone"
+"""State of a camera that is gone."""
 ENDED = "ended"
 """State of a camera whose recording has ended, so that its silence is expected."""
 
@@ -62,6 +67,8 @@ class ShownPrediction(msgspec.Struct, frozen=True, rename={"next_": "next"}):
     t: float
     version: int
     leave: float
+    look: list[Look]
+    """Where views overlap: cameras that probably see the object at ``t``, or else see it next."""
     now: list[Look]
     """Cameras that probably see the object at ``t``, when it has left the view of ``camera``."""
     next_: list[NextCamera]
@@ -75,6 +82,7 @@ def shown(prediction: Prediction) -> ShownPrediction:
         prediction.t,
         prediction.version,
         prediction.leave,
+        [one for one in prediction.look or [] if one.camera != prediction.camera][:NEXT_SHOWN],
         seen_now(prediction.in_view or []),
         prediction.next_[:NEXT_SHOWN],
     )
@@ -106,6 +114,7 @@ class Feed:
         self._second, self._this_second = 0, 0
         self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
         self._view = TopologySubscriber(bus)
+        self._hourly = HourlyEvents()
         self.stories: Explanations | None = None
         """Details of the newest version."""
         self.map: Map | None = None
@@ -174,6 +183,12 @@ class Feed:
         daemon = status.pop(DAEMON, None)
         known: dict[str, Any] = (daemon or {}).get("cameras", {})
         drawn = self.map.cameras if self.map is not None else {}
+        learned = {} if self.stories is None else self.stories.last_events
+        rows = [
+            _row(name, self._word(name, status.get(name)), known.get(name), learned.get(name))
+            for name in sorted({*status, *known, *drawn})
+        ]
+        _mark_gone(rows, self.map.as_of if self.map is not None else 0.0)
         return {
             "now": now,
             "live": live,
@@ -183,11 +198,12 @@ class Feed:
                 for k, v in (daemon or {}).items()
                 if k not in ("cameras", "reject_samples", "alarms")
             },
-            "cameras": [
-                _row(name, self._word(name, status.get(name)), known.get(name))
-                for name in sorted({*status, *known, *drawn})
-            ],
+            "cameras": rows,
         }
+
+    def hours_of(self, camera: str) -> dict[str, object] | None:
+        """Return a camera's events by the hour, since this server has followed the daemon."""
+        return self._hourly.of(camera, self._clock())
 
     @contextlib.contextmanager
     def watching(self, camera: str) -> Iterator[None]:
@@ -235,6 +251,7 @@ class Feed:
             self._silent.discard(name)
 
         if name == DAEMON:
+            self._hourly.note(self._clock(), _counters(status))
             return
         if (
             before is None
@@ -349,13 +366,40 @@ def _whole_percent(catching_up: Any) -> int | None:
     return math.floor(100 * share) if isinstance(share, float) and 0 <= share <= 1 else None
 
 
+def _counters(status: dict[str, Any]) -> dict[str, int]:
+    """Return each camera's number of events since the daemon's start."""
+    cameras = status.get("cameras")
+    return {
+        name: one["events"]
+        for name, one in (cameras.items() if isinstance(cameras, dict) else ())
+        if isinstance(one, dict) and isinstance(one.get("events"), int)
+    }
+
+
+def _mark_gone(rows: list[dict[str, Any]], as_of: float) -> None:
+    """Give the state ``gone`` to cameras without a grabber, and without events for long.
+
+    as_of: event time of the newest version, Unix seconds.
+    """
+    newest = max([as_of, *(row["newest"] or 0.0 for row in rows)])
+    for row in rows:
+        last, state = row["newest"], row["state"]
+        old = last is not None and newest - last > GONE_SECONDS
+        if (old and state in ("no grabber", "silent")) or (last is None and state == "no grabber"):
+            row["state"], row["reason"] = GONE, ""
+
+
 def _row(
-    name: str, status: dict[str, Any] | None, counted: dict[str, Any] | None
+    name: str,
+    status: dict[str, Any] | None,
+    counted: dict[str, Any] | None,
+    learned: float | None = None,
 ) -> dict[str, Any]:
     """Return a camera's row on the health page.
 
     status: of its grabber.
     counted: the daemon's figures of it.
+    learned: time of its last learned event, Unix seconds.
     """
     said, known = status or {}, counted or {}
     return {
@@ -365,6 +409,6 @@ def _row(
         ],
         "reason": str(said.get("reason") or "")[:REASON_CHARACTERS_MAX],
         "events": known.get("events"),
-        "newest": known.get("newest"),
+        "newest": known.get("newest", learned),
         "ahead": known.get("ahead"),
     }

@@ -203,6 +203,43 @@ def test_a_page_that_has_just_begun_does_not_blame_a_daemon_it_has_given_no_time
     }
 
 
+def test_a_camera_without_a_grabber_and_without_events_for_a_day_is_gone() -> None:
+    with Rig() as rig:
+        rig.feed.show(SITE)
+        names = [camera.id for camera in SITE.cameras]
+        newest = {
+            names[0]: SITE.as_of - feed.GONE_SECONDS - 1.0,
+            names[1]: SITE.as_of - feed.GONE_SECONDS + 1.0,
+            names[2]: SITE.as_of - feed.GONE_SECONDS - 1.0,
+        }
+        counted = {
+            name: {"events": 5, "newest": t, "alive": name == names[2]}
+            for name, t in newest.items()
+        }
+        rig.bus.publish("status/daemon", {"state": "running", "cameras": counted})
+        wait_for(lambda: rig.hub.of("live")[-1:] != [], "the daemon")
+        rows = {row["id"]: row for row in rig.feed.health()["cameras"]}
+        assert rows[names[0]]["state"] == "gone"
+        assert rows[names[0]]["newest"] == newest[names[0]]
+        assert rows[names[1]]["state"] == "no grabber"
+        assert rows[names[2]]["state"] == "unknown", "somebody publishes for it"
+
+
+def test_after_a_restart_of_the_daemon_the_last_event_is_the_learned_one() -> None:
+    assert SITE.model is not None
+    known = SITE.model.cameras[0]
+    with Rig() as rig:
+        rig.feed.show(SITE)
+        rows = {row["id"]: row for row in rig.feed.health()["cameras"]}
+        assert rows[known.camera]["newest"] == known.last_event
+
+
+def test_where_views_overlap_a_prediction_says_where_to_look() -> None:
+    said = feed.shown(prediction("lobby", 0.9))
+    assert [(one.camera, one.probability) for one in said.look] == [("c0", 0.9)]
+    assert [one.camera for one in said.now] == ["c0"]
+
+
 def test_a_daemon_that_is_behind_is_told_in_whole_percent() -> None:
     with Rig() as rig:
         for share in (0.631, 0.634, 0.7):

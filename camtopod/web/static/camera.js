@@ -1,8 +1,9 @@
 // A camera's page: its picture with the learned zones, who comes and goes, and its links.
 
 import { fill, h, s } from "./dom.js";
+import { hourChart } from "./hours.js";
 import { link } from "./place.js";
-import { ago, clock, comesBack, count, percent, plural, seconds, span, stateClass } from "./words.js";
+import { ago, clock, comesBack, count, goneSince, percent, plural, seconds, span, stateClass } from "./words.js";
 
 const FRAME = [1600, 900]; // where there is no picture, pixels
 const MARGINS = [0.06, 0.2]; // around the picture, of its width or height: zones lie on its edges
@@ -19,6 +20,7 @@ export async function cameraPanel(app, id) {
   const picture = app.source.picture(id);
   const scene = app.scene(id)?.update(story, picture) ?? new Scene(story, picture);
   const status = h("div", { class: "status" });
+  const recorder = story.page && h("a", { href: story.page, target: "_blank", rel: "noreferrer" }, "At the recorder ↗");
   const since = h("span", { class: "quiet" });
   const learned = h("dd", {});
   const tellAges = () => {
@@ -52,6 +54,7 @@ export async function cameraPanel(app, id) {
     body: [
       status,
       scene.element,
+      recorder && h("p", {}, recorder),
       h(
         "p",
         { class: "legend" },
@@ -61,6 +64,7 @@ export async function cameraPanel(app, id) {
         app.source.live ? scene.pulse : null,
       ),
       facts,
+      story.hours ? [h("h3", {}, "Events an hour"), hourChart(story.hours)] : null,
       h("h3", {}, "Zones"),
       zoneTable(story),
       h("h3", {}, "Where people go from here"),
@@ -70,7 +74,10 @@ export async function cameraPanel(app, id) {
       story.alarms.length ? [h("h3", {}, "Alarms"), alarmList(story.alarms)] : null,
     ],
     onEvent: (event) => event.camera === id && scene.add(event),
-    onPrediction: (prediction) => prediction.camera === id && scene.left(prediction),
+    onPrediction: (prediction) => {
+      if (prediction.camera === id) scene.left(prediction);
+      else scene.sees(prediction);
+    },
     onHealth: (rows) => {
       showStatus(status, rows.get(id), since);
       tellAges();
@@ -173,8 +180,8 @@ function showStatus(element, row, since) {
   if (!row) return fill(element);
   return fill(
     element,
-    h("span", { class: stateClass(row.state) }, row.state),
-    since,
+    h("span", { class: stateClass(row.state) }, row.state === "gone" ? goneSince(row) : row.state),
+    row.state === "gone" ? null : since,
     row.reason ? h("span", { class: "reason" }, row.reason) : null,
   );
 }
@@ -228,6 +235,12 @@ class Scene {
     }
     this.zones.get(prediction.zone)?.classList.add("active");
     setTimeout(() => this.zones.get(prediction.zone)?.classList.remove("active"), 1500);
+  }
+
+  // Somebody who has just left another view may be in this one.
+  sees({ camera, now }) {
+    const seen = now.find((one) => one.camera === this.story.id);
+    if (seen) this.pulse.textContent = `who left ${camera} is in view now (${percent(seen.probability)})`;
   }
 
   #mark(kind, x, y) {

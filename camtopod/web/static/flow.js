@@ -7,6 +7,7 @@ const SHARE_MIN = 0.1;
 const AGE_MAX_SECONDS = 10; // of a prediction that comes late: its dot begins further on
 const LINGER_SECONDS = 1.5;
 const QUICK_SECONDS = 0.8; // of a way that takes no time, between overlapping views
+const SEES_SECONDS = 4;
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 
 export class Flow {
@@ -25,6 +26,7 @@ export class Flow {
     from.element.classList.remove("left");
     void from.element.getBoundingClientRect(); // so that the ring's animation begins anew
     from.element.classList.add("left");
+    for (const { camera } of prediction.now) this.#sees(this.map.nodes.get(camera));
     const started = performance.now() / 1000 - Math.min(AGE_MAX_SECONDS, Math.max(0, age));
     for (const next of prediction.next) {
       const to = this.map.nodes.get(next.camera);
@@ -42,6 +44,14 @@ export class Flow {
       });
     }
     this.#frame ||= requestAnimationFrame(() => this.#step());
+  }
+
+  // Mark for a while a camera that sees somebody who has just left another view.
+  #sees(node) {
+    if (!node) return;
+    node.element.classList.add("sees");
+    clearTimeout(node.seeing);
+    node.seeing = setTimeout(() => node.element.classList.remove("sees"), 1000 * SEES_SECONDS);
   }
 
   get underWay() {

@@ -4,7 +4,7 @@ import { fact } from "./camera.js";
 import { fill, h, more, say } from "./dom.js";
 import { link } from "./place.js";
 import { Away, logOut } from "./source.js";
-import { ago, count, plural, seconds, stateClass, troubled } from "./words.js";
+import { ago, count, goneSince, plural, seconds, stateClass, troubled } from "./words.js";
 
 const EVERY_SECONDS = 4;
 const ROWS = 200;
@@ -104,11 +104,13 @@ export class Health {
       ),
     );
     const wanted = cameras.filter((row) => `${row.id} ${row.state} ${row.reason}`.toLowerCase().includes(this.#text));
-    const bad = (row) => (troubled(row.state) ? 0 : row.reason ? 1 : row.state === "no grabber" ? 2 : 3);
+    const bad = (row) => (troubled(row.state) ? 0 : row.reason ? 1 : row.state === "no grabber" ? 2 : row.state === "gone" ? 4 : 3);
     wanted.sort((a, b) => bad(a) - bad(b) || (a.id < b.id ? -1 : 1));
     const ill = cameras.filter((row) => troubled(row.state)).length;
     const needy = ill ? plural(ill, "needs", "need") : "none needs";
-    say(this.said, `${plural(cameras.length, "camera")}, ${needy} attention`);
+    const gone = cameras.filter((row) => row.state === "gone").length;
+    const there = plural(cameras.length - gone, "camera");
+    say(this.said, `${there}, ${needy} attention${gone ? `; ${count(gone)} gone` : ""}`);
     fill(
       this.table,
       h(
@@ -140,7 +142,7 @@ export class Health {
                   h("a", { href: link("camera", row.id) }, row.id),
                   h("span", { class: "below reason" }, why(row)),
                 ),
-                h("td", {}, h("span", { class: stateClass(row.state) }, row.state)),
+                h("td", {}, h("span", { class: stateClass(row.state) }, row.state === "gone" ? goneSince(row) : row.state)),
                 h("td", { class: "apart number" }, count(row.events)),
                 h("td", { class: "number" }, row.newest ? ago(now - row.newest) : "–"),
                 h("td", { class: "apart reason" }, why(row)),

@@ -137,7 +137,10 @@ class App {
       if (known?.newest > fresh.newest) fresh.newest = known.newest; // an event comes here before the daemon counts it
       this.rows.set(row.id, fresh);
     }
-    this.network.health(new Set([...this.rows.values()].filter((row) => troubled(row.state)).map((row) => row.id)));
+    const those = (test) => new Set([...this.rows.values()].filter(test).map((row) => row.id));
+    const gone = those((row) => row.state === "gone");
+    this.network.health(those((row) => troubled(row.state)), gone);
+    this.overlays.tellGone(gone.size);
     if (!this.map) this.network.tellEvents([...this.rows.values()].map((row) => row.events ?? 0));
     this.#shown?.onHealth?.(this.rows);
   }
@@ -226,6 +229,7 @@ class App {
 
   async #change(change) {
     await this.#loading;
+    this.#askHealth();
     if (!this.#has([change.epoch, change.since])) return this.load();
     const cameras = { ...this.map.cameras, ...change.cameras };
     const edges = { ...this.map.edges, ...change.edges };

@@ -34,6 +34,7 @@ export class NetworkMap {
   #focused = null;
   #chosen = [];
   #ill = new Set(); // ids of those that need attention
+  #gone = new Set(); // ids of those without grabber and events for long
   #found = null; // ids that match the search, or null
   pictures = new Map(); // camera -> address of its picture
   shot = 0; // width of the pictures in pixels; 0 while cameras are circles
@@ -198,15 +199,19 @@ export class NetworkMap {
   }
 
   // Mark who is not well, now and on maps to come.
-  health(ids) {
-    this.#ill = ids;
+  health(ill, gone) {
+    this.#ill = ill;
+    this.#gone = gone;
     for (const node of this.nodes.values()) this.#tellHealth(node);
   }
 
   #tellHealth({ id, camera, element }) {
     const ill = this.#ill.has(id);
+    const gone = this.#gone.has(id);
     element.classList.toggle("ill", ill);
-    const name = `Camera ${id}, ${plural(camera.zones, "zone")}${ill ? ", needs attention" : ""}`;
+    element.classList.toggle("gone", gone);
+    const state = ill ? ", needs attention" : gone ? ", gone" : "";
+    const name = `Camera ${id}, ${plural(camera.zones, "zone")}${state}`;
     if (element.getAttribute("aria-label") !== name) element.setAttribute("aria-label", name);
   }
 

@@ -35,6 +35,7 @@ export class Overlays {
     const button = (text, name, act) =>
       h("button", { type: "button", "aria-label": name, title: name, on: { click: act } }, text);
     this.summary = h("span", { class: "quiet" });
+    this.gone = h("span", { class: "quiet" });
     this.list = h("ul", {});
     this.newest = h("ul", {});
     this.alarmed = h("summary", {}, "");
@@ -49,7 +50,7 @@ export class Overlays {
     this.legend = h(
       "details",
       { class: "overlay key", open: !NARROW.matches },
-      h("summary", {}, "Legend ", this.summary),
+      h("summary", {}, "Legend ", this.summary, this.gone),
       h(
         "ul",
         {},
@@ -59,7 +60,9 @@ export class Overlays {
         h("li", {}, h("i", { class: "stroke unseen likely" }), "likely, not published yet"),
         h("li", {}, h("i", { class: "stroke wide" }), "wider: more traffic"),
         app.source.live ? h("li", {}, h("i", { class: "swatch dot" }), "predicted, under way") : null,
+        app.source.live ? h("li", {}, h("i", { class: "swatch sees" }), "sees who has just left another view") : null,
         app.source.live ? h("li", {}, h("i", { class: "swatch ill" }), "needs attention") : null,
+        app.source.live ? h("li", {}, h("i", { class: "swatch gone" }), "gone") : null,
         h("li", { class: "quiet" }, "numbers: most frequent transit time, with arrows where the directions differ"),
       ),
     );
@@ -97,6 +100,11 @@ export class Overlays {
     const provisional = edges.filter((edge) => edge.provisional).length;
     const kinds = `${count(overlapped)} overlapping${provisional ? `, ${count(provisional)} provisional` : ""}`;
     this.summary.textContent = `${plural(Object.keys(map.cameras).length, "camera")}, ${plural(edges.length, "pair")} (${kinds})${likely ? `, ${count(likely)} likely` : ""}`;
+  }
+
+  // How many cameras are gone.
+  tellGone(number) {
+    this.gone.textContent = number ? `${count(number)} gone` : "";
   }
 
   predicted(prediction) {
@@ -141,6 +149,11 @@ export class Overlays {
           " → ",
           now
             ? [h("b", {}, now.camera), h("span", { class: "quiet" }, ` ${percent(now.probability)}, in view now`)]
+            : one.look.length && one.look[0].probability >= one.leave
+            ? [
+                h("b", {}, one.look[0].camera),
+                h("span", { class: "quiet" }, ` ${percent(one.look[0].probability)}, look there now or next`),
+              ]
             : next && next.probability >= one.leave
             ? [
                 h("b", {}, next.camera),

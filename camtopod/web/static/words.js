@@ -68,6 +68,11 @@ export function ago(age) {
   return age < 172800 ? `${(age / 3600).toFixed(0)} h ago` : `${(age / 86400).toFixed(0)} days ago`;
 }
 
+// Since when a camera is gone: its last event.
+export function goneSince({ newest }) {
+  return newest ? `gone since ${clock(newest)}` : "gone";
+}
+
 // Whether an object most likely appears next where it has just left.
 export function comesBack({ camera, next, now, leave }) {
   return !now.length && next.length > 0 && next[0].camera === camera && next[0].probability >= leave;
@@ -75,7 +80,7 @@ export function comesBack({ camera, next, now, leave }) {
 
 // Whether a camera's state asks for attention.
 export function troubled(state) {
-  return !["running", "ended", "unknown", "no grabber", undefined].includes(state);
+  return !["running", "ended", "unknown", "no grabber", "gone", undefined].includes(state);
 }
 
 // The look of a state.

@@ -1,0 +1,45 @@
+// Events of a camera by the hour, as small bars.
+
+import { h, s } from "./dom.js";
+import { clock, count, plural } from "./words.js";
+
+const WIDTH = 420;
+const HEIGHT = 64;
+const BOTTOM = 16; // for the hours
+const SHOWN = 24;
+const STEP = 6; // hours between two that are named
+
+// `first`: when the first hour begins; `counts`: events in each hour, the last one not over yet.
+export function hourChart({ since, first, counts }) {
+  const from = Math.max(0, counts.length - SHOWN);
+  const shown = counts.slice(from);
+  const top = Math.max(1, ...shown);
+  const wide = WIDTH / SHOWN;
+  const left = (k) => WIDTH - (shown.length - k) * wide;
+  const hour = (k) => new Date(1000 * (first + 3600 * (from + k)));
+  const high = (n) => ((HEIGHT - BOTTOM) * n) / top;
+  const named = (k) => hour(k).getHours() % STEP === 0 || shown.length === 1;
+  const all = shown.reduce((sum, n) => sum + n, 0);
+  return h(
+    "figure",
+    { class: "chart hours" },
+    s(
+      "svg",
+      { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${plural(all, "event")}, at most ${count(top)} an hour` },
+      s("line", { class: "grid", x1: 0, x2: WIDTH, y1: HEIGHT - BOTTOM, y2: HEIGHT - BOTTOM }),
+      shown.map((n, k) =>
+        s(
+          "rect",
+          { class: "count", x: left(k) + 1, width: wide - 2, y: HEIGHT - BOTTOM - high(n), height: high(n) },
+          s("title", {}, `from ${String(hour(k).getHours()).padStart(2, "0")}:00: ${plural(n, "event")}`),
+        ),
+      ),
+      shown.map((_, k) =>
+        named(k)
+          ? s("text", { x: Math.min(WIDTH - 16, left(k) + wide / 2), y: HEIGHT - 3, "text-anchor": "middle" }, `${hour(k).getHours()} h`)
+          : null,
+      ),
+    ),
+    h("figcaption", {}, `at most ${count(top)} an hour; counted since ${clock(since)}`),
+  );
+}

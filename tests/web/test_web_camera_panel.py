@@ -1,0 +1,76 @@
+"""A camera's panel: its recorder's page, events an hour, who is in view now; and cameras gone."""
+
+from __future__ import annotations
+
+import time
+
+from chromium import Browser
+from msgspec.structs import replace
+from page_fixture import Shown, opened
+from synthetic_topology import synthetic_topology
+
+from camtopod.records import InView, Look, Prediction
+from camtopod.web import Configured
+
+DAY = 86_400.0
+SITE = synthetic_topology(4, as_of=time.time())
+A, B, C = (camera.id for camera in SITE.cameras[:3])
+
+
+def test_it_links_to_the_recorder_and_counts_events_by_the_hour(browser: Browser) -> None:
+    page = "http://frigate.example/#" + A
+    shown = Shown(SITE, configured=Configured({A: page}))
+    with shown.serving():
+        opened(browser, shown)
+        for events in (10, 17):
+            shown.status(**{A: {"events": events, "newest": time.time(), "alive": True}})
+        browser.go(f"#/camera/{A}")
+        browser.wait(lambda: "At the recorder" in browser.text(".panel"), "the link")
+        assert browser.run("return document.querySelector('.panel a[target]').href") == page
+        browser.wait(lambda: browser.count(".hours .count") in (1, 2), "this hour")
+        titles = "return [...document.querySelectorAll('.hours title')].map((one) => one.textContent).join()"
+        assert "7 events" in browser.run(titles)
+        browser.go(f"#/camera/{B}")
+        browser.wait(lambda: browser.text(".panel h2") == B, "another camera")
+        assert "At the recorder" not in browser.text(".panel")
+    assert browser.complaints() == []
+
+
+def test_who_left_one_view_and_is_in_another_is_shown_at_both(browser: Browser) -> None:
+    shown = Shown(SITE)
+    seen = InView(B, "x", time.time() - 3.0, 0.83)
+    said = Prediction(A, None, time.time(), "y", 1, 0.2, [], [Look(B, 0.9)], [seen])
+    with shown.serving():
+        opened(browser, shown, f"#/camera/{B}")
+        browser.wait(lambda: browser.count(".scene") == 1, "the camera")
+
+        def told() -> bool:
+            shown.bus.publish(f"prediction/{A}", said)
+            return f"who left {A} is in view now (83 %)" in browser.text(".panel")
+
+        browser.wait(told, "who is in view")
+        assert browser.count(f".node.sees[data-id={B}]") == 1
+        shown.bus.publish(f"prediction/{A}", replace(said, in_view=None))
+        where = f"{A} → {B} 90 %, look there now or next"
+        browser.wait(lambda: where in browser.text(".predictions"), "where to look")
+        browser.wait(lambda: browser.count(".node.sees") == 0, "the mark to go")
+
+
+def test_a_camera_that_is_gone_is_grey_and_not_counted(browser: Browser) -> None:
+    now = time.time()
+    status = {camera.id: {"events": 5, "newest": now, "alive": True} for camera in SITE.cameras[1:]}
+    status[A] = {"events": 5, "newest": now - 3 * DAY, "alive": False}
+    shown = Shown(SITE)
+    with shown.serving():
+        shown.status(**status)
+        browser.open(shown.address)
+        browser.wait(lambda: browser.count(".node.gone") == 1, "the camera to be grey")
+        assert browser.count(f".node.gone[data-id={A}]") == 1
+        assert browser.count(".node.ill") == 0
+        assert browser.text(".key summary").endswith("1 gone")
+        browser.go("#/health")
+        browser.wait(lambda: "3 cameras, none needs attention; 1 gone" in browser.text(".page"), "")
+        day = time.strftime("%Y-%m-%d", time.localtime(now - 3 * DAY))
+        assert f"gone since {day}" in browser.text(".page table")
+        browser.go(f"#/camera/{A}")
+        browser.wait(lambda: f"gone since {day}" in browser.text(".panel .status"), "since when")
