@@ -28,7 +28,8 @@ from bench.support.rtsp_streams import (
 )
 from camtopod import redact
 from camtopod.cli.cameras import probe as probes
-from camtopod.cli.commands.init import smaller_streams, with_names
+from camtopod.cli.cameras.finding import smaller_streams
+from camtopod.cli.cameras.naming import with_names
 from camtopod.cli.main import main
 from camtopod.config import settings
 from camtopod.config.settings import VisionSettings

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import ipaddress
 import json
 import re
 import sys
-from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 from msgspec.structs import replace
 
@@ -19,18 +16,15 @@ from camtopod.cli import exits
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated import table
-from camtopod.config import RESERVED, TABLES, Config, secret_files
+from camtopod.config import TABLES, Config, secret_files
 from camtopod.config import settings as configurations
-from camtopod.redact import holds_secret, redact
+from camtopod.redact import redact
 from camtopod.visible import visible
 from camtopod.vision.source import (
-    ENOUGH_FPS,
     ENOUGH_HEIGHT,
     SETTLE_SECONDS_MAX,
     Probe,
     kind_of,
-    percent_encoded,
-    smaller_stream,
 )
 from camtopod.web import pictures
 
@@ -40,10 +34,6 @@ CREDENTIALS = "$CREDENTIALS_DIRECTORY"
 """Directory in which systemd gives a service its files; deploy's units take them from `SECRETS`."""
 HEALTH = "127.0.0.1:8787"
 """Address at which a daemon run as a service reports its health."""
-NAME_CHARACTERS_MAX = 64
-"""Longest camera id."""
-_GIVEN = re.compile(r"([A-Za-z0-9_.-]{1,64})=(.+)", re.DOTALL)
-"""Argument of the form NAME=SOURCE."""
 _HEAD = """\
 # Made by `camtopod init`. `camtopod check FILE` checks it, with --probe also its cameras;
 # `camtopod check --example` shows every other setting.
@@ -65,10 +55,24 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         "sources",
-        nargs="+",
+        nargs="*",
         metavar="[NAME=]SOURCE",
-        help="rtsp:// URL, video file or device number; '-': read them from standard input, one a "
-        "line, as other users of this machine can read passwords on a command line",
+        help="rtsp:// URL, video file or device number; onvif://USER:PASSWORD@HOST asks the camera "
+        "for its streams, and of an rtsp:// URL without a path those of the common makers are "
+        "tried; '-': read them from standard input, one a line, as other users of this machine can "
+        "read passwords on a command line",
+    )
+    parser.add_argument(
+        "--discover",
+        action="store_true",
+        help="ask the local network for ONVIF cameras and list them; with --user add them, too",
+    )
+    parser.add_argument("--user", metavar="NAME", help="user of the cameras that --discover finds")
+    parser.add_argument(
+        "--password-file",
+        type=Path,
+        metavar="FILE",
+        help="file with that user's password in its first line",
     )
     parser.add_argument(
         "--out",
@@ -111,16 +115,29 @@ def run(args: argparse.Namespace) -> int:
 
     A camera that cannot be opened at the moment is in the configuration, too.
     """
-    from camtopod.cli.cameras import probe_all
+    from camtopod.cli.cameras import named_sources, streams_by_onvif, with_names
 
+    discovered = _discovered(args)
+    if not args.sources and not discovered:
+        return exits.DONE
     before = None if args.force else _existing(args.out)
     settings = configuration(args) if before is None else _unchanged(args, before)
-    cameras = with_names(_given(args.sources))
+    cameras = with_names([*named_sources(args.sources), *(("", source) for source in discovered)])
+    for name in [name for name in cameras.keys() & settings.cameras if cameras[name] in discovered]:
+        _say(f"  {name}  is in {args.out} already")
+        del cameras[name]
+    if not cameras:
+        return exits.DONE
     if twice := cameras.keys() & settings.cameras.keys() if before is not None else ():
         raise CommandError(
             f"{args.out} has cameras.{', cameras.'.join(sorted(twice))} already: give another name "
             f"(NAME=SOURCE) or edit that table; --force writes the whole file anew"
         )
+    cameras, without = streams_by_onvif(cameras, largest=args.as_given)
+    for name, why in without.items():
+        _say(f"  {name}  left out: {visible(why)}")
+    if not cameras:
+        raise InputError("no camera says where its stream is, see above")
     folder, handed = args.out.parent / SECRETS, args.credentials
     secrets = {
         name: folder / name
@@ -144,38 +161,8 @@ def run(args: argparse.Namespace) -> int:
             f"or write elsewhere with --out"
         )
 
-    # Probe the cameras.
-    width = max(map(len, cameras))
-    how_long = "" if args.pictures is None else f", up to {SETTLE_SECONDS_MAX:.0f} s for a picture"
-    _say(f"probing {len(cameras)} {'camera' if len(cameras) == 1 else 'cameras'}{how_long} ...")
-    probes = probe_all(
-        cameras,
-        dict.fromkeys(cameras, settings.vision),
-        lambda name, probe: _say(f"  {name:<{width}}  {visible('; '.join(probe.lines))}"),
-        args.pictures,
-    )
-    words = {name: [visible(word) for word in probe.lines] for name, probe in probes.items()}
-
-    # Take the smaller streams of cameras where they are big enough.
-    if not args.as_given:
-        found = smaller_streams(
-            cameras,
-            probes,
-            lambda urls: probe_all(
-                urls, dict.fromkeys(urls, settings.vision), lambda name, probe: None
-            ),
-        )
-        for name, (url, probe) in found.items():
-            given = probes[name]
-            cameras[name] = url
-            words[name] = [
-                *(visible(word) for word in probe.lines),
-                f"the camera's smaller stream, which is big enough; the one given has "
-                f"{given.width}x{given.height}",
-            ]
-            _say(f"  {name:<{width}}  {'; '.join(words[name])}")
-
-    # Write the configuration and the secrets.
+    # Probe the cameras, then write the configuration and the secrets.
+    cameras, probes, words = _probed(args, cameras, settings)
     if before is None:
         text = configuration_text(settings, cameras, words, secrets.keys(), handed)
     else:
@@ -194,57 +181,88 @@ def run(args: argparse.Namespace) -> int:
     done = "is written" if before is None else f"has {', '.join(cameras)} now, after what it had"
     _say(f"{args.out} {done}{where}")
     _say(_next_services(args.out, settings, cameras) if handed else _next(args.out, settings))
-    return exits.INPUT if any(probe.problem for probe in probes.values()) else exits.DONE
+    failed = bool(without) or any(probe.problem for probe in probes.values())
+    return exits.INPUT if failed else exits.DONE
 
 
-def smaller_streams(
-    cameras: Mapping[str, str],
-    probes: Mapping[str, Probe],
-    look: Callable[[Mapping[str, str]], Mapping[str, Probe]],
-) -> dict[str, tuple[str, Probe]]:
-    """Return (URL, probe) of the smaller stream of each camera that has one which is big enough.
+def _probed(
+    args: argparse.Namespace, given: Mapping[str, str], settings: Config
+) -> tuple[dict[str, str], dict[str, Probe], dict[str, list[str]]]:
+    """Return the cameras' sources, what came of them, and that in words, by camera id.
 
-    cameras, probes: source and probe of each camera, by camera id.
-    look: probes sources by camera id.
+    given: sources as given; others are returned where a camera's stream is found elsewhere.
     """
-    guesses = {
-        name: url
-        for name, source in cameras.items()
-        if not probes[name].problem and probes[name].height > ENOUGH_HEIGHT
-        if (url := smaller_stream(source)) is not None
-    }
-    return {
-        name: (guesses[name], probe)
-        for name, probe in (look(guesses) if guesses else {}).items()
-        if not probe.problem
-        and ENOUGH_HEIGHT <= probe.height < probes[name].height
-        and probe.fps >= min(ENOUGH_FPS, probes[name].fps)
-    }
+    from camtopod.cli.cameras import probe_all, smaller_streams, streams_by_path
+
+    def look(urls: Mapping[str, str]) -> Mapping[str, Probe]:
+        return probe_all(urls, dict.fromkeys(urls, settings.vision), lambda name, probe: None)
+
+    # Probe the streams as they are given.
+    cameras = dict(given)
+    width = max(map(len, cameras))
+    how_long = "" if args.pictures is None else f", up to {SETTLE_SECONDS_MAX:.0f} s for a picture"
+    _say(f"probing {len(cameras)} {'camera' if len(cameras) == 1 else 'cameras'}{how_long} ...")
+    probes = probe_all(
+        cameras,
+        dict.fromkeys(cameras, settings.vision),
+        lambda name, probe: _say(f"  {name:<{width}}  {visible('; '.join(probe.lines))}"),
+        args.pictures,
+    )
+    words = {name: [visible(word) for word in probe.lines] for name, probe in probes.items()}
+
+    # Where a URL has no path, take the maker's.
+    for name, (url, maker, probe) in streams_by_path(cameras, probes, look).items():
+        cameras[name], probes[name] = url, probe
+        words[name] = [*(visible(word) for word in probe.lines), f"found as by {maker}"]
+        _say(f"  {name:<{width}}  {'; '.join(words[name])}")
+
+    # Take the smaller streams of cameras where they are big enough.
+    if not args.as_given:
+        found = smaller_streams(cameras, probes, look)
+        for name, (url, probe) in found.items():
+            large = probes[name]
+            cameras[name] = url
+            words[name] = [
+                *(visible(word) for word in probe.lines),
+                f"the camera's smaller stream, which is big enough; the one given has "
+                f"{large.width}x{large.height}",
+            ]
+            _say(f"  {name:<{width}}  {'; '.join(words[name])}")
+
+    return cameras, probes, words
 
 
-def with_names(given: Sequence[tuple[str, str]]) -> dict[str, str]:
-    """Return id -> source.
+def _discovered(args: argparse.Namespace) -> list[str]:
+    """Return the sources of the cameras that --discover adds; say which cameras there are."""
+    from camtopod.cli.cameras import discover, source_of
 
-    A source without a name is named after its host or path, with a number where the name is taken.
-    """
-    short = Counter(_short(source) for name, source in given if not name)
-    cameras: dict[str, str] = {}
-    for name, source in given:
-        if name in (*cameras, *RESERVED, ".", ".."):
+    if (args.user is None) != (args.password_file is None) or (args.user and not args.discover):
+        raise CommandError("--discover, --user and --password-file belong together", exits.USAGE)
+    if not args.discover:
+        if not args.sources:
             raise CommandError(
-                f"{name}: this name is given twice or reserved; use another",
-                exits.USAGE,
+                "name a camera, or find some with --discover: camtopod init --help", exits.USAGE
             )
-        if not name:
-            own = _short(source)
-            own = own if short[own] == 1 else _long(source)
-            taken = {*cameras, *RESERVED, *(name for name, _ in given)}
-            numbers = (
-                f"{own[: NAME_CHARACTERS_MAX - 5]}-{number}" for number in range(2, len(given) + 3)
-            )
-            name = next(one for one in (own, *numbers) if one not in taken)
-        cameras[name] = source
-    return cameras
+        return []
+
+    # Say what there is.
+    _say("asking the local network for cameras ...")
+    found = discover()
+    for camera in found:
+        _say(f"  {camera.host}  {visible(camera.name)}".rstrip())
+    if not found:
+        _say("no ONVIF camera has answered; is it in this network, and is ONVIF switched on in it?")
+    elif args.user is None:
+        _say("next: camtopod init --discover --user NAME --password-file FILE")
+    if args.user is None:
+        return []
+
+    # Add all of them.
+    try:
+        password = secret_files.read(args.password_file)
+    except OSError as error:
+        raise InputError(f"cannot read {args.password_file}: {error.strerror}") from None
+    return [source_of(camera.service, args.user, password) for camera in found]
 
 
 def configuration_text(
@@ -351,65 +369,6 @@ def _unchanged(args: argparse.Namespace, before: str) -> Config:
         raise CommandError(
             f"nothing is added, as the configuration has mistakes:\n{error}", exits.CONFIG
         ) from None
-
-
-def _given(arguments: Sequence[str]) -> list[tuple[str, str]]:
-    """Return (name or "", source) of each argument; ``-`` stands for lines of standard input."""
-    found: list[tuple[str, str]] = []
-    for argument in arguments:
-        for line in sys.stdin if argument == "-" else [argument]:
-            if not (text := line.strip()).isprintable():
-                raise CommandError(f"{text!a}: a source has printable characters only", exits.USAGE)
-            match = _GIVEN.fullmatch(text)
-            found += [(match[1], match[2])] if match else [("", text)] if text else []
-    if not found:
-        raise InputError("no camera given on standard input")
-    return found
-
-
-def _short(source: str) -> str:
-    """Return a camera's id from its host, or from its path if the host is this machine."""
-    kind = kind_of(source)
-    if kind == "device":
-        return f"device-{int(source)}"
-    if kind == "file":
-        return _id(Path(source).stem)
-    host = _host(source)
-    try:
-        address = ipaddress.ip_address(host)
-    except ValueError:
-        label = host.partition(".")[0]
-        return _id(label) if label != "localhost" else _id(_path(source))
-    return _id(_path(source)) if address.is_loopback else _id(host)
-
-
-def _long(source: str) -> str:
-    """Return a longer id, with the path, for cameras that share a host."""
-    return (
-        _id(f"{_host(source)} {_path(source)}") if kind_of(source) == "stream" else _short(source)
-    )
-
-
-def _host(source: str) -> str:
-    """Return the host of a URL, "" if it has none."""
-    try:
-        return urlsplit(percent_encoded(source)).hostname or ""
-    except ValueError:
-        return ""
-
-
-def _path(source: str) -> str:
-    """Return the path of a URL, "" if it contains a secret."""
-    try:
-        path = urlsplit(percent_encoded(source)).path
-    except ValueError:
-        return ""
-    return "" if holds_secret(f"rtsp://host{path}") else path
-
-
-def _id(text: str) -> str:
-    """Return ``text`` as an id: other characters become hyphens."""
-    return re.sub(r"[^A-Za-z0-9_]+", "-", text).strip("-")[:NAME_CHARACTERS_MAX] or "camera"
 
 
 def _located(source: str) -> str:

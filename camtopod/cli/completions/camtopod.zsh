@@ -196,6 +196,9 @@ _shtab_camtopod_ingest_defaults_added=0
 
 _shtab_camtopod_init_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--discover[ask the local network for ONVIF cameras and list them\; with --user add them, too]"
+  "--user[user of the cameras that --discover finds]:NAME:"
+  "--password-file[file with that user\'s password in its first line]:FILE:_files"
   "--out[configuration file to write or to add to (default\: camtopod.toml)]:FILE:_files"
   "--pictures[also store a picture of each camera as DIR\/NAME.jpg\; \`camtopod web\` and \`report\` draw zones on it. It shows the scene without the people who walk through it, and takes 6 to 30 seconds. It is stored only there and not sent\; \`init\` stores no other picture]:DIR:_files -/"
   "--credentials[for systemd services, whose users cannot read secrets\: every camera\'s source goes into a file of that folder, and the configuration refers to it as \$CREDENTIALS_DIRECTORY\/NAME, where systemd passes it to the camera\'s service\; the daemon reports its health at 127.0.0.1\:8787]"
@@ -206,7 +209,7 @@ _shtab_camtopod_init_options=(
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
   "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
-  "*:rtsp\:\/\/ URL, video file or device number\; \'-\'\: read them from standard input, one a line, as other users of this machine can read passwords on a command line:_files"
+  "*::rtsp\:\/\/ URL, video file or device number\; onvif\:\/\/USER\:PASSWORD\@HOST asks the camera for its streams, and of an rtsp\:\/\/ URL without a path those of the common makers are tried\; \'-\'\: read them from standard input, one a line, as other users of this machine can read passwords on a command line:_files"
 )
 
 # guard to ensure default positional specs are added only once per session

@@ -3,8 +3,9 @@
 `source_url` tells the kind of a source and encodes its password; `capture` wraps OpenCV. On top of
 it `recorded` reads a file and `live` a stream or device, which reconnects; `frame_times` estimates
 capture times from presentation stamps. `ffmpeg_log` finds out why a stream cannot be opened,
-`hardware` how it can be decoded, `substreams` where a smaller one is; `probe` describes a source
-for people, with a picture from `settled_picture`; `errors` has the exceptions.
+`hardware` how it can be decoded, `makers` where a camera's stream may be, `substreams` where a
+smaller one is; `probe` describes a source for people, with a picture from `settled_picture`;
+`errors` has the exceptions.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 from camtopod.vision.source import ffmpeg_log, hardware
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.live import LiveSource
+from camtopod.vision.source.makers import streams_by_maker
 from camtopod.vision.source.probe import PROBE_SECONDS, Probe, ProbeRequest, decoders
 from camtopod.vision.source.recorded import RecordedSource
 from camtopod.vision.source.settled_picture import SETTLE_SECONDS_MAX
@@ -35,4 +37,5 @@ __all__ = [
     "kind_of",
     "percent_encoded",
     "smaller_stream",
+    "streams_by_maker",
 ]

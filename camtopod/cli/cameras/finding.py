@@ -1,0 +1,107 @@
+"""Find the streams of cameras of which only the host is known, for `camtopod init`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+
+from camtopod.cli.cameras import onvif
+from camtopod.vision.source import (
+    ENOUGH_FPS,
+    ENOUGH_HEIGHT,
+    Probe,
+    smaller_stream,
+    streams_by_maker,
+)
+
+ASKED_AT_ONCE = 16
+"""Cameras that are asked for their streams at the same time."""
+_NOT_THERE = re.compile(r"\((?!401|403)4\d\d\)")
+"""Status in the problem of a stream that the camera does not have."""
+
+Look = Callable[[Mapping[str, str]], Mapping[str, Probe]]
+"""Probes sources by name."""
+
+
+def streams_by_onvif(
+    cameras: Mapping[str, str], largest: bool
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Replace the ``onvif://`` sources among the cameras by RTSP URLs.
+
+    cameras: source by camera id.
+    largest: take each camera's first stream; else the smallest that is big enough.
+
+    Return the cameras whose source is known, and for the others why it is not.
+    """
+    asked = [name for name, source in cameras.items() if source.startswith(f"{onvif.SCHEME}://")]
+    found, missing = dict(cameras), {}
+    with ThreadPoolExecutor(ASKED_AT_ONCE) as pool:
+        waiting = {name: pool.submit(onvif.streams, cameras[name]) for name in asked}
+        for name, answer in waiting.items():
+            try:
+                offered = answer.result()
+            except onvif.OnvifError as error:
+                missing[name] = str(error)
+                del found[name]
+            else:
+                found[name] = (offered[0] if largest else _big_enough(offered)).url
+    return found, missing
+
+
+def streams_by_path(
+    cameras: Mapping[str, str], probes: Mapping[str, Probe], look: Look
+) -> dict[str, tuple[str, str, Probe]]:
+    """Return (URL, makers, probe) of cameras whose URL has no path and could not be opened.
+
+    The paths of the common makers are tried, unless the camera is away or refuses the password:
+    some cameras lock a user out who tries too often.
+
+    probes: what came of the cameras' own URLs.
+    """
+    guesses = {
+        f"{name} {maker}": url
+        for name, source in cameras.items()
+        if _NOT_THERE.search(probes[name].problem)
+        for maker, url in streams_by_maker(source).items()
+    }
+    found: dict[str, tuple[str, str, Probe]] = {}
+    for key, probe in (look(guesses) if guesses else {}).items():
+        name, _, maker = key.partition(" ")
+        if not probe.problem and name not in found:
+            found[name] = guesses[key], maker, probe
+    return found
+
+
+def smaller_streams(
+    cameras: Mapping[str, str],
+    probes: Mapping[str, Probe],
+    look: Look,
+) -> dict[str, tuple[str, Probe]]:
+    """Return (URL, probe) of the smaller stream of each camera that has one which is big enough.
+
+    cameras, probes: source and probe of each camera, by camera id.
+    """
+    guesses = {
+        name: url
+        for name, source in cameras.items()
+        if not probes[name].problem and probes[name].height > ENOUGH_HEIGHT
+        if (url := smaller_stream(source)) is not None
+    }
+    return {
+        name: (guesses[name], probe)
+        for name, probe in (look(guesses) if guesses else {}).items()
+        if not probe.problem
+        and ENOUGH_HEIGHT <= probe.height < probes[name].height
+        and probe.fps >= min(ENOUGH_FPS, probes[name].fps)
+    }
+
+
+def _big_enough(offered: list[onvif.Stream]) -> onvif.Stream:
+    """Return the smallest stream that is big and fast enough, else the camera's first one."""
+    enough = [
+        one
+        for one in offered
+        if one.height >= ENOUGH_HEIGHT and (one.fps >= ENOUGH_FPS or one.fps == 0.0)
+    ]
+    return min(enough, key=lambda one: one.width * one.height, default=offered[0])

@@ -1,0 +1,212 @@
+"""Ask a camera for its streams by ONVIF (Core and Media Service Specifications, version 10).
+
+The password is sent as the digest of a WS-Security username token, never in the clear.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import datetime
+import hashlib
+import http.client
+import secrets
+import urllib.request
+from urllib.error import HTTPError
+from urllib.parse import quote, unquote, urlsplit
+from xml.etree.ElementTree import Element
+from xml.sax.saxutils import escape, quoteattr
+
+from msgspec import Struct
+
+from camtopod.cli.cameras import soap
+from camtopod.serve.runtime import clock
+from camtopod.vision.source import percent_encoded
+
+SCHEME = "onvif"
+"""Scheme of a source that stands for the streams of an ONVIF camera."""
+DEVICE_PATH = "/onvif/device_service"
+"""Usual path of the device service."""
+SECONDS = 5.0
+"""Longest time for one answer."""
+PROFILES_MAX = 16
+"""Most profiles of a camera that are looked at."""
+_DEVICE = "http://www.onvif.org/ver10/device/wsdl"
+_MEDIA = "http://www.onvif.org/ver10/media/wsdl"
+_SCHEMA = "http://www.onvif.org/ver10/schema"
+_SECURITY = "http://docs.oasis-open.org/wss/2004/01/oasis-200401-wss-"
+
+
+class OnvifError(Exception):
+    """The camera cannot be asked; ``str()`` says why, and what to do."""
+
+
+class Stream(Struct, frozen=True):
+    """A stream that a camera offers; figures are 0 if it does not say them."""
+
+    url: str
+    """RTSP URL with user name and password."""
+    width: int
+    height: int
+    fps: float
+
+
+def streams(source: str) -> list[Stream]:
+    """Return the streams of a camera, in its own order; the first one is usually the largest.
+
+    source: ``onvif://[USER[:PASSWORD]@]HOST[:PORT][/PATH]``.
+
+    Raises `OnvifError`.
+    """
+    camera = _Camera(source)
+    media = camera.media_service()
+    body = camera.ask(media, f'<GetProfiles xmlns="{_MEDIA}"/>')
+    found = []
+    for profile in list(soap.all_of(body, "Profiles"))[:PROFILES_MAX]:
+        encoder = next(soap.all_of(profile, "VideoEncoderConfiguration"), None)
+        token = profile.get("token")
+        if encoder is None or token is None:
+            continue  # sound or metadata only
+        answer = camera.ask(
+            media,
+            f'<GetStreamUri xmlns="{_MEDIA}"><StreamSetup>'
+            f'<Stream xmlns="{_SCHEMA}">RTP-Unicast</Stream>'
+            f'<Transport xmlns="{_SCHEMA}"><Protocol>RTSP</Protocol></Transport></StreamSetup>'
+            f"<ProfileToken>{escape(token)}</ProfileToken></GetStreamUri>",
+        )
+        url = camera.with_login(soap.text_of(answer, "Uri"))
+        width, height, fps = (
+            _number(soap.text_of(encoder, name)) for name in ("Width", "Height", "FrameRateLimit")
+        )
+        found.append(Stream(url, int(width), int(height), fps))
+    if not found:
+        raise OnvifError("the camera offers no video by ONVIF")
+    return found
+
+
+class _Camera:
+    """A camera that is asked; ``source`` as for `streams`."""
+
+    def __init__(self, source: str) -> None:
+        try:
+            parts = urlsplit(percent_encoded(source))
+            self._host, port = parts.hostname or "", parts.port
+        except ValueError:
+            raise OnvifError("write it like onvif://USER:PASSWORD@HOST") from None
+        self._user, self._password = unquote(parts.username or ""), unquote(parts.password or "")
+        shown = f"[{self._host}]" if ":" in self._host else self._host
+        self._base = f"http://{shown}:{port}" if port else f"http://{shown}"
+        self._device = self._base + (parts.path if len(parts.path) > 1 else DEVICE_PATH)
+        self._ahead = datetime.timedelta()
+        self._ahead = self._clock_ahead()
+
+    def media_service(self) -> str:
+        """Return the URL of the media service, at the host that was given."""
+        body = self.ask(
+            self._device,
+            f'<GetCapabilities xmlns="{_DEVICE}"><Category>Media</Category></GetCapabilities>',
+        )
+        media = next(soap.all_of(body, "Media"), None)
+        told = "" if media is None else soap.text_of(media, "XAddr")
+        try:
+            path = urlsplit(told).path
+        except ValueError:
+            path = ""
+        if not path:
+            raise OnvifError("the camera names no media service")
+        return self._base + path
+
+    def with_login(self, url: str) -> str:
+        """Return a URL of a stream with user name and password."""
+        scheme, separator, rest = url.partition("://")
+        if scheme.lower() not in ("rtsp", "rtsps") or not separator:
+            raise OnvifError(f"the camera names a stream that is not RTSP: {url[:100]!r}")
+        if not self._user or "@" in rest.partition("/")[0]:
+            return url
+        return f"{scheme}://{quote(self._user, safe='')}:{quote(self._password, safe='')}@{rest}"
+
+    def ask(self, url: str, body: str, with_token: bool = True) -> Element:
+        """Send a request and return the answer's document. Raises `OnvifError`."""
+        header = self._token() if self._user and with_token else ""
+        envelope = (
+            '<?xml version="1.0" encoding="UTF-8"?>'
+            '<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope">'
+            f"<s:Header>{header}</s:Header><s:Body>{body}</s:Body></s:Envelope>"
+        )
+        request = urllib.request.Request(
+            url,
+            envelope.encode(),
+            {"Content-Type": "application/soap+xml; charset=utf-8"},
+        )
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        try:
+            with opener.open(request, timeout=SECONDS) as answer:
+                return soap.parsed(answer.read(soap.DOCUMENT_BYTES_MAX + 1))
+        except HTTPError as error:
+            with error:
+                raise OnvifError(_why(error)) from None
+        except (OSError, http.client.HTTPException) as error:
+            reason = getattr(error, "reason", error)
+            raise OnvifError(f"no answer by ONVIF at {url}: {reason}") from None
+        except soap.SoapError as error:
+            raise OnvifError(f"not understood at {url}: {error}") from None
+
+    def _clock_ahead(self) -> datetime.timedelta:
+        """Return how far the camera's clock is ahead: it refuses tokens of another time."""
+        body = self.ask(self._device, f'<GetSystemDateAndTime xmlns="{_DEVICE}"/>', False)
+        utc = next(soap.all_of(body, "UTCDateTime"), None)
+        if utc is None:
+            return datetime.timedelta()
+        names = ("Year", "Month", "Day", "Hour", "Minute", "Second")
+        with contextlib.suppress(ValueError, OverflowError):
+            there = datetime.datetime(*(int(soap.text_of(utc, name)) for name in names))  # type: ignore[arg-type]
+            return there.replace(tzinfo=datetime.UTC) - _now()
+        return datetime.timedelta()
+
+    def _token(self) -> str:
+        """Return the header with the username token (WS-Security UsernameToken Profile 1.0)."""
+        nonce = secrets.token_bytes(16)
+        created = (_now() + self._ahead).strftime("%Y-%m-%dT%H:%M:%SZ")
+        digest = hashlib.sha1(nonce + created.encode() + self._password.encode()).digest()
+        kind = quoteattr(f"{_SECURITY}username-token-profile-1.0#PasswordDigest")
+        coding = quoteattr(f"{_SECURITY}soap-message-security-1.0#Base64Binary")
+        return (
+            f"<Security s:mustUnderstand={quoteattr('1')}"
+            f" xmlns={quoteattr(_SECURITY + 'wssecurity-secext-1.0.xsd')}>"
+            f"<UsernameToken><Username>{escape(self._user)}</Username>"
+            f"<Password Type={kind}>{base64.b64encode(digest).decode()}</Password>"
+            f"<Nonce EncodingType={coding}>{base64.b64encode(nonce).decode()}</Nonce>"
+            f"<Created xmlns={quoteattr(_SECURITY + 'wssecurity-utility-1.0.xsd')}>{created}"
+            "</Created></UsernameToken></Security>"
+        )
+
+
+def source_of(service: str, user: str, password: str) -> str:
+    """Return the source that stands for a camera.
+
+    service: URL of its device service.
+    """
+    parts = urlsplit(service)
+    login = f"{quote(user, safe='')}:{quote(password, safe='')}@" if user else ""
+    return f"{SCHEME}://{login}{parts.netloc}{parts.path}"
+
+
+def _now() -> datetime.datetime:
+    return datetime.datetime.fromtimestamp(clock.wall(), datetime.UTC)
+
+
+def _number(text: str) -> float:
+    """Return a number that a camera says; 0 if it is none."""
+    return float(text) if text.isdecimal() and len(text) < 6 else 0.0
+
+
+def _why(error: HTTPError) -> str:
+    """Return why a camera has refused a request."""
+    with contextlib.suppress(soap.SoapError, OSError):
+        fault = soap.parsed(error.read(soap.DOCUMENT_BYTES_MAX + 1))
+        said = " ".join(one.text or "" for one in soap.all_of(fault, "Value"))
+        if "NotAuthorized" in said or "FailedAuthentication" in said:
+            return "the camera refuses the user name or password"
+    if error.code in (401, 403):
+        return "the camera refuses the user name or password"
+    return f"the camera answers ONVIF with the status {error.code}"

@@ -1,0 +1,156 @@
+"""A camera that speaks as much ONVIF as `camtopod init` asks for.
+
+Its messages are rebuilt from the schemas of WS-Discovery and of ONVIF's device and media services.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import hashlib
+import re
+import socket
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+USER, PASSWORD = "viewer", "p@ss/w ord"
+CLOCK = "2020-02-03T04:05:"
+"""Beginning of the time that the camera's clock shows: it is years behind."""
+_ENVELOPE = (
+    '<?xml version="1.0" encoding="UTF-8"?><e:Envelope'
+    ' xmlns:e="http://www.w3.org/2003/05/soap-envelope"'
+    ' xmlns:tds="http://www.onvif.org/ver10/device/wsdl"'
+    ' xmlns:trt="http://www.onvif.org/ver10/media/wsdl"'
+    ' xmlns:tt="http://www.onvif.org/ver10/schema"><e:Body>{}</e:Body></e:Envelope>'
+)
+_TIME = (
+    "<tds:GetSystemDateAndTimeResponse><tds:SystemDateAndTime><tt:UTCDateTime>"
+    "<tt:Time><tt:Hour>4</tt:Hour><tt:Minute>5</tt:Minute><tt:Second>6</tt:Second></tt:Time>"
+    "<tt:Date><tt:Year>2020</tt:Year><tt:Month>2</tt:Month><tt:Day>3</tt:Day></tt:Date>"
+    "</tt:UTCDateTime></tds:SystemDateAndTime></tds:GetSystemDateAndTimeResponse>"
+)
+_CAPABILITIES = (
+    "<tds:GetCapabilitiesResponse><tds:Capabilities><tt:Media>"
+    "<tt:XAddr>http://10.0.0.9/onvif/media</tt:XAddr>"
+    "</tt:Media></tds:Capabilities></tds:GetCapabilitiesResponse>"
+)
+_PROFILE = (
+    '<trt:Profiles token="{}"><tt:VideoEncoderConfiguration><tt:Resolution><tt:Width>{}</tt:Width>'
+    "<tt:Height>{}</tt:Height></tt:Resolution><tt:RateControl><tt:FrameRateLimit>{}"
+    "</tt:FrameRateLimit></tt:RateControl></tt:VideoEncoderConfiguration></trt:Profiles>"
+)
+_SOUND = '<trt:Profiles token="sound"/>'
+_URI = (
+    "<trt:GetStreamUriResponse><trt:MediaUri><tt:Uri>{}</tt:Uri></trt:MediaUri>"
+    "</trt:GetStreamUriResponse>"
+)
+_FAULT = (
+    "<e:Fault><e:Code><e:Value>e:Sender</e:Value><e:Subcode><e:Value>ter:NotAuthorized</e:Value>"
+    "</e:Subcode></e:Code></e:Fault>"
+)
+MATCH = (
+    '<?xml version="1.0" encoding="UTF-8"?><e:Envelope'
+    ' xmlns:e="http://www.w3.org/2003/05/soap-envelope"'
+    ' xmlns:d="http://schemas.xmlsoap.org/ws/2005/04/discovery"><e:Body><d:ProbeMatches>'
+    "<d:ProbeMatch><d:Types>dn:NetworkVideoTransmitter</d:Types>"
+    "<d:Scopes>onvif://www.onvif.org/type/video_encoder onvif://www.onvif.org/name/ACME%20Dome"
+    " onvif://www.onvif.org/hardware/D-42</d:Scopes><d:XAddrs>{}</d:XAddrs>"
+    "</d:ProbeMatch></d:ProbeMatches></e:Body></e:Envelope>"
+)
+
+
+class OnvifCamera:
+    """A camera at a free port of this machine.
+
+    profiles: token, width, height and frame rate of each.
+    streams: RTSP URL by token.
+    """
+
+    def __init__(self, profiles: list[tuple[str, int, int, int]], streams: dict[str, str]) -> None:
+        self.profiles, self.streams = profiles, streams
+        self.asked: list[str] = []
+        camera = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                body = self.rfile.read(int(self.headers["content-length"])).decode()
+                status, answer = camera.answer(self.path, body)
+                self.send_response(status)
+                self.end_headers()
+                self.wfile.write(_ENVELOPE.format(answer).encode())
+
+            def log_message(self, *_: Any) -> None:
+                pass
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.address = f"127.0.0.1:{self.server.server_port}"
+
+    def answer(self, path: str, body: str) -> tuple[int, str]:
+        """Return status and body of the answer to a request."""
+        [asked] = re.findall(r"<s:Body><(\w+)", body)
+        self.asked.append(f"{path} {asked}")
+        if asked == "GetSystemDateAndTime":
+            return 200, _TIME
+        if not self._is_allowed(body):
+            return 400, _FAULT
+        if asked == "GetCapabilities":
+            return 200, _CAPABILITIES
+        if asked == "GetProfiles":
+            rows = "".join(_PROFILE.format(*profile) for profile in self.profiles)
+            return 200, f"<trt:GetProfilesResponse>{_SOUND}{rows}</trt:GetProfilesResponse>"
+        [token] = re.findall(r"<ProfileToken>(.*?)</ProfileToken>", body)
+        return 200, _URI.format(self.streams[token])
+
+    def _is_allowed(self, body: str) -> bool:
+        """Return True if the user's token is right, and of the camera's present."""
+        found = re.search(
+            r"<Username>(.*?)</Username><Password[^>]*>(.*?)</Password>"
+            r"<Nonce[^>]*>(.*?)</Nonce><Created[^>]*>(.*?)</Created>",
+            body,
+        )
+        if found is None or PASSWORD in body:
+            return False
+        user, digest, nonce, created = found.groups()
+        whole = base64.b64decode(nonce) + created.encode() + PASSWORD.encode()
+        right = base64.b64encode(hashlib.sha1(whole).digest()).decode()
+        return user == USER and digest == right and created.startswith(CLOCK[:-3])
+
+
+@contextlib.contextmanager
+def onvif_camera(*arguments: Any) -> Iterator[OnvifCamera]:
+    """Serve an `OnvifCamera` while the block runs."""
+    camera = OnvifCamera(*arguments)
+    thread = threading.Thread(target=camera.server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        yield camera
+    finally:
+        camera.server.shutdown()
+        camera.server.server_close()
+
+
+@contextlib.contextmanager
+def answering_probes(*answers: bytes) -> Iterator[tuple[str, int]]:
+    """Answer datagrams at an address of this machine, which is yielded, with several others."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as answering:
+        answering.bind(("127.0.0.1", 0))
+        answering.settimeout(0.1)
+        ended = threading.Event()
+
+        def answer() -> None:
+            while not ended.is_set():
+                with contextlib.suppress(TimeoutError):
+                    asked, asker = answering.recvfrom(65_535)
+                    assert b"NetworkVideoTransmitter" in asked
+                    for one in answers:
+                        answering.sendto(one, asker)
+
+        thread = threading.Thread(target=answer, daemon=True)
+        thread.start()
+        try:
+            yield answering.getsockname()
+        finally:
+            ended.set()
+            thread.join()
