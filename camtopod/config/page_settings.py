@@ -37,5 +37,5 @@ class MapSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     plan: str = ""
     """A picture (png, jpg or svg) of the floor plan to show beneath the map; a path as in
-    [bus.tls]. Cameras with `at` are placed on it.
+    [bus.tls]. Cameras with `at` are placed on it, the others below it.
     """

@@ -136,7 +136,9 @@ class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
     page: Address = ""
     """Address of the camera's page at a recorder, to which the web page links."""
     at: PlaceOnPlan = ()
-    """Where the camera is on the plan of [map]: x to the right and y downwards, as fractions."""
+    """Where the camera is on the plan of [map], if there is one: x to the right and y downwards, as
+    fractions.
+    """
     vision: VisionSettings = VisionSettings()
     """The camera's settings of vision: those of [vision], and those in its own table."""
     detector: DetectorSettings = DetectorSettings()

@@ -158,6 +158,18 @@ class Routes:
         except OSError:  # the command has warned of it
             return _json([])
 
+    def placement(self, request: Request) -> Response:
+        """Return the cameras' places on the floor plan; null without a plan."""
+        plan = self._configured.plan
+        return _json(None if plan is None else {"at": self._configured.at})
+
+    def plan(self, request: Request) -> Response:
+        """Return the floor plan."""
+        plan = self._configured.plan
+        if plan is None or not os.access(plan, os.R_OK):
+            return _json({"error": "no floor plan"}, 404)
+        return FileResponse(plan)
+
     def picture(self, request: Request) -> Response:
         """Return a camera's picture, if there is one in the folder."""
         path = self._picture_of(request.path_params["camera"])
@@ -237,6 +249,8 @@ def application(
         Route("/data/version/{version:version}", site.version),
         Route("/data/changes/{old:version}/{new:version}", site.changes),
         Route("/data/pictures", site.pictures),
+        Route("/data/placement", site.placement),
+        Route("/plan", site.plan),
         Route("/picture/{camera}", site.picture),
         Route("/live", site.live),
         *api.routes(),

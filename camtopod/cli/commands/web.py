@@ -35,6 +35,8 @@ log = logging.getLogger(__name__)
 
 LISTEN = "127.0.0.1:8780"
 """Default address."""
+PLAN_ENDINGS = (".png", ".jpg", ".jpeg", ".svg")
+"""Endings of a floor plan's file."""
 LEAVE_SECONDS = 5.0
 """Time that a blocking part may delay the end after a signal."""
 _LOOK_SECONDS = 1.0
@@ -94,7 +96,15 @@ def run(args: argparse.Namespace) -> int:
         why = "no permission to read it" if args.pictures.exists() else "no such directory"
         log.warning("--pictures %s: %s; cameras are shown without pictures", args.pictures, why)
 
-    login = _login(config)
+    login, configured = _login(config), Configured.of(config)
+    if (plan := configured.plan) is not None:
+        if plan.suffix not in PLAN_ENDINGS:
+            raise CommandError(
+                f"[map] plan {plan}: write a file that ends in {', '.join(PLAN_ENDINGS)}",
+                exits.CONFIG,
+            )
+        if not os.access(plan, os.R_OK):
+            raise InputError(f"cannot read [map] plan {plan}: no such file, or no permission")
 
     # Listen, connect to the bus and serve.
     with until_signal() as stop, ends_within(stop, LEAVE_SECONDS), contextlib.ExitStack() as stack:
@@ -117,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
                 progress,
                 config.health.stall_seconds,
                 login,
-                Configured.of(config),
+                configured,
             )
         )
         stack.enter_context(

@@ -7,6 +7,7 @@ import { linkPanel, pairPanel } from "./link.js";
 import { Connection } from "./live.js";
 import { Overlays } from "./overlays.js";
 import { NetworkMap } from "./map.js";
+import { openPlan } from "./plan.js";
 import { go, here, link } from "./place.js";
 import { Away, NotThere, openSource } from "./source.js";
 import { LinkTable } from "./table.js";
@@ -119,7 +120,9 @@ class App {
   // Fetch the whole map, again if the server is away.
   async load() {
     try {
-      const [map, pictures] = await Promise.all([this.source.map(), this.source.pictures()]);
+      const { source } = this;
+      const [map, pictures, plan] = await Promise.all([source.map(), source.pictures(), source.plan()]);
+      if (plan) this.network.plan ??= await openPlan(plan);
       this.network.pictures = new Map(pictures.map((id) => [id, this.source.picture(id)]));
       this.#use(map);
     } catch (error) {

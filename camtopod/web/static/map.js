@@ -37,6 +37,7 @@ export class NetworkMap {
   #gone = new Set(); // ids of those without grabber and events for long
   #found = null; // ids that match the search, or null
   pictures = new Map(); // camera -> address of its picture
+  plan = null; // the floor plan beneath the map
   shot = 0; // width of the pictures in pixels; 0 while cameras are circles
   #covers = []; // elements that lie on it
   #covered = []; // where, [left, top, right, bottom] in its pixels
@@ -107,9 +108,16 @@ export class NetworkMap {
   // Show a map; what is the same object as before is left alone.
   update(map) {
     const fresh = this.nodes.size === 0;
+    const placed = this.plan?.places(Object.keys(map.cameras));
     for (const [id, camera] of Object.entries(map.cameras)) {
       const held = this.nodes.get(id);
-      if (held?.camera !== camera) this.#place(id, camera, held);
+      if (placed || held?.camera !== camera) this.#place(id, camera, placed?.get(id) ?? [camera.x, camera.y], held);
+    }
+    if (this.plan && !this.plan.element.isConnected) {
+      const { element, width, height } = this.plan;
+      element.setAttribute("width", width * UNIT);
+      element.setAttribute("height", height * UNIT);
+      this.world.prepend(element);
     }
     for (const [id, node] of this.nodes) {
       if (!Object.hasOwn(map.cameras, id)) this.#drop(this.nodes, id, node);
@@ -130,8 +138,9 @@ export class NetworkMap {
   fit() {
     const nodes = [...this.nodes.values()];
     if (!nodes.length || !this.svg.clientWidth) return;
-    const xs = nodes.map((node) => node.x);
-    const ys = nodes.map((node) => node.y);
+    const corners = this.plan ? [[0, 0], [this.plan.width * UNIT, this.plan.height * UNIT]] : [];
+    const xs = [...nodes.map((node) => node.x), ...corners.map(([x]) => x)];
+    const ys = [...nodes.map((node) => node.y), ...corners.map(([, y]) => y)];
     const [x, y] = [Math.min(...xs), Math.min(...ys)];
     const box = { x, y, width: Math.max(...xs) - x, height: Math.max(...ys) - y };
     this.view.fit(box, this.#insets(box, nodes));
@@ -255,8 +264,8 @@ export class NetworkMap {
     }
   }
 
-  #place(id, camera, held) {
-    const [x, y] = [camera.x * UNIT, camera.y * UNIT];
+  #place(id, camera, at, held) {
+    const [x, y] = at.map((value) => value * UNIT);
     const node = held ?? {
       id,
       element: s("g", { class: "node", role: "button", tabindex: "-1", data: { id } }, s("circle", {}), s("title", {})),

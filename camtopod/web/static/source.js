@@ -38,6 +38,11 @@ class Server {
   changes(old, now) {
     return get(`data/changes/${old}/${now}`);
   }
+  // Address of the floor plan and the places on it, or null.
+  async plan() {
+    const placement = await get("data/placement");
+    return placement && { href: "plan", ...placement };
+  }
   pictures() {
     return get("data/pictures");
   }
@@ -79,6 +84,9 @@ class Report {
   }
   async changes(old, now) {
     return this.#found(this.held.changes[`${old} ${now}`]);
+  }
+  async plan() {
+    return null;
   }
   async pictures() {
     return Object.keys(this.held.pictures);

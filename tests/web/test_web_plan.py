@@ -1,0 +1,94 @@
+"""The floor plan beneath the map, and the cameras' places on it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from chromium import Browser
+from page_fixture import Shown, opened
+from synthetic_topology import synthetic_topology
+
+from camtopod.config import Config
+from camtopod.config.settings import ConfigError, load, parse
+from camtopod.web import Configured
+
+SITE = synthetic_topology(4)
+NAMES = [camera.id for camera in SITE.cameras]
+AT = {NAMES[0]: (0.25, 0.5), NAMES[1]: (1.0, 0.0)}
+SHARES = """
+const plan = document.querySelector('.plan').getBoundingClientRect();
+return Object.fromEntries([...document.querySelectorAll('.node')].map((node) => {
+  const box = node.querySelector('circle').getBoundingClientRect();
+  const [x, y] = [(box.left + box.right) / 2, (box.top + box.bottom) / 2];
+  return [node.dataset.id, [(x - plan.left) / plan.width, (y - plan.top) / plan.height]];
+}));
+"""
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
+def test_cameras_stand_where_they_are_on_the_plan_on_every_screen(
+    browser: Browser, tmp_path: Path, size: tuple[int, int]
+) -> None:
+    plan = tmp_path / "floor.png"
+    cv2.imwrite(str(plan), np.full((300, 600, 3), 230, np.uint8))
+    shown = Shown(SITE, configured=Configured({}, plan, AT))
+    with shown.serving():
+        browser.size(*size)
+        opened(browser, shown)
+        browser.wait(lambda: browser.count(".node") == len(NAMES), "the map")
+        browser.wait(lambda: browser.count(".labels .name") == len(NAMES), "it to be drawn")
+        shares = browser.run(SHARES)
+        for name, place in AT.items():
+            assert shares[name] == pytest.approx(place, abs=0.01)
+        assert all(shares[name][1] > 1.0 for name in NAMES[2:]), "the others are below"
+        box = browser.run("return document.querySelector('.plan').getBoundingClientRect().toJSON()")
+        assert box["width"] == pytest.approx(2 * box["height"], rel=0.01)
+        assert box["left"] >= 0
+        assert box["right"] <= size[0]
+    assert browser.complaints() == []
+
+
+def test_without_its_picture_the_map_is_as_without_a_plan(browser: Browser, tmp_path: Path) -> None:
+    shown = Shown(SITE, configured=Configured({}, tmp_path / "gone.png", AT))
+    with shown.serving():
+        opened(browser, shown)
+        browser.wait(lambda: browser.count(".node") == len(NAMES), "the map")
+        assert browser.count(".plan") == 0
+
+
+# --- the configuration
+# -----------------------------------------------------------------------------------
+
+
+def test_the_plan_is_beside_the_configuration_and_places_need_it(tmp_path: Path) -> None:
+    path = tmp_path / "camtopod.toml"
+    cameras = '[cameras.a]\nsource = "1"\nat = [0.2, 0.7]\npage = "https://nvr.example/a"\n'
+    path.write_text('[map]\nplan = "floor.png"\n' + cameras)
+    assert Configured.of(load(path)) == Configured(
+        {"a": "https://nvr.example/a"}, tmp_path / "floor.png", {"a": (0.2, 0.7)}
+    )
+    assert Configured.of(parse(cameras)) == Configured({"a": "https://nvr.example/a"})
+    assert Configured.of(Config()) == Configured()
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("at = [0.5]", "expected two numbers, x and y"),
+        ("at = [0.1, 0.2, 0.3]", "length <= 2"),
+        ("at = [0.5, 1.5]", "<= 1"),
+        ('page = "javascript:alert(1)"', "begins with http:// or https://"),
+        ('page = "http://user:secret@nvr/"', "without a password"),
+    ],
+)
+def test_a_wrong_place_or_address_is_a_mistake(line: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        parse(f'[cameras.a]\nsource = "1"\n{line}\n')
+
+
+def test_a_token_needs_a_password() -> None:
+    with pytest.raises(ConfigError, match="password_file is missing"):
+        parse('[web]\ntoken_file = "t"\n')
