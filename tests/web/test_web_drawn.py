@@ -189,6 +189,21 @@ def test_a_dozen_cameras_have_room_for_their_times(
     assert browser.run(f"{BOXES} {clashes}.length") == 0, "none upon another"
 
 
+def test_a_wide_map_is_turned_on_a_high_screen(browser: Browser, show: Shows) -> None:
+    show(joined(*((f"c{k}", f"c{k + 1}", 9.0, 9.0, 90.0) for k in range(5))))
+    sizes = (
+        "const all = boxes('.node circle'); const range = (side) =>"
+        " Math.max(...all.map((one) => one[side])) - Math.min(...all.map((one) => one[side]));"
+        "return [range('x'), range('y')];"
+    )
+    width, height = browser.run(f"{BOXES} {sizes}")
+    assert width > 3 * height
+    browser.size(390, 844)
+    browser.wait(lambda: browser.run(f"{BOXES} {sizes}")[1] > 3 * height + 200, "it to be turned")
+    width, height = browser.run(f"{BOXES} {sizes}")
+    assert height > 3 * width
+
+
 def test_no_camera_is_under_what_lies_on_the_map(browser: Browser) -> None:
     site = synthetic_topology(1000)
     shown = Shown(site)

@@ -88,18 +88,18 @@ export class Health {
       h(
         "dl",
         { class: "figures wide" },
-        fact("Events stored since its start", count(events.stored)),
-        fact("Stored ever", count(daemon.journal?.entries)),
+        fact("Stored since start", count(events.stored)),
+        fact("Learned ever", count(daemon.learner?.learned)),
         fact("Waiting to be learned", count(events.waiting)),
-        fact("Late, ever", count(daemon.learner?.late), "Events that came too late to be learned"),
+        fact("Late ever", count(daemon.learner?.late), "Events that came too late to be learned"),
         fact(
-          "Rejected since its start",
+          "Rejected since start",
           count(rejected),
           Object.entries(daemon.rejects ?? {})
             .map(([why, n]) => `${why}: ${n}`)
             .join(", ") || null,
         ),
-        fact("Predictions since its start", count(daemon.predictions)),
+        fact("Predictions since start", count(daemon.predictions)),
         dropped ? fact("Not shown here", count(dropped), "Messages dropped because this page's server was overloaded") : null,
       ),
     );

@@ -20,6 +20,8 @@ const SHOT_RATIO = 9 / 16;
 const SHOTS_MAX = 60; // pictures in sight; more take too much memory
 const SHOT_CLEAR_PIXELS = [84, 62]; // as CLEAR_PIXELS, for cameras with pictures
 const NARROW_CLEAR_PIXELS = [58, 46]; // the same on a narrow map, where pictures are smaller
+const PLAN_CLEAR_PIXELS = [14, 24]; // the same around a floor plan, which needs all the room there is
+const TURNED_RATIO = 1.2; // height by width of a screen from which a wide map is turned
 const LIKELY_PIXELS = 2.2; // width of an edge that is not published
 const NARROW_PIXELS = 720; // a map up to this wide has no room to spare for margins
 const INSETS = { top: 40, right: 40, bottom: 48, left: 40 };
@@ -39,6 +41,8 @@ export class NetworkMap {
   pictures = new Map(); // camera -> address of its picture
   plan = null; // the floor plan beneath the map
   shot = 0; // width of the pictures in pixels; 0 while cameras are circles
+  #map = null; // what is shown
+  #turned = false; // x and y are swapped
   #covers = []; // elements that lie on it
   #covered = []; // where, [left, top, right, bottom] in its pixels
 
@@ -77,6 +81,7 @@ export class NetworkMap {
     this.svg.addEventListener("keydown", (event) => this.#key(event));
     this.sizes = new ResizeObserver(() => {
       this.#findCovered();
+      if (this.#map && !this.plan && this.#isTurned(this.#map) !== this.#turned) this.update(this.#map);
       if (this.view.touched) this.redraw();
       else this.fit();
     });
@@ -108,10 +113,15 @@ export class NetworkMap {
   // Show a map; what is the same object as before is left alone.
   update(map) {
     const fresh = this.nodes.size === 0;
+    this.#map = map;
     const placed = this.plan?.places(Object.keys(map.cameras));
+    const turned = this.#turned;
+    this.#turned = !this.plan && this.#isTurned(map);
+    const moved = placed || turned !== this.#turned;
     for (const [id, camera] of Object.entries(map.cameras)) {
       const held = this.nodes.get(id);
-      if (placed || held?.camera !== camera) this.#place(id, camera, placed?.get(id) ?? [camera.x, camera.y], held);
+      const at = placed?.get(id) ?? (this.#turned ? [camera.y, camera.x] : [camera.x, camera.y]);
+      if (moved || held?.camera !== camera) this.#place(id, camera, at, held);
     }
     if (this.plan && !this.plan.element.isConnected) {
       const { element, width, height } = this.plan;
@@ -135,6 +145,15 @@ export class NetworkMap {
     else this.redraw();
   }
 
+  // Whether the map is turned, so that a wide one fills a high screen.
+  #isTurned({ cameras }) {
+    const { clientWidth, clientHeight } = this.svg;
+    if (clientHeight < TURNED_RATIO * clientWidth) return false;
+    const range = (values) => Math.max(...values) - Math.min(...values);
+    const all = Object.values(cameras);
+    return all.length > 1 && range(all.map(({ x }) => x)) > range(all.map(({ y }) => y));
+  }
+
   fit() {
     const nodes = [...this.nodes.values()];
     if (!nodes.length || !this.svg.clientWidth) return;
@@ -151,9 +170,12 @@ export class NetworkMap {
   #insets(box, nodes) {
     const { clientWidth: width, clientHeight: height } = this.svg;
     const pictured = nodes.length <= SHOTS_MAX && nodes.some((node) => this.pictures.has(node.id));
-    const [aside, off] = !pictured ? CLEAR_PIXELS : width > NARROW_PIXELS ? SHOT_CLEAR_PIXELS : NARROW_CLEAR_PIXELS;
+    const [aside, off] = this.plan && width <= NARROW_PIXELS ? PLAN_CLEAR_PIXELS : !pictured ? CLEAR_PIXELS : width > NARROW_PIXELS ? SHOT_CLEAR_PIXELS : NARROW_CLEAR_PIXELS;
     const margins = Object.fromEntries(
-      Object.entries(INSETS).map(([side, inset]) => [side, Math.max(inset, ["left", "right"].includes(side) ? aside : off)]),
+      Object.entries(INSETS).map(([side, inset]) => {
+        const clear = ["left", "right"].includes(side) ? aside : off;
+        return [side, this.plan ? clear : Math.max(inset, clear)];
+      }),
     );
     const boxes = this.#covered.map(([left, top, right, bottom]) => [left - aside, top - off, right + aside, bottom + off]);
     const free = ({ x, y }) => {

@@ -15,6 +15,7 @@ export class Overlays {
   #predictions = [];
   #timer = null;
   #shown = false;
+  #gone = 0; // cameras that are gone
 
   constructor(stage, app) {
     this.app = app;
@@ -35,7 +36,6 @@ export class Overlays {
     const button = (text, name, act) =>
       h("button", { type: "button", "aria-label": name, title: name, on: { click: act } }, text);
     this.summary = h("span", { class: "quiet" });
-    this.gone = h("span", { class: "quiet" });
     this.list = h("ul", {});
     this.newest = h("ul", {});
     this.alarmed = h("summary", {}, "");
@@ -50,7 +50,7 @@ export class Overlays {
     this.legend = h(
       "details",
       { class: "overlay key", open: !NARROW.matches },
-      h("summary", {}, "Legend ", this.summary, this.gone),
+      h("summary", {}, "Legend ", this.summary),
       h(
         "ul",
         {},
@@ -60,7 +60,7 @@ export class Overlays {
         h("li", {}, h("i", { class: "stroke unseen likely" }), "likely, not published yet"),
         h("li", {}, h("i", { class: "stroke wide" }), "wider: more traffic"),
         app.source.live ? h("li", {}, h("i", { class: "swatch dot" }), "predicted, under way") : null,
-        app.source.live ? h("li", {}, h("i", { class: "swatch sees" }), "sees who has just left another view") : null,
+        app.source.live ? h("li", {}, h("i", { class: "swatch sees" }), "sees who just left another view") : null,
         app.source.live ? h("li", {}, h("i", { class: "swatch ill" }), "needs attention") : null,
         app.source.live ? h("li", {}, h("i", { class: "swatch gone" }), "gone") : null,
         h("li", { class: "quiet" }, "numbers: most frequent transit time, with arrows where the directions differ"),
@@ -94,17 +94,31 @@ export class Overlays {
     this.#tellAlarms(map.alarms);
     this.waiting.hidden = !map.waiting;
     say(this.waiting, map.waiting);
+    this.#summarise();
+  }
+
+  // How many cameras are gone.
+  tellGone(number) {
+    this.#gone = number;
+    this.#summarise();
+  }
+
+  #summarise() {
+    const { map } = this.app;
+    if (!map) return;
     const edges = Object.values(map.edges).filter((edge) => edge.published);
     const likely = Object.keys(map.edges).length - edges.length;
     const overlapped = edges.filter((edge) => edge.relation === "overlapped").length;
     const provisional = edges.filter((edge) => edge.provisional).length;
     const kinds = `${count(overlapped)} overlapping${provisional ? `, ${count(provisional)} provisional` : ""}`;
-    this.summary.textContent = `${plural(Object.keys(map.cameras).length, "camera")}, ${plural(edges.length, "pair")} (${kinds})${likely ? `, ${count(likely)} likely` : ""}`;
-  }
-
-  // How many cameras are gone.
-  tellGone(number) {
-    this.gone.textContent = number ? `${count(number)} gone` : "";
+    this.summary.textContent = [
+      plural(Object.keys(map.cameras).length - this.#gone, "camera"),
+      this.#gone ? `${count(this.#gone)} gone` : null,
+      `${plural(edges.length, "pair")} (${kinds})`,
+      likely ? `${count(likely)} likely` : null,
+    ]
+      .filter(Boolean)
+      .join(", ");
   }
 
   predicted(prediction) {
