@@ -136,6 +136,13 @@ class EventTime:
             del self.behind[name]
         self._update_lateness()
 
+    def rename(self, old: str, new: str) -> None:
+        """Continue with the camera ``old`` under the name ``new``."""
+        if old in self.behind:
+            self.behind[new] = self.behind.pop(old)
+        if self.leader == old:
+            self.leader = new
+
     def _update_delay(self, t_us: int, camera: str) -> None:
         """Update the camera's delay; ignore events further behind than clocks may differ."""
         come = self._event_time()

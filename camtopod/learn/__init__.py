@@ -16,8 +16,8 @@ events give the same versions. In the order in which data flows, which is a good
 * `learner`: decides when to refit and turns the results into versions, within `settings` and
   `limits`; `assemble` and `prediction_model` make the records of a version
 * `outcomes` and `self_score`: scores of past predictions
-* `snapshot`, `rewinding` and `retired_cameras`: save the state, take event time back, forget
-  cameras
+* `snapshot`, `rewinding`, `renaming` and `retired_cameras`: save the state, take event time back,
+  rename a camera, forget cameras
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from camtopod.learn.assemble import with_clock_offsets
     from camtopod.learn.learner import STEPS, Learner
     from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX
+    from camtopod.learn.renaming import rename
     from camtopod.learn.rewinding import rewind
     from camtopod.learn.settings import Settings
     from camtopod.learn.snapshot import (
@@ -51,6 +52,7 @@ __all__ = [
     "Settings",
     "SnapshotError",
     "pack",
+    "rename",
     "rewind",
     "unpack",
     "with_clock_offsets",
@@ -69,6 +71,7 @@ __getattr__ = lazy_getattr(
         "SnapshotError": "snapshot",
         "with_clock_offsets": "assemble",
         "pack": "snapshot",
+        "rename": "renaming",
         "rewind": "rewinding",
         "unpack": "snapshot",
     },

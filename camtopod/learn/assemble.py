@@ -149,6 +149,13 @@ def with_clock_offsets(links: list[Link], zones: list[Zone], ahead: dict[str, fl
     return result
 
 
+def empty_topology(settings: Settings, bins: LagBins) -> Topology:
+    """Return the topology of a site without cameras, except for what the learner adds."""
+    corrected = settings.correct_clocks
+    model = Model(bins.scale, bins.step, bins.lag_min, bins.lag_max, [], [], corrected)
+    return Topology(TOPOLOGY_SCHEMA, "", "", 0, 0.0, 0, "", [], [], [], [], model=model)
+
+
 def assemble(
     settings: Settings,
     window: Window,

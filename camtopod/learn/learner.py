@@ -21,9 +21,10 @@ from collections.abc import Callable, Set
 import numpy as np
 from msgspec.structs import replace
 
+from camtopod.admin import Forget, Judge, Judgement
 from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
 from camtopod.learn import refit as refits
-from camtopod.learn.assemble import assemble, link_records, zone_id
+from camtopod.learn.assemble import assemble, empty_topology, link_records, zone_id
 from camtopod.learn.association import FollowedSources
 from camtopod.learn.changes import AlarmLog, Move, find_move
 from camtopod.learn.clocks import ClockTracker
@@ -44,7 +45,7 @@ from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
 from camtopod.predict import Predictor
 from camtopod.publishers import RETURNS_MIN, Publisher
 from camtopod.records import Event, Topology
-from camtopod.topology import with_digest
+from camtopod.topology import judged, marked, with_digest, without_camera
 
 REFIT_EVENTS_MIN = 10
 """Least new events for a new version, unless the last version is older than ``refit_hours``."""
@@ -135,6 +136,9 @@ class Learner:
         self._since_fit = 0
         self._updates: list[Topology] = []
 
+        # Operators' words on links.
+        self._judgements: list[Judgement] = []
+
     def receive(self, event: Event) -> str:
         """Receive one event, process the ticks that it completes, and return the verdict.
 
@@ -197,6 +201,7 @@ class Learner:
             self._publishers,
             self._doubled,
             self._retired,
+            self._judgements,
         )
 
     def load(self, state: LearnerState) -> None:
@@ -219,6 +224,49 @@ class Learner:
         self._learned, self._since_fit = state.learned, state.since_fit
         self._publishers, self._doubled = state.publishers, state.doubled
         self._followed, self._retired = state.followed, state.left
+        self._judgements = state.judgements
+
+    def administer(self, command: Forget | Judge) -> None:
+        """Carry out an operator's command, and make a version at once if it changes anything.
+
+        A camera is forgotten with its alarms and its events that wait for the watermark; what they
+        have taught about other cameras is kept. `camtopod.learn.rename` renames a camera.
+        """
+        if isinstance(command, Judge):
+            self._judge(command)
+            return
+        if self.erase({command.camera}):
+            self.make_version()
+
+    def erase(self, names: Set[str]) -> bool:
+        """Forget cameras with their alarms, held events and judgements; return False if unknown."""
+        known = names & {*self._window.cameras, *self._intake.cameras, *self._retired}
+        self._intake.drop_held(names)
+        self.forget(names)
+        self._alarms.erase(names)
+        for name in names:
+            self._judgements = without_camera(self._judgements, name)
+        return bool(known)
+
+    def make_version(self) -> None:
+        """Make a version at once, of what is known by now.
+
+        Without one in this epoch, do nothing: the first is made when the first events are learned.
+        """
+        if self.topology is not None and self._done_us is not None:
+            self._refit(self._done_us)
+
+    def begin_empty(self, t: float, after: Topology | None) -> None:
+        """Make a version without cameras, as of ``t`` (Unix seconds).
+
+        This learner must be new. Events before ``t`` must not be passed to it.
+
+        after: the version before it in this epoch; None if it is the first.
+        """
+        self.topology = after
+        self._done_us = microseconds(t) // self._tick_us * self._tick_us
+        self._refit(self._done_us)
+        self._fitted_us = None  # the next version is due with the first events
 
     def forget(self, names: Set[str]) -> None:
         """Forget cameras and their events; the next version is without them.
@@ -396,6 +444,10 @@ class Learner:
 
     def _refit(self, tick_us: int) -> None:
         """Make a version as of ``tick_us``: refresh the zones, estimate the clocks, refit."""
+        if not len(self._window):  # all cameras were forgotten
+            self._publish(self._completed(empty_topology(self.settings, self.bins), tick_us))
+            self._fitted_us, self._since_fit = tick_us, 0
+            return
         self.on_step("zones")
         self._refresh_zones()
         self.on_step("clocks")
@@ -408,11 +460,32 @@ class Learner:
         self._followed = found.followed
         self._scorer.mark(found.happened)
 
-        # Make the version, and predict with it from here on.
-        self.topology = self._version_of(found, tick_us)
-        self._scorer.use(self.topology, self._events_for_version())
-        self._updates.append(self.topology)
+        self._publish(self._version_of(found, tick_us))
         self._fitted_us, self._since_fit = tick_us, 0
+
+    def _publish(self, version: Topology) -> None:
+        """Hand out a new version, and predict with it from here on."""
+        self.topology = version
+        self._scorer.use(version, self._events_for_version())
+        self._updates.append(version)
+
+    def _judge(self, command: Judge) -> None:
+        """Keep an operator's word on a link, and make a version that differs only by it."""
+        self._judgements = judged(self._judgements, command)
+        if self.topology is not None:
+            newer = replace(self.topology, version=self.topology.version + 1)
+            self._publish(self._with_marks(newer))
+
+    def _with_marks(self, topology: Topology) -> Topology:
+        """Return a version with the operators' words on its links, and its digest."""
+        links, weak = topology.links, topology.weak_links
+        return with_digest(
+            replace(
+                topology,
+                links=marked(links, self._judgements),
+                weak_links=marked(weak, self._judgements),
+            )
+        )
 
     def _version_of(self, found: Refit, tick_us: int) -> Topology:
         """Return the version that follows from a refit, with site, number, alarms and score."""
@@ -432,16 +505,22 @@ class Learner:
         )
 
         # Alarms, and the fields that the learner adds.
-        version = 1 if self.topology is None else self.topology.version + 1
-        now = tick_us / MICROSECONDS
-        self._report(found, topology, version, now)
-        return with_digest(
+        self._report(found, topology, self._next_version, tick_us / MICROSECONDS)
+        return self._completed(topology, tick_us)
+
+    @property
+    def _next_version(self) -> int:
+        return 1 if self.topology is None else self.topology.version + 1
+
+    def _completed(self, topology: Topology, tick_us: int) -> Topology:
+        """Return a topology with what only the learner knows of a version."""
+        return self._with_marks(
             replace(
                 topology,
                 site=self.site,
                 epoch=self.epoch,
-                version=version,
-                as_of=now,
+                version=self._next_version,
+                as_of=tick_us / MICROSECONDS,
                 events=self._learned,
                 alarms=self._alarms.newest or None,
                 score=self._scorer.score(),

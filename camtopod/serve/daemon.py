@@ -35,6 +35,7 @@ from camtopod.config import Config
 from camtopod.event_time import EventTime, microseconds
 from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
+from camtopod.serve.admin_queries import Done, command_of
 from camtopod.serve.bus import (
     JSON,
     SLOW_PUBLICATION_SECONDS,
@@ -46,7 +47,7 @@ from camtopod.serve.bus import (
     dial,
     open_daemon_session,
 )
-from camtopod.serve.ingest import Puller, Receiver
+from camtopod.serve.ingest import CommandRefused, Puller, Receiver
 from camtopod.serve.learner_process import (
     LearnerFeeder,
     LearnerProcess,
@@ -57,6 +58,7 @@ from camtopod.serve.learner_process import (
     shard_update_of,
 )
 from camtopod.serve.live_predictions import Live
+from camtopod.serve.offline_commands import SHARDED
 from camtopod.serve.runtime import Heartbeat, Progress, changed_settings
 from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.shards import ShardMembership, WholeSite
@@ -296,6 +298,10 @@ class Daemon:
 
     def status(self) -> dict[str, Any]:
         """Return the contents of ``status/daemon``: state, reason and counters."""
+        # Cameras whose grabber is there, perhaps under the camera's old name.
+        names = self._receiver.names
+        alive = {names.state.aliases.get(name, name) for name in self._puller.alive.copy()}
+
         # The first reason found is given.
         receiver, learning, head = self._receiver, self._learning, self.newest and self.newest.head
         reason = self._reason or self._rivals.reason or "; ".join(self.failing())
@@ -334,11 +340,12 @@ class Daemon:
             **self._live.counts,
             "score": None if head is None else head.score,
             "alarms": [] if head is None else head.alarms[-STATUS_ALARMS:],
+            "names": names.status(),
             "pulls": self._puller.pulls,
             "left_out": self._learning.left_out,
             "journal": {"damaged": self._learning.damaged, **self._journal.status()},
             "cameras": {
-                camera: {**counters, "alive": camera in self._puller.alive}
+                camera: {**counters, "alive": camera in alive}
                 for camera, counters in sorted(counted.items())
             },
         }
@@ -386,12 +393,12 @@ class Daemon:
         return epoch
 
     def _begin_corrected_epoch(self, to: float) -> tuple[str, str]:
-        """Begin an epoch as event time goes back to ``to`` (Unix seconds).
+        """Begin an epoch as event time goes back to ``to``, or the site anew at it (Unix seconds).
 
         Return the epoch that ends, and the one that begins.
         """
         self._live.forget()
-        return self._learning.epoch, self._new_epoch()
+        return self._journal.meta("epoch") or self._learning.epoch, self._new_epoch()
 
     def _build(
         self, bus: Bus, recovered: Recovered, process: LearnerProcess, directory: Path
@@ -481,6 +488,7 @@ class Daemon:
             bus.answer_queries(
                 "topology", lambda key, parameters: self._version(parameters), "topology"
             )
+            bus.answer_queries("admin/*", self._administer, "done")
         bus.answer_queries("predict/*", self._live.answer, "prediction")
         bus.answer_queries(self._share.status_key, lambda key, parameters: self.status(), "status")
         if self._sharing is None:
@@ -539,6 +547,18 @@ class Daemon:
         except (sqlite3.Error, StateError, codec.Rejected) as error:
             raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
         raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
+
+    def _administer(self, key: str, parameters: dict[str, str]) -> Done:
+        """Carry out an operator's command that a query asks for. Raises `QueryError`."""
+        command = command_of(key, parameters)
+        if self._sharing is not None:
+            raise QueryError(SHARDED)
+        try:
+            return Done(self._receiver.administer(command, self.topology))
+        except CommandRefused as error:
+            raise QueryError(str(error)) from None
+        except (sqlite3.Error, StateError) as error:
+            raise QueryError(f"the journal cannot be written: {error}") from None
 
     def _on_version(self, version: Version) -> None:
         """Store a version that was learned; if it is the site's, prepare predictions with it."""

@@ -3,9 +3,9 @@
 The records of a topology are in `camtopod.records`. Reading order: `lag_bins` (bins for transit
 times), `histograms` (transit-time histograms as a version stores them), `grid` (image positions as
 integers, and blocks of the image) and `shared_constants`. `camera_pairs` (overlapped views or
-unseen paths) and `markov_chain` (the chain over cameras) are computed from links. `versions` has
-digests of versions and the deltas between them. `first_links` says what a site without links waits
-for.
+unseen paths) and `markov_chain` (the chain over cameras) are computed from links. `site_names` has
+cameras' names within ids, and operators' judgements of links. `versions` has digests of versions
+and the deltas between them. `first_links` says what a site without links waits for.
 """
 
 from __future__ import annotations
@@ -48,9 +48,19 @@ from camtopod.topology.shared_constants import (
     SLOWNESS_MAX,
     UNKNOWN_DWELL_SECONDS,
 )
+from camtopod.topology.site_names import (
+    camera_of,
+    judged,
+    marked,
+    mentions,
+    renamed,
+    with_new_name,
+    without_camera,
+)
 from camtopod.topology.versions import (
     ALARMS_KEPT_MAX,
     LinkKey,
+    alarms_follow,
     apply_delta,
     link_key,
     make_delta,
@@ -76,21 +86,27 @@ __all__ = [
     "UNKNOWN_DWELL_SECONDS",
     "LagBins",
     "LinkKey",
+    "alarms_follow",
     "apply_delta",
     "block_of",
     "blocks_of",
+    "camera_of",
     "counts_histogram",
     "estimate_markov_chain",
     "find_camera_pairs",
+    "judged",
     "lacks_in_words",
     "lag_smoothing_matrix",
     "likely_links",
     "link_key",
     "links_between_views",
     "make_delta",
+    "marked",
     "masses_on_bins",
+    "mentions",
     "offset_bins",
     "relation_of",
+    "renamed",
     "round_significant",
     "scale_histogram",
     "smooth",
@@ -99,4 +115,6 @@ __all__ = [
     "sum_as_steps",
     "waiting_for_links",
     "with_digest",
+    "with_new_name",
+    "without_camera",
 ]

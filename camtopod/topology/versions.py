@@ -16,6 +16,7 @@ import msgspec
 from camtopod.records import (
     DELTA_SCHEMA,
     TOPOLOGY_SCHEMA,
+    Alarm,
     Camera,
     Delta,
     Link,
@@ -117,7 +118,7 @@ def make_delta(old: Topology, new: Topology) -> Delta:
         gone_pairs,
         new.chain,
         new.model,
-        [alarm for alarm in new.alarms or [] if alarm.version == new.version] or None,
+        _new_alarms(new),
         new.score,
     )
 
@@ -149,7 +150,7 @@ def apply_delta(old: Topology, delta: Delta) -> Topology:
         pairs=_merged(old.pairs, delta.pairs, delta.gone_pairs, pair_key),
         chain=delta.chain,
         model=delta.model,
-        alarms=[*(old.alarms or []), *(delta.alarms or [])][-ALARMS_KEPT_MAX:] or None,
+        alarms=_with_new_alarms(old, delta.alarms),
         score=delta.score,
     )
 
@@ -158,6 +159,24 @@ def apply_delta(old: Topology, delta: Delta) -> Topology:
             f"digest of version {delta.version} differs after its delta; get the whole topology"
         )
     return new
+
+
+def alarms_follow(old: Topology, new: Topology) -> bool:
+    """Return True if a delta can tell the alarms of ``new``: those of ``old``, and new ones.
+
+    It cannot after a camera was forgotten or renamed, which changes earlier alarms.
+    """
+    return _with_new_alarms(old, _new_alarms(new)) == new.alarms
+
+
+def _new_alarms(topology: Topology) -> list[Alarm] | None:
+    """Return the alarms that this version was the first to show; None if there are none."""
+    return [one for one in topology.alarms or [] if one.version == topology.version] or None
+
+
+def _with_new_alarms(old: Topology, new: list[Alarm] | None) -> list[Alarm] | None:
+    """Return the alarms of the version after ``old``, which has these new ones."""
+    return [*(old.alarms or []), *(new or [])][-ALARMS_KEPT_MAX:] or None
 
 
 def _changes(

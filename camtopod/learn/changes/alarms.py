@@ -17,7 +17,7 @@ from camtopod.learn.changes.change_points import Change, Trials, latest_change, 
 from camtopod.learn.changes.silence import CameraSilences
 from camtopod.learn.traffic import Scene
 from camtopod.records import Alarm, Camera
-from camtopod.topology import ALARMS_KEPT_MAX
+from camtopod.topology import ALARMS_KEPT_MAX, mentions
 
 SUBJECTS_MAX = 10_000
 """Links and zones whose last report is remembered; beyond, the oldest is forgotten."""
@@ -96,6 +96,15 @@ class AlarmLog:
         self._silent -= names
         for name in names & self._clock.keys():
             del self._clock[name]
+
+    def erase(self, names: Set[str]) -> None:
+        """Forget these cameras, and everything that was reported of them and of their links."""
+        self.forget(names)
+        self.newest = [alarm for alarm in self.newest if not mentions(alarm.subject, names)]
+        self._said = {
+            subject: t for subject, t in self._said.items() if not mentions(subject, names)
+        }
+        self._joined = {link for link in self._joined if not mentions(link, names)}
 
     def join(self, zones: list[str], links: set[tuple[int, int]]) -> None:
         """Note links that existed without being published, so that their closing is reported.

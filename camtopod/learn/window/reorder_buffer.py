@@ -241,6 +241,13 @@ class ReorderBuffer:
         """Return the cameras that have held events."""
         return {camera for _, camera in self._held}
 
+    def drop_held(self, names: Set[str]) -> None:
+        """Drop the held events of these cameras."""
+        kept = [event for event in self._all_held() if event.camera not in names]
+        self._held, self._oldest_us = {}, None
+        for event in kept:
+            self._hold(event, microseconds(event.t))
+
     def forget(self, names: Set[str]) -> None:
         """Forget these cameras, except for their held events."""
         for known in (self._seen, self.newest_of):

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable
 from msgspec import Struct
 from msgspec.structs import asdict
 
-from camtopod.event_time import EventTime, microseconds
+from camtopod.admin import Command, Forget, Rename, Reset
+from camtopod.event_time import EventTime, EventTimeState, microseconds
 from camtopod.records import Ack
 from camtopod.serve.bus import Bus
 from camtopod.serve.ingest.camera_registry import Received
@@ -70,6 +71,8 @@ class Acks:
                 self._event_time.advance(microseconds(received.advance))
             elif received.rewind is not None:
                 self._event_time.rewind(microseconds(received.rewind.to))
+            elif received.command is not None:
+                self._follow(received.command)
 
             # Count the event in its stream.
             if entry.boot is None or entry.seq is None:
@@ -129,6 +132,18 @@ class Acks:
             key = self._forgotten.popleft()
             self.stored.pop(key, None)
             self._counts.pop(key, None)
+
+    def _follow(self, command: Command) -> None:
+        """Change event time as an operator's command does in the learner."""
+        match command:
+            case Forget(camera):
+                self._event_time.forget({camera})
+            case Rename(old, new):
+                self._event_time.rename(old, new)
+            case Reset():
+                self._event_time.load(EventTimeState())
+            case _:
+                pass
 
     def _of(self, key: Key) -> Counts:
         counts = self._counts.get(key)

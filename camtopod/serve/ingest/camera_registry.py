@@ -26,11 +26,13 @@ import collections
 import logging
 import math
 import statistics
+import threading
 from collections.abc import Mapping, Set
 from typing import Any
 
-from msgspec import Struct, field
+from msgspec import Struct, field, structs
 
+from camtopod.admin import Command
 from camtopod.config import Limits
 from camtopod.publishers import Publisher
 from camtopod.records import Event
@@ -80,12 +82,18 @@ class Received(Struct, frozen=True, gc=False):
 
     event: the event to be learned; None if it is only stored.
     advance, rewind: a change of event time.
+    command: an operator's command.
+    names: with a command, the state of all names after it, as it is stored (`Names`).
+    stored: set when the entry is stored, if somebody waits for that.
     """
 
     entry: Entry
     event: Event | None = None
     advance: float | None = None
     rewind: Rewind | None = None
+    command: Command | None = None
+    names: str | None = None
+    stored: threading.Event | None = None
 
 
 class CameraState(Struct):
@@ -260,6 +268,23 @@ class CameraRegistry:
             camera.newest = t
         camera.events += 1
         return True
+
+    def forget(self, name: str) -> None:
+        """Forget what was counted of a camera; what it has waiting is kept."""
+        if (known := self._cameras.get(name)) is not None:
+            self._cameras[name] = CameraState(known.heard, waiting=known.waiting)
+
+    def forget_all(self) -> None:
+        """Forget what was counted of all cameras."""
+        for name in self._cameras.copy():
+            self.forget(name)
+
+    def rename(self, old: str, new: str) -> None:
+        """Continue what was counted of the camera ``old`` under the name ``new``."""
+        if (known := self._cameras.get(old)) is not None:
+            waiting = self._state_of(new).waiting
+            self._cameras[new] = structs.replace(known, waiting=waiting)
+            self.forget(old)
 
     def is_full(self, name: str) -> bool:
         """Return True if no more events of this camera can wait for their time."""

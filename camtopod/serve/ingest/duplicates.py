@@ -12,6 +12,8 @@ import logging
 import threading
 from collections.abc import Mapping
 
+from msgspec.structs import replace
+
 from camtopod import codec
 from camtopod.records import Event
 from camtopod.serve.ingest.sequencing import Key
@@ -91,12 +93,15 @@ class DuplicateChecker:
 
 
 def _same(one: bytes, other: bytes) -> bool:
-    """Return True if two messages are the same event, perhaps in different encodings."""
+    """Return True if two messages are the same event, perhaps in different encodings.
+
+    The camera, which is that of the stream, may have been renamed in one of them.
+    """
     return one == other or _read(one) == _read(other) is not None
 
 
 def _read(raw: bytes) -> Event | None:
     try:
-        return codec.event_from_bytes(raw)
+        return replace(codec.event_from_bytes(raw), camera="")
     except codec.Rejected:
         return None

@@ -13,17 +13,21 @@ Events that are ready then pass a list of stages, all events of a round together
 3. events behind gaps that cannot be filled any more are added;
 4. events ahead of the clocks are held back until their time has come (`camera_registry`);
 5. while spools deliver backlogs, events are merged by time (`backlog`);
-6. what a camera sends beyond what a view can show becomes an entry that is not learned;
-7. an entry that advances event time is added when no events come (`idle_time`);
-8. predictions are made;
-9. the entries are put into the queue to be stored (`store_queue`).
+6. events of forgotten cameras become entries that are not learned, those of renamed cameras get
+   the new name (`names`);
+7. what a camera sends beyond what a view can show becomes an entry that is not learned;
+8. an entry that advances event time is added when no events come (`idle_time`);
+9. predictions are made;
+10. the entries are put into the queue to be stored (`store_queue`).
 
 `Receiver.store` takes the entries from the queue; many together, they are
 
-10. committed to the journal in one transaction;
-11. noted as stored (`Acks.note_stored`);
-12. handed to the learner, in the journal's order;
-13. acknowledged (`Acks.publish`), at most once in ``ack_seconds``.
+11. committed to the journal in one transaction;
+12. noted as stored (`Acks.note_stored`);
+13. handed to the learner, in the journal's order;
+14. acknowledged (`Acks.publish`), at most once in ``ack_seconds``.
+
+An operator's command (`Receiver.administer`) enters the queue between two rounds.
 
 Guarantees. An acknowledgement says that everything up to its seq is stored. An event for which
 there is no room is dropped before its stream has counted it. So its stream has a gap there, and the
@@ -49,19 +53,24 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+import msgspec
+
+from camtopod.admin import Command, Reset
 from camtopod.config import Limits
 from camtopod.event_time import MICROSECONDS
 from camtopod.event_time import EventTime as LearnedTime
+from camtopod.records import Topology
 from camtopod.serve.bus import Bus, Heard, Subscription
 from camtopod.serve.ingest.acks import Acks
 from camtopod.serve.ingest.admission import SpoolAnswer, read_message
 from camtopod.serve.ingest.camera_registry import CameraRegistry, Received
 from camtopod.serve.ingest.duplicates import DuplicateChecker
 from camtopod.serve.ingest.inbox import Inbox, Message
+from camtopod.serve.ingest.names import CommandRefused, Names, known_site, read_names
 from camtopod.serve.ingest.stages import Round, Stages
 from camtopod.serve.ingest.store_queue import StoreQueue
 from camtopod.serve.runtime import Beat, Clock, no_beat, owns_every_camera, steady_clock_for
-from camtopod.serve.storage import Journal, JournalWriter, Version, rewind
+from camtopod.serve.storage import NAMES_KEY, Journal, JournalWriter, Version, rewind
 
 log = logging.getLogger(__name__)
 
@@ -84,6 +93,8 @@ PREDICT_SECONDS_BUSY = 0.002
 
 Late predictions help nobody, and storing events comes first.
 """
+STORED_SECONDS_MAX = 20.0
+"""Longest wait until an operator's command is stored."""
 _CLOSING_SECONDS = 1.0
 """Longest wait, at the end, until `Receiver.listen` has read what the subscription still has."""
 
@@ -135,7 +146,10 @@ class Receiver:
         self.cameras = CameraRegistry(limits, 0.0 if usual is None else usual - clock(), boxes)
         self.duplicates = DuplicateChecker(journal, self._steady)
         self._acks = Acks(bus, stored, owns, daemon, self._learned_time)
-        self._stages = Stages(self.cameras, self.duplicates, self._acks, limits, self._room, owns)
+        self.names = Names(read_names(journal.meta(NAMES_KEY)), clock)
+        self._stages = Stages(
+            self.cameras, self.duplicates, self._acks, limits, self._room, owns, self.names
+        )
         self._queue = StoreQueue()
         self.storing = JournalWriter(journal, clock, self._steady, publish)
         self._beat: Beat = no_beat
@@ -193,6 +207,35 @@ class Receiver:
     def on_deadline(self, deadline: float | None) -> None:
         """Set the event time at which the learner wants to know that time has passed."""
         self._stages.idle_time.deadline = deadline
+
+    def administer(self, command: Command, topology: Topology | None) -> str:
+        """Carry out an operator's command; return what was done, once that is stored. Any thread.
+
+        topology: the newest version.
+
+        Raises `CommandRefused` and `sqlite3.Error`.
+        """
+        with self._turn:
+            # Begin the epoch of a reset.
+            if isinstance(command, Reset) and self._corrected is not None:
+                t = self._clock() + self.cameras.clock_behind
+                command = Reset(t, *self._corrected(t))
+
+            # Carry it out for the events to come, and store it in its place among them.
+            heard = (camera for camera, _ in self._acks.stored.copy())
+            site = known_site(topology, self.cameras.status(), heard, self.names.state.since)
+            entry, said = self.names.carry_out(command, site)
+            self._stages.administer(command, self.names.state)
+            stored = threading.Event()
+            self._queue.put([msgspec.structs.replace(entry, stored=stored)])
+
+        if not stored.wait(STORED_SECONDS_MAX):
+            raise CommandRefused(
+                f"it is not stored after {STORED_SECONDS_MAX:g} s, as the disk does not answer; the"
+                " status of the daemon will show whether it was carried out"
+            )
+        log.warning("%s", said)
+        return said
 
     def set_limits(self, limits: Limits) -> None:
         """Use other limits from now on, except for sizes of what exists already. Any thread."""
@@ -360,11 +403,12 @@ class Receiver:
         for message in messages:
             ready += stages.enter(message, this_round)
 
-        # Steps 3 to 9, all events together: the list of stages.
+        # Steps 3 to 10, all events together: the list of stages.
         for stage in (
             stages.give_up_gaps,
             stages.hold_back,
             stages.merge_backlogs,
+            stages.apply_names,
             stages.limit_floods,
             stages.advance_idle_time,
             self._predict,
@@ -450,11 +494,17 @@ class Receiver:
 
     def _store(self, ready: list[Received], stopping: threading.Event) -> bool:
         """Store entries, then hand them to the learner; return False if that failed for good."""
-        if not self.storing.store([received.entry for received in ready], stopping, self._beat):
+        names = [received.names for received in ready if received.names is not None]
+        meta = {NAMES_KEY: names[-1]} if names else None
+        entries = [received.entry for received in ready]
+        if not self.storing.store(entries, stopping, self._beat, meta):
             return False
         if ready:
             self._acks.note_stored(ready)
             self.counts["stored"] += sum(received.event is not None for received in ready)
             self._learn(ready)
+            for received in ready:
+                if received.stored is not None:
+                    received.stored.set()
         self._queue.done()
         return True

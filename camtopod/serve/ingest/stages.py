@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
+from camtopod.admin import Command, Forget, Rename, Reset
 from camtopod.config import Limits
 from camtopod.serve.bus import Subscription
 from camtopod.serve.ingest.acks import Acks
@@ -21,6 +22,7 @@ from camtopod.serve.ingest.camera_registry import CameraRegistry, Received
 from camtopod.serve.ingest.duplicates import DuplicateChecker
 from camtopod.serve.ingest.idle_time import IdleEventTime
 from camtopod.serve.ingest.inbox import Message
+from camtopod.serve.ingest.names import Names, NamesState
 from camtopod.serve.ingest.sequencing import Streams
 from camtopod.serve.outbox import SpoolBatch
 from camtopod.serve.runtime import Rejects
@@ -53,6 +55,7 @@ class Stages:
     cameras, duplicates, acks: collaborators that others use, too.
     room: returns how many entries may be put in order now.
     owns: the cameras whose events this daemon acknowledges.
+    names: forgotten and renamed cameras.
     """
 
     def __init__(
@@ -63,7 +66,9 @@ class Stages:
         limits: Limits,
         room: Callable[[], int],
         owns: Callable[[str], bool],
+        names: Names,
     ) -> None:
+        self._names = names
         self._cameras, self._duplicates, self._acks = cameras, duplicates, acks
         self._room, self._owns = room, owns
         self.rejects = Rejects()
@@ -99,6 +104,27 @@ class Stages:
     def merge_backlogs(self, ready: list[Received], this_round: Round) -> list[Received]:
         """Return the events before which no others are expected from spools with a backlog."""
         return self.merge.release(ready, time.monotonic(), self._room)
+
+    def administer(self, command: Command, names: NamesState) -> None:
+        """Carry out an operator's command in what is counted of cameras.
+
+        names: the names after the command.
+        """
+        match command:
+            case Forget():
+                for name in names.forgotten:
+                    self._cameras.forget(name)
+            case Rename(old, new):
+                self._cameras.rename(old, new)
+            case Reset():
+                self._cameras.forget_all()
+                self.idle_time.rewind()
+            case _:
+                pass
+
+    def apply_names(self, ready: list[Received], this_round: Round) -> list[Received]:
+        """Refuse the events of forgotten cameras, and rename those of renamed ones."""
+        return [entry for received in ready for entry in self._names.apply(received)]
 
     def limit_floods(self, ready: list[Received], this_round: Round) -> list[Received]:
         """Replace what a camera sends beyond what a view can show; only its number is stored."""

@@ -34,7 +34,16 @@ from camtopod.serve.learner_process.messages import (
 from camtopod.serve.learner_process.process import LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import Recovered, note_failure
 from camtopod.serve.runtime import Beat, no_beat
-from camtopod.serve.storage import Entry, Journal, Snapshot, Version, head_of, read_rewind
+from camtopod.serve.storage import (
+    Entry,
+    Journal,
+    Snapshot,
+    Version,
+    head_of,
+    read_command,
+    read_reset,
+    read_rewind,
+)
 
 log = logging.getLogger(__name__)
 
@@ -127,7 +136,10 @@ class LearnerFeeder:
                 return
             self._queued += len(batch)
         self._queue.put(
-            [one.entry.raw if one.event is not None else one.rewind or one.advance for one in batch]
+            [
+                one.entry.raw if one.event is not None else one.rewind or one.command or one.advance
+                for one in batch
+            ]
         )
 
     def room(self) -> int:
@@ -309,6 +321,10 @@ class LearnerFeeder:
                 return float(entry.raw)
             case "rewind":
                 return read_rewind(entry, self._journal.versions)
+            case "reset":
+                return read_reset(entry, self._journal.versions)
+            case "command":
+                return read_command(entry)
             case _:
                 return None
 

@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
+from camtopod.admin import Command
 from camtopod.event_time import EventTimeState
 from camtopod.learn import Settings
 from camtopod.serve.storage import Rewind
@@ -35,10 +36,11 @@ _LENGTH = struct.Struct("<Q")
 """The length before each message, in bytes."""
 
 
-Input = bytes | float | Rewind | None
+Input = bytes | float | Rewind | Command | None
 """What the learner needs of a journal entry.
 
-It is an event as it was received, an event time to advance to, a rewind of event time, or nothing.
+It is an event as it was received, an event time to advance to, a rewind of event time, an
+operator's command, or nothing.
 """
 
 

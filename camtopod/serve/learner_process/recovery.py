@@ -14,6 +14,7 @@ from typing import NamedTuple
 import msgspec
 
 from camtopod import codec
+from camtopod.admin import Command, Forget, Rename
 from camtopod.learn import Settings
 from camtopod.records import Event, Topology
 from camtopod.serve.learner_process.messages import (
@@ -32,6 +33,7 @@ from camtopod.serve.storage import (
     StateError,
     camera_to_leave_out,
     leave_out,
+    read_command,
     read_corrections,
 )
 
@@ -208,14 +210,37 @@ def shard_update_of(process: LearnerProcess) -> bytes | None:
 
 
 def recent_events(journal: Journal) -> list[Event]:
-    """Return the newest events of the journal, for predictions to remember."""
-    events = []
+    """Return the newest events of the journal, for predictions to remember.
+
+    They are without those of forgotten cameras and from before a reset.
+    """
+    events: list[Event] = []
     for _, entry in journal.entries(after=max(0, len(journal) - RECENT_EVENTS)):
-        if entry is not None and entry.kind == "event":
-            with contextlib.suppress(codec.Rejected):  # accepted by another version
+        if entry is None:
+            continue
+        with contextlib.suppress(codec.Rejected):  # accepted by another version
+            if entry.kind == "event":
                 events.append(codec.event_from_bytes(entry.raw))
+            elif entry.kind == "reset":
+                events = []
+            elif entry.kind == "command":
+                events = _after(read_command(entry), events)
     newest = max((event.t for event in events), default=0.0)
     return [event for event in events if event.t > newest - RECENT_SECONDS]
+
+
+def _after(command: Command, events: list[Event]) -> list[Event]:
+    """Return events as they are known after a command."""
+    match command:
+        case Forget(camera):
+            return [event for event in events if event.camera != camera]
+        case Rename(old, new):
+            return [
+                msgspec.structs.replace(event, camera=new) if event.camera == old else event
+                for event in events
+            ]
+        case _:
+            return events
 
 
 def read_failure(journal: Journal) -> Failure | None:

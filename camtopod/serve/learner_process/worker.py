@@ -18,6 +18,7 @@ import traceback
 from collections.abc import Callable
 
 from camtopod import codec
+from camtopod.admin import Command, Forget, Judge, Rename, Reset, TakeBack
 from camtopod.learn import (
     Learner,
     LearnerState,
@@ -25,6 +26,7 @@ from camtopod.learn import (
     Settings,
     SnapshotError,
     pack,
+    rename,
     rewind,
     unpack,
 )
@@ -55,7 +57,7 @@ from camtopod.serve.learner_process.messages import (
 from camtopod.serve.runtime import memory
 from camtopod.serve.storage import Rewind
 from camtopod.sharding import ShardLearner, ShardState, pack_shard, unpack_shard
-from camtopod.topology import make_delta
+from camtopod.topology import alarms_follow, make_delta
 
 NICENESS = 5
 """Added to the daemon's niceness: when all cores are busy, predictions and acks precede fits.
@@ -190,13 +192,42 @@ class Worker:
             self._learner.begin_epoch(lesson.epoch)
             self._learner.refresh()
 
+    def _reset(self, lesson: Reset) -> None:
+        """Begin with a new learner, in a new epoch unless a later one has begun already."""
+        assert isinstance(self._learner, Learner), "shards refuse commands"
+        epoch = self._learner.epoch
+        after = self._learner.topology
+        if lesson.epoch > epoch:
+            epoch, after = lesson.epoch, None
+            self._stored, self._newest_stored = dict(lesson.stored), max(lesson.stored, default=0)
+            self._newest = None
+        fresh = self._kind(self._learner.settings, self._learner.site, epoch)
+        fresh.begin_empty(lesson.t, after)
+        self._learner = fresh
+
+    def _administer(self, command: Command) -> None:
+        """Carry out an operator's command."""
+        match command:
+            case Reset():
+                self._reset(command)
+            case Rename(old, new):
+                assert isinstance(self._learner, Learner)
+                self._learner.erase({new})
+                self._change(lambda state: rename(state, old, new))
+                self._learner.make_version()
+            case Forget() | Judge():
+                assert isinstance(self._learner, Learner)
+                self._learner.administer(command)
+            case TakeBack():
+                pass  # only the daemon refuses events
+
     def _learn(self, position: int, lessons: list[Input]) -> LearnProgress:
         """Learn entries of the journal, or as many as there is time for."""
         unreadable = 0
         for lesson in lessons:
             self._board.at = position + 1
 
-            # An event, a rewind or an advance of event time.
+            # An event, a rewind or an advance of event time, or a command.
             if isinstance(lesson, bytes):
                 try:
                     event = codec.event_from_bytes(lesson)
@@ -206,8 +237,10 @@ class Worker:
                     self._learner.receive(event)
             elif isinstance(lesson, Rewind):
                 self._rewind(lesson)
-            elif lesson is not None:
+            elif isinstance(lesson, float):
                 self._learner.advance(lesson)
+            elif lesson is not None:
+                self._administer(lesson)
 
             # Send new versions, and stop if time is short.
             self._take_versions()
@@ -274,7 +307,9 @@ class Worker:
             return
 
         # Send a new one.
-        delta = None if before is None else codec.to_msgpack(make_delta(before, topology))
+        delta = None
+        if before is not None and alarms_follow(before, topology):
+            delta = codec.to_msgpack(make_delta(before, topology))
         self._send(
             NewVersion(
                 topology.epoch,

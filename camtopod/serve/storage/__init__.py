@@ -14,17 +14,23 @@ from camtopod.serve.storage import inspect_state, sqlite_file
 from camtopod.serve.storage.corrections import (
     Rewind,
     camera_to_leave_out,
+    command_entry,
     leave_out,
+    read_command,
     read_corrections,
+    read_reset,
     read_rewind,
+    reset_entry,
     rewind,
 )
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.storage.journal_schema import NAMES_KEY
 from camtopod.serve.storage.journal_writer import JournalWriter
 from camtopod.serve.storage.packed_version import CurrentVersion, Version, head_of
 from camtopod.serve.storage.sqlite_file import StateError, lock_reason
 
 __all__ = [
+    "NAMES_KEY",
     "CurrentVersion",
     "Entry",
     "Journal",
@@ -35,12 +41,16 @@ __all__ = [
     "StoredVersion",
     "Version",
     "camera_to_leave_out",
+    "command_entry",
     "head_of",
     "inspect_state",
     "leave_out",
     "lock_reason",
+    "read_command",
     "read_corrections",
+    "read_reset",
     "read_rewind",
+    "reset_entry",
     "rewind",
     "sqlite_file",
 ]

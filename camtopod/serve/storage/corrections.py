@@ -1,7 +1,8 @@
 """Journal entries that correct what was learned, each the beginning of an epoch.
 
 They are replayed like events. A *rewind* follows after a wrong clock has advanced event time:
-everything later than a given time is dropped. A *leave-out* follows after the learner has failed
+everything later than a given time is dropped. A *reset* is an operator's command: everything is
+dropped. A *leave-out* follows after the learner has failed
 repeatedly: the events that one camera has sent since the last snapshot are left out. If memory has
 run out, the camera's events in the snapshot are left out, too, as it is the camera that has sent
 most. The learner cannot reach such an entry before it has passed those events, so corrections are
@@ -17,6 +18,7 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from camtopod import codec
+from camtopod.admin import Forget, Judge, Rename, Reset, TakeBack
 from camtopod.serve.storage.journal import Entry, Journal
 
 log = logging.getLogger(__name__)
@@ -30,7 +32,8 @@ class _Content(Struct):
 
     before: the epoch that ends.
     epoch: the epoch that begins.
-    to (Unix seconds): of a rewind, the time after which everything is dropped.
+    to (Unix seconds): of a rewind, the time after which everything is dropped; of a reset, the time
+        before which events are not learned any more.
     forget: of a leave-out, True if the camera's events in the snapshot are left out, too.
     """
 
@@ -70,6 +73,37 @@ def read_rewind(entry: Entry, stored: Callable[[str], dict[int, str]]) -> Rewind
     return Rewind(content.to, content.epoch, stored(content.epoch))
 
 
+def reset_entry(command: Reset) -> Entry:
+    """Return the entry for a reset."""
+    content = _Content(command.before, command.epoch, command.t)
+    return Entry("reset", "", None, None, codec.to_json(content))
+
+
+def read_reset(entry: Entry, stored: Callable[[str], dict[int, str]]) -> Reset:
+    """Return the learner's input for the entry of a reset. Raises `codec.Rejected`.
+
+    stored: returns the digests of an epoch's versions.
+    """
+    content = codec.read(_Content, entry.raw)
+    if content.to is None:
+        raise codec.Rejected("malformed", "a reset without a time")
+    return Reset(content.to, content.before, content.epoch, stored(content.epoch))
+
+
+def command_entry(command: Forget | TakeBack | Rename | Judge) -> Entry:
+    """Return the entry for an operator's command that begins no epoch."""
+    return Entry("command", "", None, None, codec.to_json(command))
+
+
+def read_command(entry: Entry) -> Forget | TakeBack | Rename | Judge:
+    """Return the command of an entry. Raises `codec.Rejected`."""
+    command: Forget | TakeBack | Rename | Judge = codec.read(
+        Forget | TakeBack | Rename | Judge,  # type: ignore[arg-type]
+        entry.raw,
+    )
+    return command
+
+
 def leave_out(camera: str, before: str, epoch: str, forget: bool) -> Entry:
     """Return the entry for leaving out what ``camera`` has sent since the snapshot.
 
@@ -90,9 +124,9 @@ def read_corrections(journal: Journal, after: int, epoch: str) -> Corrections:
         for number, entry in journal.corrections(after)
     ]
     left_out = {entry.camera: number for number, entry, _ in found if entry.kind == "leave-out"}
-    only_rewinds = found and not left_out and found[-1][2].epoch == epoch
+    replayed = found and not left_out and found[-1][2].epoch == epoch
     forgotten = sorted({entry.camera for _, entry, content in found if content.forget})
-    return Corrections(found[0][2].before if only_rewinds else None, left_out, forgotten)
+    return Corrections(found[0][2].before if replayed else None, left_out, forgotten)
 
 
 def camera_to_leave_out(journal: Journal, after: int, failed_at: int, most: bool) -> str | None:
@@ -130,7 +164,7 @@ def camera_to_leave_out(journal: Journal, after: int, failed_at: int, most: bool
     return largest if largest is not None and sent[largest] else None
 
 
-class Rewind(Struct, frozen=True):
+class Rewind(Struct, frozen=True, tag="rewind"):
     """The learner's input for a rewind.
 
     to (Unix seconds): everything later is dropped.

@@ -17,7 +17,7 @@ import sqlite3
 import statistics
 import threading
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -59,17 +59,23 @@ After each statement other threads can run, and it may take long until this one 
 should be few statements.
 """
 
-EntryKind = Literal["event", "future", "refused", "advance", "rewind", "leave-out"]
+EntryKind = Literal[
+    "event", "future", "refused", "advance", "rewind", "leave-out", "reset", "command"
+]
 """Kinds of entries.
 
 ``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not learned.
 ``advance``: event time advanced without an event; ``raw`` is the time as decimal text. ``rewind``,
-``leave-out``: a correction that begins an epoch, see `camtopod.serve.storage.corrections`.
+``leave-out``, ``reset``: a correction that begins an epoch, see
+`camtopod.serve.storage.corrections`. ``command``: another command of the operator.
 """
 
 
 class Entry(Struct, frozen=True, gc=False):
-    """One row of the journal: the event as received in ``raw``, its number in ``boot``, ``seq``."""
+    """One row of the journal: the event as received in ``raw``, its number in ``boot``, ``seq``.
+
+    An event that came under the old name of a renamed camera has the new name in ``raw``.
+    """
 
     kind: EntryKind
     camera: str
@@ -180,10 +186,12 @@ class Journal:
         versions: Sequence[StoredVersion] = (),
         snapshot: Snapshot | None = None,
         now: float = 0.0,
+        meta: Mapping[str, str] | None = None,
     ) -> None:
         """Store everything in one transaction, or nothing.
 
         entries: appended in this order.
+        meta: values to store under their keys, as `set_meta` does; only together with entries.
         now (Unix seconds): when they are stored.
 
         Raises `sqlite3.Error`; then the same call may be repeated. A commit can fail although its
@@ -205,6 +213,8 @@ class Journal:
                         self._add_version(version, int(now))
                     if snapshot is not None:
                         self._add_snapshot(snapshot, int(now))
+                    for key, value in (meta or {}).items():
+                        journal_schema.write_meta(self._db, key, value)
                 self._check()  # before anything counts as stored
             self._sure = True
             self._last += len(entries)
@@ -299,7 +309,8 @@ class Journal:
         """Return the corrections after an entry as (id, entry). Raises `sqlite3.Error`."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             rows = self._db.execute(
-                "SELECT * FROM entry WHERE id > ? AND kind IN ('rewind', 'leave-out') ORDER BY id",
+                "SELECT * FROM entry WHERE id > ? AND kind IN"
+                " ('rewind', 'leave-out', 'reset') ORDER BY id",
                 (after,),
             ).fetchall()
         return [(row[0], Entry(*row[2:7])) for row in rows if crc(*row[:7]) == row[7]]

@@ -19,6 +19,9 @@ log = logging.getLogger(__name__)
 FORMAT = 2
 """Format of the tables; an older one is migrated, a newer one refused."""
 
+NAMES_KEY = "names"
+"""Key in ``meta`` of forgotten and renamed cameras; see `camtopod.serve.ingest.names`."""
+
 DAMAGED = -1
 """A value that no checksum has: given to rows that were damaged before the migration."""
 
@@ -86,11 +89,12 @@ def rescue(database: sqlite3.Connection, aside: Path) -> int:
     gaps, and counts once.
     """
 
-    # Keep the epoch as the one before.
+    # Keep the epoch as the one before, and what the operator has said of names.
+    kept = {"epoch": "epoch before", NAMES_KEY: NAMES_KEY}
     for row in readable(aside, "meta", "key"):
-        if row[0] == "epoch" and row == meta_row("epoch", str(row[1])):
+        if row[0] in kept and row == meta_row(*map(str, row[:2])):
             database.execute(
-                "INSERT OR IGNORE INTO meta VALUES (?, ?, ?)", meta_row("epoch before", str(row[1]))
+                "INSERT OR IGNORE INTO meta VALUES (?, ?, ?)", meta_row(kept[row[0]], str(row[1]))
             )
 
     # Copy rows with the right checksum.

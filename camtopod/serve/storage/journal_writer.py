@@ -13,7 +13,7 @@ import logging
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
@@ -86,9 +86,15 @@ class JournalWriter:
         self._snapshots.append(snapshot)
 
     def store(
-        self, entries: Sequence[Entry], stopping: threading.Event, beat: Beat = no_beat
+        self,
+        entries: Sequence[Entry],
+        stopping: threading.Event,
+        beat: Beat = no_beat,
+        meta: Mapping[str, str] | None = None,
     ) -> bool:
         """Commit ``entries`` and what the learner handed over, retrying as needed; then publish.
+
+        meta: values to store with the entries; see `Journal.commit`.
 
         Returns False only if the daemon stops before it succeeds; then nothing may be stored after
         ``entries``. Raises `sqlite_file.Damaged`, where retrying would not help.
@@ -105,7 +111,7 @@ class JournalWriter:
         while True:
             try:
                 with self._timed():
-                    self._journal.commit(entries, stored, snapshot, self._clock())
+                    self._journal.commit(entries, stored, snapshot, self._clock(), meta)
                 break
             except sqlite3.Error as error:
                 if not self._failure:

@@ -1,0 +1,74 @@
+"""An operator's commands: changes of a site by hand, each in its place in the order of the events.
+
+The daemon stores a command in its journal like an event, so that a learner that replays the journal
+carries it out at the same point. Structs without logic, as in `camtopod.records`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from camtopod.records import CAMERA_CHARACTERS_MAX, CameraId
+
+Verdict = Literal["right", "wrong"]
+"""An operator's word on a link."""
+Judgement = tuple[str, str, Verdict]
+"""Where objects leave, where they appear next (two zones or two cameras), and the word on it."""
+Place = Annotated[
+    str, Meta(pattern=rf"^[A-Za-z0-9_.-]{{1,{CAMERA_CHARACTERS_MAX}}}(/[0-9]{{1,9}})?\Z")
+]
+"""A camera, or a zone as ``camera/number``."""
+
+
+class Forget(Struct, frozen=True, tag="forget"):
+    """Remove a camera and all that was learned of it; its name is refused from then on."""
+
+    camera: CameraId
+
+
+class TakeBack(Struct, frozen=True, tag="take-back"):
+    """Accept the events of a forgotten name again."""
+
+    camera: CameraId
+
+
+class Rename(Struct, frozen=True, tag="rename"):
+    """Let all that was learned of the camera ``old`` go on under the name ``new``."""
+
+    old: CameraId
+    new: CameraId
+
+
+class Judge(Struct, frozen=True, tag="judge"):
+    """Mark the links from ``source`` to ``target`` with the operator's word on them.
+
+    Visible links, which are passages through one view, are not marked.
+
+    source, target: two zones, or two cameras for all links between their views.
+    verdict: ``none`` takes the word back.
+    """
+
+    source: Place
+    target: Place
+    verdict: Literal["right", "wrong", "none"]
+
+
+class Reset(Struct, frozen=True, tag="reset"):
+    """Begin the site anew: nothing is learned, no camera is known.
+
+    t (Unix seconds): events of before are not learned.
+    before, epoch: the epoch that ends, and the one that begins.
+    stored: digests of the versions of ``epoch`` that may have been published, by version.
+
+    An operator's command has none of these: the daemon fills them in.
+    """
+
+    t: float = 0.0
+    before: str = ""
+    epoch: str = ""
+    stored: dict[int, str] = {}
+
+
+Command = Forget | TakeBack | Rename | Judge | Reset

@@ -1,0 +1,261 @@
+"""An operator's commands in the learner: forget, rename, judge, and a new beginning."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+
+import pytest
+from msgspec.structs import replace
+from test_snapshot import SETTINGS, events_of, restored
+
+from camtopod import codec
+from camtopod.admin import Forget, Judge
+from camtopod.learn import Learner, pack, rename
+from camtopod.predict import Predictor
+from camtopod.records import Event, Link, Topology
+from camtopod.topology.versions import alarms_follow, apply_delta, digest_of, make_delta
+
+Change = Callable[[Learner], Learner]
+"""Carry out a command; return the learner that goes on."""
+HALF = len(events_of("hard")) // 2
+
+
+def forget(camera: str) -> Change:
+    def change(learner: Learner) -> Learner:
+        learner.administer(Forget(camera))
+        return learner
+
+    return change
+
+
+def name(old: str, new: str) -> Change:
+    def change(learner: Learner) -> Learner:
+        renamed = Learner(learner.settings, learner.site, learner.epoch)
+        renamed.load(rename(learner.save(), old, new))
+        renamed.make_version()
+        return renamed
+
+    return change
+
+
+def judge(source: str, target: str, verdict: str) -> Change:
+    def change(learner: Learner) -> Learner:
+        learner.administer(Judge(source, target, verdict))  # type: ignore[arg-type]
+        return learner
+
+    return change
+
+
+def told(
+    events: Iterable[Event], change: Change | None = None, learner: Learner | None = None
+) -> tuple[Learner, list[Topology]]:
+    """Return the learner after events and a command, and the versions made."""
+    learner = learner or Learner(SETTINGS, "s", "e")
+    made = []
+    for event in events:
+        learner.receive(event)
+        made += learner.updates()
+    if change is not None:
+        learner = change(learner)
+        made += learner.updates()
+    return learner, made
+
+
+@lru_cache
+def half() -> bytes:
+    return pack(told(events_of("hard")[:HALF])[0].save())
+
+
+def newest(learner: Learner) -> Topology:
+    assert learner.topology is not None
+    return learner.topology
+
+
+def known(learner: Learner, camera: str) -> bool:
+    """Return True if a camera's name is anywhere in the learner's state or newest version."""
+    state = learner.save()
+    texts = [
+        codec.to_json(newest(learner)),
+        json.dumps([state.intake.cameras, state.intake.newest, state.window.cameras]),
+        codec.to_json([state.intake.held, state.intake.seen, [*state.intake.behind]]),
+        codec.to_json([state.alarms, [*state.publishers], [*state.left], state.judgements]),
+        codec.to_json([state.intake.leader or ""]),
+    ]
+    return any(
+        f'"{camera}"' in text or f'"{camera}/' in text or f">{camera}/" in text
+        for text in (one.decode() if isinstance(one, bytes) else one for one in texts)
+    )
+
+
+@pytest.mark.parametrize("camera", ["cam02", "cam03"])
+def test_nothing_of_a_forgotten_camera_is_left(camera: str) -> None:
+    learner = restored(half())
+    before = newest(learner)
+    assert known(learner, camera)
+    learner, [after] = told([], forget(camera), learner)
+    assert after.version == before.version + 1, "the version is made at once"
+    assert not [one for one in (after.chain or []) if camera in (one.from_, one.to)]
+    # The leader of event time is only forgotten with its next event.
+    state = learner.save()
+    state.intake.leader = None
+    clean = Learner(SETTINGS, "s", "e")
+    clean.load(state)
+    assert not known(clean, camera)
+    assert {one.id for one in after.cameras} == {one.id for one in before.cameras} - {camera}
+    Predictor(after).predict(Event(camera, "exit", after.as_of, 0.5, 0.5))
+    told([event for event in events_of("hard")[HALF:] if event.camera != camera], None, learner)
+    assert not known(learner, camera)
+
+
+def test_an_unknown_camera_is_forgotten_without_a_version() -> None:
+    assert told([], forget("cam99"), restored(half()))[1] == []
+    assert told([], forget("cam00"), Learner(SETTINGS, "s", "e"))[1] == []
+
+
+def test_a_site_whose_cameras_are_all_forgotten_is_empty_and_learns_again() -> None:
+    learner = restored(half())
+    names = [camera.id for camera in newest(learner).cameras]
+    for camera in names:
+        learner, made = told([], forget(camera), learner)
+    last = newest(learner)
+    assert (last.cameras, last.links, last.zones) == ([], [], [])
+    assert codec.decode_topology(codec.to_json(last)) == last
+    learner = restored(pack(learner.save()))
+    learner, made = told(events_of("hard")[HALF:], None, learner)
+    assert {camera.id for camera in made[-1].cameras} == set(names)
+
+
+def other_name(event: Event, old: str, new: str) -> Event:
+    return replace(event, camera=new) if event.camera == old else event
+
+
+@pytest.mark.parametrize("new", ["cam01x", "zzz", "entry"])
+def test_a_renamed_camera_is_as_one_that_always_had_the_name(new: str) -> None:
+    """Exactly so at once: the fit sees the same events in the same order."""
+    events = events_of("hard")[:HALF]
+    renamed, _ = told(events, name("cam01", new))
+    always, _ = told([other_name(event, "cam01", new) for event in events], name("none", "nobody"))
+    assert newest(renamed).version == newest(always).version
+    assert newest(renamed).digest == newest(always).digest
+    assert not known(renamed, "cam01")
+    clocks = {camera.id: camera.clock_offset for camera in newest(renamed).cameras}
+    assert clocks[new] == next(
+        camera.clock_offset for camera in newest(told(events)[0]).cameras if camera.id == "cam01"
+    )
+
+
+def test_zones_links_and_judgements_go_on_under_the_new_name() -> None:
+    learner, [judged] = told([], judge("cam01", "cam02", "wrong"), restored(half()))
+    learner, [after] = told([], name("cam01", "door"), learner)
+    assert {zone.id.replace("door/", "cam01/") for zone in after.zones} == {
+        zone.id for zone in judged.zones
+    }
+    said = {(link.from_, link.to): link.operator for link in links_of(after) if link.operator}
+    assert said
+    assert {(a.partition("/")[0], b.partition("/")[0]) for a, b in said} == {("door", "cam02")}
+    # Learning goes on as it was, and gives the same links.
+    rest = events_of("hard")[HALF:]
+    learner, made = told([other_name(event, "cam01", "door") for event in rest], None, learner)
+    plain, unnamed = told(rest, None, restored(half()))
+    assert {c.id for c in made[-1].cameras} == {
+        c.id.replace("cam01", "door") for c in unnamed[-1].cameras
+    }
+
+
+def links_of(topology: Topology) -> list[Link]:
+    return [*topology.links, *(topology.weak_links or [])]
+
+
+def test_a_judgement_marks_links_and_changes_nothing_else() -> None:
+    learner = restored(half())
+    before = newest(learner)
+    link = next(link for link in before.links if link.relation != "visible")
+    learner, [wrong] = told([], judge(link.from_, link.to, "wrong"), learner)
+    assert (wrong.version, wrong.as_of) == (before.version + 1, before.as_of)
+    marked = [one for one in links_of(wrong) if one.operator]
+    assert [(one.from_, one.to, one.operator) for one in marked] == [
+        (link.from_, link.to, "wrong")
+    ]
+    bare = [replace(one, operator=None) for one in wrong.links]
+    assert (bare, wrong.model, wrong.chain) == (before.links, before.model, before.chain)
+    assert digest_of(wrong) == wrong.digest != before.digest
+    assert apply_delta(before, make_delta(before, wrong)) == wrong
+    # It lasts, and is taken back.
+    learner, made = told(events_of("hard")[HALF:], None, restored(pack(learner.save())))
+    plain, others = told(events_of("hard")[HALF:], None, restored(half()))
+    for ours, theirs in zip(made, others, strict=True):
+        assert [replace(one, operator=None) for one in ours.links] == theirs.links
+    learner, [taken] = told([], judge(link.from_, link.to, "none"), learner)
+    assert not [one for one in links_of(taken) if one.operator]
+
+
+def test_a_weak_link_is_marked_right_and_stays_weak() -> None:
+    learner = restored(half())
+    before = newest(learner)
+    weak = (before.weak_links or [])[0]
+    _, [after] = told([], judge(weak.from_, weak.to, "right"), learner)
+    [marked] = [one for one in after.weak_links or [] if one.operator]
+    assert marked == replace(weak, operator="right")
+    assert after.links == before.links
+
+
+def test_two_zones_precede_their_cameras() -> None:
+    learner = restored(half())
+    link = next(link for link in newest(learner).links if link.relation != "visible")
+    cameras = [end.partition("/")[0] for end in (link.from_, link.to)]
+    told([], judge(link.from_, link.to, "right"), learner)
+    _, [after] = told([], judge(cameras[0], cameras[1], "wrong"), learner)
+    said = {one.operator for one in after.links if (one.from_, one.to) == (link.from_, link.to)}
+    assert said == {"right"}
+
+
+def test_a_forgotten_camera_loses_its_judgements() -> None:
+    learner, _ = told([], judge("cam01", "cam02", "wrong"), restored(half()))
+    learner, _ = told([], forget("cam02"), learner)
+    assert learner.save().judgements == []
+
+
+@pytest.mark.parametrize(
+    "change", [forget("cam02"), name("cam02", "yard"), judge("cam01", "cam02", "right")]
+)
+def test_a_restored_learner_carries_out_the_same(change: Change) -> None:
+    """With the same versions to the end, whether it is saved before or after the command."""
+    rest = events_of("hard")[HALF:]
+    learner, made = told([], change, restored(half()))
+    unbroken = [*made, *told(rest, None, learner)[1]]
+    for after in (0, 50):
+        learner, made = told([], change, restored(half()))
+        learner, more = told(rest[:after], None, learner)
+        learner, rest_of_it = told(rest[after:], None, restored(pack(learner.save())))
+        again = [*made, *more, *rest_of_it]
+        assert [(one.version, one.digest) for one in again] == [
+            (one.version, one.digest) for one in unbroken
+        ]
+
+
+def test_alarms_are_forgotten_and_renamed_with_their_camera() -> None:
+    learner, made = told(events_of("hard"))
+    assert "cam02" in {alarm.subject for alarm in made[-1].alarms or []}, "it was turned"
+    before = newest(learner)
+    learner, [renamed] = told([], name("cam02", "yard"), learner)
+    assert "yard" in {alarm.subject for alarm in renamed.alarms or []}
+    assert not alarms_follow(before, renamed)
+    learner, [after] = told([], forget("yard"), learner)
+    assert not alarms_follow(renamed, after)
+    assert not [one for one in after.alarms or [] if "yard" in one.subject]
+
+
+def test_a_new_beginning_is_an_empty_version_and_learns_like_a_new_learner() -> None:
+    events = events_of("usual")
+    t = events[0].t - 1.0
+    learner = Learner(SETTINGS, "s", "e2")
+    learner.begin_empty(t, None)
+    [empty] = learner.updates()
+    assert (empty.version, empty.cameras, empty.events) == (1, [], 0)
+    assert codec.decode_topology(codec.to_json(empty)) == empty
+    learner = restored(pack(learner.save()))
+    _, made = told(events, None, learner)
+    _, plain = told(events)
+    assert [one.links for one in made] == [one.links for one in plain]
