@@ -10,15 +10,14 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from camtopod.records import CAMERA_CHARACTERS_MAX, CameraId
+from camtopod.records import CameraId
+from camtopod.soundness import PLACE_PATTERN
 
 Verdict = Literal["right", "wrong"]
 """An operator's word on a link."""
 Judgement = tuple[str, str, Verdict]
 """Where objects leave, where they appear next (two zones or two cameras), and the word on it."""
-Place = Annotated[
-    str, Meta(pattern=rf"^[A-Za-z0-9_.-]{{1,{CAMERA_CHARACTERS_MAX}}}(/[0-9]{{1,9}})?\Z")
-]
+Place = Annotated[str, Meta(pattern=PLACE_PATTERN)]
 """A camera, or a zone as ``camera/number``."""
 
 

@@ -44,6 +44,8 @@ from camtopod.records import (
 
 ZONE_PATTERN = rf"^[A-Za-z0-9_.-]{{1,{CAMERA_CHARACTERS_MAX}}}/[0-9]{{1,9}}\Z"
 """Regular expression of a zone id: CAMERA/NUMBER."""
+PLACE_PATTERN = rf"^[A-Za-z0-9_.-]{{1,{CAMERA_CHARACTERS_MAX}}}(/[0-9]{{1,9}})?\Z"
+"""Regular expression of a camera or a zone."""
 LAG_BINS_MAX = 1_000
 """Most lag bins that a model may have; learned topologies have about 90."""
 DECILES = 11

@@ -1,10 +1,10 @@
 """Console script: find the command, import only its module, turn expected errors into exit
 statuses.
 
-A command is a module ``camtopod.cli.commands.NAME`` with two functions. ``add_parser(subparsers)``
-calls ``subparsers.add_parser(NAME, ...)`` once and adds the command's own arguments; it returns the
-parsers of its own subcommands, if it has any. ``run(args) -> int`` does the work and returns the
-exit status.
+A command is a module, usually ``camtopod.cli.commands.NAME``, with two functions.
+``add_parser(subparsers)`` calls ``subparsers.add_parser(NAME, ...)`` once and adds the command's
+own arguments; it returns the parsers of its own subcommands, if it has any. ``run(args) -> int``
+does the work and returns the exit status.
 
 The common options are added here, before and after the command's name, and arrive as
 ``args.config`` (path or None; without --config that of a file that is found, see
@@ -77,6 +77,19 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bridge": (
         "camtopod.cli.commands.bridge",
         "show cameras, alarms and predictions in Home Assistant, through MQTT",
+    ),
+    "forget": (
+        "camtopod.cli.operator.forget",
+        "remove a camera and all that was learned of it",
+    ),
+    "rename": (
+        "camtopod.cli.operator.rename",
+        "let what was learned of a camera go on under another name",
+    ),
+    "judge": ("camtopod.cli.operator.judge", "mark a link as right or wrong"),
+    "reset": (
+        "camtopod.cli.operator.reset",
+        "begin the site anew: forget everything that was learned",
     ),
     "keys": (
         "camtopod.cli.commands.keys",

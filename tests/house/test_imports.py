@@ -57,7 +57,7 @@ FLOORS = (
     "cli.terminal",
     "cli.common cli.machine_report",
     "cli.events cli.generated cli.cameras",
-    "cli.commands",
+    "cli.commands cli.operator",
     "cli",
     "__main__",
 )
@@ -86,7 +86,13 @@ HOMES = {
     "uvicorn": ("web.app", "web.connections"),
     "rich": ("cli.terminal.screen",),
     "cv2": ("vision", "sim", "export"),
-    "sqlite3": ("serve.storage", "serve.outbox", "serve.recorded_state", "serve.daemon"),
+    "sqlite3": (
+        "serve.storage",
+        "serve.outbox",
+        "serve.recorded_state",
+        "serve.offline_commands",
+        "serve.daemon",
+    ),
 }
 """Other people's packages, and the modules or packages that may know them."""
 

@@ -158,7 +158,7 @@ def test_zones_links_and_judgements_go_on_under_the_new_name() -> None:
     # Learning goes on as it was, and gives the same links.
     rest = events_of("hard")[HALF:]
     learner, made = told([other_name(event, "cam01", "door") for event in rest], None, learner)
-    plain, unnamed = told(rest, None, restored(half()))
+    _, unnamed = told(rest, None, restored(half()))
     assert {c.id for c in made[-1].cameras} == {
         c.id.replace("cam01", "door") for c in unnamed[-1].cameras
     }
@@ -175,16 +175,14 @@ def test_a_judgement_marks_links_and_changes_nothing_else() -> None:
     learner, [wrong] = told([], judge(link.from_, link.to, "wrong"), learner)
     assert (wrong.version, wrong.as_of) == (before.version + 1, before.as_of)
     marked = [one for one in links_of(wrong) if one.operator]
-    assert [(one.from_, one.to, one.operator) for one in marked] == [
-        (link.from_, link.to, "wrong")
-    ]
+    assert [(one.from_, one.to, one.operator) for one in marked] == [(link.from_, link.to, "wrong")]
     bare = [replace(one, operator=None) for one in wrong.links]
     assert (bare, wrong.model, wrong.chain) == (before.links, before.model, before.chain)
     assert digest_of(wrong) == wrong.digest != before.digest
     assert apply_delta(before, make_delta(before, wrong)) == wrong
     # It lasts, and is taken back.
     learner, made = told(events_of("hard")[HALF:], None, restored(pack(learner.save())))
-    plain, others = told(events_of("hard")[HALF:], None, restored(half()))
+    _, others = told(events_of("hard")[HALF:], None, restored(half()))
     for ours, theirs in zip(made, others, strict=True):
         assert [replace(one, operator=None) for one in ours.links] == theirs.links
     learner, [taken] = told([], judge(link.from_, link.to, "none"), learner)

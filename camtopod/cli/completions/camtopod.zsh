@@ -16,13 +16,17 @@ _shtab_camtopod_commands() {
     demo:'run the whole system on simulated cameras, without any configuration'
     doctor:'collect diagnostics for a bug report, without secrets'
     export:'convert a topology to a picture or an exchange format'
+    forget:'remove a camera and all that was learned of it'
     grab:'turn the video of one camera, or of all configured ones, into entry and exit events'
     ingest:'publish events from other programs'
     init:'probe cameras and write a configuration'
+    judge:'mark a link as right or wrong'
     keys:'create a private certificate authority and certificates for the bus'
     learn:'learn the topology from recorded event lines'
     predict:'predict for each recorded exit where the object appears next'
+    rename:'let what was learned of a camera go on under another name'
     report:'write the web page of one topology to a file'
+    reset:'begin the site anew: forget everything that was learned'
     run:'run the daemon: learn the topology from events on the bus and predict'
     schema:'print the JSON Schema of a message or of the configuration'
     simulate:'simulate a camera network: event lines and their ground truth'
@@ -147,6 +151,21 @@ _shtab_camtopod_export_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_camtopod_export_defaults_added=0
 
+_shtab_camtopod_forget_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--take-back[accept events of this forgotten name again, as of a new camera]"
+  "--state[change this state directory, which no daemon may use, and ask no daemon\; without --state, that of the configuration is changed if no bus is reached]:DIR:_files -/"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
+  ":the camera:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_camtopod_forget_defaults_added=0
+
 _shtab_camtopod_grab_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--camera[the camera\'s id, \[A-Za-z0-9_.-\]\{1,64\}]:ID:"
@@ -214,6 +233,22 @@ _shtab_camtopod_init_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_camtopod_init_defaults_added=0
+
+_shtab_camtopod_judge_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--state[change this state directory, which no daemon may use, and ask no daemon\; without --state, that of the configuration is changed if no bus is reached]:DIR:_files -/"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
+  ":a camera, or a zone CAMERA\/N:"
+  ":a camera, or a zone CAMERA\/N:"
+  ":none takes an earlier word back:(right wrong none)"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_camtopod_judge_defaults_added=0
 
 _shtab_camtopod_keys_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -353,6 +388,21 @@ _shtab_camtopod_predict_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_camtopod_predict_defaults_added=0
 
+_shtab_camtopod_rename_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--state[change this state directory, which no daemon may use, and ask no daemon\; without --state, that of the configuration is changed if no bus is reached]:DIR:_files -/"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
+  ":the camera\'s name so far:"
+  ":its new name, which no other has:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_camtopod_rename_defaults_added=0
+
 _shtab_camtopod_report_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--out[write to FILE (default\: standard output)]:FILE:_files"
@@ -368,6 +418,20 @@ _shtab_camtopod_report_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_camtopod_report_defaults_added=0
+
+_shtab_camtopod_reset_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--yes[do not ask for confirmation]"
+  "--state[change this state directory, which no daemon may use, and ask no daemon\; without --state, that of the configuration is changed if no bus is reached]:DIR:_files -/"
+  "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
+  "--site[name of the site, the second part of every key on the bus]:NAME:"
+  "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[format of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "--log-level[least important messages to show (default\: info)]:log_level:(debug info warning error)"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_camtopod_reset_defaults_added=0
 
 _shtab_camtopod_run_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -501,13 +565,17 @@ _shtab_camtopod() {
         demo) _arguments -C -s $_shtab_camtopod_demo_options ;;
         doctor) _arguments -C -s $_shtab_camtopod_doctor_options ;;
         export) _arguments -C -s $_shtab_camtopod_export_options ;;
+        forget) _arguments -C -s $_shtab_camtopod_forget_options ;;
         grab) _arguments -C -s $_shtab_camtopod_grab_options ;;
         ingest) _arguments -C -s $_shtab_camtopod_ingest_options ;;
         init) _arguments -C -s $_shtab_camtopod_init_options ;;
+        judge) _arguments -C -s $_shtab_camtopod_judge_options ;;
         keys) _shtab_camtopod_keys ;;
         learn) _arguments -C -s $_shtab_camtopod_learn_options ;;
         predict) _arguments -C -s $_shtab_camtopod_predict_options ;;
+        rename) _arguments -C -s $_shtab_camtopod_rename_options ;;
         report) _arguments -C -s $_shtab_camtopod_report_options ;;
+        reset) _arguments -C -s $_shtab_camtopod_reset_options ;;
         run) _arguments -C -s $_shtab_camtopod_run_options ;;
         schema) _arguments -C -s $_shtab_camtopod_schema_options ;;
         simulate) _arguments -C -s $_shtab_camtopod_simulate_options ;;

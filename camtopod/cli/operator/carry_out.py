@@ -1,0 +1,95 @@
+"""Carry out an operator's command: by the daemon of the site or, if none runs, in its state."""
+
+from __future__ import annotations
+
+import argparse
+import re
+
+from camtopod import codec
+from camtopod.admin import Command
+from camtopod.cli import exits
+from camtopod.cli.common import configuration, start_logging
+from camtopod.cli.exits import CommandError
+from camtopod.cli.site_choice import right_site
+from camtopod.config import Config
+from camtopod.records import CAMERA_PATTERN
+from camtopod.serve import Done, carry_out_offline, parameters_of
+from camtopod.serve.bus import Bus, BusError, QueryError, dial
+from camtopod.serve.ingest import CommandRefused
+from camtopod.serve.runtime import clock
+from camtopod.serve.storage import StateError
+
+ANSWER_SECONDS = 30.0
+"""Longest wait for the daemon's answer; it answers when the command is on its disk."""
+CAMERA_NAME = "1 to 64 of the characters A-Z a-z 0-9 _ . -"
+
+
+def add_state_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names a state directory instead of a daemon."""
+    parser.add_argument(
+        "--state",
+        metavar="DIR",
+        help="change this state directory, which no daemon may use, and ask no daemon; without "
+        "--state, that of the configuration is changed if no bus is reached",
+    )
+
+
+def camera(name: str) -> str:
+    """Return a camera's name from the command line; for argparse."""
+    if not re.match(CAMERA_PATTERN, name):
+        raise argparse.ArgumentTypeError(f"{name!r} is no camera id: use {CAMERA_NAME}")
+    return name
+
+
+def carry_out(args: argparse.Namespace, command: Command) -> int:
+    """Carry out a command, print what was done, and return the exit status.
+
+    The site is that of ``--site`` or of the configuration, never another one. Raises
+    `CommandError`.
+    """
+    start_logging(args)
+    config = configuration(args)
+    if args.state is None:
+        try:
+            bus = dial(config)
+        except BusError as error:
+            # Without a daemon, its state can be changed, unless it was looked for elsewhere.
+            if args.connect or not (config.state_directory / "journal.db").exists():
+                raise CommandError(str(error), exits.BUS) from None
+        else:
+            with bus:
+                print(_asked(bus, config, command))
+            return exits.DONE
+    print(_offline(config, command))
+    return exits.DONE
+
+
+def _asked(bus: Bus, config: Config, command: Command) -> str:
+    """Return the daemon's answer to a command. Raises `CommandError`."""
+    key, parameters = parameters_of(command)
+    try:
+        answers = bus.query(key, parameters, ANSWER_SECONDS, one=True)
+    except QueryError as error:
+        raise CommandError(str(error)) from None
+    if answers:
+        return codec.read(Done, answers[0][1], pack=True).done
+    certificate = (
+        "; with certificates, only that of the daemon may do this" if config.bus.tls.ca else ""
+    )
+    raise CommandError(
+        f"no daemon of site {bus.site} answers at {bus.endpoint}{right_site(bus, config)}"
+        f"{certificate}",
+        exits.BUS,
+    )
+
+
+def _offline(config: Config, command: Command) -> str:
+    """Carry out a command in the state directory; return what was done. Raises `CommandError`."""
+    directory = config.state_directory
+    try:
+        said = carry_out_offline(directory, command, config.keep, clock.wall())
+    except StateError as error:
+        raise CommandError(str(error), exits.STATE) from None
+    except CommandRefused as error:
+        raise CommandError(str(error)) from None
+    return f"{said}; stored in {directory}, for the next `camtopod run`"

@@ -1,0 +1,34 @@
+"""`camtopod forget`: a camera and all that was learned of it leaves the site."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from camtopod.admin import Forget, TakeBack
+from camtopod.cli.operator.carry_out import add_state_option, camera, carry_out
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add `forget`."""
+    parser = subparsers.add_parser(
+        "forget",
+        help="remove a camera and all that was learned of it",
+        description="Removes a camera from the site: its zones, links, counters and events. The "
+        "next version, made at once, is without it. Events that still come under its name are "
+        "refused until the name is taken back. For a camera that goes on under another name, use "
+        "rename.",
+        epilog="example: camtopod --site hq forget lobby",
+    )
+    parser.add_argument("camera", type=camera, metavar="CAMERA", help="the camera")
+    parser.add_argument(
+        "--take-back",
+        action="store_true",
+        help="accept events of this forgotten name again, as of a new camera",
+    )
+    add_state_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Forget the camera, or take that back."""
+    return carry_out(args, (TakeBack if args.take_back else Forget)(args.camera))

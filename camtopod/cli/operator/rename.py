@@ -1,0 +1,29 @@
+"""`camtopod rename`: what was learned of a camera goes on under another name."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from camtopod.admin import Rename
+from camtopod.cli.operator.carry_out import add_state_option, camera, carry_out
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add `rename`."""
+    parser = subparsers.add_parser(
+        "rename",
+        help="let what was learned of a camera go on under another name",
+        description="Renames a camera: its zones, links, events and clock offset go on under the "
+        "new name. Events that still come under the old name count for the new one, until the "
+        "first comes under the new name; from then on the old name is refused, as after forget.",
+        epilog="example: camtopod --site hq rename lobby entrance",
+    )
+    parser.add_argument("old", type=camera, metavar="OLD", help="the camera's name so far")
+    parser.add_argument("new", type=camera, metavar="NEW", help="its new name, which no other has")
+    add_state_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Rename the camera."""
+    return carry_out(args, Rename(args.old, args.new))

@@ -1,0 +1,168 @@
+"""Operators' commands are replayed like events: killed at any moment, the versions are the same."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import pytest
+from test_recovery import EVENTS, Installation, Start, start
+
+from camtopod.admin import Command, Forget, Judge, Rename, Reset, TakeBack
+from camtopod.codec import read, to_msgpack
+from camtopod.records import Topology
+from camtopod.serve.ingest import Names, Received, known_site, read_names
+from camtopod.serve.learner_process import recent_events
+from camtopod.serve.storage import NAMES_KEY, Entry
+
+__all__ = ["start"]
+
+AT = 120
+"""Number of events before the command."""
+RESET = Reset(EVENTS[AT].t)
+COMMANDS = [Forget("b"), Rename("b", "yard"), Judge("a", "b", "wrong"), TakeBack("x"), RESET]
+
+
+def give(one: Installation, command: Command, learn: bool = True) -> None:
+    """Store a command as the receiver does, and learn it."""
+    site = known_site(None, "abc", "abcx", None)
+    if isinstance(command, Reset):
+        command = Reset(command.t, one.learning.epoch, one.new_epoch())
+    names = Names(read_names(one.journal.meta(NAMES_KEY)), lambda: 1.0)
+    if isinstance(command, TakeBack):
+        received = names.carry_out(Forget("x"), site)[0]
+        one.journal.commit([received.entry], meta={NAMES_KEY: received.names or ""})
+        one.learning.feed([received])
+    names.state = read_names(one.journal.meta(NAMES_KEY))
+    if isinstance(command, Judge):
+        site = site._replace(zones={"a/1"})
+    received = names.carry_out(command, site)[0]
+    one.journal.commit([received.entry], meta={NAMES_KEY: received.names or ""})
+    if learn:
+        one.learning.feed([received])
+        one.run()
+
+
+def rest(one: Installation) -> None:
+    """Learn the other events, as far as the receiver would pass them on."""
+    names = Names(read_names(one.journal.meta(NAMES_KEY)), lambda: 1.0)
+    passed = [
+        entry
+        for event in EVENTS[AT:]
+        for entry in names.apply(
+            Received(Entry("event", event.camera, event.boot, event.seq, to_msgpack(event)), event)
+        )
+    ]
+    one.journal.commit([received.entry for received in passed])
+    one.learning.feed(passed)
+    one.run()
+
+
+def unbroken(directory: Path, command: Command) -> list[tuple[str, int, str]]:
+    with contextlib.closing(Installation(directory)) as one:
+        one.learn(EVENTS[:AT])
+        give(one, command)
+        rest(one)
+        return one.published
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("snapshot_events", [50, 10**9])
+def test_killed_after_a_command_the_versions_are_the_same(
+    command: Command, snapshot_events: int, start: Start, tmp_path: Path
+) -> None:
+    expected = unbroken(tmp_path / "unbroken", command)
+    one = start(snapshot_events=snapshot_events)
+    one.learn(EVENTS[:AT])
+    published = one.published
+    give(one, command, learn=False)  # stored, and killed before it was learned
+    one = start(snapshot_events=snapshot_events)
+    one.run()
+    published += one.published
+    one = start(snapshot_events=snapshot_events)  # killed after it was learned
+    rest(one)
+    published += one.published
+    assert published == expected
+
+    # From the first entry on, the same versions follow once more, and none is new.
+    one.journal._db.execute("DELETE FROM snapshot")
+    replayed = start()
+    assert replayed.started_at == 0
+    replayed.run()
+    assert replayed.published == []
+    assert replayed.learning.epoch == expected[-1][0]
+
+
+def newest(one: Installation) -> Topology:
+    content = one.journal.newest_version()
+    assert content is not None
+    return read(Topology, content)
+
+
+def test_a_forgotten_camera_is_in_no_later_version_whatever_comes(start: Start) -> None:
+    one = start()
+    one.learn(EVENTS[:AT])
+    assert "b" in {camera.id for camera in newest(one).cameras}
+    give(one, Forget("b"))
+    assert {camera.id for camera in newest(one).cameras} == {"a", "c"}
+    rest(one)
+    assert "b" not in {camera.id for camera in newest(one).cameras}
+    assert {event.camera for event in recent_events(one.journal)} <= {"a", "c", "late"}
+
+
+def test_a_renamed_camera_goes_on_in_the_journal(start: Start) -> None:
+    one = start()
+    one.learn(EVENTS[:AT])
+    give(one, Rename("b", "yard"))
+    rest(one)
+    assert {camera.id for camera in newest(one).cameras} == {"a", "c", "yard"}
+    assert "b" not in {event.camera for event in recent_events(one.journal)}
+    streams = {camera for camera, _ in one.journal.streams()}
+    assert "b" in streams, "acknowledged under the old name"
+    assert "yard" not in streams
+
+
+def test_a_reset_begins_an_epoch_with_an_empty_version(start: Start) -> None:
+    one = start()
+    one.learn(EVENTS[:AT])
+    before = len(one.published)
+    give(one, RESET)
+    [(epoch, version, _)] = one.published[before:]
+    assert (epoch, version, newest(one).cameras) == ("F", 1, [])
+    assert recent_events(one.journal) == []
+    rest(one)
+    last = newest(one)
+    assert (last.epoch, last.cameras != []) == ("F", True)
+    assert last.events <= len(EVENTS) - AT
+
+
+def test_two_resets_before_anything_is_learned(start: Start) -> None:
+    one = start()
+    one.learn(EVENTS[:AT])
+    give(one, RESET, learn=False)
+    give(one, RESET, learn=False)
+    one = start()
+    one.run()
+    one.learn(EVENTS[AT:])
+    assert one.learning.epoch == "G"
+    published = {epoch: one.journal.versions(epoch) for epoch in "EFG"}
+    one.journal._db.execute("DELETE FROM snapshot")
+    again = start()
+    again.run()
+    assert again.published == []
+    assert {epoch: again.journal.versions(epoch) for epoch in "EFG"} == published
+
+
+def test_a_reset_of_an_epoch_that_was_not_reproduced_counts_on(start: Start) -> None:
+    """A version has never two contents."""
+    one = start()
+    one.learn(EVENTS[:AT])
+    give(one, RESET)
+    one.journal._db.execute("DELETE FROM snapshot")
+    one.journal._db.execute("UPDATE entry SET raw = x'00' WHERE id BETWEEN 20 AND 60")
+    again = start()
+    again.run()
+    assert {epoch for epoch, _, _ in again.published} == {"G"}
+    numbers = [version for _, version, _ in again.published]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert newest(again).cameras == []
