@@ -676,6 +676,25 @@ def test_without_limits_the_same_arrives(cleanup: contextlib.ExitStack) -> None:
     unlimited.hears(f"put {HQ}/event/cam1")
 
 
+@pytest.mark.parametrize("own", ["camera/cam1", "reader/wall"])
+def test_only_the_daemons_certificate_gives_commands(
+    own: str, keys: Keys, guarded: RealDaemon, cleanup: contextlib.ExitStack
+) -> None:
+    stranger, observer = puppet(cleanup), puppet(cleanup)
+    assert stranger.open(**client(guarded.endpoint), **keys.tls(own))
+    assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
+    ask = f"{HQ}/admin/forget?camera=nobody"
+    wait_for(
+        lambda: any("there is no camera nobody" in one for one in observer.do("ask", key=ask)),
+        "the answer to the daemon's certificate",
+    )
+    for key in (ask, f"{HQ}/admin/reset", f"{HQ}/admin/*", f"{HQ}/**"):
+        stranger.do("ask", key=key, seconds=0.5)
+    answers = [stranger.do("ask", key=key, seconds=0.5) for key in (ask, f"{HQ}/admin/reset")]
+    assert answers == [[], []]
+    assert status(observer)["names"]["reset"] is None
+
+
 # --- what listens, and what is said about it
 # --------------------------------------------------------
 

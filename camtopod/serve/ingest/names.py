@@ -24,7 +24,7 @@ from camtopod.admin import Command, Forget, Judge, Judgement, Rename, Reset, Tak
 from camtopod.records import Topology
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.storage import Entry, command_entry, reset_entry
-from camtopod.topology import camera_of, judged, with_new_name, without_camera
+from camtopod.topology import camera_of, judged, renamed, with_new_name, without_camera
 
 log = logging.getLogger(__name__)
 
@@ -109,6 +109,7 @@ def carried_out(
 
     Raises `CommandRefused`.
     """
+    site = _present(site, state)
     match command:
         case Forget(camera):
             return _forget(state, camera, site, now)
@@ -126,9 +127,24 @@ def carried_out(
             )
 
 
+def _present(site: KnownSite, state: NamesState) -> KnownSite:
+    """Return what is known of a site with the names in force, which may be newer."""
+
+    def present(place: str) -> str:
+        camera = camera_of(place)
+        return renamed(place, camera, state.aliases.get(camera, camera))
+
+    cameras = {present(camera) for camera in {*site.cameras, *state.aliases}}
+    return site._replace(
+        cameras=cameras - state.forgotten.keys(),
+        zones={present(zone) for zone in site.zones},
+        links={(present(a), present(b)) for a, b in site.links},
+    )
+
+
 def _forget(state: NamesState, camera: str, site: KnownSite, now: float) -> tuple[NamesState, str]:
     if camera not in site.cameras | site.heard | state.aliases.keys():
-        raise CommandRefused(f"there is no camera {camera}; {_there(state, site)}")
+        raise CommandRefused(f"there is no camera {camera}; {_there(site)}")
     forgotten, aliases = dict(state.forgotten), dict(state.aliases)
 
     # Forget its old names, too: events under them would count for it.
@@ -166,12 +182,12 @@ def _rename(state: NamesState, old: str, new: str, site: KnownSite) -> tuple[Nam
     if old in state.forgotten:
         raise CommandRefused(f"{old} is forgotten: nothing that was learned of it is left")
     if old not in site.cameras | site.heard:
-        raise CommandRefused(f"there is no camera {old}; {_there(state, site)}")
+        raise CommandRefused(f"there is no camera {old}; {_there(site)}")
 
     # The new name must be free; a camera may get back a name that it had.
     if state.aliases.get(new, old) != old:
         raise CommandRefused(f"{new} is the old name of {state.aliases[new]}: forget {new} first")
-    if new in site.cameras and new not in state.aliases and new not in state.forgotten:
+    if new in site.cameras:
         raise CommandRefused(
             f"there is a camera {new} already; if what was learned of it may go, `camtopod forget"
             f" {new}` first, and then rename"
@@ -193,10 +209,9 @@ def _rename(state: NamesState, old: str, new: str, site: KnownSite) -> tuple[Nam
 
 def _judge(state: NamesState, command: Judge, site: KnownSite) -> tuple[NamesState, str]:
     ends = (command.source, command.target)
-    cameras = site.cameras - state.forgotten.keys() - state.aliases.keys()
     for place in ends:
-        if camera_of(place) not in cameras:
-            raise CommandRefused(f"there is no camera {camera_of(place)}; {_there(state, site)}")
+        if camera_of(place) not in site.cameras:
+            raise CommandRefused(f"there is no camera {camera_of(place)}; {_there(site)}")
         if "/" in place and place not in site.zones:
             zones = {zone for zone in site.zones if camera_of(zone) == camera_of(place)}
             raise CommandRefused(f"there is no zone {place}; there are {_listed(zones) or 'none'}")
@@ -228,10 +243,9 @@ def _check_room(forgotten: dict[str, float], aliases: dict[str, str]) -> None:
         )
 
 
-def _there(state: NamesState, site: KnownSite) -> str:
+def _there(site: KnownSite) -> str:
     """Return the cameras that there are, in words."""
-    names = site.cameras - state.forgotten.keys() - state.aliases.keys()
-    return f"there are {_listed(names)}" if names else "none is known yet"
+    return f"there are {_listed(site.cameras)}" if site.cameras else "none is known yet"
 
 
 def _listed(names: Iterable[str]) -> str:

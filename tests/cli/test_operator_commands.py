@@ -1,0 +1,268 @@
+"""`camtopod forget`, `rename`, `judge`, `reset`: by a daemon, and in a state directory."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from fake_bus_daemon import put, running
+from serving import (
+    camtopod,
+    closing_event,
+    free_endpoint,
+    numbered,
+    small_config,
+    wait_for,
+    walkers,
+)
+
+from camtopod.cli import exits
+from camtopod.cli.main import main
+from camtopod.codec import to_json
+from camtopod.config import KeepSettings
+from camtopod.serve import RecordedState
+from camtopod.serve.bus import dial
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.ingest import read_names
+from camtopod.serve.storage import NAMES_KEY, Journal
+
+EVENTS = [*numbered(walkers(60)), closing_event()]
+
+
+def cameras(daemon: Daemon) -> set[str]:
+    topology = daemon.topology
+    return set() if topology is None else {camera.id for camera in topology.cameras}
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[Daemon]:
+    with running(tmp_path / "hq", free_endpoint(), site="hq") as one:
+        with dial(small_config(tmp_path, one.endpoint)) as bus:
+            bus.site = "hq"
+            put(bus, *EVENTS)
+            wait_for(lambda: set("abc") <= cameras(one), "three cameras")
+        yield one
+
+
+def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    capsys.readouterr()
+    status = main(["--config", "none", *arguments])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def test_the_commands_reach_the_daemon(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
+    hq = ("--connect", daemon.endpoint, "--site", "hq")
+    status, out, _ = told(capsys, *hq, "forget", "b")
+    assert (status, out.startswith("b is forgotten")) == (0, True)
+    wait_for(lambda: "b" not in cameras(daemon), "the version")
+    assert told(capsys, *hq, "forget", "b", "--take-back")[0] == 0
+    assert told(capsys, *hq, "rename", "c", "yard")[0] == 0
+    wait_for(lambda: "yard" in cameras(daemon), "the version")
+    assert told(capsys, *hq, "judge", "a", "yard", "right")[0] == 0
+    epoch = daemon.epoch
+    assert told(capsys, *hq, "reset", "--yes")[0] == 0
+    wait_for(lambda: daemon.epoch > epoch and not cameras(daemon), "the reset")
+
+
+def test_a_site_that_was_not_named_is_left_alone(
+    daemon: Daemon, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = told(capsys, "--connect", daemon.endpoint, "forget", "b")
+    assert (status, out) == (exits.BUS, "")
+    assert "no daemon of site site answers" in err
+    assert "there is one of site hq: add --site hq" in err
+    assert "b" in cameras(daemon)
+
+
+def test_what_the_daemon_refuses_is_said(
+    daemon: Daemon, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hq = ("--connect", daemon.endpoint, "--site", "hq")
+    status, out, err = told(capsys, *hq, "forget", "bb")
+    assert (status, out) == (exits.FAILED, "")
+    assert "there is no camera bb; there are a, b, c" in err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["forget"],
+        ["forget", "a/1"],
+        ["rename", "a"],
+        ["rename", "a", "b c"],
+        ["judge", "a", "b", "maybe"],
+        ["judge", "a/x", "b", "right"],
+    ],
+)
+def test_wrong_usage(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == exits.USAGE
+
+
+def test_a_reset_has_to_be_confirmed(
+    daemon: Daemon, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hq = ("--connect", daemon.endpoint, "--site", "hq")
+    monkeypatch.setattr(sys, "stdin", io.StringIO("hq\n"))
+    status, _, err = told(capsys, *hq, "reset")
+    assert (status, "confirm it with --yes" in err) == (exits.USAGE, True)
+
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr(sys, "stdin", Terminal("no\n"))
+    assert told(capsys, *hq, "reset")[0] == exits.FAILED
+    assert set("abc") <= cameras(daemon)
+    monkeypatch.setattr(sys, "stdin", Terminal("hq\n"))
+    assert told(capsys, *hq, "reset")[0] == exits.DONE
+
+
+# --- without a daemon -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def state(tmp_path: Path) -> Path:
+    """Return the state directory of a daemon that has stopped."""
+    with (
+        running(tmp_path / "hq", free_endpoint()) as one,
+        dial(small_config(tmp_path, one.endpoint)) as bus,
+    ):
+        put(bus, *EVENTS)
+        wait_for(lambda: set("abc") <= cameras(one), "three cameras")
+    return tmp_path / "hq" / "state"
+
+
+def restarted(state: Path) -> set[str]:
+    """Return the cameras that a daemon has which starts there again and learns the rest."""
+    journal = Journal(state)
+    entries = len(journal)
+    journal.close()
+    with running(state.parent, free_endpoint()) as one:
+        wait_for(lambda: one._learning.position >= entries, "the journal to be learned")
+        wait_for(
+            lambda: one.status()["learner"]["version"] == one.status()["version"],
+            "the version to be published",
+        )
+        return cameras(one)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "left"),
+    [
+        (["forget", "b"], {"a", "c"}),
+        (["rename", "b", "yard"], {"a", "c", "yard"}),
+        (["judge", "a", "b", "wrong"], {"a", "b", "c"}),
+        (["reset", "--yes"], set()),
+    ],
+)
+def test_without_a_daemon_the_state_is_changed(
+    arguments: list[str], left: set[str], state: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = told(capsys, *arguments, "--state", str(state))
+    assert (status, err) == (0, "")
+    assert f"stored in {state}, for the next `camtopod run`" in out
+    assert restarted(state) == left
+
+
+def test_that_of_the_configuration_is_used_if_no_bus_is_reached(
+    state: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "camtopod.toml"
+    config.write_text(
+        f'[state]\ndirectory = "{state}"\n'
+        f'[bus]\nlisten = ["{free_endpoint()}"]\nconnect_seconds = 0.1\n'
+    )
+    assert main(["--config", str(config), "forget", "b"]) == 0
+    assert str(state) in capsys.readouterr().out
+    assert restarted(state) == {"a", "c"}
+    # Another bus was named: its daemon cannot be replaced by the state on this machine.
+    elsewhere = ("--config", str(config), "--connect", free_endpoint())
+    assert main([*elsewhere, "forget", "c"]) == exits.BUS
+
+
+def test_commands_follow_each_other(state: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    there = ("--state", str(state))
+    assert told(capsys, "rename", "b", "yard", *there)[0] == 0
+    assert "b was renamed to yard" in told(capsys, "rename", "b", "x", *there)[2]
+    assert told(capsys, "forget", "yard", *there)[0] == 0
+    assert told(capsys, "reset", "--yes", *there)[0] == 0
+    assert "none is known yet" in told(capsys, "judge", "a", "c", "right", *there)[2]
+    assert restarted(state) == set()
+
+
+def test_a_state_in_use_is_left_alone(
+    daemon: Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    state = tmp_path / "hq" / "state"
+    status, out, err = told(capsys, "forget", "b", "--state", str(state))
+    assert (status, out) == (exits.STATE, "")
+    assert f"a daemon uses {state}" in err
+
+
+def test_no_state_is_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, _, err = told(capsys, "forget", "b", "--state", str(tmp_path / "none"))
+    assert (status, "there is no state of a daemon" in err) == (exits.STATE, True)
+    assert not (tmp_path / "none").exists()
+
+
+def test_the_state_of_a_shard_is_left_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "shard-0-of-2").mkdir()
+    status, _, err = told(capsys, "forget", "b", "--state", str(tmp_path))
+    assert (status, "a site in shards takes no commands" in err) == (exits.STATE, True)
+
+
+def test_a_recorded_state_can_be_changed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with RecordedState(tmp_path / "state", KeepSettings(), 1.7e9) as recorded:
+        for event in EVENTS:
+            recorded.add(event)
+        recorded._commit()
+    assert told(capsys, "forget", "b", "--state", str(tmp_path / "state"))[0] == 0
+
+
+# --- kill -9 --------------------------------------------------------------------------------------
+
+
+def test_what_was_answered_survives_a_kill(tmp_path: Path) -> None:
+    """The daemon is killed as soon as the command has printed its answer."""
+    state, lines = tmp_path / "state", tmp_path / "events.jsonl"
+    lines.write_bytes(b"".join(to_json(event) + b"\n" for event in EVENTS))
+    for number in range(3):
+        endpoint = free_endpoint()
+        config = tmp_path / "camtopod.toml"
+        config.write_text(f'[bus]\nlisten = ["{endpoint}"]\n[state]\ndirectory = "{state}"\n')
+        common = ("--config", str(config))
+        run = camtopod(*common, "run", stderr=subprocess.PIPE)
+        assert run.stderr is not None
+        for line in run.stderr:
+            if re.search(rb"ready at", line):
+                break
+        if not number:
+            ingest = camtopod(*common, "ingest", "jsonl", str(lines), stderr=subprocess.PIPE)
+            ingest.communicate(timeout=60)
+        name = "abc"[number]
+        forget = camtopod(*common, "forget", name, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        assert forget.stdout is not None
+        assert forget.stdout.readline().startswith(f"{name} is forgotten".encode())
+        os.kill(run.pid, signal.SIGKILL)
+        run.communicate(timeout=60)
+        forget.communicate(timeout=60)
+
+    journal = Journal(state)
+    forgotten = read_names(journal.meta(NAMES_KEY)).forgotten
+    commands = [entry for _, entry in journal.entries() if entry and entry.kind == "command"]
+    journal.close()
+    assert (set(forgotten), len(commands)) == ({"a", "b", "c"}, 3)

@@ -1,0 +1,362 @@
+"""Operators' commands to a daemon on a real bus: forget, rename, judge, reset."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+from serving import T0, closing_event, numbered, small_config, wait_for, walkers
+from test_daemon import NOW, Site, journal_of, put
+
+from camtopod import codec
+from camtopod.admin import Command, Forget, Judge, Rename, Reset, TakeBack
+from camtopod.records import Delta, Event
+from camtopod.serve import Done, parameters_of
+from camtopod.serve.admin_queries import command_of
+from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.ingest import names as names_module
+from camtopod.serve.ingest import receiver as receiver_module
+from camtopod.sharding.assignment import Sharding
+from camtopod.topology import apply_delta
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Iterator[Site]:
+    one = Site(tmp_path)
+    yield one
+    one.close()
+
+
+def ask(bus: Bus, command: Command) -> str:
+    key, parameters = parameters_of(command)
+    [(_, answer)] = bus.query(key, parameters, one=True)
+    return codec.read(Done, answer, pack=True).done
+
+
+def learned(daemon: Daemon, bus: Bus) -> None:
+    """Teach the daemon three cameras."""
+    put(bus, *numbered(walkers(60)), closing_event())
+    wait_for(lambda: set("abc") <= cameras(daemon), "three cameras")
+
+
+def cameras(daemon: Daemon) -> set[str]:
+    topology = daemon.topology
+    return set() if topology is None else {camera.id for camera in topology.cameras}
+
+
+def followed(view: TopologySubscriber, daemon: Daemon) -> bool:
+    view.update()
+    return view.topology == daemon.topology
+
+
+def fresh(camera: str, number: int, kind: str = "entry") -> Event:
+    """Return an event after all that `learned` has sent."""
+    return Event(camera, kind, NOW - 100.0 + number, 0.5, 0.5, str(number))  # type: ignore[arg-type]
+
+
+# --- forget ---------------------------------------------------------------------------------------
+
+
+def test_a_forgotten_camera_leaves_at_once_and_its_spool_empties(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    learned(daemon, bus)
+    view = TopologySubscriber(bus)
+    view.wait_for(1, 10)
+    said = ask(bus, Forget("b"))
+    assert said.startswith("b is forgotten")
+    wait_for(lambda: "b" not in cameras(daemon), "the next version")
+    wait_for(lambda: followed(view, daemon), "it to be followed")
+    assert "b" not in daemon.status()["cameras"]
+
+    # Its events are refused and acknowledged; those of others are not.
+    publisher, spool = site.publisher(site.client(daemon))
+    acks = []
+    publisher.on_ack = acks.append
+    with caplog.at_level(logging.WARNING):
+        publisher.publish(*(fresh("b", n) for n in range(20)), *(fresh("a", n) for n in range(5)))
+        assert publisher.wait_acknowledged(10)
+    assert len(spool) == 0
+    assert max(ack.refused for ack in acks if (ack.camera, ack.boot) == ("b", spool.boot)) == 20
+    assert caplog.text.count("events of b are refused, as this name is forgotten") == 1
+    status = daemon.status()
+    assert status["names"]["forgotten"] == {"b": 20}
+    assert "b" not in status["cameras"]
+    assert cameras(daemon) & {"a", "b"} == {"a"}
+
+    # Taken back, it is a new camera.
+    assert "accepted again" in ask(bus, TakeBack("b"))
+    publisher.publish(*(fresh("b", 30 + n) for n in range(3)))
+    wait_for(lambda: daemon.status()["cameras"].get("b", {}).get("events") == 3, "its events")
+    assert daemon.status()["names"]["forgotten"] == {}
+
+
+def test_a_forgotten_name_is_refused_after_a_restart(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    learned(daemon, bus)
+    ask(bus, Forget("b"))
+    wait_for(lambda: "b" not in cameras(daemon), "the next version")
+    daemon.stop()
+    daemon = site.daemon()
+    assert "b" not in cameras(daemon)
+    put(site.client(daemon), *numbered([fresh("b", n) for n in range(3)], "later"))
+    wait_for(lambda: daemon.status()["names"]["forgotten"] == {"b": 3}, "them to be refused")
+    assert [row[0] for row in journal_of_stopped(site, daemon)[-3:]] == ["refused"] * 3
+
+
+def journal_of_stopped(site: Site, daemon: Daemon) -> list[tuple[str, str, str | None, int | None]]:
+    daemon.stop()
+    return journal_of(site)
+
+
+# --- rename ---------------------------------------------------------------------------------------
+
+
+def test_a_renamed_camera_goes_on_whichever_name_its_grabber_uses(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    learned(daemon, bus)
+    topology = daemon.topology
+    assert topology is not None
+    zones = {zone.id for zone in topology.zones if zone.camera == "b"}
+    assert "b goes on as yard" in ask(bus, Rename("b", "yard"))
+    wait_for(lambda: "yard" in cameras(daemon), "the next version")
+    topology = daemon.topology
+    assert topology is not None
+    renamed = {zone.id.replace("yard/", "b/") for zone in topology.zones if zone.camera == "yard"}
+    assert renamed == zones
+
+    # Its grabber still has the old name, and publishes an event twice.
+    publisher, spool = site.publisher(site.client(daemon))
+    publisher.publish(*(fresh("b", n) for n in range(10)))
+    assert publisher.wait_acknowledged(10), "acknowledged under the old name"
+    before = daemon.status()["cameras"]["yard"]["events"]
+    put(bus, msgspec.structs.replace(fresh("b", 9), boot=spool.boot, seq=9))
+    wait_for(lambda: daemon.status()["events"]["duplicate"] == 1, "the duplicate")
+    status = daemon.status()
+    assert status["cameras"]["yard"] == {**status["cameras"]["yard"], "events": before, "alive": 1}
+    assert "b" not in status["cameras"]
+    assert status["names"]["renamed"] == {"b": "yard"}
+
+    # It gets the new name: from then on the old one is refused.
+    put(bus, *numbered([fresh("yard", 20), fresh("b", 21)], "new"))
+    wait_for(lambda: daemon.status()["names"]["forgotten"] == {"b": 1}, "the old name to end")
+    status = daemon.status()
+    assert status["names"]["renamed"] == {}
+    assert status["cameras"]["yard"]["events"] == before + 1
+    assert status["events"]["contradicted"] == 0
+    kinds = [row[0] for row in journal_of_stopped(site, daemon)]
+    assert kinds[-4:] == ["event", "command", "event", "refused"]
+
+
+def test_an_alias_is_known_after_a_restart(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    learned(daemon, bus)
+    ask(bus, Rename("b", "yard"))
+    daemon.stop()
+    daemon = site.daemon()
+    wait_for(lambda: "yard" in cameras(daemon), "the version")
+    put(site.client(daemon), *numbered([fresh("b", n) for n in range(3)], "later"))
+    wait_for(lambda: daemon.status()["cameras"].get("yard", {}).get("events") == 3, "its events")
+
+
+def test_a_renamed_camera_can_get_its_name_back(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    learned(daemon, bus)
+    ask(bus, Rename("b", "yrad"))
+    ask(bus, Rename("yrad", "b"))
+    wait_for(lambda: {"b"} == cameras(daemon) & {"b", "yrad"}, "the name")
+    assert daemon.status()["names"]["renamed"] == {"yrad": "b"}
+
+
+@pytest.mark.parametrize(
+    ("command", "why"),
+    [
+        (Forget("x"), "there is no camera x; there are a, b, c"),
+        (TakeBack("b"), "b is not forgotten; forgotten names: none"),
+        (Rename("x", "y"), "there is no camera x"),
+        (Rename("b", "b"), "b has this name already"),
+        (Rename("b", "a"), "there is a camera a already"),
+        (Judge("a/1", "x/1", "right"), "there is no camera x"),
+        (Judge("a/1", "b/99", "right"), "there is no zone b/99; there are b/1"),
+        (Judge("a/1", "b", "right"), "not a zone and a camera"),
+    ],
+)
+def test_a_command_that_makes_no_sense_is_refused_with_the_reason(
+    command: Command, why: str, taught: tuple[Daemon, Bus]
+) -> None:
+    daemon, bus = taught
+    entries = daemon.status()["journal"]["entries"]
+    with pytest.raises(QueryError, match=why):
+        ask(bus, command)
+    assert daemon.status()["journal"]["entries"] == entries
+
+
+@pytest.mark.parametrize(
+    ("key", "parameters", "why"),
+    [
+        ("admin/format", {}, "there is no command admin/format; there are forget, rename"),
+        ("admin/forget", {}, "needs the parameter camera"),
+        ("admin/rename", {"old": "b"}, "needs the parameter new"),
+        ("admin/rename", {"old": "b", "new": "a b"}, "new"),
+        ("admin/judge", {"from": "a", "to": "b", "verdict": "maybe"}, "verdict"),
+    ],
+)
+def test_a_malformed_query_is_refused_with_the_reason(
+    key: str, parameters: dict[str, str], why: str, taught: tuple[Daemon, Bus]
+) -> None:
+    with pytest.raises(QueryError, match=why):
+        taught[1].query(key, parameters, one=True)
+
+
+def test_every_command_can_be_asked_for() -> None:
+    for command in (
+        Forget("b"),
+        TakeBack("b"),
+        Rename("a", "b"),
+        Judge("a/1", "b/2", "none"),
+        Reset(),
+    ):
+        assert command_of(*parameters_of(command)) == command
+
+
+@pytest.fixture(scope="module")
+def taught(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Daemon, Bus]]:
+    one = Site(tmp_path_factory.mktemp("taught"))
+    daemon = one.daemon()
+    bus = one.client(daemon)
+    learned(daemon, bus)
+    yield daemon, bus
+    one.close()
+
+
+def test_the_number_of_names_is_limited(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(names_module, "NAMES_MAX", 1)
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    learned(daemon, bus)
+    ask(bus, Forget("b"))
+    with pytest.raises(QueryError, match="take some back"):
+        ask(bus, Forget("c"))
+    assert daemon.status()["names"]["forgotten"] == {"b": 0}
+
+
+# --- judge ----------------------------------------------------------------------------------------
+
+
+def test_a_word_on_a_link_is_followed_by_its_delta(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    learned(daemon, bus)
+    before, deltas = daemon.topology, list[bytes]()
+    assert before is not None
+    bus.subscribe("topology/delta", lambda key, payload: deltas.append(payload))
+    said = ask(bus, Judge("a", "b", "wrong"))
+    assert said.startswith("a -> b is marked as wrong")
+    wait_for(lambda: len(deltas) > 0, "the delta")
+    after = apply_delta(before, codec.read(Delta, deltas[0], pack=True))
+    links = [*after.links, *(after.weak_links or [])]
+    marked = {(link.from_[0], link.to[0]) for link in links if link.operator == "wrong"}
+    assert (after, marked) == (daemon.topology, {("a", "b")})
+    assert daemon.status()["names"]["judged"] == 1
+
+
+def test_a_link_that_is_not_there_may_be_judged(taught: tuple[Daemon, Bus]) -> None:
+    said = ask(taught[1], Judge("c", "c", "right"))
+    assert "there is no such link now, it is marked if it appears" in said
+    assert "taken back" in ask(taught[1], Judge("c", "c", "none"))
+
+
+# --- reset ----------------------------------------------------------------------------------------
+
+
+def test_a_reset_begins_anew_and_events_of_before_do_not_count(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    learned(daemon, bus)
+    ask(bus, Forget("c"))
+    before = daemon.epoch
+    view = TopologySubscriber(bus)
+    view.wait_for(1, 10)
+    assert "the site begins anew" in ask(bus, Reset())
+    wait_for(lambda: daemon.epoch > before, "a new epoch")
+    wait_for(lambda: daemon.status()["version"] == 1, "an empty version")
+    assert (cameras(daemon), daemon.status()["cameras"]) == (set(), {})
+    wait_for(lambda: followed(view, daemon), "it to be followed")
+    status = daemon.status()
+    assert (status["names"]["forgotten"], status["names"]["reset"]) == ({}, NOW)
+    with pytest.raises(QueryError, match="none is known yet"):
+        ask(bus, Judge("a", "b", "right"))
+
+    # What was in a spool or under way is acknowledged and not learned.
+    publisher, _ = site.publisher(site.client(daemon))
+    publisher.publish(*(fresh("a", n) for n in range(5)))
+    assert publisher.wait_acknowledged(10)
+    assert daemon.status()["names"]["before_reset"] == 5
+    assert daemon.status()["cameras"] == {}
+
+    # What comes after it is: the first version is due with the first events.
+    site.now = NOW + 86_400.0
+    later = [msgspec.structs.replace(event, t=event.t - T0 + NOW + 600.0) for event in walkers(20)]
+    late = msgspec.structs.replace(closing_event(), t=NOW + 40_000.0)
+    put(bus, *numbered(later, "later"), late)
+    wait_for(lambda: set("abc") <= cameras(daemon), "a new beginning")
+    assert daemon.status()["epoch"] == daemon.epoch > before
+    daemon.stop()
+    again = site.daemon()
+    assert (again.epoch, set("abc") <= cameras(again)) == (daemon.epoch, True)
+
+
+# --- the disk, and large sites --------------------------------------------------------------------
+
+
+def test_other_queries_are_answered_while_a_command_waits_for_the_disk(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(receiver_module, "STORED_SECONDS_MAX", 1.0)
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    learned(daemon, bus)
+    refused: list[str] = []
+
+    def try_to() -> None:
+        try:
+            ask(bus, Forget("b"))
+        except QueryError as error:
+            refused.append(str(error))
+
+    with daemon._journal._mutex:  # the disk does not answer
+        asking = threading.Thread(target=try_to)
+        asking.start()
+        wait_for(lambda: daemon._receiver._queue.waiting > 0, "the command to be queued")
+        began = time.monotonic()
+        assert site.client(daemon).query("topology", one=True)
+        assert time.monotonic() - began < 1.0
+        asking.join()
+    assert "it is not stored after 1 s" in refused[0]
+    wait_for(lambda: "b" not in cameras(daemon), "it to be carried out all the same")
+
+
+def test_a_site_in_shards_refuses_commands_and_says_what_to_do(site: Site, tmp_path: Path) -> None:
+    config = msgspec.structs.replace(
+        small_config(tmp_path / "sharded"), shards=Sharding(districts=4)
+    )
+    daemon = Daemon(config, clock=lambda: NOW, shard=(0, 2))
+    daemon.start()
+    try:
+        bus = site.client(daemon)
+        with pytest.raises(QueryError, match="a site in shards takes no commands"):
+            ask(bus, Forget("b"))
+    finally:
+        daemon.stop()
