@@ -41,6 +41,7 @@ def to_nodelink(topology: Topology) -> str:
                 "transit": edge.transit,
                 "probability": edge.probability,
                 "transitions": edge.transitions,
+                **({"operator": edge.operator} if edge.operator else {}),
             }
             for edge in edges(topology)
         ],
