@@ -253,10 +253,14 @@ def busiest_links(topology: Topology | None) -> list[Link]:
 def transit(link: Link) -> str:
     """Return a link's transit time in words: median, and the range of four in five.
 
-    An operator's word on the link follows.
+    Where views overlap, an object appears in the second before it leaves the first. An operator's
+    word on the link follows.
     """
     word = f", said to be {link.operator}" if link.operator else ""
+    if link.transit.q50 < 0:
+        return f"overlap, {-link.transit.q50:.1f} s before{word}"
     return f"{link.transit.q50:.1f} ({link.transit.q10:.1f} to {link.transit.q90:.1f}) s{word}"
+
 
 
 def prediction_line(prediction: Prediction) -> str:
