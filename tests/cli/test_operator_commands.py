@@ -47,7 +47,7 @@ def daemon(tmp_path: Path) -> Iterator[Daemon]:
         with dial(small_config(tmp_path, one.endpoint)) as bus:
             bus.site = "hq"
             put(bus, *EVENTS)
-            wait_for(lambda: set("abc") <= cameras(one), "three cameras")
+            wait_for(lambda: all_out(one, len(EVENTS)), "all to be learned")
         yield one
 
 
@@ -138,7 +138,7 @@ def state(tmp_path: Path) -> Path:
         dial(small_config(tmp_path, one.endpoint)) as bus,
     ):
         put(bus, *EVENTS)
-        wait_for(lambda: set("abc") <= cameras(one), "three cameras")
+        wait_for(lambda: all_out(one, len(EVENTS)), "all to be learned")
     return tmp_path / "hq" / "state"
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from serving import T0, closing_event, numbered, small_config, wait_for, walkers
+from serving import T0, all_out, closing_event, numbered, small_config, wait_for, walkers
 from test_daemon import NOW, Site, journal_of, put
 
 from camtopod import codec
@@ -41,8 +41,10 @@ def ask(bus: Bus, command: Command) -> str:
 
 def learned(daemon: Daemon, bus: Bus) -> None:
     """Teach the daemon three cameras."""
-    put(bus, *numbered(walkers(60)), closing_event())
-    wait_for(lambda: set("abc") <= cameras(daemon), "three cameras")
+    events = [*numbered(walkers(60)), closing_event()]
+    put(bus, *events)
+    wait_for(lambda: all_out(daemon, len(events)), "all to be learned")
+    assert set("abc") <= cameras(daemon)
 
 
 def cameras(daemon: Daemon) -> set[str]:

@@ -262,7 +262,6 @@ def transit(link: Link) -> str:
     return f"{link.transit.q50:.1f} ({link.transit.q10:.1f} to {link.transit.q90:.1f}) s{word}"
 
 
-
 def prediction_line(prediction: Prediction) -> str:
     """Return one prediction in words: departure zone, views that see the object now, and next
     zones.
