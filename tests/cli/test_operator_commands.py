@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from fake_bus_daemon import put, running
 from serving import (
+    all_out,
     camtopod,
     closing_event,
     free_endpoint,

@@ -51,7 +51,7 @@ function _shtab_camtopod_using
 end
 
 set -g _shtab_camtopod_commands demo init grab run learn predict simulate watch web export report ingest bridge forget rename judge reset keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' schema check doctor completion
-set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --log-level --loiterers --lost --minutes --missed --moved --name --objects-per-second --one-way --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --seed --shard --show --site --size --slow-share --speed --speed-sd --start --state --top --topology --truth --u-turn --uneven --updates --zone-separation --zone-stretch
+set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --log-level --loiterers --lost --minutes --missed --moved --name --objects-per-second --one-way --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --seed --shard --show --site --size --slow-share --speed --speed-sd --start --state --top --topology --truth --u-turn --uneven --updates --user --zone-separation --zone-stretch
 
 complete -c camtopod -e
 complete -c camtopod -f
@@ -76,6 +76,9 @@ complete -c camtopod -n '_shtab_camtopod_using demo' -l log-format -xka "text lo
 complete -c camtopod -n '_shtab_camtopod_using demo' -l log-level -xka "debug info warning error" -d 'least important messages to show (default: info)'
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a init -d 'probe cameras and write a configuration'
 complete -c camtopod -n '_shtab_camtopod_using init' -s h -l help -d 'show this help message and exit'
+complete -c camtopod -n '_shtab_camtopod_using init' -l discover -d 'ask the local network for ONVIF cameras and list them; with --user add them, too'
+complete -c camtopod -n '_shtab_camtopod_using init' -l user -x -d 'user of the cameras that --discover finds'
+complete -c camtopod -n '_shtab_camtopod_using init' -l password-file -xka "(__fish_complete_path (commandline -ct))" -d 'file with that user'"'"'s password in its first line'
 complete -c camtopod -n '_shtab_camtopod_using init' -l out -xka "(__fish_complete_path (commandline -ct))" -d 'configuration file to write or to add to (default: camtopod.toml)'
 complete -c camtopod -n '_shtab_camtopod_using init' -l pictures -xka "(__fish_complete_directories)" -d 'also store a picture of each camera as DIR/NAME.jpg; `camtopod web` and `report` draw zones on it. It shows the scene without the people who walk through it, and takes 6 to 30 seconds. It is stored only there and not sent; `init` stores no other picture'
 complete -c camtopod -n '_shtab_camtopod_using init' -l credentials -d 'for systemd services, whose users cannot read secrets: every camera'"'"'s source goes into a file of that folder, and the configuration refers to it as $CREDENTIALS_DIRECTORY/NAME, where systemd passes it to the camera'"'"'s service; the daemon reports its health at 127.0.0.1:8787'
@@ -86,7 +89,7 @@ complete -c camtopod -n '_shtab_camtopod_using init' -l site -x -d 'name of the 
 complete -c camtopod -n '_shtab_camtopod_using init' -l connect -x -d 'zenoh endpoint to connect to, for example tcp/192.168.1.5:7447; may be repeated'
 complete -c camtopod -n '_shtab_camtopod_using init' -l log-format -xka "text logfmt json" -d 'format of the messages on standard error (default: text)'
 complete -c camtopod -n '_shtab_camtopod_using init' -l log-level -xka "debug info warning error" -d 'least important messages to show (default: info)'
-complete -c camtopod -n '_shtab_camtopod_using init; and test $_shtab_camtopod_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'rtsp:// URL, video file or device number; '"'"'-'"'"': read them from standard input, one a line, as other users of this machine can read passwords on a command line'
+complete -c camtopod -n '_shtab_camtopod_using init; and test $_shtab_camtopod_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'rtsp:// URL, video file or device number; onvif://USER:PASSWORD@HOST asks the camera for its streams, and of an rtsp:// URL without a path those of the common makers are tried; '"'"'-'"'"': read them from standard input, one a line, as other users of this machine can read passwords on a command line'
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a grab -d 'turn the video of one camera, or of all configured ones, into entry and exit events'
 complete -c camtopod -n '_shtab_camtopod_using grab' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using grab' -l camera -x -d 'the camera'"'"'s id, [A-Za-z0-9_.-]{1,64}'
