@@ -38,6 +38,7 @@ from camtopod.config.settings import BusSettings
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
+    Camera,
     InView,
     Link,
     NextCamera,
@@ -45,6 +46,7 @@ from camtopod.records import (
     SelfScore,
     Topology,
     Transit,
+    Zone,
 )
 from camtopod.serve.daemon import Daemon
 from camtopod.topology import waiting_for_links
@@ -177,7 +179,7 @@ def test_all_of_it_as_lines() -> None:
     assert text[0] == "site hq: daemon running, 77 events stored, 2 rejected since its start"
     assert f"{'cam0007':<20} {'stalled':<11} {7:>8} {'7 s':>9}  {REASON}" in text
     assert any(line.startswith("lobby/1              hall/2               unseen") for line in text)
-    assert text[-3] == "lobby/2 -> hall/2 0.61 in 6 to 10 s, bar/1 0.20 in -3 to -1 s"
+    assert text[-3] == "lobby/2 -> hall/2 0.61 in 6 to 10 s, bar/1 0.20 already in view"
 
 
 def test_a_daemon_that_is_behind_says_how_far() -> None:
@@ -285,6 +287,17 @@ def test_everything_is_there_on_a_large_one() -> None:
     )
 
 
+def test_what_it_waits_for_is_whole_on_a_narrow_one() -> None:
+    site = msgspec.structs.replace(
+        NOTHING,
+        cameras=[Camera(name, [f"{name}/1"]) for name in ("left", "right")],
+        zones=[Zone(f"{name}/1", name, 90, 90) for name in ("left", "right")],
+    )
+    text = on_screen(full(4).view(site, "hq", NOW), 50, 30)
+    assert waiting_for_links(site) in " ".join(text)
+    assert "since its start" in " ".join(text), "nor is the daemon's line cut"
+
+
 def test_of_many_cameras_those_that_are_not_well_come_first() -> None:
     view = full(1000).view(None, "hq", NOW)
     text = on_screen(view, 100, 50)
@@ -360,7 +373,7 @@ def test_in_a_terminal_through_a_restart(tmp_path: Path) -> None:
         daemon._bus.publish_raw("event/yard", b"\xc1", "event")
         wait_for(lambda: "1 rejected" in terminal.text, "word of the daemon that came back")
         terminal.resize(40, 10)
-        wait_for(lambda: "0 events sto…" in terminal.text, "a narrow screen")
+        wait_for(lambda: "the firs…" in terminal.text, "a narrow screen")
     assert terminal.close() == 0
     seconds = time.monotonic() - terminal.began
     draws = terminal.text.count("\x1b[H")

@@ -343,10 +343,19 @@ def test_nothing_but_get_and_head(pages: Pages, method: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "path", ["/", "/healthz/", "/../etc/passwd", "/status", "//healthz", "/%68ealthz/x"]
+    "path", ["/healthz/", "/../etc/passwd", "/status", "//healthz", "/%68ealthz/x"]
 )
 def test_no_other_page(pages: Pages, path: str) -> None:
     assert pages.ask(path)[0] == 404 or path == "//healthz"
+
+
+def test_the_root_and_what_is_not_there_list_what_is(pages: Pages) -> None:
+    status, body = pages.ask("/")
+    assert status == 200
+    assert b"/healthz" in body
+    assert b"/readyz" in body
+    assert b"camtopod web" in body
+    assert b"/healthz" in pages.ask("/health")[1]
 
 
 def test_garbage_and_requests_without_end_are_refused(pages: Pages) -> None:

@@ -28,6 +28,7 @@ from camtopod.cli.terminal.site_state import (
     topology_lines,
     transit,
 )
+from camtopod.topology import waiting_for_links
 from camtopod.visible import visible
 
 DRAW_SECONDS = 0.25
@@ -96,7 +97,7 @@ def show(look: Callable[[], SiteView], stop: threading.Event) -> bool:
 def drawn(view: SiteView, width: int, height: int, words: str = "") -> RenderableType:
     """Return the screen for a terminal of ``width`` columns and ``height`` rows."""
     # Rows and columns that are available.
-    head = _head(view, words)[: max(1, height // 3)]
+    head = _head(view, words, width)[: max(1, height // 3)]
     rows = max(1, height - len(head) - 1)
     wide = width >= WIDE
     room = width // 2 if wide else width
@@ -142,15 +143,25 @@ def _stacked(rows: int, wanted: Sequence[int], parts: Sequence[Callable[[int], T
     return stack
 
 
-def _head(view: SiteView, words: str) -> list[Text]:
-    """Return the lines at the top: daemon, topology, last log line, alarms."""
-    lines = [_text(daemon_line(view), "bold" if view.state == "running" else _WRONG)]
-    lines += [_text(words, _CORNER)] if words else []
+def _head(view: SiteView, words: str, width: int) -> list[Text]:
+    """Return the lines at the top: daemon, topology, last log line, alarms.
+
+    The daemon's state and what is waited for are whole, the others cut to ``width`` columns.
+    """
+    style = "bold" if view.state == "running" else _WRONG
+    daemon = [_text(line, style) for line in textwrap.wrap(daemon_line(view), max(width, 1))]
+    waiting = "" if view.topology is None else waiting_for_links(view.topology)
+    topology = [
+        _text(piece)
+        for line in topology_lines(view.topology)
+        for piece in (textwrap.wrap(line, max(width, 1)) if line == waiting else [line])
+    ]
+    lines = [_text(words, _CORNER)] if words else []
     lines += [
         _text(f"! {alarm_line(alarm, view.now)}", "yellow")
         for alarm in newest_alarms(view.topology)
     ]
-    return [*lines[:1], *(_text(line) for line in topology_lines(view.topology)), *lines[1:]]
+    return [*daemon, *topology, *lines]
 
 
 def _text(text: str, style: str = "", whole: bool = False) -> Text:

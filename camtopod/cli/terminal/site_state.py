@@ -271,8 +271,7 @@ def prediction_line(prediction: Prediction) -> str:
         for one in seen_now(prediction.in_view or [])
     ]
     following = ", ".join(
-        f"{_place(prediction, following)} {following.probability:.2f} "
-        f"in {following.q10:.0f} to {following.q90:.0f} s"
+        f"{_place(prediction, following)} {following.probability:.2f} {_when(following)}"
         for following in prediction.next_[:NEXT_SHOWN]
     )
     if not seen and not following:
@@ -281,6 +280,15 @@ def prediction_line(prediction: Prediction) -> str:
         f"{prediction.zone or prediction.camera} -> "
         f"{'; '.join([*seen, following] if following else seen)}"
     )
+
+
+def _when(following: NextCamera) -> str:
+    """Return when an object is expected; where views overlap it may have appeared already."""
+    if following.q90 < 0.5:
+        return "already in view"
+    if following.q10 < 0:
+        return f"within {following.q90:.0f} s"
+    return f"in {following.q10:.0f} to {following.q90:.0f} s"
 
 
 def _place(prediction: Prediction, following: NextCamera) -> str:

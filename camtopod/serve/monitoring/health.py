@@ -67,12 +67,10 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         self.rfile = io.BytesIO(_head(self.connection))
 
     def do_GET(self) -> None:
-        """Answer with the page at the path, or with 404."""
-        asked = self.server.pages.get(self.path.partition("?")[0])
-        if asked is None:
-            self.send_error(HTTPStatus.NOT_FOUND)
-            return
-        page = asked()
+        """Answer with the page at the path, or with 404; both `/` and 404 list the pages."""
+        path = self.path.partition("?")[0]
+        asked = self.server.pages.get(path)
+        page = _contents(self.server.pages, path) if asked is None else asked()
         self.send_response(page.status)
         self.send_header("Content-Type", page.content_type)
         self.send_header("Content-Length", str(len(page.body)))
@@ -147,6 +145,14 @@ def _head(connection: socket.socket) -> bytes:
         head += more
     connection.settimeout(CONNECTION_SECONDS_MAX)
     return head if b"\r\n\r\n" in head or b"\n\n" in head else b""
+
+
+def _contents(pages: Pages, path: str) -> Page:
+    """Return the page that lists all pages; with status 404 if another one was asked for."""
+    status = HTTPStatus.OK if path == "/" else HTTPStatus.NOT_FOUND
+    said = "camtopod daemon. Pages here:" if path == "/" else "There is no such page here. Try:"
+    lines = [said, *(f"  {name}" for name in pages), "The map is served by `camtopod web`."]
+    return Page(status, "text/plain; charset=utf-8", "\n".join([*lines, ""]).encode())
 
 
 def _judgement(question: Reasons) -> Page:

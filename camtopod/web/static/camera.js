@@ -3,7 +3,7 @@
 import { fill, h, s } from "./dom.js";
 import { hourChart } from "./hours.js";
 import { link } from "./place.js";
-import { ago, clock, comesBack, count, goneSince, percent, plural, seconds, span, stateClass } from "./words.js";
+import { ago, clock, comesBack, count, expected, goneSince, percent, plural, seconds, span, stateClass } from "./words.js";
 
 const FRAME = [1600, 900]; // where there is no picture, pixels
 const MARGINS = [0.06, 0.2]; // around the picture, of its width or height: zones lie on its edges
@@ -122,7 +122,8 @@ export function linkList(links, other, none) {
           h(
             "span",
             { class: "quiet" },
-            `from ${one.from === other(one) ? `here to ${one.to}` : one.from}`.replace("from here to", "to"),
+            (one.from === other(one) ? `to ${one.to}` : `from ${one.from}`) +
+              (one.operator ? `, operator: ${one.operator}` : ""),
           ),
           h("span", { class: "bar", "aria-hidden": "true" }, bar(one.probability)),
           h("span", { class: "number" }, percent(one.probability)),
@@ -229,9 +230,8 @@ class Scene {
     else if (!next || next.probability < prediction.leave)
       this.pulse.textContent = `left at ${where}, probably leaves the site (${percent(prediction.leave)})`;
     else {
-      const when = span(next.q10, next.q90);
       const place = comesBack(prediction) ? `comes back to ${next.zone}` : `next at ${next.zone}`;
-      this.pulse.textContent = `left at ${where}, ${place} (${percent(next.probability)}) in ${when}`;
+      this.pulse.textContent = `left at ${where}, ${place} (${percent(next.probability)}) ${expected(next)}`;
     }
     this.zones.get(prediction.zone)?.classList.add("active");
     setTimeout(() => this.zones.get(prediction.zone)?.classList.remove("active"), 1500);

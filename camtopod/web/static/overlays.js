@@ -2,7 +2,7 @@
 
 import { fill, h, say } from "./dom.js";
 import { go, link } from "./place.js";
-import { clock, comesBack, count, percent, plural, span } from "./words.js";
+import { clock, comesBack, count, expected, percent, plural } from "./words.js";
 
 const OPEN_MAX = 100; // cameras; on the map of a larger site the predictions' list would hide too much
 const HITS_SHOWN = 8;
@@ -171,7 +171,7 @@ export class Overlays {
             : next && next.probability >= one.leave
             ? [
                 h("b", {}, next.camera),
-                h("span", { class: "quiet" }, ` ${percent(next.probability)}, ${span(next.q10, next.q90)}`),
+                h("span", { class: "quiet" }, ` ${percent(next.probability)}, ${expected(next)}`),
               ]
             : h("span", { class: "quiet" }, `leaves the site, ${percent(one.leave)}`),
         );

@@ -12,6 +12,12 @@ export function transit(value) {
   return value < 0 ? `${seconds(-value)} before leaving` : seconds(value);
 }
 
+// When somebody is expected, seconds from now; where views overlap they may have appeared already.
+export function expected({ q10, q90 }) {
+  if (q90 < 0.5) return "already in view";
+  return q10 < 0 ? `within ${seconds(q90)}` : `in ${span(q10, q90)}`;
+}
+
 export function span(low, high) {
   const digits = Math.max(Math.abs(low), Math.abs(high)) < 10 ? 1 : 0;
   return `${signed(low, digits)} to ${signed(high, digits)} s`;
