@@ -26,6 +26,8 @@ OVERLAPPED_LENGTH = 0.7
 ROUNDS_FRESH, ROUNDS_MOVED = 60, 25
 MARGIN = 0.9
 """Space between connected parts."""
+SINGLE_WIDE, SINGLE_HIGH = 0.8, 0.7
+"""Space of a camera that is joined with no other."""
 WIDE = 1.6
 """Ratio of width to height that the packed parts aim at."""
 
@@ -140,15 +142,30 @@ def _majorised(apart: Floats, at: Floats, rounds: int) -> Floats:
 
 
 def _pack(at: Floats, parts: list[NDArray[np.intp]]) -> None:
-    """Move the parts (rows of ``at``), largest first, onto shelves beside each other, in place."""
-    sizes = [np.ptp(at[rows], axis=0) + MARGIN for rows in parts]
-    total = sum(float(size.prod()) for size in sizes)
+    """Move the parts (rows of ``at``), largest first, onto shelves beside each other, in place.
+
+    Cameras that are joined with no other stand in even rows below.
+    """
+    joined = [rows for rows in parts if len(rows) > 1]
+    single = [int(rows[0]) for rows in parts if len(rows) == 1]
+    sizes = [np.ptp(at[rows], axis=0) + MARGIN for rows in joined]
+    total = sum(float(size.prod()) for size in sizes) + len(single) * SINGLE_WIDE * SINGLE_HIGH
     width = (
-        max([float((total * WIDE) ** 0.5), *(float(size[0]) for size in sizes)]) if sizes else 0.0
+        max([float((total * WIDE) ** 0.5), *(float(size[0]) for size in sizes)]) if parts else 0.0
     )
+
+    # Parts of several cameras.
     x = y = shelf = 0.0
-    for rows, size in zip(parts, sizes, strict=True):
+    for rows, size in zip(joined, sizes, strict=True):
         if x > 0 and x + size[0] > width + 1e-9:
             x, y, shelf = 0.0, y + shelf, 0.0
         at[rows] += np.array([x, y]) + MARGIN / 2 - at[rows].min(0)
         x, shelf = x + float(size[0]), max(shelf, float(size[1]))
+
+    # Single cameras, in rows of nearly the same length, each centred.
+    if single:
+        rows_of_singles = -(-len(single) // max(1, round(width / SINGLE_WIDE)))
+        for k, row in enumerate(np.array_split(single, rows_of_singles)):
+            middle = np.arange(len(row)) - (len(row) - 1) / 2
+            at[row, 0] = width / 2 + SINGLE_WIDE * middle
+            at[row, 1] = y + shelf + SINGLE_HIGH * (k + 0.5)

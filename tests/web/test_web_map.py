@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 from synthetic_topology import made_link, synthetic_topology
@@ -145,6 +147,17 @@ def test_a_map_without_links_says_what_it_waits_for() -> None:
     without = replace(topology, links=inside, pairs=[])
     assert draw(without).waiting.startswith("No two cameras are linked yet: ")
     assert change(draw(without), draw(topology)).waiting == ""
+
+
+@pytest.mark.parametrize("number", [1, 4, 5, 7, 11, 23])
+def test_cameras_without_links_stand_in_even_rows(number: int) -> None:
+    at = places([f"c{k:02d}" for k in range(number)], {}, {})
+    rows = Counter(y for _, y in at.values())
+    assert max(rows.values()) - min(rows.values()) <= 1
+    assert max(rows.values()) >= len(rows), "wider than high"
+    for y in rows:
+        xs = sorted(x for x, other in at.values() if other == y)
+        assert (xs[0] + xs[-1]) / 2 == pytest.approx(np.mean([x for x, _ in at.values()]), abs=0.2)
 
 
 # --- what changes
