@@ -8,7 +8,7 @@ import logging
 from msgspec.structs import replace
 
 from camtopod.config import Config, SiteSettings
-from camtopod.serve.bus import Bus, dial
+from camtopod.serve.bus import Bus, dial, sites_instead, take_only_site
 
 log = logging.getLogger(__name__)
 
@@ -21,22 +21,12 @@ def dial_as_reader(args: argparse.Namespace, config: Config) -> tuple[Bus, Confi
     """
     bus = dial(config)
     others = sites_instead(bus, config)
-    if len(others) == 1 and args.site is None and config.site == SiteSettings():
-        [name] = others
-        log.info("site %s, the only one on this bus; no --site is given", name)
-        bus.site = name
-        return bus, replace(config, site=SiteSettings(name))
+    if args.site is None and take_only_site(bus, config, others):
+        log.info("site %s, the only one on this bus; no --site is given", bus.site)
+        return bus, replace(config, site=SiteSettings(bus.site))
     if others:
         log.warning("no daemon of site %s is there%s", bus.site, _named(others))
     return bus, config
-
-
-def sites_instead(bus: Bus, config: Config) -> list[str]:
-    """Return the sites that have a daemon on the bus if that of ``bus`` has none."""
-    if config.bus.tls.ca:  # a certificate is of one site and may not see others
-        return []
-    sites = bus.list_sites()
-    return [] if bus.site in sites else sites
 
 
 def right_site(bus: Bus, config: Config) -> str:

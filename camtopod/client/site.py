@@ -31,7 +31,8 @@ class Topology(SiteView):
         missing daemon behind a router and an empty topology are not errors: see `stale_since` and
         `current`.
 
-        site: name of the site; without it the configuration's, else ``site``.
+        site: name of the site; without it the configuration's, else ``site`` or, if that has no
+            daemon, the only one on the bus that has.
         connect: one or several endpoints (``tcp/192.168.1.5:7447``); without it those of the
             configuration, else this machine.
         config: configuration file or `camtopod.config.settings.Config` for all other settings, such

@@ -30,7 +30,14 @@ from camtopod.config import settings as configs
 from camtopod.predict import Predictor
 from camtopod.records import CAMERA_PATTERN, Event, Prediction
 from camtopod.records import Topology as Version
-from camtopod.serve.bus import Bus, BusError, TopologySubscriber, dial
+from camtopod.serve.bus import (
+    Bus,
+    BusError,
+    TopologySubscriber,
+    dial,
+    sites_instead,
+    take_only_site,
+)
 from camtopod.serve.runtime import clock
 
 log = logging.getLogger(__name__)
@@ -68,13 +75,13 @@ class SiteView:
         self._daemons: set[str] = set()
         self._stale_since: float | None = clock.wall()
         self._wake, self._closing = threading.Event(), threading.Event()
-        self._thread = threading.Thread(
-            target=self._follow, name=f"topology of {self.site}", daemon=True
-        )
+        self._thread = threading.Thread(target=self._follow, name="topology", daemon=True)
 
         # Close the session on failure: a program with an open session does not terminate.
         with contextlib.ExitStack() as undo:
             undo.callback(self._bus.close)
+            if site is None:
+                take_only_site(self._bus, settings, sites_instead(self._bus, settings))
             self._view = TopologySubscriber(self._bus)
             self._bus.subscribe("topology/delta", lambda key, payload: self._wake.set())
             self._bus.watch_alive("daemon", self._on_daemon)

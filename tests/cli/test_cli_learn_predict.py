@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
+import os
+import pty
 import random
 import re
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
+from serving import camtopod
 
 from camtopod.cli import exits, main
 from camtopod.cli.commands.learn import EPOCH
@@ -340,3 +345,22 @@ def test_secrets_in_a_quoted_line_stay_secret(capsys: pytest.CaptureFixture[str]
     assert "hunter2" not in capsys.readouterr().err
     assert reader.summary() == "1 of 1 lines were rejected: malformed 1"
     assert LineReader().summary() is None
+
+
+def test_a_terminal_gets_the_links_as_a_table(recording: Path) -> None:
+    ours, its = pty.openpty()
+    learn = camtopod("learn", str(recording), stdout=its, stderr=subprocess.PIPE)
+    os.close(its)
+    shown = b""
+    with contextlib.suppress(OSError):  # the end of a terminal
+        while piece := os.read(ours, 65_536):
+            shown += piece
+    os.close(ours)
+    _, said = learn.communicate(timeout=60)
+    assert learn.returncode == 0
+    assert b"--topology OUT.json keeps the topology" in said
+    [count] = re.findall(rb"(\d+) links between views", said)
+    table = shown.decode().splitlines()
+    assert len(table) == int(count) > 0
+    row = r"cam\d+/\d+ +-> cam\d+/\d+ +\d+%  (overlap, .* before|[\d.]+ \([\d.]+ to [\d.]+\) s)"
+    assert all(re.fullmatch(row, line) for line in table)

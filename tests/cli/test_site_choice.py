@@ -16,6 +16,7 @@ from camtopod.cli import exits
 from camtopod.cli.commands import ingest
 from camtopod.cli.main import main
 from camtopod.cli.site_choice import dial_as_reader, right_site
+from camtopod.client import Topology
 from camtopod.config import Config, SiteSettings
 from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
@@ -116,3 +117,11 @@ def test_grab_names_it_too(mall: Daemon, tmp_path: Path) -> None:
     finally:
         grab.terminate()
         grab.communicate(timeout=60)
+
+
+def test_the_client_takes_the_only_site_too(mall: Daemon) -> None:
+    with Topology.connect(connect=mall.endpoint) as site:
+        assert (site.site, site.stale_since) == ("mall", None)
+    with Topology.connect("hq", connect=mall.endpoint) as site:
+        assert site.site == "hq"
+        assert site.stale_since is not None

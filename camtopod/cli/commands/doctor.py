@@ -25,10 +25,9 @@ import msgspec
 from camtopod.cli import exits, machine_report
 from camtopod.cli.common import configuration, with_options
 from camtopod.cli.exits import CommandError
-from camtopod.cli.site_choice import sites_instead
 from camtopod.config import TABLES, Config, secret_files
 from camtopod.redact import redact, remember
-from camtopod.serve.bus import BusError, access, dial
+from camtopod.serve.bus import BusError, access, dial, sites_instead
 from camtopod.serve.runtime import clock
 from camtopod.serve.storage import StateError, inspect_state
 from camtopod.visible import visible

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 from camtopod.cli.common import configuration
 from camtopod.cli.events import LineReader
 from camtopod.cli.exits import STATE, CommandError, InputError
-from camtopod.cli.terminal import Progress
+from camtopod.cli.terminal import Progress, busiest_links, transit
 from camtopod.codec import to_json
 from camtopod.config import Config
 from camtopod.learn import STEPS, Learner
@@ -63,7 +63,10 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Learn; write the topology to a file, or to standard output if no file is named."""
+    """Learn; write the topology to a file, or to standard output if no file is named.
+
+    A terminal gets its links as a table instead.
+    """
     config = configuration(args)
     reader = LineReader()
     if args.topology:
@@ -104,9 +107,12 @@ def run(args: argparse.Namespace) -> int:
     # Write the topology.
     if topology is None:
         raise InputError("no event lines in " + ", ".join(args.events) + ": nothing to learn")
-    if args.topology or not (args.updates or args.state):
+    if args.topology or not (args.updates or args.state or sys.stdout.isatty()):
         with open_output(args.topology or "-") as out:
             out.write(to_json(topology) + b"\n")
+    elif not (args.updates or args.state):
+        print("\n".join(link_lines(topology)))
+        print("camtopod: --topology OUT.json keeps the topology", file=sys.stderr)
     print(f"camtopod: {describe(topology)}", file=sys.stderr)
     return 0
 
@@ -185,6 +191,17 @@ def describe(topology: Topology) -> str:
         f"{len(topology.zones)} zones, {between} links between views, "
         f"{len(topology.pairs)} related pairs of cameras"
     )
+
+
+def link_lines(topology: Topology) -> list[str]:
+    """Return the links between views as a table, busiest first."""
+    links = busiest_links(topology)
+    places = [(link.from_, link.to) for link in links]
+    left, right = (max((len(place[k]) for place in places), default=0) for k in (0, 1))
+    return [
+        f"{link.from_:<{left}} -> {link.to:<{right}}  {link.probability:5.0%}  {transit(link)}"
+        for link in links
+    ]
 
 
 def check_output(path: str) -> None:

@@ -2,9 +2,10 @@
 
 Start with `session`: `Bus`, one program's session, opened by `dial` (a client) or
 `open_daemon_session` (the daemon, which other programs connect to). `topology_subscriber` follows
-the daemon's topology. The other modules serve the daemon: `access` (who may connect), `refusals`
-(count what zenoh refuses, from its log), `sockets` (options that zenoh does not set),
-`single_daemon` (detect a second daemon of the site) and `self_check` (is the bus reachable).
+the daemon's topology, and `site_choice` finds the site where none was named. The other modules
+serve the daemon: `access` (who may connect), `refusals` (count what zenoh refuses, from its log),
+`sockets` (options that zenoh does not set), `single_daemon` (detect a second daemon of the site)
+and `self_check` (is the bus reachable).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from camtopod.serve.bus.session import (
     open_daemon_session,
 )
 from camtopod.serve.bus.single_daemon import ROLE, OtherDaemons
+from camtopod.serve.bus.site_choice import sites_instead, take_only_site
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 
 __all__ = [
@@ -47,4 +49,6 @@ __all__ = [
     "dial",
     "open_daemon_session",
     "session",
+    "sites_instead",
+    "take_only_site",
 ]

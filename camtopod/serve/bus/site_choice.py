@@ -1,0 +1,27 @@
+"""Which site a program takes that was told none: readers take the only one on the bus."""
+
+from __future__ import annotations
+
+from camtopod.config import Config, SiteSettings
+from camtopod.serve.bus.session import Bus
+
+
+def sites_instead(bus: Bus, config: Config) -> list[str]:
+    """Return the sites that have a daemon on the bus if that of ``bus`` has none."""
+    if config.bus.tls.ca:  # a certificate is of one site and may not see others
+        return []
+    sites = bus.list_sites()
+    return [] if bus.site in sites else sites
+
+
+def take_only_site(bus: Bus, config: Config, others: list[str]) -> bool:
+    """Make ``bus`` one of the only site that has a daemon, if the configuration names no site.
+
+    others: result of `sites_instead`.
+
+    Return True if the site of ``bus`` is another one now. Only programs that read may do so.
+    """
+    if len(others) != 1 or config.site != SiteSettings():
+        return False
+    [bus.site] = others
+    return True
