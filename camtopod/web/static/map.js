@@ -4,8 +4,9 @@ import { fill, h, s, say } from "./dom.js";
 import { Flow } from "./flow.js";
 import { Labels, SIDES } from "./labels.js";
 import { go } from "./place.js";
-import { View } from "./view.js";
-import { count, percent, plural, seconds, span, transit } from "./words.js";
+import { edgeTip, nodeTip } from "./tips.js";
+import { View, fromLine } from "./view.js";
+import { plural } from "./words.js";
 
 const UNIT = 110; // pixels of the map a hop, at scale 1
 const NODE_SHARE = 0.14; // radius of a node, of a hop
@@ -447,35 +448,4 @@ export class NetworkMap {
     }
     return best;
   }
-}
-
-function nodeTip({ id, camera }) {
-  return [
-    h("b", {}, id),
-    h("span", {}, `${plural(camera.zones, "zone")} · about ${count(camera.entries)} in, ${count(camera.exits)} out`),
-  ];
-}
-
-function edgeTip({ a, b, edge }) {
-  const kind = edge.relation === "overlapped" ? "Overlapping views" : "Unseen path";
-  return [
-    h("b", {}, `${a.id} – ${b.id}`),
-    h("span", {}, kind + (!edge.published ? ", likely" : edge.provisional ? ", provisional" : "")),
-    edge.ways.map((way) =>
-      h(
-        "span",
-        {},
-        way.mode < 0
-          ? `${way.from} → ${way.to}: both views, appears ${transit(way.mode)}, ${percent(way.probability)}`
-          : `${way.from} → ${way.to}: ${seconds(way.mode)} (${span(way.q10, way.q90)}), ${percent(way.probability)}`,
-      ),
-    ),
-    edge.provisional ? h("span", { class: "note" }, edge.provisional) : null,
-  ];
-}
-
-function fromLine(x, y, a, b) {
-  const [dx, dy] = [b.x - a.x, b.y - a.y];
-  const along = Math.min(1, Math.max(0, ((x - a.x) * dx + (y - a.y) * dy) / (dx * dx + dy * dy || 1)));
-  return Math.hypot(a.x + along * dx - x, a.y + along * dy - y);
 }

@@ -117,3 +117,10 @@ export class View {
     }
   }
 }
+
+// The distance of a point from the line between two points.
+export function fromLine(x, y, a, b) {
+  const [dx, dy] = [b.x - a.x, b.y - a.y];
+  const along = Math.min(1, Math.max(0, ((x - a.x) * dx + (y - a.y) * dy) / (dx * dx + dy * dy || 1)));
+  return Math.hypot(a.x + along * dx - x, a.y + along * dy - y);
+}

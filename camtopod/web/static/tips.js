@@ -1,0 +1,31 @@
+// What the map says of a camera or an edge under the pointer.
+
+import { h } from "./dom.js";
+import { count, percent, plural, seconds, span, transit } from "./words.js";
+
+// What is said of a camera under the pointer.
+export function nodeTip({ id, camera }) {
+  return [
+    h("b", {}, id),
+    h("span", {}, `${plural(camera.zones, "zone")} · about ${count(camera.entries)} in, ${count(camera.exits)} out`),
+  ];
+}
+
+// What is said of an edge under the pointer.
+export function edgeTip({ a, b, edge }) {
+  const kind = edge.relation === "overlapped" ? "Overlapping views" : "Unseen path";
+  return [
+    h("b", {}, `${a.id} – ${b.id}`),
+    h("span", {}, kind + (!edge.published ? ", likely" : edge.provisional ? ", provisional" : "")),
+    edge.ways.map((way) =>
+      h(
+        "span",
+        {},
+        way.mode < 0
+          ? `${way.from} → ${way.to}: both views, appears ${transit(way.mode)}, ${percent(way.probability)}`
+          : `${way.from} → ${way.to}: ${seconds(way.mode)} (${span(way.q10, way.q90)}), ${percent(way.probability)}`,
+      ),
+    ),
+    edge.provisional ? h("span", { class: "note" }, edge.provisional) : null,
+  ];
+}
