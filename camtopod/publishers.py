@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from msgspec import Struct
 
+GONE_SECONDS = 86_400.0
+"""Event time without an event after which a camera without a grabber is gone."""
 RETURNS_MIN = 3
 """Number of turns in a row that two boots take until they count as two publishers.
 

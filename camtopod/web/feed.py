@@ -21,6 +21,7 @@ import msgspec
 
 from camtopod import codec
 from camtopod.predict import seen_now
+from camtopod.publishers import GONE_SECONDS
 from camtopod.records import CAMERA_PATTERN, Event, Look, NextCamera, Prediction, Topology
 from camtopod.serve.bus import Bus, TopologySubscriber
 from camtopod.serve.runtime import Beat, Clock, no_beat
@@ -51,8 +52,6 @@ _TICK_SECONDS = 0.2
 DAEMON = "daemon"
 WAITING = "waiting for the daemon"
 """Reason while no status of the daemon has been received yet."""
-GONE_SECONDS = 86_400.0
-"""Event time without an event after which a camera without a grabber is gone."""
 GONE = "gone"
 """State of a camera that is gone."""
 ENDED = "ended"

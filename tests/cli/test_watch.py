@@ -35,12 +35,15 @@ from camtopod.cli.terminal.site_state import (
     prediction_line,
 )
 from camtopod.config.settings import BusSettings
+from camtopod.publishers import GONE_SECONDS
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
     Camera,
+    CameraModel,
     InView,
     Link,
+    Model,
     NextCamera,
     Prediction,
     SelfScore,
@@ -230,6 +233,51 @@ def test_who_is_not_heard_any_more_is_silent_whatever_was_said_last() -> None:
     assert states["cam0000"] == ("silent", "no status for 6 s")
     assert states["cam0001"] == ("running", "")
     assert states["film"][0] == "ended"
+
+
+def test_a_camera_without_grabber_and_without_events_for_a_day_is_gone() -> None:
+    board, day = SiteState(Steady()), GONE_SECONDS
+    counts = {
+        "here": {"events": 9, "newest": NOW, "alive": True},
+        "quiet": {"events": 9, "newest": NOW - day - 1, "alive": True},
+        "lately": {"events": 9, "newest": NOW - day + 1},
+        "phantom": {"events": 9, "newest": NOW - day - 1},
+    }
+    told(board, "daemon", state="running", reason="", cameras=counts)
+    states = {one.name: one.state for one in board.view(None, "hq", NOW).cameras}
+    assert states == {
+        "here": "unknown",
+        "quiet": "unknown",
+        "lately": "no grabber",
+        "phantom": "gone",
+    }
+
+    # One that was learned of, and has sent nothing since the daemon's start.
+    models = [CameraModel("learned", 0.5, NOW - day - 1)]
+    model = Model(1.0, 0.1, -60.0, 600.0, [], models)
+    site = msgspec.structs.replace(NOTHING, cameras=[Camera("learned", [])], model=model)
+    [learned] = [one for one in board.view(site, "hq", NOW).cameras if one.name == "learned"]
+    assert (learned.state, learned.wrong) == ("gone", False)
+
+
+def test_what_was_done_with_a_name_is_said() -> None:
+    board = SiteState(Steady())
+    names = {"forgotten": {"old": 3}, "renamed": {"before": "after"}}
+    told(board, "daemon", state="running", reason="", names=names)
+    for name in ("old", "before", "after"):
+        told(board, name, state="running", reason="")
+    cameras = {one.name: one for one in board.view(None, "hq", NOW).cameras}
+    assert cameras["old"].state == "forgotten"
+    assert "forget --take-back old" in cameras["old"].reason
+    assert (cameras["before"].state, cameras["before"].reason) == ("running", "counts as after")
+    assert cameras["after"].reason == ""
+
+
+def test_an_operators_word_is_shown_with_its_link() -> None:
+    site = topology(links=1)
+    wrong = msgspec.structs.replace(site.links[0], operator="wrong")
+    assert "s, said to be wrong" in shown(msgspec.structs.replace(site, links=[wrong]))
+    assert "said to be" not in shown(site)
 
 
 def test_what_cannot_be_read_changes_nothing() -> None:

@@ -45,7 +45,7 @@ REASON_ROWS_MAX = 3
 """Most rows of a camera's reason."""
 REASON_COLUMNS_MIN = 8
 """Columns below which the reason of a camera is left out."""
-_COLOURS = {"running": "green", "ended": "dim", "no grabber": "dim"}
+_COLOURS = {"running": "green", "ended": "dim", "no grabber": "dim", "gone": "dim"}
 """Style of a camera's state; other states are `_WRONG`."""
 _WRONG = "bold yellow"
 _CORNER = "dim"

@@ -13,6 +13,7 @@ from msgspec import Struct
 
 from camtopod import codec
 from camtopod.predict import seen_now
+from camtopod.publishers import GONE_SECONDS
 from camtopod.records import CAMERA_PATTERN, Alarm, Link, NextCamera, Prediction, Topology
 from camtopod.topology import links_between_views, waiting_for_links
 
@@ -24,9 +25,10 @@ NEXT_SHOWN = 3
 """Likeliest next zones that are shown of a prediction."""
 SILENT_SECONDS = 5.0
 """Time without a status after which its sender counts as silent; statuses come every second."""
-_FINE = ("running", "ended", "no grabber", "unknown")
+_FINE = ("running", "ended", "no grabber", "unknown", "gone")
 """States that need no attention.
 
+"gone" is a camera without a grabber, and without events for `GONE_SECONDS`.
 "no grabber" and "unknown" are cameras of another program, which sends events but no status.
 """
 
@@ -59,6 +61,13 @@ class _CatchingUp(Struct, frozen=True):
     share: float = 0.0
 
 
+class _Names(Struct, frozen=True):
+    """Forgotten names, and the present names of renamed cameras, in the daemon's status."""
+
+    forgotten: dict[str, int] = {}
+    renamed: dict[str, str] = {}
+
+
 class _DaemonSaid(_Said, frozen=True):
     """Status that the daemon publishes."""
 
@@ -66,6 +75,7 @@ class _DaemonSaid(_Said, frozen=True):
     rejects: dict[str, int] = {}
     catching_up: _CatchingUp | None = None
     cameras: dict[str, _Counted] = {}
+    names: _Names = _Names()
 
 
 class CameraLine(NamedTuple):
@@ -161,11 +171,15 @@ class SiteState:
                 f"no status for {steady - heard:.0f} s; what is shown below may be outdated",
             )
 
-        # State of the cameras: those with a status and those that the daemon counts.
-        known = daemon.cameras
+        # State of the cameras: those learned of, those with a status and those that are counted.
+        known = {**_learned(topology), **daemon.cameras}
         cameras = [
             _camera(name, status.get(name), known.get(name, _Counted()), now, steady)
             for name in {*status, *known}
+        ]
+        newest = max((one.newest or 0.0 for one in known.values()), default=0.0)
+        cameras = [
+            _as_named(_or_gone(one, known.get(one.name), newest), daemon.names) for one in cameras
         ]
         return SiteView(
             site, now, state, reason, _counts(daemon), sorted(cameras), topology, predictions[::-1]
@@ -188,6 +202,37 @@ def _camera(
         state, reason = "silent", f"no status for {steady - heard:.0f} s"
     last = None if known.newest is None or not 0 <= now - known.newest < 1e6 else now - known.newest
     return CameraLine(name, state, reason, known.events, last)
+
+
+def _learned(topology: Topology | None) -> dict[str, _Counted]:
+    """Return the time of the last event of each camera of a topology."""
+    if topology is None:
+        return {}
+    last = (
+        {} if topology.model is None else {m.camera: m.last_event for m in topology.model.cameras}
+    )
+    return {camera.id: _Counted(newest=last.get(camera.id)) for camera in topology.cameras}
+
+
+def _or_gone(camera: CameraLine, known: _Counted | None, newest: float) -> CameraLine:
+    """Return the line of a camera, with the state "gone" if it is.
+
+    newest: time of the newest event of all cameras.
+    """
+    last = None if known is None else known.newest
+    old = last is not None and newest - last > GONE_SECONDS
+    gone = old and camera.state in ("no grabber", "silent")
+    return camera._replace(state="gone", reason="") if gone else camera
+
+
+def _as_named(camera: CameraLine, names: _Names) -> CameraLine:
+    """Return the line of a camera, with what an operator has done with its name."""
+    if camera.name in names.forgotten:
+        cure = f"its events are refused until camtopod forget --take-back {camera.name}"
+        return camera._replace(state="forgotten", reason=cure)
+    if (present := names.renamed.get(camera.name)) is not None and not camera.wrong:
+        return camera._replace(reason=f"counts as {present}")
+    return camera
 
 
 def _counts(daemon: _DaemonSaid) -> str:
