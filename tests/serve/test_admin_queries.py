@@ -15,7 +15,7 @@ from test_daemon import NOW, Site, journal_of, put
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Judge, Rename, Reset, TakeBack
-from camtopod.records import Delta, Event
+from camtopod.records import Ack, Delta, Event
 from camtopod.serve import Done, parameters_of
 from camtopod.serve.admin_queries import command_of
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
@@ -139,11 +139,15 @@ def test_a_renamed_camera_goes_on_whichever_name_its_grabber_uses(site: Site) ->
 
     # Its grabber still has the old name, and publishes an event twice.
     publisher, spool = site.publisher(site.client(daemon))
+    acks: list[Ack] = []
+    publisher.on_ack = acks.append
     publisher.publish(*(fresh("b", n) for n in range(10)))
     assert publisher.wait_acknowledged(10), "acknowledged under the old name"
+    last = max(ack.seq for ack in acks if (ack.camera, ack.boot) == ("b", spool.boot))
     before = daemon.status()["cameras"]["yard"]["events"]
-    put(bus, msgspec.structs.replace(fresh("b", 9), boot=spool.boot, seq=9))
+    put(bus, msgspec.structs.replace(fresh("b", 9), boot=spool.boot, seq=last))
     wait_for(lambda: daemon.status()["events"]["duplicate"] == 1, "the duplicate")
+    wait_for(lambda: not daemon._receiver.duplicates._waiting, "it to be compared")
     status = daemon.status()
     assert status["cameras"]["yard"] == {**status["cameras"]["yard"], "events": before, "alive": 1}
     assert "b" not in status["cameras"]
