@@ -12,8 +12,9 @@ import pytest
 from serving import T0, closing_event, numbered, small_config, wait_for, walkers
 
 from camtopod import codec
+from camtopod.cli.commands.ingest import UNACKNOWLEDGED_MAX
 from camtopod.cli.main import main
-from camtopod.config.settings import SiteSettings
+from camtopod.config.settings import Config, SiteSettings
 from camtopod.records import Event
 from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
@@ -173,3 +174,10 @@ def test_two_events_under_one_number_are_never_silently_one(
         assert "two different events under one number (boot b1, seq 1)" in daemon.status()["reason"]
         publisher.close()
     assert caplog.text.count("two different events under one number") == 1
+
+
+def test_a_daemon_has_room_for_all_that_is_not_acknowledged() -> None:
+    """Otherwise a daemon on a busy machine gets some from the spool, too late to learn them."""
+    limits = Config().limits
+    most = UNACKNOWLEDGED_MAX + limits.spool_batch_events
+    assert most <= min(limits.inbox_camera_events_max, limits.inbox_events_max)

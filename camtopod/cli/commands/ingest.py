@@ -40,8 +40,13 @@ from camtopod.serve.storage import StateError
 
 log = logging.getLogger(__name__)
 
-UNACKNOWLEDGED_MAX = 50_000
-"""Reading pauses while this many events are not acknowledged."""
+UNACKNOWLEDGED_MAX = 2_000
+"""Reading pauses while this many events are not acknowledged.
+
+A daemon that does not know the cameras yet has room for `limits.inbox_camera_events_max` events of
+all of them together. Those beyond it come later from the spool, when events of other cameras may
+have been learned that are newer: they would be late.
+"""
 PATIENCE_SECONDS = 10.0
 """Time without an acknowledgement after which a daemon that is not visible counts as absent.
 
