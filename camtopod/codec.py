@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -35,6 +36,8 @@ _json_event = msgspec.json.Decoder(Event)
 _pack_event = msgspec.msgpack.Decoder(Event)
 _to_json = msgspec.json.Encoder()
 _to_pack = msgspec.msgpack.Encoder()
+_decoders: dict[tuple[Any, bool], Any] = {}
+_making = threading.Lock()
 _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 """What msgspec's decoders raise on bad input."""
 _T = TypeVar("_T")
@@ -127,9 +130,22 @@ def _rejection(error: Exception) -> Rejected:
 
 def read(kind: type[_T], raw: bytes, pack: bool = False) -> _T:
     """Return a ``kind`` from JSON, or from MessagePack if ``pack``; raise `Rejected`."""
-    decoder: Any = msgspec.msgpack.Decoder(kind) if pack else msgspec.json.Decoder(kind)
-    result: _T = _decode(decoder, raw)
+    result: _T = _decode(_decoder(kind, pack), raw)
     return result
+
+
+def _decoder(kind: Any, pack: bool) -> Any:
+    """Return the decoder of a type, which is made once.
+
+    Only one thread makes a decoder at a time: while msgspec (0.22) examines a type for the first
+    time, another thread that decodes the same type crashes the process.
+    """
+    found = _decoders.get((kind, pack))
+    if found is None:
+        with _making:
+            found = (msgspec.msgpack if pack else msgspec.json).Decoder(kind)
+            _decoders[kind, pack] = found
+    return found
 
 
 def decode_topology(raw: bytes, pack: bool = False) -> Topology:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from collections.abc import Callable
 
 import msgspec
@@ -302,3 +304,32 @@ def test_a_topology_in_messagepack_is_the_same_and_a_damaged_one_is_rejected() -
     for spoiled in (packed[:-1], packed[: len(packed) // 2], packed.replace(b"zones", b"zonen")):
         with pytest.raises(Rejected):
             read(Topology, spoiled, pack=True)
+
+
+MANY_THREADS = """
+import sys, threading
+from typing import Annotated
+import msgspec
+from camtopod import codec
+
+sys.setswitchinterval(1e-6)
+raw = msgspec.msgpack.encode({"camera": "a", "events": [(1, b"x")] * 50})
+for most in range(200, 400):
+    text, data = (Annotated[t, msgspec.Meta(max_length=most)] for t in (str, bytes))
+    kind = msgspec.defstruct("Kind", [("camera", text), ("events", list[tuple[int, data]])])
+    begin = threading.Barrier(6)
+
+    def read():
+        begin.wait()
+        codec.read(kind, raw, pack=True)
+
+    threads = [threading.Thread(target=read) for _ in range(6)]
+    for step in ("start", "join"):
+        for thread in threads:
+            getattr(thread, step)()
+"""
+
+
+def test_a_type_may_be_decoded_first_by_many_threads_at_once() -> None:
+    """Msgspec alone crashes the process here."""
+    subprocess.run([sys.executable, "-c", MANY_THREADS], check=True, timeout=60)
