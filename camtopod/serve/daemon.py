@@ -592,11 +592,12 @@ class Daemon:
             if alarm.version == said.version:
                 log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
         log.info(
-            "version %d: %d cameras, %d zones, %d links between views",
+            "version %d: %d cameras, %d zones, %d %s between views",
             said.version,
             said.cameras,
             said.zones,
             said.links,
+            "link" if said.links == 1 else "links",
         )
         if not said.links:
             log.info("%s", waiting_for_links(version.newest.topology))

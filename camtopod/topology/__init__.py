@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from camtopod.topology.camera_pairs import find_camera_pairs, relation_of
 from camtopod.topology.first_links import (
+    joins_two_views,
     lacks_in_words,
     likely_links,
     links_between_views,
@@ -94,6 +95,7 @@ __all__ = [
     "counts_histogram",
     "estimate_markov_chain",
     "find_camera_pairs",
+    "joins_two_views",
     "judged",
     "lacks_in_words",
     "lag_smoothing_matrix",

@@ -1,14 +1,17 @@
 """What a site waits for until its first link between views, and what a weak link lacks, in words.
 
-A link joins the views of two cameras. Passages through one view are visible links in
-`Topology.links`; they are not counted as links where people read a number of links.
+A link joins the views of two cameras. Passages through one view, and objects that come back to the
+view they have left, are in `Topology.links`, too; they are not counted as links where people read a
+number of links.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 from camtopod.records import Lacks, Link, Topology
+from camtopod.topology.site_names import camera_of
 
 NAMED_TRANSITIONS_MIN = 2.0
 """Transitions from which a weak link is named as the nearest one to publication."""
@@ -16,9 +19,26 @@ _LONGEST = {"minutes": 120.0, "hours": 48.0, "days": math.inf}
 """Amount from which a duration is given in the next larger unit."""
 
 
+class LinkEnds(Protocol):
+    """The zones of a link."""
+
+    @property
+    def from_(self) -> str:
+        """Where objects leave."""
+
+    @property
+    def to(self) -> str:
+        """Where they appear."""
+
+
 def links_between_views(topology: Topology) -> list[Link]:
     """Return the published links between the views of two cameras."""
-    return [link for link in topology.links if link.relation != "visible"]
+    return [link for link in topology.links if joins_two_views(link)]
+
+
+def joins_two_views(link: LinkEnds) -> bool:
+    """Return True if a link joins the views of two cameras."""
+    return camera_of(link.from_) != camera_of(link.to)
 
 
 def likely_links(topology: Topology) -> list[Link]:
@@ -52,10 +72,9 @@ def waiting_for_links(topology: Topology) -> str:
     nearest = next(iter(_lacking(topology)), None)
     if nearest is None or nearest.lacks is None:
         return f"{said} A link takes about ten passages from one camera to another."
-    camera = {zone.id: zone.camera for zone in topology.zones}
     total = nearest.transitions + nearest.lacks.passages
     return (
-        f"{said} The nearest one, {camera[nearest.from_]} to {camera[nearest.to]}, has "
+        f"{said} The nearest one, {camera_of(nearest.from_)} to {camera_of(nearest.to)}, has "
         f"{nearest.transitions:.0f} of about {total:.0f}; "
         f"about {duration_in_words(nearest.lacks.seconds)} at this traffic."
     )
@@ -84,13 +103,12 @@ def duration_in_words(seconds: float) -> str:
 
 def _lacking(topology: Topology) -> list[Link]:
     """Return the weak links between views that more traffic would publish, nearest first."""
-    camera = {zone.id: zone.camera for zone in topology.zones}
     found = [
         link
         for link in topology.weak_links or []
         if link.lacks is not None
         and link.transitions >= NAMED_TRANSITIONS_MIN
-        and camera[link.from_] != camera[link.to]
+        and joins_two_views(link)
     ]
     return sorted(
         found,

@@ -195,12 +195,12 @@ def test_a_daemon_that_is_behind_says_how_far() -> None:
 
 
 def test_links_are_those_between_views_and_without_one_it_says_what_it_waits_for() -> None:
-    inside = msgspec.structs.replace(topology(links=1).links[0], relation="visible")
+    inside = msgspec.structs.replace(topology(links=1).links[0], to="lobby/1", relation="visible")
     without = msgspec.structs.replace(NOTHING, links=[inside])
     text = shown(without)
     assert "0 cameras, 0 zones, 0 links between views" in text
     assert waiting_for_links(without) in text
-    assert "1 links between views" in shown(topology(links=1))
+    assert "1 link between views" in shown(topology(links=1))
 
 
 def test_where_views_overlap_no_time_is_negative() -> None:

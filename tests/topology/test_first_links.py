@@ -6,7 +6,9 @@ import pytest
 from msgspec.structs import replace
 from synthetic_topology import made_link, synthetic_topology
 
+from camtopod.codec import to_msgpack
 from camtopod.records import Lacks, Topology
+from camtopod.serve.storage import head_of
 from camtopod.topology import likely_links, links_between_views, waiting_for_links
 
 SITE = synthetic_topology(12)
@@ -30,6 +32,14 @@ def without_links(weak: list[tuple[float, float, float]], cameras: int = 12) -> 
 def test_links_are_those_between_views() -> None:
     assert 0 < len(links_between_views(SITE)) < len(SITE.links)
     assert waiting_for_links(SITE) == ""
+
+
+def test_a_link_back_to_the_same_view_joins_no_cameras() -> None:
+    back = made_link(A.id, A.id, 20.0, 9.0)
+    topology = replace(without_links([]), links=[back])
+    assert links_between_views(topology) == []
+    assert waiting_for_links(topology)
+    assert head_of(topology).links == head_of(to_msgpack(topology)).links == 0
 
 
 def test_the_nearest_one_is_named_with_what_it_has_and_lacks() -> None:

@@ -188,7 +188,8 @@ def describe(topology: Topology) -> str:
     between = len(links_between_views(topology))
     return (
         f"version {topology.version}: {topology.events} events, {len(topology.cameras)} cameras, "
-        f"{len(topology.zones)} zones, {between} links between views, "
+        f"{len(topology.zones)} zones, "
+        f"{between} {'link' if between == 1 else 'links'} between views, "
         f"{len(topology.pairs)} related pairs of cameras"
     )
 

@@ -257,10 +257,11 @@ def topology_lines(topology: Topology | None) -> list[str]:
     """Return lines about the newest topology and the score of its predictions."""
     if topology is None:
         return ["topology: nothing learned yet; the first version comes a minute after ten events"]
+    links = len(links_between_views(topology))
     lines = [
         f"topology: version {topology.version}, {topology.events} events, "
         f"{len(topology.cameras)} cameras, {len(topology.zones)} zones, "
-        f"{len(links_between_views(topology))} links between views, {topology.digest[:19]}"
+        f"{links} {'link' if links == 1 else 'links'} between views, {topology.digest[:19]}"
     ]
     if waiting := waiting_for_links(topology):
         lines.append(waiting)

@@ -10,7 +10,8 @@ from typing import NamedTuple
 from msgspec import Raw, Struct
 
 from camtopod import codec
-from camtopod.records import Alarm, Relation, SelfScore, Topology
+from camtopod.records import Alarm, SelfScore, Topology
+from camtopod.topology import joins_two_views
 
 
 class Head(Struct, frozen=True):
@@ -30,10 +31,11 @@ class Head(Struct, frozen=True):
     score: SelfScore | None
 
 
-class _Relation(Struct):
-    """The field of a `Link` that tells links between views from those through one view."""
+class _Ends(Struct, rename={"from_": "from"}):
+    """The fields of a `Link` that tell links between views from those of one view."""
 
-    relation: Relation
+    from_: str
+    to: str
 
 
 class _Lists(Struct):
@@ -45,7 +47,7 @@ class _Lists(Struct):
     digest: str
     cameras: list[Raw]
     zones: list[Raw]
-    links: list[_Relation]
+    links: list[_Ends]
     alarms: list[Alarm] | None = None
     score: SelfScore | None = None
 
@@ -107,7 +109,7 @@ def head_of(topology: Topology | bytes) -> Head:
         one.digest,
         len(one.cameras),
         len(one.zones),
-        sum(link.relation != "visible" for link in one.links),
+        sum(map(joins_two_views, one.links)),
         one.alarms or [],
         one.score,
     )

@@ -143,7 +143,7 @@ class App {
     const those = (test) => new Set([...this.rows.values()].filter(test).map((row) => row.id));
     const gone = those((row) => row.state === "gone");
     this.network.health(those((row) => troubled(row.state)), gone);
-    this.overlays.tellGone(gone.size);
+    this.overlays.tellGone(gone);
     if (!this.map) this.network.tellEvents([...this.rows.values()].map((row) => row.events ?? 0));
     this.#shown?.onHealth?.(this.rows);
   }

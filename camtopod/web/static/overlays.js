@@ -15,7 +15,7 @@ export class Overlays {
   #predictions = [];
   #timer = null;
   #shown = false;
-  #gone = 0; // cameras that are gone
+  #gone = new Set(); // ids of cameras that are gone, on the map or not
 
   constructor(stage, app) {
     this.app = app;
@@ -97,9 +97,9 @@ export class Overlays {
     this.#summarise();
   }
 
-  // How many cameras are gone.
-  tellGone(number) {
-    this.#gone = number;
+  // Which cameras are gone.
+  tellGone(ids) {
+    this.#gone = ids;
     this.#summarise();
   }
 
@@ -111,9 +111,11 @@ export class Overlays {
     const overlapped = edges.filter((edge) => edge.relation === "overlapped").length;
     const provisional = edges.filter((edge) => edge.provisional).length;
     const kinds = `${count(overlapped)} overlapping${provisional ? `, ${count(provisional)} provisional` : ""}`;
+    const ids = Object.keys(map.cameras);
+    const gone = ids.filter((id) => this.#gone.has(id)).length;
     this.summary.textContent = [
-      plural(Object.keys(map.cameras).length - this.#gone, "camera"),
-      this.#gone ? `${count(this.#gone)} gone` : null,
+      plural(ids.length - gone, "camera"),
+      gone ? `${count(gone)} gone` : null,
       `${plural(edges.length, "pair")} (${kinds})`,
       likely ? `${count(likely)} likely` : null,
     ]
