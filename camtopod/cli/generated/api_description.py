@@ -148,7 +148,7 @@ def _get(
     media_type: str = "application/json",
 ) -> dict[str, Any]:
     """Return the description of one path."""
-    refused = {403: "The API is open to its own machine only."}
+    refused = {401: "A token is needed.", 403: "The API is open to its own machine only."}
     answer = {"description": "As asked.", "content": {media_type: {"schema": schema}}}
     error = {"application/json": {"schema": {"$ref": "#/components/schemas/Error"}}}
     return {
