@@ -43,6 +43,10 @@ _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 _T = TypeVar("_T")
 
 
+_CUT_OFF = "Input data was truncated"
+"""What msgspec says of input that ends too early."""
+
+
 class Rejected(ValueError):
     """Input from another program is not valid.
 
@@ -125,7 +129,8 @@ def _rejection(error: Exception) -> Rejected:
         return Rejected("not-utf8", "text is not UTF-8")
     if isinstance(error, RecursionError):
         return Rejected("too-deep", "nested too deeply")
-    return Rejected("malformed", str(error))
+    what = "it is empty, or cut off" if str(error) == _CUT_OFF else str(error)
+    return Rejected("malformed", what)
 
 
 def read(kind: type[_T], raw: bytes, pack: bool = False) -> _T:

@@ -74,7 +74,10 @@ def redact(text: str) -> str:
     """
     text = _KEY.sub(HIDDEN, text)
     for secret in sorted(_known, key=len, reverse=True):
-        text = text.replace(secret, f"{HIDDEN}@" if secret.endswith("@") else HIDDEN)
+        instead = f"{HIDDEN}@" if secret.endswith("@") else HIDDEN
+        # As a part of a longer word it is that word: with the password "secret", "secrets" stays.
+        whole = rf"(?<![A-Za-z]){re.escape(secret)}(?![A-Za-z])" if secret.isalpha() else None
+        text = re.sub(whole, instead, text) if whole else text.replace(secret, instead)
     return _without(_with_userinfo(f"{HIDDEN}@", text))
 
 

@@ -231,7 +231,10 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
     parser, modules = parser_of([name] if name in COMMANDS else [])
     if name is not None and not modules:
         parser.error(f"no command {name!r}; one of {', '.join(COMMANDS)}")
-    args = parser.parse_args(arguments)
+    args, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        args.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+    del args.parser
     args.connect = args.connect or []
     implicit_config.find(args)
     return args, modules[args.command].run
@@ -255,6 +258,7 @@ def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str
             inner = modules[command].add_parser(subparsers) or []
             for its in (subparsers.choices[command], *inner):
                 _add_common(its, top=False)
+                its.set_defaults(parser=its)
         else:
             subparsers.add_parser(command, help=summary)
     return parser, modules

@@ -57,10 +57,11 @@ def syntax(text: str) -> tuple[dict[str, Any], str, list[Problem]]:
             return tomllib.loads(text), text, problems
         except tomllib.TOMLDecodeError as error:
             # Note the mistake and its line; stop if parsing does not get past it.
-            match = re.search(r"(.*) \(at (?:line (\d+)|end of document)", str(error))
+            match = re.search(r"(.*) \(at (?:line (\d+), column (\d+)|end of document)", str(error))
             lines = text.split("\n")
             number = int(match[2]) if match and match[2] else len(text.rstrip("\n").split("\n"))
-            problem = Problem(number, _sentence(match[1] if match else str(error)))
+            column = f" at column {match[3]}" if match and match[3] else ""
+            problem = Problem(number, _sentence(match[1] if match else str(error)) + column)
             if problems and number <= problems[-1].line:
                 break
             problems.append(problem)

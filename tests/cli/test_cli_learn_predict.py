@@ -364,3 +364,9 @@ def test_a_terminal_gets_the_links_as_a_table(recording: Path) -> None:
     assert len(table) == int(count) > 0
     row = r"cam\d+/\d+ +-> cam\d+/\d+ +\d+%  (overlap, .* before|[\d.]+ \([\d.]+ to [\d.]+\) s)"
     assert all(re.fullmatch(row, line) for line in table)
+
+
+def test_a_topology_is_no_recording(run: Run, topology: Path) -> None:
+    status, _, said = run("learn", topology)
+    assert status == exits.INPUT
+    assert f"{topology} is a topology, which `predict`, `report` and `export` read" in said

@@ -443,3 +443,15 @@ def test_what_nobody_expects_keeps_a_password_and_ends_with_a_status(where: str)
     assert done.returncode == (exits.FAILED if where == "main" else exits.DONE)
     assert "ValueError: rtsp://***@h/x is broken" in done.stderr
     assert "hunter2" not in done.stderr
+
+
+def test_an_unknown_option_is_answered_with_the_usage_of_its_command(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for command in (["run"], ["keys", "list"]):
+        with pytest.raises(SystemExit) as caught:
+            main.main([*command, "--nope"])
+        assert caught.value.code == exits.USAGE
+        said = capsys.readouterr().err
+        assert said.startswith(f"usage: camtopod {' '.join(command)} ")
+        assert "unrecognized arguments: --nope" in said

@@ -308,6 +308,7 @@ def test_passwords_go_into_files_of_their_own(
     assert "yard        MPEG-4, 192x144, 7 frames a second" in err
     assert err.endswith(
         "    camtopod --config site/camtopod.toml run\n    camtopod --config site/camtopod.toml grab\n"
+        "    camtopod --config site/camtopod.toml watch\n"
     )
     files = everything_below(tmp_path / "site")
     assert files.pop("camtopod.toml")[0] & 0o444
@@ -504,7 +505,8 @@ def test_a_picture_is_kept_when_asked_for_and_not_otherwise(
         painted(tmp_path / "yard.mp4", (2560, 1440), 7.0, (200, 120, 40)),
         np.array((200, 120, 40)),
     )
-    assert main(["init", str(yard), "gone=4242"]) == 66
+    nowhere = ["--connect", "tcp/127.0.0.1:1"]
+    assert main([*nowhere, "init", str(yard), "gone=4242"]) == 66
     assert main(["check", "camtopod.toml", "--probe"]) == 69
     assert not list(tmp_path.rglob("*.jpg"))
     folder = tmp_path / "state" / "pictures"

@@ -202,3 +202,11 @@ def test_a_configuration_error_is_redacted() -> None:
         parse(text)
     assert "w/rd" not in str(caught.value)
     assert len(caught.value.problems) == 2
+
+
+def test_a_password_that_is_a_word_is_not_hidden_within_other_words() -> None:
+    redact.remember("rtsp://viewer:secret@192.0.2.1/")
+    said = "URLs with secrets are in the folder secrets; rtsp://viewer:secret@192.0.2.1/ (secret)"
+    assert redact.redact(said) == (
+        "URLs with secrets are in the folder secrets; rtsp://***@192.0.2.1/ (***)"
+    )

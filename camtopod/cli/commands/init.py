@@ -180,6 +180,11 @@ def run(args: argparse.Namespace) -> int:
     where = f"; {what} are in {folder}, readable only by you" if secrets else ""
     done = "is written" if before is None else f"has {', '.join(cameras)} now, after what it had"
     _say(f"{args.out} {done}{where}")
+    if all(probe.problem for probe in probes.values()):
+        _say(
+            f"no camera could be opened: correct that first, and try camtopod check {args.out}"
+            " --probe"
+        )
     _say(_next_services(args.out, settings, cameras) if handed else _next(args.out, settings))
     failed = bool(without) or any(probe.problem for probe in probes.values())
     return exits.INPUT if failed else exits.DONE
@@ -398,7 +403,7 @@ def _next(out: Path, settings: Config) -> str:
         return f"next:\n    camtopod check {out} --probe\n    camtopod --config {out} grab"
     return (
         f"next, each in a terminal of its own:\n    camtopod --config {out} run\n"
-        f"    camtopod --config {out} grab"
+        f"    camtopod --config {out} grab\n    camtopod --config {out} watch"
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -22,12 +22,14 @@ from camtopod.codec import to_json
 from camtopod.config import Config
 from camtopod.learn import STEPS, Learner
 from camtopod.learn.window import EVENTS_PER_SECOND_MAX
-from camtopod.records import Topology
+from camtopod.records import TOPOLOGY_SCHEMA, Topology
 from camtopod.serve import RecordedState
 from camtopod.serve.runtime import wall
 from camtopod.serve.storage import StateError
 from camtopod.topology import links_between_views
 
+_HEAD_BYTES = 200
+"""Bytes at the beginning of a file that tell whether it is a topology."""
 EPOCH = "recording"
 """Epoch of a topology learned from files, constant so that the same files give the same bytes."""
 
@@ -106,7 +108,9 @@ def run(args: argparse.Namespace) -> int:
 
     # Write the topology.
     if topology is None:
-        raise InputError("no event lines in " + ", ".join(args.events) + ": nothing to learn")
+        raise InputError(
+            f"no event lines in {', '.join(args.events)}: nothing to learn{_instead(args.events)}"
+        )
     if args.topology or not (args.updates or args.state or sys.stdout.isatty()):
         with open_output(args.topology or "-") as out:
             out.write(to_json(topology) + b"\n")
@@ -192,6 +196,15 @@ def describe(topology: Topology) -> str:
         f"{between} {'link' if between == 1 else 'links'} between views, "
         f"{len(topology.pairs)} related pairs of cameras"
     )
+
+
+def _instead(paths: list[str]) -> str:
+    """Return what to do with files that are topologies, as the end of a sentence; "" if none is."""
+    for path in paths:
+        with suppress(OSError), open(path, "rb") as file:
+            if TOPOLOGY_SCHEMA.encode() in file.read(_HEAD_BYTES):
+                return f"; {path} is a topology, which `predict`, `report` and `export` read"
+    return ""
 
 
 def link_lines(topology: Topology) -> list[str]:
