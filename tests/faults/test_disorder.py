@@ -57,6 +57,9 @@ class Shelf:
     def median_stored_time(self) -> float | None:
         return None
 
+    def meta(self, key: str) -> str | None:
+        return None
+
     def prune(self, now: float) -> None:
         """Do nothing: nothing is old."""
 

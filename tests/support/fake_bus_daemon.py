@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -86,13 +87,22 @@ class Hub:
 
     def __init__(self, daemon: Daemon, bus: Bus) -> None:
         self.daemon, self.bus = daemon, bus
+        self._walked: Counter[int] = Counter()
         events = [*numbered(walkers(200)), closing_event()]
         put(bus, *events)
         learned(daemon, events)
 
     def walks(self, count: int, span: int) -> list[Event]:
-        """Publish ``count`` walkers, ``span`` spans later, and return their events."""
-        events = later(walkers(count, seed=span), span)
+        """Publish ``count`` walkers, ``span`` spans later, and return their events.
+
+        Each time they come in other seconds: a thousand events of one second are a flood.
+        """
+        seconds = 10.0 * (self._walked[span] % 100)
+        self._walked[span] += 1
+        events = [
+            msgspec.structs.replace(event, t=event.t + seconds)
+            for event in later(walkers(count, seed=span), span)
+        ]
         put(self.bus, *events)
         return events
 
