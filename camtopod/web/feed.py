@@ -101,6 +101,7 @@ class Feed:
         self._status: dict[str, dict[str, Any]] = {}
         self._heard: dict[str, float] = {}
         self._silent: set[str] = set()
+        self._forgotten: set[str] = set()
         self._looked_at_cameras = -1e18
         self._unheard_since = clock()  # no status can arrive while the bus is unreachable
         self._live: dict[str, Any] = {
@@ -134,6 +135,9 @@ class Feed:
         """Show a version from now on."""
         before = self.map
         drawn = draw(topology, before)
+        if before is not None and before.epoch != drawn.epoch:
+            with self._mutex:
+                self._predictions.clear()
         self.stories, self.map, self.map_json = Explanations(topology), drawn, codec.to_json(drawn)
         if before is not None and before.epoch == drawn.epoch:
             self._hub.send("map", codec.to_json(change(before, drawn)))
@@ -178,7 +182,9 @@ class Feed:
         """Return the status of the daemon and of every camera, and whether they are live."""
         now = self._clock()  # taken first, so that the data are at least as new
         with self._mutex:
-            status, live = dict(self._status), dict(self._live)
+            ended = self._forgotten & self._silent
+            status = {name: one for name, one in self._status.items() if name not in ended}
+            live = dict(self._live)
         daemon = status.pop(DAEMON, None)
         known: dict[str, Any] = (daemon or {}).get("cameras", {})
         drawn = self.map.cameras if self.map is not None else {}
@@ -251,12 +257,24 @@ class Feed:
 
         if name == DAEMON:
             self._hourly.note(self._clock(), _counters(status))
+            self._note_names(status.get("names"))
             return
         if (
             before is None
             or again
             or any(before.get(k) != status.get(k) for k in ("state", "reason"))
         ):
+            self._tell_health(name, status)
+
+    def _note_names(self, names: object) -> None:
+        """Note which names the daemon says an operator has forgotten."""
+        told = names if isinstance(names, dict) else {}
+        with self._mutex:
+            forgotten = set(told.get("forgotten") or ())
+            changed = (forgotten ^ self._forgotten) & self._status.keys()
+            self._forgotten = forgotten
+            statuses = {name: self._status[name] for name in changed}
+        for name, status in statuses.items():
             self._tell_health(name, status)
 
     def _tell_health(self, name: str, status: dict[str, Any]) -> None:
@@ -266,6 +284,9 @@ class Feed:
 
     def _word(self, name: str, status: dict[str, Any] | None) -> dict[str, Any] | None:
         """Return a camera's status, with the state ``silent`` if it has stopped publishing."""
+        if status is not None and name in self._forgotten:
+            reason = f"its events are refused until `camtopod forget --take-back {name}`"
+            return {**status, "state": "forgotten", "reason": reason}
         if status is None or name not in self._silent:
             return status
         reason = f"no status from its grabber for more than {self._silent_seconds:.0f} s"

@@ -374,3 +374,35 @@ def test_so_many_pages_and_no_more() -> None:
 
     boxes = asyncio.run(fill())
     assert [box is None for box in boxes] == [False] * outbox.PAGES_MAX + [True, False]
+
+
+def test_a_forgotten_camera_needs_no_attention_and_leaves_with_its_grabber() -> None:
+    with Rig() as rig:
+        a, b = (camera.id for camera in SITE.cameras[:2])
+        for name in (a, b):
+            rig.bus.publish(f"status/{name}", {"state": "running", "reason": ""})
+        rig.bus.publish("status/daemon", {"state": "running", "names": {"forgotten": {a: 3}}})
+
+        def states() -> dict[str, str]:
+            return {row["id"]: row["state"] for row in rig.feed.health()["cameras"]}
+
+        wait_for(lambda: states() == {a: "forgotten", b: "running"}, "what the daemon says")
+        assert {"id": a, "state": "forgotten"}.items() <= rig.hub.of("health")[-1].items()
+        assert f"--take-back {a}" in rig.hub.of("health")[-1]["reason"]
+
+        rig.now += 100.0
+        rig.bus.publish("status/daemon", {"state": "running", "names": {"forgotten": {a: 3}}})
+        wait_for(lambda: states() == {b: "silent"}, "both grabbers to be missed")
+        rig.bus.publish("status/daemon", {"state": "running", "names": {"forgotten": {}}})
+        wait_for(lambda: states() == {a: "silent", b: "silent"}, "the name to be taken back")
+
+
+def test_predictions_of_an_epoch_that_has_ended_are_not_shown() -> None:
+    with Rig() as rig:
+        rig.feed.show(SITE)
+        rig.bus.publish("prediction/a", prediction("a", 0.9))
+        wait_for(lambda: b"event: past" in rig.feed.hello(), "the prediction")
+        rig.feed.show(NEWER)
+        assert b"event: past" in rig.feed.hello()
+        rig.feed.show(msgspec.structs.replace(SITE, epoch="another"))
+        assert b"event: past" not in rig.feed.hello()

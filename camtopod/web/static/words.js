@@ -86,7 +86,7 @@ export function comesBack({ camera, next, now, leave }) {
 
 // Whether a camera's state asks for attention.
 export function troubled(state) {
-  return !["running", "ended", "unknown", "no grabber", "gone", undefined].includes(state);
+  return !["running", "ended", "unknown", "no grabber", "gone", "forgotten", undefined].includes(state);
 }
 
 // The look of a state.
