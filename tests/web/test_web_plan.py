@@ -11,6 +11,7 @@ from chromium import Browser
 from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
+from camtopod import redact
 from camtopod.config import Config
 from camtopod.config.settings import ConfigError, load, parse
 from camtopod.web import Configured
@@ -26,6 +27,12 @@ return Object.fromEntries([...document.querySelectorAll('.node')].map((node) => 
   return [node.dataset.id, [(x - plan.left) / plan.width, (y - plan.top) / plan.height]];
 }));
 """
+
+
+@pytest.fixture(autouse=True)
+def no_secrets(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forget the secrets of other tests: one may be "password", which messages have, too."""
+    monkeypatch.setattr(redact, "_known", set())
 
 
 @pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
