@@ -126,6 +126,6 @@ def _portable(node: Any) -> Any:
     if isinstance(pattern := portable.get("pattern"), str):
         portable["pattern"] = pattern.replace(r"\Z", "$")
     if isinstance(text := portable.get("description"), str):
-        lines = (line.removeprefix("    ") for line in text.splitlines())
+        lines = (line.strip() for line in text.splitlines())  # Python 3.13 indents less
         portable["description"] = _NONE.sub("null", "\n".join(lines).replace("`", ""))
     return portable
