@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 import shutil
 import sqlite3
@@ -91,7 +92,8 @@ def test_plain_copies_of_a_running_daemons_file_are_not_enough(site: Site, tmp_p
     copied = tmp_path / "copied.db"
     shutil.copyfile(site.directory / "state" / "journal.db", copied)
     try:
-        [(count,)] = sqlite3.connect(copied).execute("SELECT COUNT(*) FROM entry")
+        with contextlib.closing(sqlite3.connect(copied)) as copy:
+            [(count,)] = copy.execute("SELECT COUNT(*) FROM entry")
     except sqlite3.Error:
         return
     assert count < len(events)
