@@ -34,7 +34,7 @@ class TakeBack(Struct, frozen=True, tag="take-back"):
 
 
 class Rename(Struct, frozen=True, tag="rename"):
-    """Let all that was learned of the camera ``old`` go on under the name ``new``."""
+    """Rename the camera ``old`` to ``new``, and keep everything learned about it."""
 
     old: CameraId
     new: CameraId
@@ -57,7 +57,7 @@ class Judge(Struct, frozen=True, tag="judge"):
 class Reset(Struct, frozen=True, tag="reset"):
     """Begin the site anew: nothing is learned, no camera is known.
 
-    t (Unix seconds): events of before are not learned.
+    t (Unix seconds): earlier events are not learned.
     before, epoch: the epoch that ends, and the one that begins.
     stored: digests of the versions of ``epoch`` that may have been published, by version.
 

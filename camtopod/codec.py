@@ -44,7 +44,7 @@ _T = TypeVar("_T")
 
 
 _CUT_OFF = "Input data was truncated"
-"""What msgspec says of input that ends too early."""
+"""msgspec's message for input that ends too early."""
 
 
 class Rejected(ValueError):

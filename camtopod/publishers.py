@@ -1,4 +1,4 @@
-"""Detect two programs that publish the same camera.
+"""The programs that publish a camera: detect two at the same time, and none for long.
 
 A camera has one publisher at a time, and each start of it has a boot id of its own. Two boot ids
 that take turns mean two boxes with one camera id, whose views would be learned as one.
@@ -16,6 +16,17 @@ RETURNS_MIN = 3
 Fewer are normal after a restart: the last events of the old boot may arrive after the first of the
 new one.
 """
+
+
+def is_gone(state: str, last: float | None, newest: float) -> bool:
+    """Return True if a camera has no grabber, and has sent nothing for `GONE_SECONDS`.
+
+    state: state of its grabber.
+    last: event time of its last event, Unix seconds; None if unknown.
+    newest: event time of the newest event of all cameras, Unix seconds.
+    """
+    old = last is not None and newest - last > GONE_SECONDS
+    return old and state in ("no grabber", "silent")
 
 
 class Publisher(Struct):

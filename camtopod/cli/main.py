@@ -84,7 +84,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "rename": (
         "camtopod.cli.operator.rename",
-        "let what was learned of a camera go on under another name",
+        "rename a camera and keep everything learned about it",
     ),
     "judge": ("camtopod.cli.operator.judge", "mark a link as right or wrong"),
     "reset": (

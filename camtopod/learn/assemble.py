@@ -150,7 +150,7 @@ def with_clock_offsets(links: list[Link], zones: list[Zone], ahead: dict[str, fl
 
 
 def empty_topology(settings: Settings, bins: LagBins) -> Topology:
-    """Return the topology of a site without cameras, except for what the learner adds."""
+    """Return the topology of a site without cameras; the learner adds the remaining fields."""
     corrected = settings.correct_clocks
     model = Model(bins.scale, bins.step, bins.lag_min, bins.lag_max, [], [], corrected)
     return Topology(TOPOLOGY_SCHEMA, "", "", 0, 0.0, 0, "", [], [], [], [], model=model)

@@ -227,7 +227,7 @@ class Learner:
         self._judgements = state.judgements
 
     def administer(self, command: Forget | Judge) -> None:
-        """Carry out an operator's command, and make a version at once if it changes anything.
+        """Apply an operator's command, and make a version at once if it changes anything.
 
         A camera is forgotten with its alarms and its events that wait for the watermark; what they
         have taught about other cameras is kept. `camtopod.learn.rename` renames a camera.
@@ -249,7 +249,7 @@ class Learner:
         return bool(known)
 
     def make_version(self) -> None:
-        """Make a version at once, of what is known by now.
+        """Make a version at once from the present window.
 
         Without one in this epoch, do nothing: the first is made when the first events are learned.
         """
@@ -513,7 +513,7 @@ class Learner:
         return 1 if self.topology is None else self.topology.version + 1
 
     def _completed(self, topology: Topology, tick_us: int) -> Topology:
-        """Return a topology with what only the learner knows of a version."""
+        """Return a topology with the fields that only the learner knows."""
         return self._with_marks(
             replace(
                 topology,

@@ -1,4 +1,4 @@
-"""Rename a camera in the saved state of a learner, so that all that was learned of it goes on."""
+"""Rename a camera in the saved state of a learner, keeping everything learned about it."""
 
 from __future__ import annotations
 

@@ -13,9 +13,9 @@ KEYS = ("forget", "rename", "reset", "judge")
 
 
 class Done(Struct):
-    """The answer to an operator's command: it is stored, and carried out from there on.
+    """The answer to an operator's command: it is stored and in force.
 
-    done: what was done, as a sentence.
+    done: the result, as a sentence.
     """
 
     done: str

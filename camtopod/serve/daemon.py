@@ -63,7 +63,7 @@ from camtopod.serve.runtime import Heartbeat, Progress, changed_settings
 from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.shards import ShardMembership, WholeSite
 from camtopod.serve.storage import CurrentVersion, Journal, StateError, Version, head_of
-from camtopod.topology import waiting_for_links
+from camtopod.topology import links_in_words, waiting_for_links
 
 if TYPE_CHECKING:
     from camtopod.serve.shards import ShardExchange
@@ -549,7 +549,7 @@ class Daemon:
         raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
 
     def _administer(self, key: str, parameters: dict[str, str]) -> Done:
-        """Carry out an operator's command that a query asks for. Raises `QueryError`."""
+        """Execute the operator's command of a query. Raises `QueryError`."""
         command = command_of(key, parameters)
         if self._sharing is not None:
             raise QueryError(SHARDED)
@@ -592,12 +592,11 @@ class Daemon:
             if alarm.version == said.version:
                 log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
         log.info(
-            "version %d: %d cameras, %d zones, %d %s between views",
+            "version %d: %d cameras, %d zones, %s",
             said.version,
             said.cameras,
             said.zones,
-            said.links,
-            "link" if said.links == 1 else "links",
+            links_in_words(said.links),
         )
         if not said.links:
             log.info("%s", waiting_for_links(version.newest.topology))

@@ -1,4 +1,4 @@
-"""Carry out an operator's command in a state directory that no daemon uses at the moment.
+"""Execute an operator's command in a state directory that no daemon uses.
 
 The command becomes an entry of the journal, as it would in a daemon; the next daemon that starts
 there carries it out in its learner.
@@ -23,16 +23,16 @@ SHARDED = (
     "a site in shards takes no commands; a camera that stopped sending leaves it by itself after"
     " learn.window_hours, and a site begins anew with empty state directories of all shards"
 )
-"""Why a command is refused by a large site, and what to do."""
+"""Message of a sharded site that refuses a command."""
 
 
 def carry_out_offline(directory: Path, command: Command, keep: KeepSettings, now: float) -> str:
-    """Store a command in the journal of a state directory; return what it does.
+    """Store a command in the journal of a state directory; return its effect, in words.
 
     keep: retention of the journal.
     now: Unix seconds.
 
-    Raises `StateError`, and `CommandRefused` if it cannot be carried out.
+    Raises `StateError`, and `CommandRefused`.
     """
     path = directory / "journal.db"
     if shards := sorted(directory.glob("shard-*-of-*")):
@@ -52,8 +52,8 @@ def carry_out_offline(directory: Path, command: Command, keep: KeepSettings, now
 
 
 def _carry_out(journal: Journal, command: Command, now: float) -> str:
-    """Store a command; return what it does. Raises `sqlite3.Error` and `codec.Rejected`."""
-    # What the journal knows of the site.
+    """Store a command; return its effect, in words. Raises `sqlite3.Error` and `codec.Rejected`."""
+    # The site as the journal knows it.
     names = Names(read_names(journal.meta(NAMES_KEY)), lambda: now)
     content = journal.newest_version()
     topology = None if content is None else codec.read(Topology, content)

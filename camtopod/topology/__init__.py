@@ -16,6 +16,7 @@ from camtopod.topology.first_links import (
     lacks_in_words,
     likely_links,
     links_between_views,
+    links_in_words,
     waiting_for_links,
 )
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE, block_of, blocks_of
@@ -102,6 +103,7 @@ __all__ = [
     "likely_links",
     "link_key",
     "links_between_views",
+    "links_in_words",
     "make_delta",
     "marked",
     "masses_on_bins",

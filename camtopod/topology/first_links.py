@@ -1,4 +1,4 @@
-"""What a site waits for until its first link between views, and what a weak link lacks, in words.
+"""In words: the evidence missing for the first link between views, and for a weak link.
 
 A link joins the views of two cameras. Passages through one view, and objects that come back to the
 view they have left, are in `Topology.links`, too; they are not counted as links where people read a
@@ -36,6 +36,11 @@ def links_between_views(topology: Topology) -> list[Link]:
     return [link for link in topology.links if joins_two_views(link)]
 
 
+def links_in_words(count: int) -> str:
+    """Return a number of links between views, in words."""
+    return f"{count} {'link' if count == 1 else 'links'} between views"
+
+
 def joins_two_views(link: LinkEnds) -> bool:
     """Return True if a link joins the views of two cameras."""
     return camera_of(link.from_) != camera_of(link.to)
@@ -54,11 +59,11 @@ def likely_links(topology: Topology) -> list[Link]:
 
 
 def waiting_for_links(topology: Topology) -> str:
-    """Return what a site without links between views waits for, in words; "" if it has some."""
+    """Return a sentence on the missing evidence for the first link; "" if there is a link."""
     if links_between_views(topology):
         return ""
 
-    # What there is so far.
+    # Passages and cameras so far.
     passages = sum(zone.exits for zone in topology.zones)
     so_far = f"{passages:,} {'passage' if passages == 1 else 'passages'} so far"
     cameras = [camera.id for camera in topology.cameras]
@@ -81,7 +86,7 @@ def waiting_for_links(topology: Topology) -> str:
 
 
 def lacks_in_words(lacks: Lacks) -> str:
-    """Return what a weak link lacks, in words."""
+    """Return the evidence that a weak link lacks, in words."""
     passages = (
         "one more passage" if lacks.passages < 1.5 else f"about {lacks.passages:.0f} more passages"
     )

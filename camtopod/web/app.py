@@ -291,7 +291,7 @@ def serving(
     progress: receives the progress of the threads.
     stall_seconds: time after which a thread without progress counts as stalled.
     login: None for a page without a password.
-    configured: what the configuration says about the page.
+    configured: the configuration's settings of the page.
     """
     # Progress marks, bus followers, HTTP server.
     marks = progress or Progress()

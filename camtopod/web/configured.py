@@ -1,4 +1,4 @@
-"""What the configuration says about the page: where cameras are, and their recorders' pages."""
+"""Settings of the page: floor plan, camera positions, and addresses of recorders."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Configured(Struct, frozen=True):
 
     @classmethod
     def of(cls, config: Config) -> Configured:
-        """Return what a configuration says."""
+        """Return the settings of a configuration."""
         plan = Path(config.map.plan) if config.map.plan else None
         cameras = config.cameras.items()
         return cls(

@@ -21,7 +21,7 @@ import msgspec
 
 from camtopod import codec
 from camtopod.predict import seen_now
-from camtopod.publishers import GONE_SECONDS
+from camtopod.publishers import is_gone
 from camtopod.records import CAMERA_PATTERN, Event, Look, NextCamera, Prediction, Topology
 from camtopod.serve.bus import Bus, TopologySubscriber
 from camtopod.serve.runtime import Beat, Clock, no_beat
@@ -381,7 +381,7 @@ class Feed:
 
 
 def _whole_percent(catching_up: Any) -> int | None:
-    """Return how much of what is to be learned is learned, in percent; None if all of it is."""
+    """Return the share of stored events that are learned, in percent; None if all are."""
     share = catching_up.get("share") if isinstance(catching_up, dict) else None
     return math.floor(100 * share) if isinstance(share, float) and 0 <= share <= 1 else None
 
@@ -404,8 +404,7 @@ def _mark_gone(rows: list[dict[str, Any]], as_of: float) -> None:
     newest = max([as_of, *(row["newest"] or 0.0 for row in rows)])
     for row in rows:
         last, state = row["newest"], row["state"]
-        old = last is not None and newest - last > GONE_SECONDS
-        if (old and state in ("no grabber", "silent")) or (last is None and state == "no grabber"):
+        if is_gone(state, last, newest) or (last is None and state == "no grabber"):
             row["state"], row["reason"] = GONE, ""
 
 

@@ -1,4 +1,4 @@
-"""What every request passes: headers of all responses, the host names that are answered to."""
+"""Middleware of every request: response headers and accepted host names."""
 
 from __future__ import annotations
 

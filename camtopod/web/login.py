@@ -47,7 +47,7 @@ COOKIE = "camtopod_session"
 WRONG = "That is not the password."
 TOO_MANY = "Too many wrong passwords: wait a minute."
 OPEN_PATHS = ("/login", "/static/app.css", "/static/icon.svg")
-"""What is answered without a login."""
+"""Paths that need no login."""
 PAGE_POLICY = (
     "default-src 'none'; style-src 'self'; img-src 'self'; base-uri 'none'; "
     "form-action 'self'; frame-ancestors 'none'"
@@ -133,7 +133,7 @@ class Login:
                 return _shown(WRONG, 413)
         given = parse_qs(content.decode("utf-8", "replace")).get("password", [""])[0]
 
-        # The answer: a session, or what was wrong.
+        # The answer: a session, or an error message.
         address = _address_of(request)
         try:
             session = self.open_session(given, address)

@@ -72,7 +72,7 @@ class Map(Struct, frozen=True):
     score: SelfScore | None
     alarms: list[Alarm]
     waiting: str
-    """What is waited for until the first link between views, in words; "" if there is one."""
+    """Missing evidence for the first link between views, in words; "" if there is a link."""
 
 
 class MapChange(Struct, frozen=True):

@@ -12,6 +12,7 @@ from fake_bus import OneBus
 from serving import wait_for
 from synthetic_topology import synthetic_topology
 
+from camtopod.publishers import GONE_SECONDS
 from camtopod.records import Event, InView, Look, NextCamera, Prediction
 from camtopod.serve.bus.session import Bus
 from camtopod.web import feed, outbox
@@ -208,9 +209,9 @@ def test_a_camera_without_a_grabber_and_without_events_for_a_day_is_gone() -> No
         rig.feed.show(SITE)
         names = [camera.id for camera in SITE.cameras]
         newest = {
-            names[0]: SITE.as_of - feed.GONE_SECONDS - 1.0,
-            names[1]: SITE.as_of - feed.GONE_SECONDS + 1.0,
-            names[2]: SITE.as_of - feed.GONE_SECONDS - 1.0,
+            names[0]: SITE.as_of - GONE_SECONDS - 1.0,
+            names[1]: SITE.as_of - GONE_SECONDS + 1.0,
+            names[2]: SITE.as_of - GONE_SECONDS - 1.0,
         }
         counted = {
             name: {"events": 5, "newest": t, "alive": name == names[2]}

@@ -57,7 +57,7 @@ def streams_by_path(
     The paths of the common makers are tried, unless the camera is away or refuses the password:
     some cameras lock a user out who tries too often.
 
-    probes: what came of the cameras' own URLs.
+    probes: the results of probing the cameras' own URLs.
     """
     guesses = {
         f"{name} {maker}": url

@@ -193,7 +193,7 @@ def run(args: argparse.Namespace) -> int:
 def _probed(
     args: argparse.Namespace, given: Mapping[str, str], settings: Config
 ) -> tuple[dict[str, str], dict[str, Probe], dict[str, list[str]]]:
-    """Return the cameras' sources, what came of them, and that in words, by camera id.
+    """Return sources, probe results and descriptions of the cameras, by camera id.
 
     given: sources as given; others are returned where a camera's stream is found elsewhere.
     """
@@ -250,7 +250,7 @@ def _discovered(args: argparse.Namespace) -> list[str]:
             )
         return []
 
-    # Say what there is.
+    # List the cameras.
     _say("asking the local network for cameras ...")
     found = discover()
     for camera in found:

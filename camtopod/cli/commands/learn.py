@@ -26,7 +26,7 @@ from camtopod.records import TOPOLOGY_SCHEMA, Topology
 from camtopod.serve import RecordedState
 from camtopod.serve.runtime import wall
 from camtopod.serve.storage import StateError
-from camtopod.topology import links_between_views
+from camtopod.topology import links_between_views, links_in_words
 
 _HEAD_BYTES = 200
 """Bytes at the beginning of a file that tell whether it is a topology."""
@@ -193,13 +193,13 @@ def describe(topology: Topology) -> str:
     return (
         f"version {topology.version}: {topology.events} events, {len(topology.cameras)} cameras, "
         f"{len(topology.zones)} zones, "
-        f"{between} {'link' if between == 1 else 'links'} between views, "
+        f"{links_in_words(between)}, "
         f"{len(topology.pairs)} related pairs of cameras"
     )
 
 
 def _instead(paths: list[str]) -> str:
-    """Return what to do with files that are topologies, as the end of a sentence; "" if none is."""
+    """Return advice if a file is a topology, as the end of a sentence; "" if none is."""
     for path in paths:
         with suppress(OSError), open(path, "rb") as file:
             if TOPOLOGY_SCHEMA.encode() in file.read(_HEAD_BYTES):

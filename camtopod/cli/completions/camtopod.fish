@@ -262,7 +262,7 @@ complete -c camtopod -n '_shtab_camtopod_using forget' -l site -x -d 'name of th
 complete -c camtopod -n '_shtab_camtopod_using forget' -l connect -x -d 'zenoh endpoint to connect to, for example tcp/192.168.1.5:7447; may be repeated'
 complete -c camtopod -n '_shtab_camtopod_using forget' -l log-format -xka "text logfmt json" -d 'format of the messages on standard error (default: text)'
 complete -c camtopod -n '_shtab_camtopod_using forget' -l log-level -xka "debug info warning error" -d 'least important messages to show (default: info)'
-complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a rename -d 'let what was learned of a camera go on under another name'
+complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a rename -d 'rename a camera and keep everything learned about it'
 complete -c camtopod -n '_shtab_camtopod_using rename' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using rename' -l state -xka "(__fish_complete_directories)" -d 'change this state directory, which no daemon may use, and ask no daemon; without --state, that of the configuration is changed if no bus is reached'
 complete -c camtopod -n '_shtab_camtopod_using rename' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file; none: read no file (default: ./camtopod.toml, else /etc/camtopod/camtopod.toml, if there is one)'

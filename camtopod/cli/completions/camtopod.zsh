@@ -24,7 +24,7 @@ _shtab_camtopod_commands() {
     keys:'create a private certificate authority and certificates for the bus'
     learn:'learn the topology from recorded event lines'
     predict:'predict for each recorded exit where the object appears next'
-    rename:'let what was learned of a camera go on under another name'
+    rename:'rename a camera and keep everything learned about it'
     report:'write the web page of one topology to a file'
     reset:'begin the site anew: forget everything that was learned'
     run:'run the daemon: learn the topology from events on the bus and predict'

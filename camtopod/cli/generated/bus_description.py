@@ -21,7 +21,7 @@ class _Key(Struct, frozen=True):
     """A key on the bus, seen by a program that is neither daemon nor grabber.
 
     key: below the site's.
-    message: name of what is published there.
+    message: name of the published message.
     action: send or receive.
     parameters: those of a query for the same content; None if it cannot be queried.
     """
@@ -43,7 +43,7 @@ _KEYS = (
         "The whole topology. A late joiner queries it.",
         "`version`: a number, for an older version",
     ),
-    _Key("topology/delta", "delta", "receive", "What changed from one version to the next."),
+    _Key("topology/delta", "delta", "receive", "The difference between two successive versions."),
     _Key("prediction/{camera}", "prediction", "receive", "A prediction for each exit."),
     _Key(
         "predict/{camera}",

@@ -95,7 +95,7 @@ def described_types(
     for name, described in made.items():
         _describe(described, Status if name == "Status" else getattr(records, name))
 
-    # What the types cannot express.
+    # Rules that the types cannot express.
     if "Event" in made:  # a position has both coordinates
         made["Event"]["dependentRequired"] = {"x": ["y"], "y": ["x"]}
     for kind, schema in (("Topology", TOPOLOGY_SCHEMA), ("Delta", DELTA_SCHEMA)):

@@ -1,4 +1,4 @@
-"""Carry out an operator's command: by the daemon of the site or, if none runs, in its state."""
+"""Send an operator's command to the daemon or, if none runs, apply it to its state."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def camera(name: str) -> str:
 
 
 def carry_out(args: argparse.Namespace, command: Command) -> int:
-    """Carry out a command, print what was done, and return the exit status.
+    """Execute a command, print the result, and return the exit status.
 
     The site is that of ``--site`` or of the configuration, never another one. Raises
     `CommandError`.
@@ -84,7 +84,7 @@ def _asked(bus: Bus, config: Config, command: Command) -> str:
 
 
 def _offline(config: Config, command: Command) -> str:
-    """Carry out a command in the state directory; return what was done. Raises `CommandError`."""
+    """Execute a command in the state directory; return the result. Raises `CommandError`."""
     directory = config.state_directory
     try:
         said = carry_out_offline(directory, command, config.keep, clock.wall())

@@ -16,7 +16,7 @@ def add_parser(subparsers: Any) -> None:
         help="remove a camera and all that was learned of it",
         description="Removes a camera from the site: its zones, links, counters and events. The "
         "next version, made at once, is without it. Events that still come under its name are "
-        "refused until the name is taken back. For a camera that goes on under another name, use "
+        "refused until the name is taken back. For a camera with a new name, use "
         "rename.",
         epilog="example: camtopod --site hq forget lobby",
     )

@@ -1,4 +1,4 @@
-"""`camtopod rename`: what was learned of a camera goes on under another name."""
+"""`camtopod rename`: rename a camera and keep everything learned about it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ def add_parser(subparsers: Any) -> None:
     """Add `rename`."""
     parser = subparsers.add_parser(
         "rename",
-        help="let what was learned of a camera go on under another name",
-        description="Renames a camera: its zones, links, events and clock offset go on under the "
-        "new name. Events that still come under the old name count for the new one, until the "
+        help="rename a camera and keep everything learned about it",
+        description="Renames a camera. Its zones, links, events and clock offset are kept under "
+        "the new name. Events that still come under the old name count for the new one, until the "
         "first comes under the new name; from then on the old name is refused, as after forget.",
         epilog="example: camtopod --site hq rename lobby entrance",
     )

@@ -1,4 +1,4 @@
-"""`camtopod reset`: the site begins anew."""
+"""`camtopod reset`: start the site from scratch."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def add_parser(subparsers: Any) -> None:
         "reset",
         help="begin the site anew: forget everything that was learned",
         description="Begins the site anew: nothing is learned, no camera is known, no name is "
-        "forgotten, and the versions count from 1 in a new epoch. Events of before are not "
+        "forgotten, and the versions count from 1 in a new epoch. Earlier events are not "
         "learned, wherever they still are. The journal keeps them as long as others.",
         epilog="example: camtopod --site hq reset --yes",
     )

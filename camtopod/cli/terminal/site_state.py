@@ -13,9 +13,9 @@ from msgspec import Struct
 
 from camtopod import codec
 from camtopod.predict import seen_now
-from camtopod.publishers import GONE_SECONDS
+from camtopod.publishers import is_gone
 from camtopod.records import CAMERA_PATTERN, Alarm, Link, NextCamera, Prediction, Topology
-from camtopod.topology import links_between_views, waiting_for_links
+from camtopod.topology import links_between_views, links_in_words, waiting_for_links
 
 PREDICTIONS_KEPT = 30
 """Newest predictions that are kept."""
@@ -28,7 +28,7 @@ SILENT_SECONDS = 5.0
 _FINE = ("running", "ended", "no grabber", "unknown", "gone")
 """States that need no attention.
 
-"gone" is a camera without a grabber, and without events for `GONE_SECONDS`.
+"gone" is a camera without a grabber, and without events for `camtopod.publishers.GONE_SECONDS`.
 "no grabber" and "unknown" are cameras of another program, which sends events but no status.
 """
 
@@ -220,13 +220,12 @@ def _or_gone(camera: CameraLine, known: _Counted | None, newest: float) -> Camer
     newest: time of the newest event of all cameras.
     """
     last = None if known is None else known.newest
-    old = last is not None and newest - last > GONE_SECONDS
-    gone = old and camera.state in ("no grabber", "silent")
+    gone = is_gone(camera.state, last, newest)
     return camera._replace(state="gone", reason="") if gone else camera
 
 
 def _as_named(camera: CameraLine, names: _Names) -> CameraLine:
-    """Return the line of a camera, with what an operator has done with its name."""
+    """Return the line of a camera, with a note if its name was forgotten or renamed."""
     if camera.name in names.forgotten:
         cure = f"its events are refused until camtopod forget --take-back {camera.name}"
         return camera._replace(state="forgotten", reason=cure)
@@ -261,7 +260,7 @@ def topology_lines(topology: Topology | None) -> list[str]:
     lines = [
         f"topology: version {topology.version}, {topology.events} events, "
         f"{len(topology.cameras)} cameras, {len(topology.zones)} zones, "
-        f"{links} {'link' if links == 1 else 'links'} between views, {topology.digest[:19]}"
+        f"{links_in_words(links)}, {topology.digest[:19]}"
     ]
     if waiting := waiting_for_links(topology):
         lines.append(waiting)

@@ -270,17 +270,17 @@ class CameraRegistry:
         return True
 
     def forget(self, name: str) -> None:
-        """Forget what was counted of a camera; what it has waiting is kept."""
+        """Reset the counters of a camera; its waiting events are kept."""
         if (known := self._cameras.get(name)) is not None:
             self._cameras[name] = CameraState(known.heard, waiting=known.waiting)
 
     def forget_all(self) -> None:
-        """Forget what was counted of all cameras."""
+        """Reset the counters of all cameras."""
         for name in self._cameras.copy():
             self.forget(name)
 
     def rename(self, old: str, new: str) -> None:
-        """Continue what was counted of the camera ``old`` under the name ``new``."""
+        """Move the counters of the camera ``old`` to the name ``new``."""
         if (known := self._cameras.get(old)) is not None:
             waiting = self._state_of(new).waiting
             self._cameras[new] = structs.replace(known, waiting=waiting)

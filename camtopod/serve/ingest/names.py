@@ -1,4 +1,4 @@
-"""Names of cameras that an operator has forgotten or renamed, and what that does to their events.
+"""Forgotten and renamed cameras, and how their events are treated.
 
 An event of a forgotten name, or one from before a reset, becomes an entry "refused": it is
 acknowledged, so that its spool empties, and not learned. An event under the old name of a renamed
@@ -37,11 +37,11 @@ LISTED_MAX = 20
 
 
 class CommandRefused(ValueError):
-    """A command that cannot be carried out; ``str()`` says why and what to do."""
+    """A command is refused; ``str()`` gives the reason and the remedy."""
 
 
 class NamesState(Struct, frozen=True):
-    """What is stored of the commands so far.
+    """The stored effect of all commands so far.
 
     forgotten: refused names, each with the time (Unix seconds) since which it is.
     aliases: old names of renamed cameras -> their present names.
@@ -56,7 +56,7 @@ class NamesState(Struct, frozen=True):
 
 
 class KnownSite(NamedTuple):
-    """What is known of a site as a command comes.
+    """Cameras, zones and links of a site when a command arrives.
 
     cameras: of which something was learned or received.
     heard: cameras that have ever sent anything.
@@ -76,9 +76,9 @@ def known_site(
     heard: Iterable[str],
     since: float | None,
 ) -> KnownSite:
-    """Return what is known by the newest topology and the cameras of received events.
+    """Return the known site from the newest topology and the cameras of received events.
 
-    since (Unix seconds): when the site was reset; a topology of before does not count.
+    since (Unix seconds): when the site was reset; an earlier topology does not count.
     """
     if topology is None or (since is not None and topology.as_of < since):
         return KnownSite(set(received), set(heard), set(), set())
@@ -103,7 +103,7 @@ def read_names(stored: str | None) -> NamesState:
 def carried_out(
     state: NamesState, command: Command, site: KnownSite, now: float
 ) -> tuple[NamesState, str]:
-    """Return the state after a command, and what it does, as a sentence for the operator.
+    """Return the state after a command, and its effect, as a sentence for the operator.
 
     now: Unix seconds.
 
@@ -128,7 +128,7 @@ def carried_out(
 
 
 def _present(site: KnownSite, state: NamesState) -> KnownSite:
-    """Return what is known of a site with the names in force, which may be newer."""
+    """Return the known site with the names in force, which may be newer."""
 
     def present(place: str) -> str:
         camera = camera_of(place)
@@ -272,7 +272,7 @@ class Names:
         """Events refused since the start, by forgotten name; "" for those before the reset."""
 
     def carry_out(self, command: Command, site: KnownSite) -> tuple[Received, str]:
-        """Carry out a command; return its entry, and what it does. Raises `CommandRefused`."""
+        """Execute a command; return its entry and its effect, in words. Raises `CommandRefused`."""
         self.state, said = carried_out(self.state, command, site, self._clock())
         stored = codec.to_json(self.state).decode()
         return Received(entry_of(command), command=command, names=stored), said

@@ -15,7 +15,7 @@ Events that are ready then pass a list of stages, all events of a round together
 5. while spools deliver backlogs, events are merged by time (`backlog`);
 6. events of forgotten cameras become entries that are not learned, those of renamed cameras get
    the new name (`names`);
-7. what a camera sends beyond what a view can show becomes an entry that is not learned;
+7. events beyond the most that one view can produce become entries that are not learned;
 8. an entry that advances event time is added when no events come (`idle_time`);
 9. predictions are made;
 10. the entries are put into the queue to be stored (`store_queue`).
@@ -209,7 +209,7 @@ class Receiver:
         self._stages.idle_time.deadline = deadline
 
     def administer(self, command: Command, topology: Topology | None) -> str:
-        """Carry out an operator's command; return what was done, once that is stored. Any thread.
+        """Execute an operator's command; return its effect once it is stored. Any thread.
 
         topology: the newest version.
 

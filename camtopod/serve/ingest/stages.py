@@ -106,7 +106,7 @@ class Stages:
         return self.merge.release(ready, time.monotonic(), self._room)
 
     def administer(self, command: Command, names: NamesState) -> None:
-        """Carry out an operator's command in what is counted of cameras.
+        """Apply an operator's command to the cameras' counters.
 
         names: the names after the command.
         """

@@ -206,7 +206,7 @@ class Worker:
         self._learner = fresh
 
     def _administer(self, command: Command) -> None:
-        """Carry out an operator's command."""
+        """Apply an operator's command."""
         match command:
             case Reset():
                 self._reset(command)

@@ -89,7 +89,7 @@ def rescue(database: sqlite3.Connection, aside: Path) -> int:
     gaps, and counts once.
     """
 
-    # Keep the epoch as the one before, and what the operator has said of names.
+    # Keep the epoch as the one before, and the names that an operator has changed.
     kept = {"epoch": "epoch before", NAMES_KEY: NAMES_KEY}
     for row in readable(aside, "meta", "key"):
         if row[0] in kept and row == meta_row(*map(str, row[:2])):

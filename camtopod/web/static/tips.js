@@ -1,9 +1,9 @@
-// What the map says of a camera or an edge under the pointer.
+// Tooltips of cameras and edges on the map.
 
 import { h } from "./dom.js";
 import { count, percent, plural, seconds, span, transit } from "./words.js";
 
-// What is said of a camera under the pointer.
+// Tooltip of a camera.
 export function nodeTip({ id, camera }) {
   return [
     h("b", {}, id),
@@ -11,7 +11,7 @@ export function nodeTip({ id, camera }) {
   ];
 }
 
-// What is said of an edge under the pointer.
+// Tooltip of an edge.
 export function edgeTip({ a, b, edge }) {
   const kind = edge.relation === "overlapped" ? "Overlapping views" : "Unseen path";
   return [
