@@ -455,3 +455,26 @@ def test_an_unknown_option_is_answered_with_the_usage_of_its_command(
         said = capsys.readouterr().err
         assert said.startswith(f"usage: camtopod {' '.join(command)} ")
         assert "unrecognized arguments: --nope" in said
+
+
+def test_the_help_of_keys_needs_no_further_package(tmp_path: Path) -> None:
+    without = "import sys; sys.modules['cryptography'] = None; from camtopod.cli.main import main; "
+    for arguments, status, said in (
+        (["keys", "--help"], 0, "certificate authority"),
+        (["keys", "camera", "--help"], 0, "--for"),
+        (
+            ["keys", "init"],
+            exits.FAILED,
+            "needs the package 'cryptography', which is not installed",
+        ),
+    ):
+        program = f"{without}sys.exit(main({arguments!r}))"
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
+        assert done.returncode == status
+        assert said in done.stdout + done.stderr
