@@ -22,7 +22,7 @@ import contextlib
 import re
 from collections.abc import Collection, Iterable, Iterator
 from typing import Any
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 from msgspec import Struct, field
 
@@ -31,9 +31,8 @@ from camtopod.adapt.camera_streams import Box, CameraStreams, Name, Seen, likeli
 from camtopod.adapt.camera_streams import split_topic as split
 from camtopod.codec import Rejected
 from camtopod.records import Event
+from camtopod.untrusted_xml import DOCUMENT_BYTES_MAX, all_of, parse_xml, tag_of
 
-DOCUMENT_BYTES_MAX = 1024 * 1024
-"""Longest accepted XML document, bytes."""
 FRAMES_MAX = 1000
 """Frames accepted in a document or message."""
 _END = re.compile(rb"</(?:[\w.-]+:)?MetadataStream\s*>|<(?:[\w.-]+:)?MetadataStream[^<>]*/>")
@@ -226,22 +225,12 @@ def _fractions(box: _Box, transformations: Iterable[_Transformation]) -> Box:
 
 def _frames_of(document: bytes) -> list[_Frame]:
     """Return the frames of an XML document. Raises `Rejected`."""
-    if len(document) > DOCUMENT_BYTES_MAX:
-        raise Rejected("too-long", f"a document of more than {DOCUMENT_BYTES_MAX} bytes")
-    if b"<!DOCTYPE" in document.upper() or b"<!ENTITY" in document.upper():
-        raise Rejected("doctype", "a document with a DOCTYPE, which may hold entities")
-
-    # The encoding is fixed, so that no other one hides a DOCTYPE.
-    try:
-        parser = ElementTree.XMLParser(encoding="utf-8")
-        root = ElementTree.fromstring(document, parser)
-    except (ElementTree.ParseError, ValueError) as error:
-        raise Rejected("malformed", f"is no XML: {error}") from None
-    frames = [_plain_frame(each) for each in root.iter() if _tag(each) == "Frame"]
+    root = parse_xml(document)
+    frames = [_plain_frame(each) for each in all_of(root, "Frame")]
     return codec.read(_Message, codec.to_json({"Frame": frames})).frames  # type: ignore[return-value]
 
 
-def _plain_frame(frame: ElementTree.Element) -> dict[str, Any]:
+def _plain_frame(frame: Element) -> dict[str, Any]:
     """Return a frame in the form of the JSON messages."""
     plain: dict[str, Any] = dict(_attributes(frame))
     plain |= _transformation(frame)
@@ -255,7 +244,7 @@ def _plain_frame(frame: ElementTree.Element) -> dict[str, Any]:
     return plain
 
 
-def _plain_object(one: ElementTree.Element) -> dict[str, Any]:
+def _plain_object(one: Element) -> dict[str, Any]:
     """Return an object in the form of the JSON messages."""
     plain: dict[str, Any] = dict(_attributes(one))
     for appearance in _children(one, "Appearance"):
@@ -268,7 +257,7 @@ def _plain_object(one: ElementTree.Element) -> dict[str, Any]:
     return plain
 
 
-def _types(appearance: ElementTree.Element) -> Iterator[dict[str, Any]]:
+def _types(appearance: Element) -> Iterator[dict[str, Any]]:
     """Yield the kinds of an object: ``Type`` with a likelihood, or the older ``ClassCandidate``."""
     for kind in _children(appearance, "Class"):
         for each in _children(kind, "Type"):
@@ -277,34 +266,29 @@ def _types(appearance: ElementTree.Element) -> Iterator[dict[str, Any]]:
                 "@Likelihood": _number(each.get("Likelihood", "0")),
             }
         for candidate in _children(kind, "ClassCandidate"):
-            texts = {_tag(part): (part.text or "").strip() for part in candidate}
+            texts = {tag_of(part): (part.text or "").strip() for part in candidate}
             yield {
                 "#text": texts.get("Type", ""),
                 "@Likelihood": _number(texts.get("Likelihood", "0")),
             }
 
 
-def _transformation(parent: ElementTree.Element) -> dict[str, Any]:
+def _transformation(parent: Element) -> dict[str, Any]:
     """Return the transformation of an element, by its JSON key."""
     for found in _children(parent, "Transformation"):
-        return {"Transformation": {_tag(part): _numbers(part) for part in found}}
+        return {"Transformation": {tag_of(part): _numbers(part) for part in found}}
     return {}
 
 
-def _children(parent: ElementTree.Element, tag: str) -> Iterator[ElementTree.Element]:
-    return (child for child in parent if _tag(child) == tag)
+def _children(parent: Element, tag: str) -> Iterator[Element]:
+    return (child for child in parent if tag_of(child) == tag)
 
 
-def _tag(element: ElementTree.Element) -> str:
-    """Return the name of an element without its namespace."""
-    return str(element.tag).rpartition("}")[2]
-
-
-def _attributes(element: ElementTree.Element) -> Iterator[tuple[str, str]]:
+def _attributes(element: Element) -> Iterator[tuple[str, str]]:
     return ((f"@{name}", value) for name, value in element.items())
 
 
-def _numbers(element: ElementTree.Element) -> dict[str, float]:
+def _numbers(element: Element) -> dict[str, float]:
     """Return the numeric attributes of an element. Raises `Rejected`."""
     return {name: _number(value) for name, value in _attributes(element)}
 

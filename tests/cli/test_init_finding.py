@@ -10,10 +10,12 @@ import pytest
 from onvif_camera import MATCH, PASSWORD, USER, OnvifCamera, answering_probes, onvif_camera
 
 from camtopod.cli import exits
-from camtopod.cli.cameras import discovery, onvif, soap
+from camtopod.cli.cameras import discovery, onvif
 from camtopod.cli.cameras import probe as probes
 from camtopod.cli.cameras.finding import streams_by_onvif, streams_by_path
 from camtopod.cli.main import main
+from camtopod.codec import Rejected
+from camtopod.untrusted_xml import DOCUMENT_BYTES_MAX, parse_xml
 from camtopod.vision.source import percent_encoded
 from camtopod.vision.source.makers import PATHS, streams_by_maker
 from camtopod.vision.source.probe import Probe
@@ -93,9 +95,14 @@ def test_what_is_no_camera_is_said() -> None:
 
 
 def test_documents_that_could_do_harm_are_refused() -> None:
-    for document in (b"<!DOCTYPE x [<!ENTITY a 'b'>]><x>&a;</x>", b"<x>", b"", b"x" * 1_000_001):
-        with pytest.raises(soap.SoapError):
-            soap.parsed(document)
+    for document in (
+        b"<!DOCTYPE x [<!ENTITY a 'b'>]><x>&a;</x>",
+        b"<x>",
+        b"",
+        b"x" * (DOCUMENT_BYTES_MAX + 1),
+    ):
+        with pytest.raises(Rejected):
+            parse_xml(document)
 
 
 def test_the_smallest_stream_that_is_big_enough_is_taken(camera: OnvifCamera) -> None:

@@ -25,7 +25,7 @@ PACKAGES = sorted(
 )
 
 FLOORS = (
-    "records admin arrays lazy redact visible soundness codec event_time publishers mqtt",
+    "records admin arrays lazy redact visible soundness codec event_time publishers mqtt untrusted_xml",
     "topology",
     "predict",
     "learn.settings learn.limits",

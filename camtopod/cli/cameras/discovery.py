@@ -12,7 +12,8 @@ from urllib.parse import unquote, urlsplit
 
 from msgspec import Struct
 
-from camtopod.cli.cameras import soap
+from camtopod.codec import Rejected
+from camtopod.untrusted_xml import all_of, parse_xml, text_of
 
 GROUP = ("239.255.255.250", 3702)
 """Multicast address and port of WS-Discovery."""
@@ -87,15 +88,15 @@ def _cameras_of(answer: bytes, address: str) -> list[FoundCamera]:
     address: where the answer comes from; of several addresses of a camera this one is preferred.
     """
     try:
-        root = soap.parsed(answer)
-    except soap.SoapError:
+        root = parse_xml(answer)
+    except Rejected:
         return []
     cameras = []
-    for match in soap.all_of(root, "ProbeMatch"):
-        urls = [url for url in soap.text_of(match, "XAddrs").split() if _is_http(url)]
+    for match in all_of(root, "ProbeMatch"):
+        urls = [url for url in text_of(match, "XAddrs").split() if _is_http(url)]
         urls.sort(key=lambda url: urlsplit(url).hostname != address)
         if urls:
-            cameras.append(FoundCamera(urls[0], _name(soap.text_of(match, "Scopes").split())))
+            cameras.append(FoundCamera(urls[0], _name(text_of(match, "Scopes").split())))
     return cameras
 
 

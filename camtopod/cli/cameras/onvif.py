@@ -19,8 +19,9 @@ from xml.sax.saxutils import escape, quoteattr
 
 from msgspec import Struct
 
-from camtopod.cli.cameras import soap
+from camtopod.codec import Rejected
 from camtopod.serve.runtime import clock
+from camtopod.untrusted_xml import DOCUMENT_BYTES_MAX, all_of, parse_xml, text_of
 from camtopod.vision.source import percent_encoded
 
 SCHEME = "onvif"
@@ -62,8 +63,8 @@ def streams(source: str) -> list[Stream]:
     media = camera.media_service()
     body = camera.ask(media, f'<GetProfiles xmlns="{_MEDIA}"/>')
     found = []
-    for profile in list(soap.all_of(body, "Profiles"))[:PROFILES_MAX]:
-        encoder = next(soap.all_of(profile, "VideoEncoderConfiguration"), None)
+    for profile in list(all_of(body, "Profiles"))[:PROFILES_MAX]:
+        encoder = next(all_of(profile, "VideoEncoderConfiguration"), None)
         token = profile.get("token")
         if encoder is None or token is None:
             continue  # sound or metadata only
@@ -74,9 +75,9 @@ def streams(source: str) -> list[Stream]:
             f'<Transport xmlns="{_SCHEMA}"><Protocol>RTSP</Protocol></Transport></StreamSetup>'
             f"<ProfileToken>{escape(token)}</ProfileToken></GetStreamUri>",
         )
-        url = camera.with_login(soap.text_of(answer, "Uri"))
+        url = camera.with_login(text_of(answer, "Uri"))
         width, height, fps = (
-            _number(soap.text_of(encoder, name)) for name in ("Width", "Height", "FrameRateLimit")
+            _number(text_of(encoder, name)) for name in ("Width", "Height", "FrameRateLimit")
         )
         found.append(Stream(url, int(width), int(height), fps))
     if not found:
@@ -106,8 +107,8 @@ class _Camera:
             self._device,
             f'<GetCapabilities xmlns="{_DEVICE}"><Category>Media</Category></GetCapabilities>',
         )
-        media = next(soap.all_of(body, "Media"), None)
-        told = "" if media is None else soap.text_of(media, "XAddr")
+        media = next(all_of(body, "Media"), None)
+        told = "" if media is None else text_of(media, "XAddr")
         try:
             path = urlsplit(told).path
         except ValueError:
@@ -141,25 +142,25 @@ class _Camera:
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         try:
             with opener.open(request, timeout=SECONDS) as answer:
-                return soap.parsed(answer.read(soap.DOCUMENT_BYTES_MAX + 1))
+                return parse_xml(answer.read(DOCUMENT_BYTES_MAX + 1))
         except HTTPError as error:
             with error:
                 raise OnvifError(_why(error)) from None
         except (OSError, http.client.HTTPException) as error:
             reason = getattr(error, "reason", error)
             raise OnvifError(f"no answer by ONVIF at {url}: {reason}") from None
-        except soap.SoapError as error:
+        except Rejected as error:
             raise OnvifError(f"not understood at {url}: {error}") from None
 
     def _clock_ahead(self) -> datetime.timedelta:
         """Return how far the camera's clock is ahead: it refuses tokens of another time."""
         body = self.ask(self._device, f'<GetSystemDateAndTime xmlns="{_DEVICE}"/>', False)
-        utc = next(soap.all_of(body, "UTCDateTime"), None)
+        utc = next(all_of(body, "UTCDateTime"), None)
         if utc is None:
             return datetime.timedelta()
         names = ("Year", "Month", "Day", "Hour", "Minute", "Second")
         with contextlib.suppress(ValueError, OverflowError):
-            there = datetime.datetime(*(int(soap.text_of(utc, name)) for name in names))  # type: ignore[arg-type]
+            there = datetime.datetime(*(int(text_of(utc, name)) for name in names))  # type: ignore[arg-type]
             return there.replace(tzinfo=datetime.UTC) - _now()
         return datetime.timedelta()
 
@@ -202,9 +203,9 @@ def _number(text: str) -> float:
 
 def _why(error: HTTPError) -> str:
     """Return why a camera has refused a request."""
-    with contextlib.suppress(soap.SoapError, OSError):
-        fault = soap.parsed(error.read(soap.DOCUMENT_BYTES_MAX + 1))
-        said = " ".join(one.text or "" for one in soap.all_of(fault, "Value"))
+    with contextlib.suppress(Rejected, OSError):
+        fault = parse_xml(error.read(DOCUMENT_BYTES_MAX + 1))
+        said = " ".join(one.text or "" for one in all_of(fault, "Value"))
         if "NotAuthorized" in said or "FailedAuthentication" in said:
             return "the camera refuses the user name or password"
     if error.code in (401, 403):

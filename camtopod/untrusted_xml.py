@@ -1,0 +1,44 @@
+"""Read XML that comes from the network: with a limit, without entities and namespaces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+from camtopod.codec import Rejected
+
+DOCUMENT_BYTES_MAX = 1024 * 1024
+"""Longest document that is read, in bytes."""
+
+
+def parse_xml(document: bytes) -> Element:
+    """Return the root of a document.
+
+    Raises `Rejected` if it is too long, malformed, or has a DOCTYPE, which may hold entities.
+    """
+    if len(document) > DOCUMENT_BYTES_MAX:
+        raise Rejected("too-long", f"a document of more than {DOCUMENT_BYTES_MAX} bytes")
+    if b"<!DOCTYPE" in document.upper() or b"<!ENTITY" in document.upper():
+        raise Rejected("doctype", "a document with a DOCTYPE, which may hold entities")
+
+    # The encoding is fixed, so that no other one hides a DOCTYPE.
+    try:
+        return ElementTree.fromstring(document, ElementTree.XMLParser(encoding="utf-8"))
+    except (ElementTree.ParseError, ValueError) as error:
+        raise Rejected("malformed", f"is no XML: {error}") from None
+
+
+def tag_of(element: Element) -> str:
+    """Return the name of an element without its namespace."""
+    return element.tag.rpartition("}")[2]
+
+
+def all_of(element: Element, tag: str) -> Iterator[Element]:
+    """Yield the elements of a name, an element itself and those below it."""
+    return (one for one in element.iter() if tag_of(one) == tag)
+
+
+def text_of(element: Element, tag: str) -> str:
+    """Return the text of the first element of a name; "" if there is none."""
+    return next(((one.text or "").strip() for one in all_of(element, tag)), "")
