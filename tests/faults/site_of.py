@@ -144,6 +144,8 @@ class Site:
             )  # type: ignore[misc]
         wait_for(lambda: all_learned(self.status()), "the learner", seconds)
         status = self.status()
+        if newest := status["version"]:  # while the daemon can still be queried for it
+            wait_for(lambda: self.has_heard(newest), "the newest version to be heard")
         self.processes["daemon"].terminate()
         assert self.processes["daemon"].wait(30) == 0
         return status
@@ -355,7 +357,6 @@ def check(site: Site) -> None:
     expected = site.expected()
     assert status["version"] == max(expected)
     newest = max(expected)
-    wait_for(lambda: site.has_heard(newest), "the newest version to be heard")
     epochs = {epoch for epoch, _ in site.versions}
     assert len(epochs) == 1
     assert site.newest == sorted(site.newest), "versions only go up"

@@ -115,6 +115,7 @@ def test_a_wrong_question_is_answered_with_what_is_wrong(api: str, query: str, s
 
 
 def test_the_status(api: str) -> None:
+    wait_for(lambda: "site" in checked(api, "/status")["daemon"], "the daemon's status")
     status = checked(api, "/status")
     assert status["daemon"]["site"] == "site"
     assert {"a", "b", "c"} <= {one["id"] for one in status["cameras"]}
