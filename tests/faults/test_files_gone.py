@@ -10,6 +10,7 @@ import contextlib
 import logging
 import os
 import shutil
+import sqlite3
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
@@ -50,6 +51,14 @@ def moved(state: Path) -> None:
 
 def cut(state: Path) -> None:
     os.truncate(state / "journal.db", 0)
+
+
+def cut_after_a_checkpoint(state: Path) -> None:
+    """Cut it when nothing is left in the log that could be copied back into it."""
+    with contextlib.closing(sqlite3.connect(state / "journal.db")) as database:
+        busy, _, _ = database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+    assert not busy
+    cut(state)
 
 
 def cut_by_a_page(state: Path) -> None:
@@ -105,6 +114,7 @@ HARMS: tuple[Harm, ...] = (
     removed_with_its_log,
     moved,
     cut,
+    cut_after_a_checkpoint,
     cut_by_a_page,
     replaced_by_a_folder,
     replaced_by_a_copy,
@@ -120,7 +130,15 @@ DAMAGED = (cut, cut_by_a_page)
 """After these what can be read of the journal is taken over, and what the spools have comes once
 more.
 """
-OLDER = (removed, removed_with_its_log, moved, replaced_by_a_folder, log_cut, log_cut_in_half)
+OLDER = (
+    removed,
+    removed_with_its_log,
+    moved,
+    cut_after_a_checkpoint,
+    replaced_by_a_folder,
+    log_cut,
+    log_cut_in_half,
+)
 """After these the journal has fewer entries than before."""
 NEW_DIRECTORY = (directory_moved, directory_removed)
 
@@ -152,6 +170,12 @@ class Grabber:
 
     def close(self) -> None:
         self._spool.close()
+
+
+@pytest.fixture(autouse=True)
+def log_that_is_not_copied_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let only `cut_after_a_checkpoint` checkpoint; on a slow machine 300 commits would."""
+    monkeypatch.setattr("camtopod.serve.storage.sqlite_file._AUTOCHECKPOINT_PAGES", 100_000)
 
 
 @pytest.fixture
@@ -188,6 +212,7 @@ def stops(harm: Harm, state: Path, grabber: Grabber, caplog: pytest.LogCaptureFi
     with Daemon(small_config(state), clock=lambda: NOW) as daemon, grabber.at(daemon.endpoint):
         grabber.publish(BEFORE)
         assert grabber.publisher.wait_acknowledged(20)
+        seen = Seen(daemon.epoch, daemon._name(), daemon.endpoint)
         harm(state)
         wait_for(lambda: daemon.status()["state"] == "degraded", "it to notice")
         grabber.publish(AFTER)
@@ -199,7 +224,6 @@ def stops(harm: Harm, state: Path, grabber: Grabber, caplog: pytest.LogCaptureFi
         assert daemon.unready() == [reason]
         assert daemon.failing() == [], "a restart by a supervisor would make the loss final"
         assert caplog.text.count("cannot write the journal, so nothing is acknowledged") == 1
-        seen = Seen(daemon.epoch, daemon._name(), daemon.endpoint)
     assert grabber.publisher.unacknowledged == AFTER
     return seen
 
