@@ -3,7 +3,8 @@
 Three rules make this work on real video: the background must not learn what stands under a
 confirmed track; light must not count as motion (tone curve in `background`, gradients here); and no
 pixel may stay frozen for ever: a picture that has changed as a whole is learned anew, and
-differences that no track claims are adopted after some seconds.
+differences that no track claims are adopted after some seconds. What sways in one place is no
+motion either (`swaying`).
 
 Ignored pixels (setting `ignore`) are never moving and never settled: they have no say in the noise,
 the tone curve, the shake, the share of the picture that has changed and the background model.
@@ -19,6 +20,7 @@ import numpy as np
 
 from camtopod.vision.detect.background import Background, Luma
 from camtopod.vision.detect.shake import shift
+from camtopod.vision.detect.swaying import Swaying, outside_range
 from camtopod.vision.detect.watched import watched_pixels
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import VisionSettings
@@ -76,7 +78,7 @@ class Motion:
     edges: Luma
     """Edges that the scene does not have."""
     changed: Luma
-    """Pixels that differ from the scene."""
+    """Pixels that differ from the scene by more than it sways."""
     expected: Luma
     """Picture of the scene in the frame's light."""
 
@@ -134,6 +136,8 @@ class MotionDetector:
         step = -(-len(frames) // BOOTSTRAP_FRAMES_MAX)
         self._background = Background(frames[::step], self._settings.background_seconds)
         self._settled: Luma = self._without_ignored(np.full(frames[0].shape, 255, np.uint8))
+        self._swaying = Swaying(frames[0].shape[:2])
+        self._differs: Luma = np.zeros(frames[0].shape, np.uint8)
         self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)
         self._changed_seconds = 0.0
 
@@ -150,13 +154,17 @@ class MotionDetector:
         x, y = shift(frame, expected, self._settled)
         self._shake += _NOISE_RATE * (min(abs(x) + abs(y), SHAKE_PIXELS_MAX) - self._shake)
         difference = (
-            _beyond(frame, expected) if self._shake > SHAKE_PIXELS else cv2.absdiff(frame, expected)
+            outside_range(frame, expected, _SQUARE)
+            if self._shake > SHAKE_PIXELS
+            else cv2.absdiff(frame, expected)
         )
 
         # Moving pixels; a picture that has changed as a whole for long ends this scene.
-        moving = self._without_ignored(
-            cv2.threshold(difference, self._difference_min(), 255, cv2.THRESH_BINARY)[1]
+        least = self._difference_min()
+        self._differs = self._without_ignored(
+            cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]
         )
+        moving = self._swaying.without(self._differs, frame, expected, least)
         share = cv2.countNonZero(moving) / self._watched_count(moving)
         self._changed_seconds = self._changed_seconds + dt if share > WHOLE_PICTURE_SHARE else 0.0
         if self._changed_seconds > WHOLE_PICTURE_SECONDS:
@@ -208,16 +216,17 @@ class MotionDetector:
         assert self._background is not None, "bootstrap first"
 
         # Exclude moving pixels and, with a margin, confirmed objects.
-        unclaimed = motion.changed.copy()
-        settled = cv2.bitwise_not(cv2.dilate(motion.changed, _SQUARE))
-        self._settled = self._without_ignored(settled)
+        free = np.full(motion.changed.shape, 255, np.uint8)
         for left, top, right, bottom in claimed:
             margin = max(2.0, 0.1 * (bottom - top))
             rows = slice(max(0, int(top - margin)), max(0, int(bottom + margin) + 1))
             columns = slice(max(0, int(left - margin)), max(0, int(right + margin) + 1))
-            unclaimed[rows, columns] = 0
-            self._settled[rows, columns] = 0
+            free[rows, columns] = 0
+        settled = cv2.subtract(free, cv2.dilate(motion.changed, _SQUARE))
+        self._settled = self._without_ignored(settled)
+        unclaimed = cv2.bitwise_and(motion.changed, free)
 
+        self._swaying.learn(self._differs, dt, free)
         self._background.learn(frame, motion.expected, dt, self._settled)
         if not cv2.countNonZero(unclaimed):
             self._unclaimed_seconds.fill(0.0)
@@ -281,13 +290,3 @@ def _filled(mask: Luma) -> Luma:
         mask[part], cv2.bitwise_not(flooded[1 : height + 1, 1 : width + 1])
     )
     return filled
-
-
-def _beyond(frame: Luma, expected: Luma) -> Luma:
-    """Return how far each pixel lies outside the range of the scene in its 3 x 3 neighbourhood.
-
-    For cameras that shake, such as those on poles.
-    """
-    above = cv2.subtract(frame, cv2.dilate(expected, _SQUARE))
-    below = cv2.subtract(cv2.erode(expected, _SQUARE), frame)
-    return cv2.max(above, below)

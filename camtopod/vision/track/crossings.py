@@ -43,6 +43,11 @@ EXIT_HEIGHTS_MIN = 0.6
 
 Tracks that moved less are false detections.
 """
+WALKED_HEIGHTS_MIN = 1.5
+"""Least distance from its origin (heights) that a track must have moved to be evidence of a door.
+
+What moves in place, such as fragments of a person who stands, begins and ends in mid-view, too.
+"""
 
 
 class Crossings:
@@ -164,19 +169,21 @@ class Crossings:
                 self._note("covered", track, track.last)
             else:
                 self._note("lost", track, track.last)
-                self.doors.record_unexplained(*track.last.foot)
+                if _has_walked(track):
+                    self.doors.record_unexplained(*track.last.foot)
 
-        # Cells that people walk through are evidence against doors.
+        # Those that began in mid-view are evidence of a door as soon as they have walked, cells that
+        # people walk through are evidence against it.
         for track in active:
+            if track.began_in_view and _has_walked(track):
+                track.began_in_view = False
+                self.doors.record_unexplained(*track.first.foot)
             if track.confirmed:
                 self._walks.setdefault(track.number, set()).add(self.doors.cell(*track.last.foot))
         return events
 
     def _entry(self, track: Track) -> list[Event]:
-        """Return the entry of a track that became an object, if it is one.
-
-        A track that begins in mid-view may be evidence of a door.
-        """
+        """Return the entry of a track that became an object, if it is one."""
         if track.from_start:
             self._note("from start", track, track.first)
             return []
@@ -194,7 +201,7 @@ class Crossings:
             self._note("beside others", track, track.first)
         else:
             self._note("in mid-view", track, track.first)
-            self.doors.record_unexplained(*track.first.foot)
+            track.began_in_view = True
         return []
 
     def _entered_with(self, track: Track) -> Track | None:
@@ -275,6 +282,11 @@ class Crossings:
             return at
         ahead, dated = sense * seconds, sense * min(seconds, DATED_SECONDS_MAX)
         return at._replace(t=at.t + dated, foot=(x + ahead * dx, y + ahead * dy))
+
+
+def _has_walked(track: Track) -> bool:
+    """Return True if the track has moved far enough to be evidence of a door."""
+    return track.reach >= WALKED_HEIGHTS_MIN * track.height
 
 
 def _foot_row(sightings: list[Sighting], latest: bool) -> float:

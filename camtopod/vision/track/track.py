@@ -40,6 +40,8 @@ class Track:
     """Hidden behind others in the latest frame."""
     entered: bool = False
     """An entry was reported for it."""
+    began_in_view: bool = False
+    """Began in mid-view without explanation, and has not walked far enough yet to be evidence."""
     interrupted: bool = False
     """Lost while there were no frames."""
     reach: float = 0.0

@@ -1,0 +1,71 @@
+"""Scenery that sways, such as branches, flags and reflections on water.
+
+A pixel that shows such scenery changes to and fro though nobody walks there. Where that is frequent
+the pixel counts as moving only if it is brighter or darker than all of the scene around it, which
+may have swayed into it. People in front of moving leaves are thus seen in part only; without this,
+the leaves would be objects.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from camtopod.vision.detect.background import Luma
+
+SWAY_SHARE = 0.15
+"""Share of the frames in which a pixel has changed to or fro, above which scenery sways there."""
+SWAY_SECONDS = 20.0
+"""Time constant with which this share is estimated."""
+SWAY_START_SECONDS = 6.0
+"""Time constant after the beginning; it grows with the time since then up to `SWAY_SECONDS`."""
+SWAY_PIXELS = 3
+"""Distance (pixels) within which scenery may sway into a pixel."""
+_NEIGHBOURS = np.ones((3, 3), np.uint8)
+_REACH = np.ones((2 * SWAY_PIXELS + 1, 2 * SWAY_PIXELS + 1), np.uint8)
+
+
+class Swaying:
+    """Where scenery sways in one view."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        """Begin with a scene at rest, of ``shape`` (height, width)."""
+        self._share = np.zeros(shape, np.float32)  # of the frames, times 255
+        self._differed: Luma = np.zeros(shape, np.uint8)
+        self._seconds = 0.0
+
+    def without(self, moving: Luma, frame: Luma, expected: Luma, difference_min: float) -> Luma:
+        """Return the mask ``moving`` (H, W) without what may be swaying scenery.
+
+        expected (H, W): picture of the scene.
+        difference_min (grey levels): smallest difference of a moving pixel.
+        """
+        _, often = cv2.threshold(self._share, 255 * SWAY_SHARE, 255, cv2.THRESH_BINARY)
+        where = often.astype(np.uint8)
+        if not cv2.countNonZero(where):
+            return moving
+        outside = outside_range(frame, expected, _REACH)
+        _, within = cv2.threshold(outside, difference_min, 255, cv2.THRESH_BINARY_INV)
+        return cv2.subtract(moving, cv2.bitwise_and(within, cv2.dilate(where, _NEIGHBOURS)))
+
+    def learn(self, differs: Luma, dt: float, unclaimed: Luma) -> None:
+        """Count what has changed in the ``dt`` seconds since the last frame.
+
+        differs (H, W): pixels that differ from the scene, swaying or not.
+        unclaimed (H, W): 0 under confirmed objects, where nothing is counted.
+        """
+        self._seconds += dt
+        constant = min(max(self._seconds, SWAY_START_SECONDS), SWAY_SECONDS)
+        changed = cv2.bitwise_xor(differs, self._differed)
+        cv2.accumulateWeighted(changed, self._share, dt / constant, unclaimed)
+        self._differed = differs
+
+
+def outside_range(frame: Luma, expected: Luma, neighbours: Luma) -> Luma:
+    """Return how far (grey levels) each pixel lies outside of the range of the scene around it.
+
+    neighbours: structuring element of the pixels around it.
+    """
+    above = cv2.subtract(frame, cv2.dilate(expected, neighbours))
+    below = cv2.subtract(cv2.erode(expected, neighbours), frame)
+    return cv2.max(above, below)
