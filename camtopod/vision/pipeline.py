@@ -127,7 +127,7 @@ class ViewPipeline:
         for track in self._tracker.active:
             if self._detector is not None and self._detector.holds(track.last.box):
                 continue
-            if self._is_still(track, t) and self._motion.is_ghost(frame, motion, track.last.box):
+            if self._is_still(track, t) and self._motion.is_ghost(motion, track.last.box):
                 self._tracker.drop(track)
                 self.ghosts += 1
 
@@ -137,8 +137,8 @@ class ViewPipeline:
             for track in self._tracker.active
             if track.confirmed
         ]
-        self._motion.learn(frame, motion, dt, claimed)
-        self._show(t, frame, motion.moving, events)
+        self._motion.learn(motion, dt, claimed)
+        self._show(t, motion.frame, motion.moving, events)
         return events
 
     def _show(self, t: float, frame: Luma, moving: Luma | None, events: Sequence[Event]) -> None:

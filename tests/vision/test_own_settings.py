@@ -102,7 +102,7 @@ def test_nothing_moves_in_an_ignored_area() -> None:
         assert not motion.moving[ignored].any()
         assert not motion.changed[ignored].any()
         assert motion.changed[~ignored].any()
-        detector.learn(frame, motion, 1 / FPS, [])
+        detector.learn(motion, 1 / FPS, [])
 
 
 def test_what_happens_in_an_ignored_area_changes_nothing() -> None:

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from camtopod.vision.detect.background import Background, Luma
-from camtopod.vision.detect.shake import shift
+from camtopod.vision.detect.shake import shift, shifted_back
 from camtopod.vision.detect.swaying import Swaying, outside_range
 from camtopod.vision.detect.watched import watched_pixels
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
@@ -53,7 +53,7 @@ GHOST_RATIO = 1.5
 The model then still contains the object that has left.
 """
 SHAKE_PIXELS = 0.2
-"""Mean shake (pixels) from which a pixel may show its neighbour in the scene.
+"""Mean shake (pixels) from which pictures are moved back, and a pixel may show its neighbour.
 
 This tolerance hides some people.
 """
@@ -73,6 +73,8 @@ _LOGARITHM = np.clip(100 * np.log((np.arange(256) + _DARK) / _DARK), 0, 255).ast
 class Motion:
     """One frame against the settled scene; masks (H, W) of 0 and 255."""
 
+    frame: Luma
+    """The frame, moved to where the scene is if the camera shakes."""
     moving: Luma
     """Changed pixels without shadows and reflections."""
     edges: Luma
@@ -150,14 +152,15 @@ class MotionDetector:
         assert self._background is not None, "bootstrap first"
         expected = self._background.expected(frame, self._settled, self._noise)
 
-        # Difference to the expected picture, tolerant of shake if there is any.
+        # Difference to the expected picture. If the camera shakes, the picture is moved back, and
+        # what is left of the shake is tolerated.
         x, y = shift(frame, expected, self._settled)
         self._shake += _NOISE_RATE * (min(abs(x) + abs(y), SHAKE_PIXELS_MAX) - self._shake)
-        difference = (
-            outside_range(frame, expected, _SQUARE)
-            if self._shake > SHAKE_PIXELS
-            else cv2.absdiff(frame, expected)
-        )
+        if self._shake > SHAKE_PIXELS:
+            frame = shifted_back(frame, expected, self._settled, (x, y))
+            difference = outside_range(frame, expected, _SQUARE)
+        else:
+            difference = cv2.absdiff(frame, expected)
 
         # Moving pixels; a picture that has changed as a whole for long ends this scene.
         least = self._difference_min()
@@ -172,7 +175,7 @@ class MotionDetector:
             self.relearned += 1
             return None
         if share == 0.0:
-            return Motion(moving, moving, moving, expected)
+            return Motion(frame, moving, moving, moving, expected)
 
         # Keep moving pixels near own edges or with a strong difference, and what they enclose.
         edges, strong = self._own_texture(frame, expected)
@@ -181,7 +184,7 @@ class MotionDetector:
         solid = cv2.bitwise_and(moving, _filled(solid))
         # Opening removes lines, such as outlines of furniture.
         solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)
-        return Motion(solid, edges, moving, expected)
+        return Motion(frame, solid, edges, moving, expected)
 
     def _difference_min(self) -> float:
         """Return the smallest difference of a moving pixel, grey levels: above the noise."""
@@ -208,7 +211,7 @@ class MotionDetector:
         edges = cv2.threshold(steps, EDGE_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
         return edges, cv2.threshold(ratio, STRONG_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
 
-    def learn(self, frame: Luma, motion: Motion, dt: float, claimed: Iterable[Box]) -> None:
+    def learn(self, motion: Motion, dt: float, claimed: Iterable[Box]) -> None:
         """Adapt to the scene where nothing moves.
 
         claimed: boxes of confirmed objects, whose pixels are not learned.
@@ -227,7 +230,7 @@ class MotionDetector:
         unclaimed = cv2.bitwise_and(motion.changed, free)
 
         self._swaying.learn(self._differs, dt, free)
-        self._background.learn(frame, motion.expected, dt, self._settled)
+        self._background.learn(motion.frame, motion.expected, dt, self._settled)
         if not cv2.countNonZero(unclaimed):
             self._unclaimed_seconds.fill(0.0)
             return
@@ -236,7 +239,8 @@ class MotionDetector:
         self._unclaimed_seconds = cv2.copyTo(self._unclaimed_seconds + np.float32(dt), unclaimed)
         if float(self._unclaimed_seconds.max()) > ADOPT_SECONDS:
             self._adopt(
-                frame, np.where(self._unclaimed_seconds > ADOPT_SECONDS, np.uint8(255), np.uint8(0))
+                motion.frame,
+                np.where(self._unclaimed_seconds > ADOPT_SECONDS, np.uint8(255), np.uint8(0)),
             )
 
     def _adopt(self, frame: Luma, where: Luma) -> None:
@@ -244,7 +248,7 @@ class MotionDetector:
         self._background.adopt(frame, where)
         self._unclaimed_seconds[where != 0] = 0.0
 
-    def is_ghost(self, frame: Luma, motion: Motion, box: Box) -> bool:
+    def is_ghost(self, motion: Motion, box: Box) -> bool:
         """Return True if ``box`` holds a ghost: motion where an object *was*.
 
         The scene then adopts the current picture there.
@@ -260,7 +264,9 @@ class MotionDetector:
             return False
 
         # Compare the gradients along the outline.
-        now = cv2.morphologyEx(frame[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
+        now = cv2.morphologyEx(motion.frame[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[
+            outline
+        ].mean()
         model = cv2.morphologyEx(
             self._background.picture[rows, columns], cv2.MORPH_GRADIENT, _CROSS
         )[outline].mean()
@@ -268,9 +274,9 @@ class MotionDetector:
             return False
 
         # Adopt the picture.
-        where = np.zeros(frame.shape, np.uint8)
+        where = np.zeros(motion.frame.shape, np.uint8)
         where[rows, columns] = cv2.dilate(mask, _SQUARE)
-        self._adopt(frame, where)
+        self._adopt(motion.frame, where)
         return True
 
 

@@ -1,12 +1,21 @@
-"""Shift of a picture against the scene: a least-squares step of Lucas and Kanade (IJCAI 1981)."""
+"""Shift of a picture against the scene: least-squares steps of Lucas and Kanade (IJCAI 1981)."""
 
 from __future__ import annotations
 
+from math import hypot
+
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from camtopod.vision.detect.background import Luma
 
+STEPS_MAX = 10
+"""Most steps in which a picture is moved back; a single one is accurate to about a pixel."""
+EXACT_PIXELS = 0.05
+"""Length of a step after which there are no more."""
+SHIFT_PIXELS_MAX = 20.0
+"""Longest shift that is believed; beyond it, the camera does not only shake."""
 _ROW_STEP = 4
 """Only every fourth row is used."""
 _OUTLIER = 40
@@ -39,6 +48,33 @@ def shift(frame: Luma, scene: Luma, settled: Luma) -> tuple[float, float]:
         return (0.0, 0.0)
     bx, by = float(dx @ off) / 2, float(dy @ off) / 2
     return ((yy * bx - xy * by) / determinant, (xx * by - xy * bx) / determinant)
+
+
+def shifted_back(frame: Luma, scene: Luma, settled: Luma, first: tuple[float, float]) -> Luma:
+    """Return ``frame`` (H, W) moved to where ``scene`` is; its border repeats what it lacks.
+
+    settled (H, W): 0 where the frame does not show the scene.
+    first (pixels): shift of the frame as found by `shift`; further steps refine it.
+    """
+    x, y = first
+    for _ in range(STEPS_MAX):
+        dx, dy = shift(_moved(frame, x, y), scene, settled)
+        x, y = x + dx, y + dy
+        if hypot(dx, dy) < EXACT_PIXELS:
+            break
+    return _moved(frame, x, y) if hypot(x, y) <= SHIFT_PIXELS_MAX else frame
+
+
+def _moved(frame: Luma, x: float, y: float) -> Luma:
+    """Return ``frame`` moved by (-x, -y) pixels."""
+    height, width = frame.shape
+    return cv2.warpAffine(
+        frame,
+        np.array([[1.0, 0.0, x], [0.0, 1.0, y]]),
+        (width, height),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
 
 
 def _flat(values: npt.NDArray[np.int16]) -> npt.NDArray[np.float32]:

@@ -172,8 +172,8 @@ class Crossings:
                 if _has_walked(track):
                     self.doors.record_unexplained(*track.last.foot)
 
-        # Those that began in mid-view are evidence of a door as soon as they have walked, cells that
-        # people walk through are evidence against it.
+        # Tracks that began in mid-view are evidence of a door as soon as they have walked, cells
+        # that people walk through are evidence against it.
         for track in active:
             if track.began_in_view and _has_walked(track):
                 track.began_in_view = False
