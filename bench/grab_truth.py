@@ -17,8 +17,9 @@ in mid-view): for finding errors, not for judging how good the grabber is.
 Each clip is analysed several times, at 7 pictures a second, with the first frames left out, as a
 single clip's figures vary with the pictures that happen to be taken. ``--variants`` adds what can
 be made of the clips: mirrored, backwards in time, cropped where nobody enters or leaves, with half
-the light, shaken, slowed, and two side by side, each with its truth changed accordingly. ``--rtsp``
-also serves vtest.avi over a real RTSP server in real time (two minutes) and compares with the file.
+the light, shaken, slowed, begun later, with a bush in the wind, and two side by side, each with its
+truth changed accordingly. ``--rtsp`` also serves vtest.avi over a real RTSP server in real time
+(two minutes) and compares with the file.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ from msgspec import Struct
 
 from bench.scenes.drawn_clips import drawn_clips
 from bench.support import rtsp_streams as streams
-from bench.support.truth_clips import Clip, TruthError, clip_of, clips_in, with_variants
+from bench.support.clip_variants import with_variants
+from bench.support.truth_clips import Clip, TruthError, clip_of, clips_in
 from bench.support.watched_clips import HERE, VTEST, best_offset, match, one_by_one, shifted
 from camtopod.records import Event
 from camtopod.vision.grabber import Grabber

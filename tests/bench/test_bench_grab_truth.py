@@ -11,8 +11,9 @@ import pytest
 
 from bench import grab_truth
 from bench.grab_truth import Run, Score, pooled_f1, scored, summary
-from bench.support import films, truth_clips
-from bench.support.truth_clips import Clip, TruthError, clip_of, clips_in, side_by_side
+from bench.support import clip_variants, films
+from bench.support.clip_variants import side_by_side
+from bench.support.truth_clips import Clip, TruthError, clip_of, clips_in
 
 SIZE = (320, 240)
 FPS = 14.0
@@ -92,9 +93,11 @@ def test_phases_see_other_pictures(walker: Clip) -> None:
     assert second[0] - first[0] == pytest.approx(1 / 14, abs=0.01)
 
 
-@pytest.mark.parametrize("name", ["mirrored", "backwards", "cropped", "darkened", "slowed"])
+@pytest.mark.parametrize(
+    "name", ["mirrored", "backwards", "cropped", "darkened", "slowed", "with leaves"]
+)
 def test_the_truth_of_a_variant_fits_its_pictures(walker: Clip, name: str) -> None:
-    made = truth_clips.VARIANTS[name](walker)
+    made = clip_variants.VARIANTS[name](walker)
     assert made is not None
     assert made.variant == name
     score, details = scored(made, 1)
@@ -102,14 +105,14 @@ def test_the_truth_of_a_variant_fits_its_pictures(walker: Clip, name: str) -> No
 
 
 def test_truth_of_variants(walker: Clip) -> None:
-    assert truth_of(truth_clips.mirrored(walker))[0] == ("entry", 5.0, 1.0, 0.7)
+    assert truth_of(clip_variants.mirrored(walker))[0] == ("entry", 5.0, 1.0, 0.7)
     # The last frame is at 18 - 1/14 s.
-    assert truth_of(truth_clips.backwards(walker)) == [
+    assert truth_of(clip_variants.backwards(walker)) == [
         ("entry", 3.93, 1.0, 0.7),
         ("exit", 12.93, 0.0, 0.7),
     ]
-    assert truth_of(truth_clips.slowed(walker))[1] == ("exit", 21.0, 1.0, 0.7)
-    cropped = truth_clips.cropped(walker)
+    assert truth_of(clip_variants.slowed(walker))[1] == ("exit", 21.0, 1.0, 0.7)
+    cropped = clip_variants.cropped(walker)
     assert cropped is not None
     # 0.2 is cut off at the top, 0.05 at the bottom, nothing at the sides.
     assert truth_of(cropped)[0] == ("entry", 5.0, 0.0, 0.67)
@@ -125,11 +128,30 @@ def test_nothing_is_cropped_where_people_come_and_go(folder: Path, tmp_path: Pat
     ]
     truth = tmp_path / "all.jsonl"
     truth.write_text("\n".join(map(json.dumps, lines)))
-    assert truth_clips.cropped(clip_of(folder / "walker.avi", truth)) is None
+    assert clip_variants.cropped(clip_of(folder / "walker.avi", truth)) is None
+
+
+def test_a_clip_that_begins_later_lacks_what_was_before(walker: Clip) -> None:
+    later = clip_variants.begun_later(walker)
+    assert later is not None
+    assert truth_of(later) == [("exit", 8.02, 1.0, 0.7)]
+    first = next(iter(later.pictures(0, later.settings)))
+    assert 0.0 <= first.t < 1 / 7
+    assert clip_variants.begun_later(later) is None, "hardly anything would be left"
+
+
+def test_leaves_are_where_nobody_enters_or_leaves(walker: Clip) -> None:
+    made = clip_variants.with_leaves(walker)
+    some = zip(walker.pictures(0, walker.settings), made.pictures(0, made.settings), strict=True)
+    differs = np.mean([old.luma != new.luma for old, new in some], axis=0)
+    high, wide = differs.shape
+    assert differs[: high // 3, : wide // 3].mean() > 0.5
+    assert not differs[high // 2 :].any()
+    assert not differs[:, wide // 2 :].any()
 
 
 def test_a_shaken_clip_is_shifted_and_stays_in_its_picture(walker: Clip) -> None:
-    shaken = truth_clips.shaken(walker)
+    shaken = clip_variants.shaken(walker)
     assert truth_of(shaken) == truth_of(walker)
     one, two, *_ = shaken.pictures(0, shaken.settings)
     assert one.luma.shape == two.luma.shape == (232, 312)

@@ -229,15 +229,18 @@ def test_large_pictures_are_scaled_down() -> None:
     assert (WIDTH, HEIGHT) == (192, 144)
 
 
-def test_a_camera_that_shakes_by_a_pixel_sees_nothing_in_an_empty_scene_and_people_in_a_full_one() -> (
-    None
-):
+@pytest.mark.parametrize("pixels", [1, 3])
+def test_a_camera_that_shakes_sees_nothing_in_an_empty_scene_and_people_in_a_full_one(
+    pixels: int,
+) -> None:
     walker = Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=20)
     for people, expected in (([], []), ([walker], [("entry", "left"), ("exit", "right")])):
         scene, watcher, events = Scene(people), ViewPipeline("cam", VisionSettings()), []
         rng = np.random.default_rng(4)
         for k in range(round(18 * FPS)):
-            picture = np.roll(scene.picture(k / FPS), rng.integers(-1, 2, 2), axis=(0, 1))
+            picture = np.roll(
+                scene.picture(k / FPS), rng.integers(-pixels, pixels + 1, 2), axis=(0, 1)
+            )
             events += watcher.process(k / FPS, picture)
         assert passages(events + watcher.finish()) == expected
 

@@ -94,6 +94,25 @@ def test_shift(seed: int) -> None:
     assert shake.shift(frame, scene, settled) == pytest.approx(tuple(twin), abs=1e-3)
 
 
+@pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (3.0, -2.0), (-6.0, 5.0)])
+def test_a_picture_is_moved_back(x: float, y: float) -> None:
+    large = cv2.GaussianBlur(picture(np.random.default_rng(3), 240, 380, coarse=12), (0, 0), 2)
+    left, top = 30 + int(x), 30 + int(y)
+    scene, frame = large[30:210, 30:350], large[top : top + 180, left : left + 320]
+    settled = np.full(scene.shape, 255, np.uint8)
+    back = shake.shifted_back(frame, scene, settled, shake.shift(frame, scene, settled))
+    inner = (slice(8, -8), slice(8, -8))
+    assert np.abs(back[inner].astype(int) - scene[inner]).mean() < 0.5
+
+
+def test_a_camera_that_has_turned_is_not_moved_back() -> None:
+    frame = picture(np.random.default_rng(3), 180, 320)
+    settled = np.full(frame.shape, 255, np.uint8)
+    far = (shake.SHIFT_PIXELS_MAX + 1.0, 0.0)
+    flat = np.full_like(frame, 100)  # without texture, nothing is found
+    assert shake.shifted_back(frame, flat, settled, far) is frame
+
+
 @seeds
 def test_fragments(seed: int) -> None:
     rng = np.random.default_rng(seed)

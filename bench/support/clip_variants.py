@@ -1,0 +1,335 @@
+"""Variants of clips with ground truth: more of what real video there is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import cv2
+import msgspec
+import numpy as np
+
+from bench.support.truth_clips import Clip, Picture
+from camtopod.records import Event
+from camtopod.vision import VisionSettings
+from camtopod.vision.detect import Luma
+
+SLOWER = 1.5
+"""Factor on the times of a slowed clip."""
+DARKER = 0.5
+"""Factor on the luma of a darkened clip."""
+SHAKE_SHARE = 0.004
+"""Standard deviation of a shaken picture's shift, as a share of its width."""
+SHAKE_SHARE_MAX = 0.0125
+"""Largest shift of a shaken picture, as a share of its width; this margin is cut off."""
+CROP_SHARE_MAX, CROP_SHARE_MIN = 0.2, 0.03
+"""Largest and least share of the picture that is cropped at a side."""
+CROP_CLEAR_SHARE = 0.25
+"""Share of the picture that remains between a cropped side and the nearest foot point."""
+DETAIL_FACTOR = 2
+"""Crops are taken from pictures of this many times the working width."""
+LATER_SHARE = 1 / 3
+"""Share of a clip that is left out of one that begins later."""
+LATER_SECONDS_MIN = 10.0
+"""Least length of what is left of it."""
+LEAVES_SHARE = 0.35
+"""Width and height of a bush, as shares of the picture."""
+LEAF_PIXELS = 3
+"""Size of its leaves, pixels of the working picture."""
+GUST_PIXELS = 5.0
+"""How far the strongest gusts move it at the top, pixels of the working picture."""
+GUST_SECONDS = 12.0
+"""Time between gusts."""
+
+
+def mirrored(clip: Clip) -> Clip:
+    """Return the clip with left and right exchanged."""
+
+    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+        for picture in clip.pictures(skipped, settings):
+            yield picture._replace(luma=np.ascontiguousarray(picture.luma[:, ::-1]))
+
+    truth = [msgspec.structs.replace(event, x=1.0 - _at(event)[0]) for event in clip.truth]
+    return replace(clip, variant="mirrored", truth=tuple(truth), pictures=pictures)
+
+
+def backwards(clip: Clip) -> Clip:
+    """Return the clip reversed in time: entries become exits."""
+
+    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+        for picture in reversed(list(clip.pictures(skipped, settings))):
+            yield picture._replace(t=max(0.0, clip.seconds - picture.t))
+
+    truth = [
+        msgspec.structs.replace(
+            event,
+            kind="exit" if event.kind == "entry" else "entry",
+            t=max(0.0, clip.seconds - event.t),
+        )
+        for event in reversed(clip.truth)
+    ]
+    return replace(clip, variant="backwards", truth=tuple(truth), pictures=pictures)
+
+
+def darkened(clip: Clip) -> Clip:
+    """Return the clip with less light, and so less contrast."""
+
+    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+        for picture in clip.pictures(skipped, settings):
+            yield picture._replace(luma=cv2.convertScaleAbs(picture.luma, alpha=DARKER))
+
+    return replace(clip, variant="darkened", pictures=pictures)
+
+
+def shaken(clip: Clip) -> Clip:
+    """Return the clip as of a camera that trembles: each picture has its own shift."""
+
+    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+        rng = np.random.default_rng(1)
+        detailed = _detailed(settings)
+        for picture in clip.pictures(skipped, detailed):
+            height, width = picture.luma.shape
+            margin = max(1, round(SHAKE_SHARE_MAX * width))
+            shift = np.clip(rng.normal(0.0, SHAKE_SHARE * width, 2), -margin, margin)
+            x, y = (margin + shift.round().astype(np.int64)).tolist()
+            luma = picture.luma[y : y + height - 2 * margin, x : x + width - 2 * margin]
+            yield picture._replace(luma=np.ascontiguousarray(luma))
+
+    return replace(clip, variant="shaken", pictures=pictures)
+
+
+def cropped(clip: Clip) -> Clip | None:
+    """Return the clip without the margins that no event is near to; None if there is hardly any.
+
+    Where nobody enters or leaves, passages remain as they are. Somebody may still walk through a
+    margin in between, who is then cut.
+    """
+    if not clip.truth:
+        return None
+    at = np.array([_at(event) for event in clip.truth])
+    room = np.concatenate([at.min(axis=0), 1.0 - at.max(axis=0)]) - CROP_CLEAR_SHARE
+    cut = np.where(room < CROP_SHARE_MIN, 0.0, np.minimum(room, CROP_SHARE_MAX))
+    left, top, right, bottom = cut.tolist()
+    if not cut.any():
+        return None
+
+    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+        for picture in clip.pictures(skipped, _detailed(settings)):
+            height, width = picture.luma.shape
+            rows = slice(round(top * height), round((1.0 - bottom) * height))
+            columns = slice(round(left * width), round((1.0 - right) * width))
+            yield picture._replace(luma=np.ascontiguousarray(picture.luma[rows, columns]))
+
+    wide, high = 1.0 - left - right, 1.0 - top - bottom
+    truth = [
+        msgspec.structs.replace(event, x=(x - left) / wide, y=(y - top) / high)
+        for event, (x, y) in zip(clip.truth, at.tolist(), strict=True)
+    ]
+    aspect = clip.aspect * wide / high
+    return replace(clip, variant="cropped", truth=tuple(truth), aspect=aspect, pictures=pictures)
+
+
+def slowed(clip: Clip) -> Clip:
+    """Return the clip played more slowly; pictures are taken as often as before."""
+
+    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+        # The same pictures as of the clip itself at a higher rate.
+        faster = msgspec.structs.replace(settings, analysed_fps=SLOWER * settings.analysed_fps)
+        for picture in clip.pictures(skipped, faster):
+            yield picture._replace(t=SLOWER * picture.t)
+
+    truth = [msgspec.structs.replace(event, t=SLOWER * event.t) for event in clip.truth]
+    return replace(
+        clip,
+        variant="slowed",
+        truth=tuple(truth),
+        seconds=SLOWER * clip.seconds,
+        rate=clip.rate / SLOWER,
+        pictures=pictures,
+    )
+
+
+def side_by_side(left: Clip, right: Clip) -> Clip:
+    """Return two clips as one wide picture, as long as the shorter of them.
+
+    Both halves are as large as they are alone. Nothing is scored near the seam, where people
+    vanish in mid-view.
+    """
+    total = left.aspect + right.aspect
+    seam = left.aspect / total
+    seconds = min(left.seconds, right.seconds)
+    # The halves have the height of the first, so the second one's width follows from its shape.
+    width = round(left.settings.working_width / seam)
+
+    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+        single = msgspec.structs.replace(settings, working_width=left.settings.working_width)
+        others = right.pictures(skipped, single)
+        other = next(others, None)
+        following = next(others, None)
+        for picture in left.pictures(skipped, single):
+            # The other clip's newest picture.
+            while following is not None and following.t <= picture.t:
+                other, following = following, next(others, None)
+            if other is None or picture.t > seconds:
+                return
+            height = len(picture.luma)
+            size = (round(right.aspect * height), height)
+            beside = cv2.resize(other.luma, size, interpolation=cv2.INTER_AREA)
+            yield picture._replace(luma=np.hstack([picture.luma, beside]))
+
+    def at_half(clip: Clip, begin: float, share: float) -> list[Event]:
+        return [
+            msgspec.structs.replace(event, x=begin + share * _at(event)[0])
+            for event in clip.truth
+            if event.t <= seconds
+        ]
+
+    truth = at_half(left, 0.0, seam) + at_half(right, seam, 1.0 - seam)
+    return Clip(
+        f"{left.name} + {right.name}",
+        "side by side",
+        tuple(sorted(truth, key=lambda event: event.t)),
+        total,
+        seconds,
+        left.rate,
+        msgspec.structs.replace(left.settings, working_width=width),
+        pictures,
+        seam,
+    )
+
+
+def begun_later(clip: Clip) -> Clip | None:
+    """Return the clip without its first part; None if it is short.
+
+    People who are in view at the beginning have no entry, and may become part of the scene.
+    """
+    begin = LATER_SHARE * clip.seconds
+    truth = [
+        msgspec.structs.replace(event, t=event.t - begin) for event in clip.truth if event.t > begin
+    ]
+    if clip.seconds - begin < LATER_SECONDS_MIN:
+        return None
+
+    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+        for picture in clip.pictures(skipped, settings):
+            if picture.t >= begin:
+                yield picture._replace(t=picture.t - begin)
+
+    return replace(
+        clip,
+        variant="begun later",
+        truth=tuple(truth),
+        seconds=clip.seconds - begin,
+        pictures=pictures,
+    )
+
+
+def with_leaves(clip: Clip) -> Clip:
+    """Return the clip with a bush in the wind in front of the corner where least happens."""
+    at = np.array([_at(event) for event in clip.truth]).reshape(-1, 2)
+    corners = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
+    distances = np.linalg.norm(at[None, :, :] - corners[:, None, :], axis=2)
+    x, y = corners[int(distances.min(axis=1, initial=2.0).argmax())].tolist()
+
+    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+        bush: Bush | None = None
+        for picture in clip.pictures(skipped, settings):
+            luma = picture.luma.copy()
+            height, width = luma.shape
+            bush = bush or Bush(round(LEAVES_SHARE * width), round(LEAVES_SHARE * height))
+            left, top = round(x * (width - bush.width)), round(y * (height - bush.height))
+            bush.draw(luma[top : top + bush.height, left : left + bush.width], picture.t)
+            yield picture._replace(luma=luma)
+
+    return replace(clip, variant="with leaves", pictures=pictures)
+
+
+class Bush:
+    """Leaves of ``width`` x ``height`` pixels that the wind moves, more at the top, in gusts.
+
+    gust (pixels): how far the strongest gusts move it at the top.
+    """
+
+    def __init__(self, width: int, height: int, gust: float = GUST_PIXELS) -> None:
+        self.width, self.height, self._gust = width, height, gust
+        rng = np.random.default_rng(1)
+        rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
+        self._rows, self._columns = rows, columns
+
+        # Leaves: noise in two sizes; outline: an uneven oval.
+        fine, coarse, outline = (
+            cv2.resize(
+                rng.normal(0.0, 1.0, (height // size + 2, width // size + 2)).astype(np.float32),
+                (width, height),
+                interpolation=cv2.INTER_CUBIC,
+            )
+            for size in (LEAF_PIXELS, 4 * LEAF_PIXELS, 10 * LEAF_PIXELS)
+        )
+        self._leaves = np.clip(110.0 + 35.0 * fine + 25.0 * coarse, 0.0, 255.0)
+        oval = (2 * columns / width - 1) ** 2 + (2 * rows / height - 1) ** 2
+        self._cover = (oval + 0.15 * outline < 0.9).astype(np.float32)
+
+        # Four waves, each with its frequency and its phases.
+        self._hertz = rng.uniform(0.3, 1.2, 4)
+        self._phases = [
+            cv2.resize(
+                rng.uniform(0.0, 2 * np.pi, (5, 5)).astype(np.float32),
+                (width, height),
+                interpolation=cv2.INTER_CUBIC,
+            )
+            for _ in range(4)
+        ]
+
+    def draw(self, canvas: Luma, t: float) -> None:
+        """Draw it over ``canvas`` (H, W) as it is at ``t`` seconds."""
+        gust = self._gust * (0.35 + 0.65 * max(0.0, np.sin(2 * np.pi * t / GUST_SECONDS)))
+        bend = gust * (1.0 - self._rows / self.height)
+        waves = [
+            np.sin(2 * np.pi * hertz * t + phase)
+            for hertz, phase in zip(self._hertz, self._phases, strict=True)
+        ]
+        columns = (self._columns + bend * (waves[0] + waves[1] / 2)).astype(np.float32)
+        rows = (self._rows + bend / 2 * (waves[2] + waves[3] / 2)).astype(np.float32)
+
+        leaves = cv2.remap(
+            self._leaves, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
+        )
+        cover = cv2.remap(self._cover, columns, rows, cv2.INTER_LINEAR)
+        canvas[:] = (canvas * (1 - cover) + leaves * cover).round().astype(np.uint8)
+
+
+VARIANTS: dict[str, Callable[[Clip], Clip | None]] = {
+    "mirrored": mirrored,
+    "backwards": backwards,
+    "cropped": cropped,
+    "darkened": darkened,
+    "shaken": shaken,
+    "slowed": slowed,
+    "begun later": begun_later,
+    "with leaves": with_leaves,
+}
+"""Variants of a single clip by name; None where a clip has none."""
+SIDE_BY_SIDE = "side by side"
+"""Name of the variant of two clips."""
+
+
+def with_variants(clips: list[Clip]) -> list[Clip]:
+    """Return the clips, then their variants, and each clip beside the next one."""
+    result = list(clips)
+    for variant in VARIANTS.values():
+        result += [made for clip in clips if (made := variant(clip)) is not None]
+    if len(clips) > 1:
+        result += [side_by_side(a, b) for a, b in zip(clips, clips[1:] + clips[:1], strict=True)]
+    return result
+
+
+def _detailed(settings: VisionSettings) -> VisionSettings:
+    """Return settings of pictures with more detail than is analysed, to cut from."""
+    return msgspec.structs.replace(settings, working_width=DETAIL_FACTOR * settings.working_width)
+
+
+def _at(event: Event) -> tuple[float, float]:
+    """Return the foot point of a true event, which always has one."""
+    assert event.x is not None
+    assert event.y is not None
+    return event.x, event.y
