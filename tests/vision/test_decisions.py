@@ -123,6 +123,20 @@ def test_a_learned_door_is_named() -> None:
     assert (x / WIDTH, y / HEIGHT) == (pytest.approx(0.5, abs=0.1), pytest.approx(0.55, abs=0.1))
 
 
+@pytest.mark.parametrize(("heights", "learned"), [(1.2, False), (3.0, True)])
+def test_what_moves_in_place_makes_no_door(heights: float, learned: bool) -> None:
+    """Such as the fragments of a person who stands, or of a tree."""
+    crossings = Crossings("cam", 400, 300)
+    tracker = Tracker(VisionSettings(), crossings)
+    for k in range(round(90 * FPS)):
+        seconds = k / FPS % 30.0 - 5.0
+        left = 200.0 + 20.0 * heights * min(max(seconds / 4.0, 0.0), 1.0)
+        blob = Blob(left, 150.0, left + 8.0, 170.0, left + 4.0, 100.0)
+        blobs = [blob] if 0.0 < seconds < 6.0 else []
+        crossings.report(tracker.step(k / FPS, blobs), tracker.active)
+    assert bool(crossings.doors.learned(lambda row: 20.0)) == learned
+
+
 def test_what_never_becomes_an_object() -> None:
     blink = Person(lambda t: (0.3, 0.7) if 6.0 < t < 6.3 else None)
     _, decisions, _ = analysed(Scene([blink]), 12)
