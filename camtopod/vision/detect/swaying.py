@@ -40,10 +40,9 @@ class Swaying:
         expected (H, W): picture of the scene.
         difference_min (grey levels): smallest difference of a moving pixel.
         """
-        _, often = cv2.threshold(self._share, 255 * SWAY_SHARE, 255, cv2.THRESH_BINARY)
-        where = often.astype(np.uint8)
-        if not cv2.countNonZero(where):
+        if cv2.norm(self._share, cv2.NORM_INF) <= 255 * SWAY_SHARE:
             return moving
+        where = np.where(self._share > 255 * SWAY_SHARE, np.uint8(255), np.uint8(0))
         outside = outside_range(frame, expected, _REACH)
         _, within = cv2.threshold(outside, difference_min, 255, cv2.THRESH_BINARY_INV)
         return cv2.subtract(moving, cv2.bitwise_and(within, cv2.dilate(where, _NEIGHBOURS)))
