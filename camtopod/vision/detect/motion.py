@@ -264,9 +264,8 @@ class MotionDetector:
             return False
 
         # Compare the gradients along the outline.
-        now = cv2.morphologyEx(motion.frame[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[
-            outline
-        ].mean()
+        frame = motion.frame
+        now = cv2.morphologyEx(frame[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
         model = cv2.morphologyEx(
             self._background.picture[rows, columns], cv2.MORPH_GRADIENT, _CROSS
         )[outline].mean()
@@ -274,9 +273,9 @@ class MotionDetector:
             return False
 
         # Adopt the picture.
-        where = np.zeros(motion.frame.shape, np.uint8)
+        where = np.zeros(frame.shape, np.uint8)
         where[rows, columns] = cv2.dilate(mask, _SQUARE)
-        self._adopt(motion.frame, where)
+        self._adopt(frame, where)
         return True
 
 
