@@ -304,7 +304,7 @@ def attack(
         lambda: "from the thief" in observer.do("ask", key=f"{HQ}/spool/cam1"), "its own spool"
     )
     for key in ("spool/cam2", "topology"):
-        if "from the thief" in observer.do("ask", key=f"{HQ}/{key}", seconds=seconds):
+        if thief_answers(observer, key, seconds):
             effects.add(f"answered {key}")
     for key in ("topology", "predict/cam1?zone=cam1/1", "status/daemon", "spool/cam2", "**"):
         if thief.do("ask", key=f"{HQ}/{key}", seconds=seconds):
@@ -313,6 +313,19 @@ def attack(
     effects |= {line for line in observer.do("heard") if not re.search("daemon|cam3", line)}
     effects |= {f"thief heard {line}" for line in thief.do("heard") if "grabber/cam1" not in line}
     return effects
+
+
+def thief_answers(observer: Puppet, key: str, seconds: float) -> bool:
+    """Return True if the observer gets the thief's answer within ``seconds``.
+
+    It is asked again, as the thief's offers to answer arrive one by one, in any order.
+    """
+    deadline = time.monotonic() + seconds
+    while "from the thief" not in observer.do("ask", key=f"{HQ}/{key}", seconds=seconds):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
 
 
 def reaches(one: Puppet, other: Puppet, key: str) -> bool:
