@@ -3,8 +3,8 @@
 Three rules make this work on real video: the background must not learn what stands under a
 confirmed track; light must not count as motion (tone curve in `background`, gradients here); and no
 pixel may stay frozen for ever: a picture that has changed as a whole is learned anew, and
-differences that no track claims are adopted after some seconds. What sways in one place is no
-motion either (`swaying`).
+differences that no track claims are adopted after some seconds. Dynamic background, such as
+branches in the wind, is no motion either (`swaying`).
 
 Ignored pixels (setting `ignore`) are never moving and never settled: they have no say in the noise,
 the tone curve, the shake, the share of the picture that has changed and the background model.
@@ -53,9 +53,9 @@ GHOST_RATIO = 1.5
 The model then still contains the object that has left.
 """
 SHAKE_PIXELS = 0.2
-"""Mean shake (pixels) from which pictures are moved back, and a pixel may show its neighbour.
+"""Mean shake (pixels) above which frames are aligned, with a tolerance of one pixel.
 
-This tolerance hides some people.
+The tolerance hides some people.
 """
 SHAKE_PIXELS_MAX = 2.0
 """Largest shift of one frame that enters the mean shake, pixels."""
@@ -74,13 +74,15 @@ class Motion:
     """One frame against the settled scene; masks (H, W) of 0 and 255."""
 
     frame: Luma
-    """The frame, moved to where the scene is if the camera shakes."""
+    """The frame, aligned with the scene if the camera shakes."""
     moving: Luma
     """Changed pixels without shadows and reflections."""
     edges: Luma
     """Edges that the scene does not have."""
     changed: Luma
-    """Pixels that differ from the scene by more than it sways."""
+    """Pixels that differ from the scene, without dynamic background."""
+    differs: Luma
+    """Pixels that differ from the scene, with it."""
     expected: Luma
     """Picture of the scene in the frame's light."""
 
@@ -139,7 +141,6 @@ class MotionDetector:
         self._background = Background(frames[::step], self._settings.background_seconds)
         self._settled: Luma = self._without_ignored(np.full(frames[0].shape, 255, np.uint8))
         self._swaying = Swaying(frames[0].shape[:2])
-        self._differs: Luma = np.zeros(frames[0].shape, np.uint8)
         self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)
         self._changed_seconds = 0.0
 
@@ -152,8 +153,8 @@ class MotionDetector:
         assert self._background is not None, "bootstrap first"
         expected = self._background.expected(frame, self._settled, self._noise)
 
-        # Difference to the expected picture. If the camera shakes, the picture is moved back, and
-        # what is left of the shake is tolerated.
+        # Difference to the expected picture. If the camera shakes, the frame is aligned with the
+        # scene, and an error of one pixel is tolerated.
         x, y = shift(frame, expected, self._settled)
         self._shake += _NOISE_RATE * (min(abs(x) + abs(y), SHAKE_PIXELS_MAX) - self._shake)
         if self._shake > SHAKE_PIXELS:
@@ -164,10 +165,8 @@ class MotionDetector:
 
         # Moving pixels; a picture that has changed as a whole for long ends this scene.
         least = self._difference_min()
-        self._differs = self._without_ignored(
-            cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]
-        )
-        moving = self._swaying.without(self._differs, frame, expected, least)
+        differs = self._without_ignored(cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1])
+        moving = self._swaying.without(differs, frame, expected, least)
         share = cv2.countNonZero(moving) / self._watched_count(moving)
         self._changed_seconds = self._changed_seconds + dt if share > WHOLE_PICTURE_SHARE else 0.0
         if self._changed_seconds > WHOLE_PICTURE_SECONDS:
@@ -175,7 +174,7 @@ class MotionDetector:
             self.relearned += 1
             return None
         if share == 0.0:
-            return Motion(frame, moving, moving, moving, expected)
+            return Motion(frame, moving, moving, moving, differs, expected)
 
         # Keep moving pixels near own edges or with a strong difference, and what they enclose.
         edges, strong = self._own_texture(frame, expected)
@@ -184,7 +183,7 @@ class MotionDetector:
         solid = cv2.bitwise_and(moving, _filled(solid))
         # Opening removes lines, such as outlines of furniture.
         solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)
-        return Motion(frame, solid, edges, moving, expected)
+        return Motion(frame, solid, edges, moving, differs, expected)
 
     def _difference_min(self) -> float:
         """Return the smallest difference of a moving pixel, grey levels: above the noise."""
@@ -229,7 +228,7 @@ class MotionDetector:
         self._settled = self._without_ignored(settled)
         unclaimed = cv2.bitwise_and(motion.changed, free)
 
-        self._swaying.learn(self._differs, dt, free)
+        self._swaying.learn(motion.differs, dt, free)
         self._background.learn(motion.frame, motion.expected, dt, self._settled)
         if not cv2.countNonZero(unclaimed):
             self._unclaimed_seconds.fill(0.0)

@@ -11,11 +11,11 @@ import numpy.typing as npt
 from camtopod.vision.detect.background import Luma
 
 STEPS_MAX = 10
-"""Most steps in which a picture is moved back; a single one is accurate to about a pixel."""
+"""Largest number of steps to align a frame; a single one is accurate to about a pixel."""
 EXACT_PIXELS = 0.05
-"""Length of a step after which there are no more."""
+"""Length of a step (pixels) below which the alignment has converged."""
 SHIFT_PIXELS_MAX = 20.0
-"""Longest shift that is believed; beyond it, the camera does not only shake."""
+"""Largest shift (pixels) that is corrected; a larger one means that the camera was turned."""
 _ROW_STEP = 4
 """Only every fourth row is used."""
 _OUTLIER = 40
@@ -51,18 +51,20 @@ def shift(frame: Luma, scene: Luma, settled: Luma) -> tuple[float, float]:
 
 
 def shifted_back(frame: Luma, scene: Luma, settled: Luma, first: tuple[float, float]) -> Luma:
-    """Return ``frame`` (H, W) moved to where ``scene`` is; its border repeats what it lacks.
+    """Return ``frame`` (H, W) aligned with ``scene``; the border is filled by repeating its pixels.
 
     settled (H, W): 0 where the frame does not show the scene.
     first (pixels): shift of the frame as found by `shift`; further steps refine it.
     """
     x, y = first
+    aligned = _moved(frame, x, y)
     for _ in range(STEPS_MAX):
-        dx, dy = shift(_moved(frame, x, y), scene, settled)
-        x, y = x + dx, y + dy
+        dx, dy = shift(aligned, scene, settled)
         if hypot(dx, dy) < EXACT_PIXELS:
             break
-    return _moved(frame, x, y) if hypot(x, y) <= SHIFT_PIXELS_MAX else frame
+        x, y = x + dx, y + dy
+        aligned = _moved(frame, x, y)
+    return aligned if hypot(x, y) <= SHIFT_PIXELS_MAX else frame
 
 
 def _moved(frame: Luma, x: float, y: float) -> Luma:

@@ -1,9 +1,9 @@
-"""Scenery that sways, such as branches, flags and reflections on water.
+"""Dynamic background: scenery that sways, such as branches, flags and reflections on water.
 
-A pixel that shows such scenery changes to and fro though nobody walks there. Where that is frequent
-the pixel counts as moving only if it is brighter or darker than all of the scene around it, which
-may have swayed into it. People in front of moving leaves are thus seen in part only; without this,
-the leaves would be objects.
+A pixel of such scenery alternates between background and foreground although no object passes.
+Where it does so often, it counts as foreground only if it is brighter or darker than all pixels of
+the scene in its neighbourhood. People in front of moving leaves are therefore detected only in
+part; without this rule, the leaves would be detected as objects.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import numpy as np
 from camtopod.vision.detect.background import Luma
 
 SWAY_SHARE = 0.15
-"""Share of the frames in which a pixel has changed to or fro, above which scenery sways there."""
+"""Share of the frames in which a pixel alternates, above which it is dynamic background."""
 SWAY_SECONDS = 20.0
 """Time constant with which this share is estimated."""
 SWAY_START_SECONDS = 6.0
-"""Time constant after the beginning; it grows with the time since then up to `SWAY_SECONDS`."""
+"""Time constant at the beginning; it grows with the elapsed time up to `SWAY_SECONDS`."""
 SWAY_PIXELS = 3
-"""Distance (pixels) within which scenery may sway into a pixel."""
+"""Radius (pixels) of the neighbourhood, the distance by which scenery may sway."""
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 _REACH = np.ones((2 * SWAY_PIXELS + 1, 2 * SWAY_PIXELS + 1), np.uint8)
 
 
 class Swaying:
-    """Where scenery sways in one view."""
+    """The dynamic background of one view."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         """Begin with a scene at rest, of ``shape`` (height, width)."""
@@ -35,7 +35,7 @@ class Swaying:
         self._seconds = 0.0
 
     def without(self, moving: Luma, frame: Luma, expected: Luma, difference_min: float) -> Luma:
-        """Return the mask ``moving`` (H, W) without what may be swaying scenery.
+        """Return the mask ``moving`` (H, W) without dynamic background.
 
         expected (H, W): picture of the scene.
         difference_min (grey levels): smallest difference of a moving pixel.
@@ -48,9 +48,9 @@ class Swaying:
         return cv2.subtract(moving, cv2.bitwise_and(within, cv2.dilate(where, _NEIGHBOURS)))
 
     def learn(self, differs: Luma, dt: float, unclaimed: Luma) -> None:
-        """Count what has changed in the ``dt`` seconds since the last frame.
+        """Update each pixel's share of alternations, ``dt`` seconds after the last frame.
 
-        differs (H, W): pixels that differ from the scene, swaying or not.
+        differs (H, W): pixels that differ from the scene, including dynamic background.
         unclaimed (H, W): 0 under confirmed objects, where nothing is counted.
         """
         self._seconds += dt

@@ -172,8 +172,8 @@ class Crossings:
                 if _has_walked(track):
                     self.doors.record_unexplained(*track.last.foot)
 
-        # Tracks that began in mid-view are evidence of a door as soon as they have walked, cells
-        # that people walk through are evidence against it.
+        # A track that began in mid-view is evidence of a door once it has moved far enough. Cells
+        # that people walk through are evidence against doors.
         for track in active:
             if track.began_in_view and _has_walked(track):
                 track.began_in_view = False
