@@ -35,6 +35,8 @@ _ELSEWHERE = {
     "area": "min_height",
 }
 """Names of similar settings in Frigate and Viseron -> their names here."""
+GONE = frozenset({"hardware_decoding"})
+"""Names of settings and tables of earlier versions that have gone without a replacement."""
 _T = TypeVar("_T", bound=Struct)
 
 
@@ -118,6 +120,9 @@ class TableReader:
         for key, value in data.items():
             if (nested := self._tables.get(f"{title}.{key}")) is not None and key in own:
                 values[key] = self.table(nested, data, (*path, key))
+                continue
+            if key in GONE:
+                self.report((*path, key), f"{title}.{key}: no longer needed: delete the line")
                 continue
             home, field = homes[key] if key in homes else ("", own.get(key))
             if field is None:

@@ -72,17 +72,6 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """How faint motion may be, 0.25 to 4: at 2 half of the usual contrast to the background is
     enough, at 0.5 twice as much is needed. More than the measured noise is needed in any case.
     """
-    hardware_decoding: Annotated[
-        str,
-        Meta(
-            pattern=r"^(none|any|vaapi|cuda|v4l2)\Z",
-            description="one of none, any, vaapi, cuda and v4l2",
-        ),
-    ] = "none"
-    """Decode in hardware: none, any, vaapi, cuda or v4l2. `camtopod check --probe` says which of
-    them work here; without them pictures are decoded in software. They may differ by rounding, and
-    so may events.
-    """
 
 
 Layout = Literal["yolox", "yolov5", "yolov8", "end-to-end", "ssd", "rt-detr"]

@@ -187,7 +187,7 @@ def test_the_settings_of_a_camera_that_leave_everything_as_it_is() -> None:
 
 @pytest.mark.parametrize("key", VisionSettings.__struct_fields__)
 def test_every_key_of_vision_may_stand_in_a_camera_s_table(key: str) -> None:
-    values = {"ignore": "[]", "doors": "[]", "min_height": "0.5", "hardware_decoding": '"any"'}
+    values = {"ignore": "[]", "doors": "[]", "min_height": "0.5"}
     value = values.get(key, "2")
     config = parse(f"[cameras.a]\nsource = '0'\n{key} = {value}\n")
     assert msgspec.json.encode(getattr(config.cameras["a"].vision, key)).decode() in (
@@ -209,6 +209,15 @@ def test_areas_and_doors_are_lists_of_points_or_texts() -> None:
         assert config.cameras["a"].vision.doors == (triangle,)
     doors = parse("[vision]\ndoors = [[0.25, 1], '0.5,0.5']\n").vision.doors
     assert doors == (((0.25, 1.0),), ((0.5, 0.5),))
+
+
+def test_a_key_that_has_gone_is_to_be_deleted() -> None:
+    with pytest.raises(ConfigError) as error:
+        parse("[vision]\nhardware_decoding = 'any'\n")
+
+    assert str(error.value).endswith(
+        ":2: vision.hardware_decoding: no longer needed: delete the line"
+    )
 
 
 def test_a_camera_s_settings_take_the_place_of_those_of_all() -> None:

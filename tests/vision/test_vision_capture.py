@@ -189,6 +189,20 @@ def test_the_decoder_s_plane_is_taken_where_there_is_one(
     twin.release()
 
 
+@pytest.mark.parametrize("options", ["hw_decoders_any;vaapi", "video_codec;mpeg4"])
+def test_ffmpeg_s_options_are_handed_on(
+    film: Path, options: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A named decoder is used if there is one; software takes over where no device works."""
+    monkeypatch.setenv("OPENCV_FFMPEG_CAPTURE_OPTIONS", options)
+    kinds = [event.kind for event in events_of(grab(film))]
+    assert sorted(kinds) == ["entry", "entry", "exit", "exit"]
+
+    monkeypatch.setenv("OPENCV_FFMPEG_CAPTURE_OPTIONS", "video_codec;no_such_decoder")
+    with pytest.raises(SourceError):
+        grab(film)
+
+
 # -- streams ------------------------------
 
 

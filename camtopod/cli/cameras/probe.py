@@ -23,7 +23,7 @@ from camtopod.serve.bus import BusError, dial
 from camtopod.visible import visible
 from camtopod.vision import DetectorSettings, VisionSettings
 from camtopod.vision.detector import ModelReport
-from camtopod.vision.source import PROBE_SECONDS, SETTLE_SECONDS_MAX, Probe, ProbeRequest, hardware
+from camtopod.vision.source import PROBE_SECONDS, SETTLE_SECONDS_MAX, Probe, ProbeRequest
 from camtopod.web import pictures
 
 PROGRAM = "camtopod.vision.source.probe"
@@ -117,8 +117,7 @@ def _probe(
 
 
 def check_site(path: Path, config: Config, folder: Path | None) -> int:
-    """Open every camera and the bus, print one line about each and about hardware decoding, and
-    return the worst exit status.
+    """Open every camera and the bus, print one line about each, and return the worst exit status.
 
     folder: where to keep pictures of the cameras, or None.
     """
@@ -159,7 +158,6 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
     for camera, detector in (others if config.cameras else {"": config.detector}).items():
         if detector.model:
             tell_detector(camera, _probe("", config.vision, False, detector).detector)
-    print(f"{path}: hardware decoding: {hardware.describe()}", file=sys.stderr)
     problem, found = _bus(config)
     print(visible(f"{path}: bus: {redact(problem or found)}"), file=sys.stderr)
     return max(status, exits.BUS if problem else exits.DONE)

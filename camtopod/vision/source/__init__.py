@@ -3,14 +3,14 @@
 `source_url` tells the kind of a source and encodes its password; `capture` wraps OpenCV. On top of
 it `recorded` reads a file and `live` a stream or device, which reconnects; `frame_times` estimates
 capture times from presentation stamps. `ffmpeg_log` finds out why a stream cannot be opened,
-`hardware` how it can be decoded, `makers` where a camera's stream may be, `substreams` where a
+`makers` where a camera's stream may be, `substreams` where a
 smaller one is; `probe` describes a source for people, with a picture from `settled_picture`;
 `errors` has the exceptions.
 """
 
 from __future__ import annotations
 
-from camtopod.vision.source import ffmpeg_log, hardware
+from camtopod.vision.source import ffmpeg_log
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.live import LiveSource
 from camtopod.vision.source.makers import streams_by_maker
@@ -33,7 +33,6 @@ __all__ = [
     "RecordedSource",
     "decoders",
     "ffmpeg_log",
-    "hardware",
     "kind_of",
     "percent_encoded",
     "smaller_stream",

@@ -13,29 +13,26 @@ Properties of OpenCV's FFmpeg backend that this code respects:
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from camtopod.vision.detect import Luma, shrunk
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source import hardware
 from camtopod.vision.source.source_url import kind_of, percent_encoded
-
-log = logging.getLogger(__name__)
-
-Decoding = Literal["software", "hardware"]
-"""Where frames are decoded."""
 
 STREAM_OPTIONS = "rtsp_transport;tcp|probesize;32768|analyzeduration;300000"
 """FFmpeg options of streams. The small probe gives the first frame after 0.6 s instead of 1.9 s."""
-_OPTIONS_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+OPTIONS_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+"""Environment variable from which OpenCV reads FFmpeg options; a user's value replaces ours."""
+_DEVICES_OPTION = "hw_decoders_any"
+"""FFmpeg option that names kinds of hardware decoders; OpenCV ignores it unless asked for them."""
+_DECODER_OPTION = "video_codec"
+"""FFmpeg option that names a decoder."""
 LUMA_FORMATS = frozenset({"I420", "YV12", "Y42B", "444P", "NV12", "NV21", "Y800"})
 """FFmpeg's names of pixel formats that begin with a plane of 8-bit luma."""
 PICTURE_WIDTH_MAX = 1920
@@ -76,21 +73,19 @@ class Capture:
 
         # Open with timeouts (streams) and one decoder thread.
         kind = kind_of(source)
-        self.decoding: Decoding = "software"
+        options = os.environ.get(OPTIONS_VARIABLE, STREAM_OPTIONS if kind == "stream" else "")
         if kind == "device":
             self._capture = cv2.VideoCapture(int(source))
         else:
-            self._capture, self.decoding = _opened(source, kind == "stream", settings)
+            self._capture = _opened(source, kind == "stream", options, settings)
 
         # Request the luma plane if the pixel format has one.
         self._width_max = settings.working_width
         self._picture: Luma | None = None
         """Buffer of the latest frame; allocating a new one costs more than filling it."""
-        pixels = (
-            ""
-            if kind == "device" or self.decoding == "hardware"
-            else _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT)
-        )
+        pixels = ""
+        if kind != "device" and _DEVICES_OPTION not in options and _DECODER_OPTION not in options:
+            pixels = _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT)
         if pixels in LUMA_FORMATS and not colour:
             self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
         self._from_colour = pixels in LUMA_FORMATS and colour
@@ -194,77 +189,34 @@ class FrameSelector:
         return due
 
 
-def _opened(
-    source: str, stream: bool, settings: VisionSettings
-) -> tuple[cv2.VideoCapture, Decoding]:
-    """Open a file or stream, in hardware if the settings ask for it and it works.
-
-    Otherwise the log says so, once.
-    """
-    name = percent_encoded(source) if stream else source
+def _opened(source: str, stream: bool, options: str, settings: VisionSettings) -> cv2.VideoCapture:
+    """Open a file or stream with FFmpeg's ``options``."""
     parameters = [cv2.CAP_PROP_N_THREADS, 1]
     if stream:
+        source = percent_encoded(source)
         parameters += [
             cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
             round(1000 * settings.open_timeout_seconds),
             cv2.CAP_PROP_READ_TIMEOUT_MSEC,
             round(1000 * settings.read_timeout_seconds),
         ]
-
-    def open_with(options: str, *more: int) -> cv2.VideoCapture:
-        with _environment(stream, options):
-            return cv2.VideoCapture(name, cv2.CAP_FFMPEG, [*parameters, *more])
-
-    # Software, or a device: OpenCV itself falls back to software.
-    wanted = settings.hardware_decoding
-    kinds = hardware.kinds_for(wanted)
-    options = hardware.device_options(kinds)
-    asked = (cv2.CAP_PROP_HW_ACCELERATION, cv2.VIDEO_ACCELERATION_ANY) if options else ()
-    capture = open_with(options, *asked)
-    if wanted == "none" or not capture.isOpened():
-        return capture, "software"
-    if options and capture.get(cv2.CAP_PROP_HW_ACCELERATION) > 0:
-        return capture, "hardware"
-
-    # V4L2 has a decoder for each codec, which is known now.
-    codec = _four_characters(capture, cv2.CAP_PROP_FOURCC)
-    if "v4l2" in kinds and (options := hardware.v4l2_options(codec)):
-        capture.release()
-        capture = open_with(options)
-        if capture.isOpened():
-            return capture, "hardware"
-        hardware.give_up("v4l2")
-        capture = open_with("")
-
-    _log_once(hardware.fallback(wanted))
-    return capture, "software"
-
-
-@cache
-def _log_once(text: str) -> None:
-    log.warning("%s", text)
+    if _DEVICES_OPTION in options:
+        parameters += [cv2.CAP_PROP_HW_ACCELERATION, cv2.VIDEO_ACCELERATION_ANY]
+    with _environment(options):
+        return cv2.VideoCapture(source, cv2.CAP_FFMPEG, parameters)
 
 
 @contextmanager
-def _environment(stream: bool, more: str = "") -> Iterator[None]:
-    """Set FFmpeg's options in the environment, where it reads them when opening, for the block.
-
-    Options that the user has set take precedence over those of streams.
-    more: further options.
-    """
-    before = os.environ.get(_OPTIONS_VARIABLE)
-    options = [(STREAM_OPTIONS if stream else "") if before is None else before, more]
-    if before is None and not any(options):
+def _environment(options: str) -> Iterator[None]:
+    """Set FFmpeg's options in the environment, where OpenCV reads them when opening."""
+    if not options or OPTIONS_VARIABLE in os.environ:
         yield
         return
-    os.environ[_OPTIONS_VARIABLE] = "|".join(filter(None, options))
+    os.environ[OPTIONS_VARIABLE] = options
     try:
         yield
     finally:
-        if before is None:
-            del os.environ[_OPTIONS_VARIABLE]
-        else:
-            os.environ[_OPTIONS_VARIABLE] = before
+        del os.environ[OPTIONS_VARIABLE]
 
 
 def _four_characters(capture: cv2.VideoCapture, of: int) -> str:

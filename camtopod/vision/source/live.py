@@ -18,7 +18,6 @@ from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import Capture, Frame, FrameSelector
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.frame_times import StampClock
-from camtopod.vision.source.hardware import OPENS_MAX
 from camtopod.vision.source.source_url import RETRY_SEPARATOR
 
 QUEUE_FRAMES = 8
@@ -107,9 +106,8 @@ class LiveSource:
     @property
     def _blocked_seconds_max(self) -> float:
         """Longest time a call of OpenCV should take."""
-        opens = 1 if self._settings.hardware_decoding == "none" else OPENS_MAX
         return (
-            opens * self._settings.open_timeout_seconds
+            self._settings.open_timeout_seconds
             + self._settings.read_timeout_seconds
             + MARGIN_SECONDS
         )

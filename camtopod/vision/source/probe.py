@@ -20,7 +20,6 @@ from msgspec import Struct
 
 from camtopod.vision.detector import ModelReport, look_once
 from camtopod.vision.settings import DetectorSettings, VisionSettings
-from camtopod.vision.source import hardware
 from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
 from camtopod.vision.source.recorded import FPS_UNKNOWN, RecordedSource
@@ -123,12 +122,6 @@ def probe(
             return Probe(f"cannot be opened{why and ': '}{why}")
         settled = SettledPicture() if picture else None
         seen = _watched(capture, kind != "file", settled)
-        if settings.hardware_decoding != "none" and kind != "device" and not seen.problem:
-            seen.remarks.append(
-                "decoded in hardware"
-                if capture.decoding == "hardware"
-                else hardware.fallback(settings.hardware_decoding)
-            )
         if detector.model and not seen.problem:
             latest = capture.picture(capture.size[0]) if capture.has_picture else None
             seen.detector = look_once(detector, latest)
