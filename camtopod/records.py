@@ -54,6 +54,9 @@ class Event(Struct, frozen=True, omit_defaults=True, gc=False):
     """Number of the event in a count without gaps, within ``boot`` and the camera."""
     clock_sd: Annotated[float, Meta(ge=0, le=1e6)] | None = None
     """Standard deviation of ``t``, seconds."""
+    spooled: bool = False
+    """True on the bus if the publisher delivers this event by ``store/{camera}`` as well; the
+    daemon takes it there."""
 
 
 class Zone(Struct, frozen=True, omit_defaults=True):

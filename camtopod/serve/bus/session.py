@@ -71,6 +71,13 @@ Returns the struct to answer with, or None for no answer; raises `QueryError` to
 """
 
 
+OnRequest = Callable[[str, bytes, Callable[[bytes], None]], None]
+"""Callback with (key below the site, content, function that answers).
+
+Called on a thread of the bus; must not block. The answer may be given later, on any thread, once.
+"""
+
+
 class BusError(OSError):
     """The bus cannot be reached or opened; ``str()`` says where, and what to do."""
 
@@ -315,6 +322,51 @@ class Bus:
         if refusal is not None and not answers:
             raise QueryError(refusal)
         return answers
+
+    def ask(
+        self, key: str, payload: bytes, seconds: float, on_answer: Callable[[bytes | None], None]
+    ) -> None:
+        """Send a request, and call ``on_answer`` once: with the answer, or with None at the end.
+
+        It is called on a thread of the bus, at once if nobody answers on ``key`` or the program
+        that does ends, and after ``seconds`` at the latest. It must not block.
+        """
+        answered = threading.Lock()
+
+        def answer(content: bytes | None) -> None:
+            if answered.acquire(blocking=False):
+                on_answer(content)
+
+        def receive(reply: zenoh.Reply) -> None:
+            answer(None if reply.ok is None else reply.ok.payload.to_bytes())
+
+        try:
+            self._session.get(
+                self._full(key),
+                zenoh.handlers.Callback(receive, lambda: answer(None)),
+                payload=payload,
+                encoding=_encoding("store"),
+                timeout=seconds,
+                priority=_USUAL,
+            )
+        except zenoh.ZError as error:
+            log.debug("request on %s: %s", key, error)
+            answer(None)
+
+    def answer_requests(self, key: str, on_request: OnRequest) -> None:
+        """Call ``on_request`` for every request of `ask` on ``key`` (may contain ``*``)."""
+
+        def receive(query: zenoh.Query) -> None:
+            asked = str(query.key_expr)
+
+            def reply(answer: bytes) -> None:
+                with query, contextlib.suppress(zenoh.ZError):  # the program that asked has ended
+                    query.reply(asked, answer, encoding=_encoding("store"))
+
+            content = query.payload
+            on_request(self._below(asked), b"" if content is None else content.to_bytes(), reply)
+
+        self._declared.append(self._session.declare_queryable(self._full(key), receive))
 
     def announce(self, role: str, name: str) -> None:
         """Declare ``alive/{role}/{name}``, which vanishes with this session."""
