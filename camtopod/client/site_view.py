@@ -293,7 +293,7 @@ class SiteView:
                     predictor.take_over(self._held.predictor)
                 self._held = _Held(version, predictor, gate)
             self._news.notify()
-        self._say_there(self._bus.connected and any(map(_leads, self._daemons.copy())))
+        self._say_there(self._bus.connected and bool(self._daemons))
 
     def _say_there(self, there: bool) -> None:
         if there != (self._stale_since is None):
@@ -349,12 +349,3 @@ def _with_all_alive(version: Version) -> Version:
     """
     model = version.model
     return version if model is None else replace(version, model=replace(model, cameras=[]))
-
-
-def _leads(daemon: str) -> bool:
-    """Return True if the daemon of this name publishes the topology; of shards, the first.
-
-    Shards are named ``2of8-...``.
-    """
-    number, of, _ = daemon.partition("of")
-    return not (of and number.isdigit()) or number == "0"

@@ -22,6 +22,7 @@ from camtopod.config import secret_files, toml_lines
 from camtopod.config.page_settings import Address, MapSettings, PlaceOnPlan, WebSettings
 from camtopod.config.toml_tables import (
     DEFAULT_ENDPOINT,
+    GONE,
     Endpoint,
     Problem,
     TableReader,
@@ -31,7 +32,6 @@ from camtopod.config.toml_tables import (
 )
 from camtopod.learn import Settings
 from camtopod.records import CAMERA_PATTERN
-from camtopod.sharding import Sharding
 from camtopod.vision import DetectorSettings, VisionSettings
 from camtopod.vision.detector import LABELS
 
@@ -86,7 +86,7 @@ class BusSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Time to wait for the answer to a query."""
     message_bytes_max: Count = 16 * 1024 * 1024
     """Maximum size of a message; larger ones are refused. A daemon that is the meeting point takes
-    1 to 2 MiB, except shard 0, which takes this much.
+    1 to 2 MiB.
     """
     tls: TlsSettings = TlsSettings()
     """See [bus.tls]."""
@@ -261,7 +261,6 @@ class Config(Struct, frozen=True):
     health: HealthSettings = HealthSettings()
     web: WebSettings = WebSettings()
     map: MapSettings = MapSettings()
-    shards: Sharding = Sharding()
 
     @property
     def state_directory(self) -> Path:
@@ -343,7 +342,6 @@ TABLES: dict[str, type[Struct]] = {
     "health": HealthSettings,
     "web": WebSettings,
     "map": MapSettings,
-    "shards": Sharding,
 }
 """The tables with fixed keys; all others are ``[cameras.ID]``."""
 
@@ -429,7 +427,9 @@ class _Reader(TableReader):
     def config(self, data: dict[str, Any]) -> Config:
         known = [*TABLES, "cameras"]
         for key in data:
-            if key not in known:
+            if key in GONE:
+                self.report((key,), f"{key}: no longer needed: delete the table")
+            elif key not in known:
                 self.report((key,), f"{key}: no such table{did_you_mean(key, known)}")
         tables = {
             name: self.table(kind, data, (name,))

@@ -35,7 +35,7 @@ _ELSEWHERE = {
     "area": "min_height",
 }
 """Names of similar settings in Frigate and Viseron -> their names here."""
-GONE = frozenset({"hardware_decoding"})
+GONE = frozenset({"hardware_decoding", "shards"})
 """Names of settings and tables of earlier versions that have gone without a replacement."""
 _T = TypeVar("_T", bound=Struct)
 

@@ -199,8 +199,7 @@ def priorities(site: str) -> Settings:
 def spool_bytes_max(pull_events_max: int) -> int:
     """Return the largest size of a spool's answer, in bytes.
 
-    It is the largest message that the meeting point has to accept, apart from the updates of
-    shards.
+    It is the largest message that the meeting point has to accept.
     """
     return max(RECEIVED_BYTES_MIN, pull_events_max * SPOOLED_BYTES_MAX)
 

@@ -27,14 +27,11 @@ from typing import TYPE_CHECKING
 from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
-    from camtopod.learn.assemble import with_clock_offsets
     from camtopod.learn.learner import STEPS, Learner
-    from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX
     from camtopod.learn.renaming import rename
     from camtopod.learn.rewinding import rewind
     from camtopod.learn.settings import Settings
     from camtopod.learn.snapshot import (
-        BYTES_MAX,
         LearnerState,
         NewerSnapshot,
         SnapshotError,
@@ -43,8 +40,6 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "BYTES_MAX",
-    "OUTCOMES_PER_ZONE_MAX",
     "STEPS",
     "Learner",
     "LearnerState",
@@ -55,21 +50,17 @@ __all__ = [
     "rename",
     "rewind",
     "unpack",
-    "with_clock_offsets",
 ]
 
 __getattr__ = lazy_getattr(
     __name__,
     {
-        "BYTES_MAX": "snapshot",
         "Learner": "learner",
         "LearnerState": "snapshot",
         "NewerSnapshot": "snapshot",
-        "OUTCOMES_PER_ZONE_MAX": "prediction_model",
         "STEPS": "learner",
         "Settings": "settings",
         "SnapshotError": "snapshot",
-        "with_clock_offsets": "assemble",
         "pack": "snapshot",
         "rename": "renaming",
         "rewind": "rewinding",

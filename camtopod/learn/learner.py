@@ -353,7 +353,7 @@ class Learner:
     def _learn(self, until_us: int) -> None:
         """Move the held events up to ``until_us`` into the window, and remove old ones from it."""
         # Predict the next camera of some exits, to be scored once the outcome is known.
-        batch = self._take(until_us)
+        batch = self._intake.take_until(until_us)
         if not self.only_last:
             self._scorer.watch(batch)
 
@@ -369,13 +369,6 @@ class Learner:
         self._find_doubled_cameras(batch)
         self._learned += len(batch)
         self._since_fit += len(batch)
-
-    def _take(self, until_us: int) -> list[tuple[int, Event]]:
-        """Return the held events up to ``until_us`` in canonical order; they are held no more.
-
-        A `District` leaves out events that are of no use to it.
-        """
-        return self._intake.take_until(until_us)
 
     def _retire(self, names: Set[str]) -> None:
         """Forget cameras that no longer report, but remember their zones and their silence.
@@ -451,7 +444,7 @@ class Learner:
         self.on_step("zones")
         self._refresh_zones()
         self.on_step("clocks")
-        scene = self._to_fit(self._corrected(label_events(self._window, self._maps)))
+        scene = self._corrected(label_events(self._window, self._maps))
 
         # Fit, and score earlier predictions by the fit.
         known = Known(self._followed, self._learned, self.only_last, self._scorer.waiting)
@@ -638,10 +631,6 @@ class Learner:
         self._clock_tracker.update(scene, len(self._window.cameras), self._learned)
         offset = self._clock_tracker.clocks.offset
         return label_events(self._window, self._maps, offset) if offset.any() else scene
-
-    def _to_fit(self, scene: Scene) -> Scene:
-        """Return the part of the scene that is fitted; a `District` leaves cameras out."""
-        return scene
 
 
 def _vanished(known: tuple[ZoneShape, ...], now: ZoneMap) -> tuple[ZoneShape, ...]:

@@ -2,10 +2,10 @@
 
 Read `daemon` first; it starts and connects the parts. `ingest` brings events into order and into
 the journal; `storage` is the journal; `learner_process` runs the learner; `live_predictions`
-answers exits; `shards` joins the daemons of a large site; `bus` is the session with zenoh; `outbox`
-is the grabber's side; `runtime` holds clocks, progress and memory. `recorded_state` makes a state
-directory of a recording. `admin_queries` are an operator's commands on the bus, and
-`offline_commands` carries them out without a daemon.
+answers exits; `bus` is the session with zenoh; `outbox` is the grabber's side; `runtime` holds
+clocks, progress and memory. `recorded_state` makes a state directory of a recording.
+`admin_queries` are an operator's commands on the bus, and `offline_commands` carries them out
+without a daemon.
 """
 
 from __future__ import annotations

@@ -10,8 +10,7 @@ Theory of operation. Besides the bus's own there are these threads:
   process;
 - *pull* asks the publishers' spools for missing events;
 - *status* publishes the status;
-- *bus* checks the bus if this process is its meeting point;
-- *follow*, *tell* and *hear* exchange updates with the other shards of a large site.
+- *bus* checks the bus if this process is its meeting point.
 
 All queues between them are bounded; when one is full, events stay in the spools.
 """
@@ -25,14 +24,14 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
 from camtopod import codec
 from camtopod.config import Config
 from camtopod.event_time import EventTime, microseconds
+from camtopod.keys import STATUS
 from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
@@ -44,7 +43,6 @@ from camtopod.serve.bus import (
     QueryError,
     SelfCheck,
     certificate_by_camera,
-    dial,
     open_daemon_session,
 )
 from camtopod.serve.ingest import CommandRefused, Puller, Receiver
@@ -55,18 +53,12 @@ from camtopod.serve.learner_process import (
     newest_topology,
     recent_events,
     recover,
-    shard_update_of,
 )
 from camtopod.serve.live_predictions import Live
-from camtopod.serve.offline_commands import SHARDED
 from camtopod.serve.runtime import Heartbeat, Progress, changed_settings
 from camtopod.serve.runtime import clock as clocks
-from camtopod.serve.shards import ShardMembership, WholeSite
 from camtopod.serve.storage import CurrentVersion, Journal, StateError, Version, head_of
 from camtopod.topology import links_in_words, waiting_for_links
-
-if TYPE_CHECKING:
-    from camtopod.serve.shards import ShardExchange
 
 log = logging.getLogger(__name__)
 
@@ -83,7 +75,6 @@ class Daemon:
 
     bus: the session to use, which is left open; without it, one is opened as the configuration
         says, and closed.
-    shard: (i, n) for shard i of n; None for a daemon that serves the site alone.
     """
 
     def __init__(
@@ -91,11 +82,8 @@ class Daemon:
         config: Config,
         bus: Bus | None = None,
         clock: clocks.Clock = clocks.wall,
-        shard: tuple[int, int] | None = None,
     ) -> None:
         self._config, self._clock, self._steady = config, clock, clocks.steady_clock_for(clock)
-        self._share = WholeSite() if shard is None else ShardMembership(config.shards, shard)
-        self._sharing: ShardExchange | None = None
         self._given_bus = bus
         self._bus: Bus | None = bus
         self._stopping, self._failed = threading.Event(), threading.Event()
@@ -142,9 +130,8 @@ class Daemon:
         """
         cancelled = cancel or self._stopping
         self.progress.watch("start", self._config.health.learn_seconds)
-        config, share = self._config, self._share
-        directory = config.state_directory / share.folder
-        self._journal = Journal(directory, config.keep)
+        config = self._config
+        self._journal = Journal(config.state_directory, config.keep)
 
         # Recover the learner, join the bus and build the parts; undo everything on failure.
         with contextlib.ExitStack() as undo:
@@ -153,35 +140,30 @@ class Daemon:
                 # The process loads its libraries while the bus is joined.
                 self._process = process = LearnerProcess()
                 if self._bus is None:
-                    self._bus = (
-                        open_daemon_session(config, isinstance(share, ShardMembership))
-                        if share.is_first
-                        else dial(config)
-                    )
-                name = config.site.name
+                    self._bus = open_daemon_session(config)
                 recovered = recover(
                     self._journal,
                     process,
                     config.learn,
-                    name,
+                    config.site.name,
                     self._new_epoch,
-                    share.portion,
                     self._clock(),
                 )
                 if cancelled.is_set():
                     return False
-                self._build(self._bus, recovered, process, directory)
-                self._rivals = OtherDaemons(self._bus, self._name(), share.shard)
+                self._build(self._bus, recovered, process)
+                self._rivals = OtherDaemons(self._bus, self._name())
                 self._rivals.require_none(config.bus.connect_seconds, cancelled)
                 self._join_bus(self._bus)
             except sqlite3.Error as error:
                 raise StateError(
-                    f"cannot read the journal in {directory}: {error}; it is left as it is"
+                    f"cannot read the journal in {config.state_directory}: {error};"
+                    " it is left as it is"
                 ) from None
             undo.pop_all()
 
         # Publish the newest version again, and start the threads.
-        if self.newest is not None and self._share.is_first:
+        if self.newest is not None:
             self._bus.publish("topology", self.newest.raw, "topology")
         health, limits, stall = config.health, config.limits, config.health.stall_seconds
         self._start_thread(
@@ -203,22 +185,12 @@ class Daemon:
             limits.pull_seconds + stall,
         )
         self._start_thread("status", self._publish_status, limits.status_seconds + stall)
-        if self._given_bus is None and self._share.is_first and config.listens:
+        if self._given_bus is None and config.listens:
             self_check = SelfCheck(config, self._bus.endpoint, self._rivals.name)
             self._start_thread(
                 "bus",
                 lambda mark: self_check.work(self._stopping, mark),
                 self_check.look_seconds_max + stall,
-            )
-        if (sharing := self._sharing) is not None:
-            self._start_thread(
-                "follow", lambda mark: sharing.follow(self._stopping, mark.beat), stall
-            )
-            self._start_thread(
-                "tell", lambda mark: sharing.publish_progress(self._stopping, mark.beat), stall
-            )
-            self._start_thread(
-                "hear", lambda mark: sharing.hearing.work(self._stopping, mark.beat), stall
             )
         self.progress.unwatch("start")
         self.started = True
@@ -254,8 +226,6 @@ class Daemon:
                     None if self._failed.is_set() else self._learning.snapshot()
                 )
             self._journal.close()
-        if self._sharing is not None and "follow" not in running:
-            self._sharing.close()
         if self._process is not None:
             self._process.close()
 
@@ -318,7 +288,6 @@ class Daemon:
             "state": "degraded" if reason else "running",
             "reason": redact(reason),
             "site": self._config.site.name,
-            **({"shard": self._share.name} if isinstance(self._share, ShardMembership) else {}),
             "epoch": self.epoch if head is None else head.epoch,
             "version": 0 if head is None else head.version,
             "t": self._clock(),
@@ -360,11 +329,7 @@ class Daemon:
             if seconds > SLOW_PUBLICATION_SECONDS
             else ""
         )
-        reason = (
-            receiver.storing.reason
-            or ("" if self._sharing is None else self._sharing.reason)
-            or hanging
-        )
+        reason = receiver.storing.reason or hanging
         reason = reason or receiver.cameras.clock_reason(watermark, self._clock())
         return reason or receiver.refused_reason or self._learning.refused_reason
 
@@ -381,8 +346,6 @@ class Daemon:
             self._process.close()
         if self._bus is not None and self._given_bus is None:
             self._bus.close()
-        if self._sharing is not None:
-            self._sharing.close()
         self._journal.close()
 
     def _new_epoch(self) -> str:
@@ -400,18 +363,13 @@ class Daemon:
         self._live.forget()
         return self._journal.meta("epoch") or self._learning.epoch, self._new_epoch()
 
-    def _build(
-        self, bus: Bus, recovered: Recovered, process: LearnerProcess, directory: Path
-    ) -> None:
+    def _build(self, bus: Bus, recovered: Recovered, process: LearnerProcess) -> None:
         """Create the parts from the recovered state and connect them."""
-        limits, share = self._config.limits, self._share
+        limits = self._config.limits
 
         # Predictions, from the newest version until there is another.
-        self._live = Live(self._publish_prediction, share.owns)
-        if (
-            isinstance(share, WholeSite)
-            and (topology := newest_topology(self._journal, process)) is not None
-        ):
+        self._live = Live(self._publish_prediction)
+        if (topology := newest_topology(self._journal, process)) is not None:
             self.newest = CurrentVersion(head_of(topology), codec.to_msgpack(topology))
             self._live.use(topology)
 
@@ -432,9 +390,8 @@ class Daemon:
             self._clock,
             learn=lambda batch: self._learning.feed(batch),
             room=lambda: self._learning.room(),
-            publish=self._publish,
+            publish=self._announce,
             see=self._live.see,
-            owns=share.owns,
             daemon=self._name(),
             learned_time=learned_time,
             boxes=certificate_by_camera(self._config),
@@ -453,22 +410,6 @@ class Daemon:
             self._new_epoch,
         )
 
-        # The exchange with other shards.
-        if isinstance(share, ShardMembership):
-            # Imported here, as it loads the libraries for learning, which take much memory.
-            from camtopod.serve.shards import ShardExchange
-
-            self._sharing = ShardExchange(
-                self._config,
-                share,
-                directory,
-                bus,
-                self._learning,
-                shard_update_of(process),
-                self._clock,
-                self._use_site_topology,
-            )
-
         # What predictions remember, and pulling.
         self._live.remember(recent)
         receiver = self._receiver
@@ -484,20 +425,16 @@ class Daemon:
 
     def _join_bus(self, bus: Bus) -> None:
         """Answer queries and subscribe to events; then other programs may see the daemon."""
-        if self._share.is_first:
-            bus.answer_queries(
-                "topology", lambda key, parameters: self._version(parameters), "topology"
-            )
-            bus.answer_queries("admin/*", self._administer, "done")
+        bus.answer_queries(
+            "topology", lambda key, parameters: self._version(parameters), "topology"
+        )
+        bus.answer_queries("admin/*", self._administer, "done")
         bus.answer_queries("predict/*", self._live.answer, "prediction")
-        bus.answer_queries(self._share.status_key, lambda key, parameters: self.status(), "status")
-        if self._sharing is None:
-            self._receiver.subscription = bus.open_subscription(
-                "event/*", self._config.limits.inbox_events_max
-            )
-            bus.watch_alive("grabber", self._on_alive)
-        else:
-            self._sharing.serve(self._receiver.on_event, self._on_alive)
+        bus.answer_queries(STATUS, lambda key, parameters: self.status(), "status")
+        self._receiver.subscription = bus.open_subscription(
+            "event/*", self._config.limits.inbox_events_max
+        )
+        bus.watch_alive("grabber", self._on_alive)
         self._rivals.appear()
 
     def _name(self) -> str:
@@ -532,18 +469,12 @@ class Daemon:
         if (epoch, wanted) == (newest.head.epoch, str(newest.head.version)):
             return newest.topology if parameters.get("format") == JSON else newest.raw
 
-        # Older ones are in the journal or, of a shard, in the merger's.
+        # Older ones are in the journal.
         try:
-            kept = (
-                self._journal
-                if self._sharing is None or self._sharing.merger is None
-                else self._sharing.merger
-            )
-            content = (
-                kept.version(epoch, int(wanted)) if re.fullmatch("[0-9]{1,18}", wanted) else None
-            )
-            if content is not None:
-                return codec.read(Topology, content)
+            if re.fullmatch("[0-9]{1,18}", wanted):
+                content = self._journal.version(epoch, int(wanted))
+                if content is not None:
+                    return codec.read(Topology, content)
         except (sqlite3.Error, StateError, codec.Rejected) as error:
             raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
         raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
@@ -551,8 +482,6 @@ class Daemon:
     def _administer(self, key: str, parameters: dict[str, str]) -> Done:
         """Execute the operator's command of a query. Raises `QueryError`."""
         command = command_of(key, parameters)
-        if self._sharing is not None:
-            raise QueryError(SHARDED)
         try:
             return Done(self._receiver.administer(command, self.topology))
         except CommandRefused as error:
@@ -561,26 +490,12 @@ class Daemon:
             raise QueryError(f"the journal cannot be written: {error}") from None
 
     def _on_version(self, version: Version) -> None:
-        """Store a version that was learned; if it is the site's, prepare predictions with it."""
-        if self._sharing is None:
-            self._live.prepare(version.packed)
+        """Prepare predictions with a version that was learned, and store it."""
+        self._live.prepare(version.packed)
         self._receiver.storing.on_version(version)
 
-    def _publish(self, version: Version) -> None:
-        """Publish a version that is stored: to all programs or, of a shard, to the other shards."""
-        (self._announce if self._sharing is None else self._sharing.publish)(version)
-
-    def _use_site_topology(self, newest: Version | Topology) -> None:
-        """Use the topology of the whole site, if this daemon is a shard."""
-        self._live.prepare(newest.packed if isinstance(newest, Version) else newest)
-        if isinstance(newest, Version):
-            self._announce(newest)
-        else:
-            self.newest = CurrentVersion(head_of(newest), newest)
-            self._live.use(newest)
-
     def _announce(self, version: Version) -> None:
-        """Predict with a version and publish it, with its delta and its alarms."""
+        """Predict with a version that is stored and publish it, with its delta and its alarms."""
         self._live.use(version.packed)
         self.newest, said = version.newest, version.head
         if version.delta is not None:
@@ -607,7 +522,7 @@ class Daemon:
     def _publish_status(self, mark: Heartbeat) -> None:
         """Publish the status at intervals until the daemon stops."""
         while not self._stopping.wait(self._config.limits.status_seconds):
-            self.bus.publish(self._share.status_key, self.status(), "status")
+            self.bus.publish(STATUS, self.status(), "status")
             mark.beat()
 
     def _start_thread(

@@ -14,7 +14,6 @@ from camtopod.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.ingest import Received
-from camtopod.serve.runtime import owns_every_camera
 
 
 class Live:
@@ -23,15 +22,10 @@ class Live:
     Events have to be passed in the order in which they are stored.
 
     publish: called with each prediction.
-    owns: returns True for the cameras whose exits this daemon predicts.
     """
 
-    def __init__(
-        self,
-        publish: Callable[[Prediction], None],
-        owns: Callable[[str], bool] = owns_every_camera,
-    ) -> None:
-        self._publish, self._owns = publish, owns
+    def __init__(self, publish: Callable[[Prediction], None]) -> None:
+        self._publish = publish
         self._mutex = threading.Lock()
         self._predictor: Predictor | None = None
         self._prepared: tuple[Topology | bytes, Predictor] | None = None
@@ -49,7 +43,7 @@ class Live:
         for number, event in enumerate(events):
             if time.monotonic() >= until:
                 self.counts["predictions_skipped"] += sum(
-                    late.kind == "exit" and self._owns(late.camera) for late in events[number:]
+                    late.kind == "exit" for late in events[number:]
                 )
                 return
             self._step(event)
@@ -90,14 +84,11 @@ class Live:
                 newer.take_over(self._predictor)
             self._predictor = newer
 
-    def answer(self, key: str, parameters: dict[str, str]) -> Prediction | None:
+    def answer(self, key: str, parameters: dict[str, str]) -> Prediction:
         """Answer a query on ``predict/{camera}``: for an exit at x, y at t, or from a zone.
 
-        It uses what was observed up to that time, or up to ``now`` if given. Returns None if
-        another daemon has to answer; raises `QueryError`.
+        It uses what was observed up to that time, or up to ``now`` if given. Raises `QueryError`.
         """
-        if not self._owns(key.removeprefix("predict/")):
-            return None
         try:
             return self._predicted(key.removeprefix("predict/"), parameters)
         except QueryError:
@@ -124,7 +115,7 @@ class Live:
 
     def _step(self, event: Event) -> None:
         """Publish the prediction of an exit, then observe the event."""
-        if event.kind == "exit" and self._owns(event.camera):
+        if event.kind == "exit":
             with self._mutex:
                 prediction = None if self._predictor is None else self._predictor.predict(event)
             if prediction is not None:

@@ -19,12 +19,6 @@ from camtopod.serve.learner_process import recent_events
 from camtopod.serve.runtime import ulid
 from camtopod.serve.storage import NAMES_KEY, Journal, StateError, lock_reason
 
-SHARDED = (
-    "a site in shards takes no commands; a camera that stopped sending leaves it by itself after"
-    " learn.window_hours, and a site begins anew with empty state directories of all shards"
-)
-"""Message of a sharded site that refuses a command."""
-
 
 def carry_out_offline(directory: Path, command: Command, keep: KeepSettings, now: float) -> str:
     """Store a command in the journal of a state directory; return its effect, in words.
@@ -35,8 +29,6 @@ def carry_out_offline(directory: Path, command: Command, keep: KeepSettings, now
     Raises `StateError`, and `CommandRefused`.
     """
     path = directory / "journal.db"
-    if shards := sorted(directory.glob("shard-*-of-*")):
-        raise StateError(f"{shards[0]} is the state of a shard: {SHARDED}")
     if not path.exists():
         raise StateError(f"there is no state of a daemon in {directory}: name it with --state")
     if lock_reason(path):

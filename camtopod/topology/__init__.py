@@ -1,4 +1,4 @@
-"""Basics of the camera network topology, shared by learning, prediction, sharding and the web page.
+"""Basics of the camera network topology, shared by learning, prediction and the web page.
 
 The records of a topology are in `camtopod.records`. Reading order: `lag_bins` (bins for transit
 times), `histograms` (transit-time histograms as a version stores them), `grid` (image positions as
@@ -26,10 +26,7 @@ from camtopod.topology.histograms import (
     counts_histogram,
     masses_on_bins,
     round_significant,
-    scale_histogram,
     step_histogram,
-    sum_as_counts,
-    sum_as_steps,
 )
 from camtopod.topology.lag_bins import (
     LAG_SCALE_SECONDS,
@@ -61,7 +58,6 @@ from camtopod.topology.site_names import (
 )
 from camtopod.topology.versions import (
     ALARMS_KEPT_MAX,
-    LinkKey,
     alarms_follow,
     apply_delta,
     link_key,
@@ -87,7 +83,6 @@ __all__ = [
     "STEPS",
     "UNKNOWN_DWELL_SECONDS",
     "LagBins",
-    "LinkKey",
     "alarms_follow",
     "apply_delta",
     "block_of",
@@ -112,11 +107,8 @@ __all__ = [
     "relation_of",
     "renamed",
     "round_significant",
-    "scale_histogram",
     "smooth",
     "step_histogram",
-    "sum_as_counts",
-    "sum_as_steps",
     "waiting_for_links",
     "with_digest",
     "with_new_name",

@@ -3,12 +3,10 @@
 A `Histogram` has the number of its first bin, a mass for each bin from there on, a unit by which
 masses are multiplied, and a delay in seconds to be added to lags (on long paths). Masses are either
 *counts* (expected transitions, three significant digits) or *steps* (whole multiples of the unit,
-at most `STEPS` per bin). The functions make such histograms, scale and add them, and read them.
+at most `STEPS` per bin). The functions make such histograms and read them.
 """
 
 from __future__ import annotations
-
-from collections.abc import Iterable
 
 import numpy as np
 from msgspec.structs import replace
@@ -16,9 +14,6 @@ from msgspec.structs import replace
 from camtopod.arrays import Floats
 from camtopod.records import Histogram
 from camtopod.topology.lag_bins import LagBins
-
-Weighed = tuple[float, Histogram]
-"""A weight and the histogram that it multiplies."""
 
 MASS_MIN = 1e-3
 """Share of the total mass up to which bins at either end of a histogram are left out."""
@@ -52,23 +47,6 @@ def step_histogram(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram
     return _late(_stepped(bins.first + first, mass[first:last]), delay)
 
 
-def scale_histogram(histogram: Histogram, factor: float) -> Histogram:
-    """Return the histogram with all masses times a factor."""
-    return replace(histogram, unit=round_significant(histogram.unit * factor))
-
-
-def sum_as_counts(histograms: Iterable[Weighed]) -> Histogram:
-    """Return the weighted sum of histograms as counts."""
-    first, counts, delay = _sum(histograms)
-    return _late(Histogram(first, _three_digits(counts)), delay)
-
-
-def sum_as_steps(histograms: Iterable[Weighed]) -> Histogram:
-    """Return the weighted sum of histograms in steps."""
-    first, mass, delay = _sum(histograms)
-    return _late(_stepped(first, mass), delay)
-
-
 def masses_on_bins(histogram: Histogram, bins: LagBins) -> Floats:
     """Return the mass of a histogram in each of the given bins, (bins,).
 
@@ -81,29 +59,6 @@ def masses_on_bins(histogram: Histogram, bins: LagBins) -> Floats:
         result[start + low : start + high] = histogram.mass[low:high]
         result *= histogram.unit
     return result
-
-
-def _sum(histograms: Iterable[Weighed]) -> tuple[int, Floats, float]:
-    """Return first bin, masses and delay (seconds) of a weighted sum of histograms.
-
-    Histograms of different delays cannot be added bin by bin, so only those with the delay of the
-    heaviest one are summed.
-    """
-    # Keep the histograms with the delay of the heaviest.
-    known = [(weight, one) for weight, one in histograms if one.mass]
-    if not known:
-        return 0, np.zeros(0), 0.0
-    delay = max(known, key=lambda each: each[0] * each[1].unit * sum(each[1].mass))[1].delay
-    known = [(weight, one) for weight, one in known if one.delay == delay]
-
-    # Add them up on their common range of bins.
-    first = min(one.first for _, one in known)
-    mass = np.zeros(max(one.first + len(one.mass) for _, one in known) - first)
-    for weight, one in known:
-        mass[one.first - first :][: len(one.mass)] += (
-            weight * one.unit * np.array(one.mass, np.float64)
-        )
-    return first, mass, delay
 
 
 def _ends(mass: Floats) -> tuple[int, int]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench import links, scale, shards
+from bench import links, scale
 
 
 def test_scale_compares_each_size_with_the_one_before(
@@ -34,23 +34,3 @@ def test_links_counts_a_version_a_minute_for_the_others(tmp_path: Path) -> None:
     )
     least = min(row["cost"]["median"] for row in versions["rows"] if row["name"] != links.OURS)
     assert ours["ratio"]["median"] == pytest.approx(ours["cost"]["median"] / least)
-
-
-def test_shards_hear_more_than_their_own_and_no_more_than_all(tmp_path: Path) -> None:
-    figures = tmp_path / "shards.json"
-    assert (
-        shards.main(["--cameras", "4", "--shards", "2", "--hours", "0.05", "--json", str(figures)])
-        == 0
-    )
-    written = json.loads(figures.read_text())
-    assert [row["name"] for row in written["tables"][0]["rows"]] == [
-        "one shard",
-        "shard 0 of 2",
-        "shard 1 of 2",
-    ]
-    alone, *shared = written["work"][:3]
-    assert alone["own"] == alone["heard"] == alone["site"]
-    assert sum(one["own"] for one in shared) == shared[0]["site"] == shared[1]["site"]
-    assert all(
-        one["own"] < one["heard"] <= one["site"] for one in shared
-    )  # the whole site while cameras are new

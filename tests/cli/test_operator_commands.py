@@ -216,14 +216,6 @@ def test_no_state_is_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert not (tmp_path / "none").exists()
 
 
-def test_the_state_of_a_shard_is_left_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "shard-0-of-2").mkdir()
-    status, _, err = told(capsys, "forget", "b", "--state", str(tmp_path))
-    assert (status, "a site in shards takes no commands" in err) == (exits.STATE, True)
-
-
 def test_a_recorded_state_can_be_changed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

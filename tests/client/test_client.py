@@ -26,7 +26,7 @@ from serving import (
     walkers,
 )
 
-from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace, site_view
+from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace
 from camtopod.codec import read
 from camtopod.config.settings import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
@@ -116,13 +116,6 @@ def test_it_goes_on_when_the_daemon_comes_back(tmp_path: Path) -> None:
             put(bus, *(events := [*numbered(walkers(40)), closing_event()]))
             version = learned(daemon, events)
             assert site.wait_for(version.version, 20.0).links
-
-
-def test_of_shards_the_first_is_the_one_that_counts() -> None:
-    assert site_view._leads("01KAP3V6QZ")
-    assert site_view._leads("0of8-01KAP3V6QZ")
-    assert not site_view._leads("3of8-01KAP3V6QZ")
-    assert not site_view._leads("10of16-01KAP3V6QZ")
 
 
 # --- what is said ---------------------------------------------------------------------------------

@@ -121,6 +121,7 @@ def test_every_mistake_at_once_with_its_line() -> None:
         ("[bus]\nconnect = [\n'tcp/a:1'\n", [(3, "unclosed array")]),
         ("a = 1\na = 2\n", [(1, "a: no such table; known are"), (2, "cannot overwrite a value")]),
         ("site = 5\n", [(1, "site: expected a table [site]")]),
+        ("[shards]\ndistricts = 4\n", [(1, "shards: no longer needed: delete the table")]),
         ("cameras = 5\n", [(1, "cameras: expected tables [cameras.ID]")]),
         ("[cameras]\nlobby = 'x'\n", [(2, "cameras.lobby: expected a table [cameras.lobby]")]),
         ("x = '''\n", [(1, "expected")]),

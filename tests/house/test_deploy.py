@@ -23,10 +23,7 @@ UNITS = {
     "camtopod-grab@.service": "camtopod-grab@lobby.service",
 }
 """File -> the unit it is started as."""
-OTHERS = {
-    "camtopod-shard@.service": "camtopod-shard@2-8.service",
-    **{f: f for f in ("camtopod-web.service", "camtopod-bridge.service")},
-}
+OTHERS = {f: f for f in ("camtopod-web.service", "camtopod-bridge.service")}
 DEVICE = [
     "PrivateDevices=no",
     "DevicePolicy=closed",
@@ -74,37 +71,8 @@ def test_a_camera_s_file_is_called_as_the_service_is_handed_it() -> None:
     assert Path(path).parent == Path("/etc/camtopod") / SECRETS
 
 
-def test_a_shard_is_the_daemon_but_for_its_name() -> None:
-    """Fixes of one unit must reach the other."""
-    daemon, shard = (
-        (DEPLOY / name).read_text().splitlines()
-        for name in ("camtopod.service", "camtopod-shard@.service")
-    )
-    own = [line for line in shard if line not in daemon and not line.startswith("#")]
-    assert [line.partition("=")[0] for line in own] == [
-        "Description",
-        "ExecStart",
-        "StateDirectory",
-    ]
-    gone = [line for line in daemon if line not in shard and not line.startswith("#")]
-    assert [line.partition("=")[0] for line in gone] == [
-        "Description",
-        "ExecStart",
-        "User",
-        "StateDirectory",
-    ]
-    for drop_in in (DEPLOY / "camtopod.service.d").iterdir():
-        assert (
-            DEPLOY / "camtopod-shard@.service.d" / drop_in.name
-        ).read_text() == drop_in.read_text()
-
-
-def test_kubernetes_starts_as_many_shards_as_it_says() -> None:
+def test_kubernetes_is_given_a_configuration_that_can_be_read() -> None:
     text = (DEPLOY / "kubernetes.yaml").read_text()
-    [shards] = re.findall(r'"--shard", "\$\(ORDINAL\)/([0-9]+)"', text)
-    assert re.findall(r"replicas: ([0-9]+) # as in --shard", text) == [shards]
-    [districts] = re.findall(r"districts = ([0-9]+)", text)
-    assert int(shards) <= int(districts)
     body = text.split("camtopod.toml: |\n")[1].split("  router.json5")[0]
     parse("\n".join(line[4:] for line in body.splitlines()))
 
@@ -224,8 +192,7 @@ def test_the_commands_of_the_units_exist() -> None:
     parser, _ = parser_of(COMMANDS)
     for path in DEPLOY.glob("*.service"):
         [line] = directives(path)["ExecStart"]
-        arguments = [word.replace("%I", "2/8").replace("%i", "lobby") for word in line.split()]
+        arguments = [word.replace("%i", "lobby") for word in line.split()]
         assert arguments[0] == "/opt/camtopod/bin/camtopod"
-        assert parser.parse_args(arguments[1:]).command in path.name.replace(
-            "camtopod.", "run"
-        ).replace("shard", "run")
+        command = parser.parse_args(arguments[1:]).command
+        assert command in path.name.replace("camtopod.", "run")

@@ -36,7 +36,7 @@ FLOORS = (
     "learn.links",
     "learn.changes learn.next_camera",
     "learn",
-    "sharding adapt export sim",
+    "adapt export sim",
     "vision.settings",
     "vision.detect",
     "vision.detector",
@@ -50,7 +50,6 @@ FLOORS = (
     "serve.outbox",
     "serve.ingest",
     "serve.learner_process",
-    "serve.shards",
     "serve",
     "serve.monitoring client web",
     "cli.exits cli.descriptors",
@@ -62,7 +61,7 @@ FLOORS = (
     "__main__",
 )
 FLOOR = {f"camtopod.{name}": number for number, line in enumerate(FLOORS) for name in line.split()}
-PURE = ("topology", "predict", "learn", "sharding", "adapt")
+PURE = ("topology", "predict", "learn", "adapt")
 """Packages without I/O, clocks, threads and randomness of their own: what goes in is all that
 matters.
 """
@@ -205,11 +204,6 @@ def test_imports_go_one_way_and_through_doors(module: str) -> None:
             "camtopod.learn.x",
             "from camtopod.serve.bus import Bus",
             ["camtopod.serve.bus is not below"],
-        ),
-        (
-            "camtopod.learn.x",
-            "from camtopod.sharding import Part",
-            ["camtopod.sharding is not below"],
         ),
         (
             "camtopod.learn.zones.x",

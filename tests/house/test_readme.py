@@ -38,7 +38,6 @@ PLACEHOLDERS = {
     "camtopod ingest FORMAT [FILE]": "camtopod ingest jsonl FILE",
     "camtopod keys init\\|camera NAME\\|list": "camtopod keys init; camtopod keys camera NAME; camtopod keys list",
     "$(($(date +%s) - 3600))": "1700000000",
-    "--shard I/N": "--shard 0/8",
 }
 """A placeholder, and an example of what it stands for."""
 PYTHON = [(page, block) for page, text in TEXTS.items() for block in blocks(text, "python")]

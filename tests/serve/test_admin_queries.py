@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from serving import T0, all_out, closing_event, numbered, small_config, wait_for, walkers
+from serving import T0, all_out, closing_event, numbered, wait_for, walkers
 from test_daemon import NOW, Site, journal_of, put
 
 from camtopod import codec
@@ -22,7 +22,6 @@ from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest import names as names_module
 from camtopod.serve.ingest import receiver as receiver_module
-from camtopod.sharding.assignment import Sharding
 from camtopod.topology import apply_delta
 
 
@@ -352,17 +351,3 @@ def test_other_queries_are_answered_while_a_command_waits_for_the_disk(
         asking.join()
     assert "it is not stored after 1 s" in refused[0]
     wait_for(lambda: "b" not in cameras(daemon), "it to be carried out all the same")
-
-
-def test_a_site_in_shards_refuses_commands_and_says_what_to_do(site: Site, tmp_path: Path) -> None:
-    config = msgspec.structs.replace(
-        small_config(tmp_path / "sharded"), shards=Sharding(districts=4)
-    )
-    daemon = Daemon(config, clock=lambda: NOW, shard=(0, 2))
-    daemon.start()
-    try:
-        bus = site.client(daemon)
-        with pytest.raises(QueryError, match="a site in shards takes no commands"):
-            ask(bus, Forget("b"))
-    finally:
-        daemon.stop()

@@ -684,11 +684,11 @@ def test_what_nobody_takes_for_its_size_is_said_once(
     with buses.open_daemon_session(config) as bus:
         bus.answer_queries("topology", lambda key, parameters: "y" * 2000, "topology")
         for size in (990, 1500, 1600):
-            bus.publish_raw("part/1", b"x" * size, "part")
+            bus.publish_raw("event/a", b"x" * size, "event")
         bus.query("topology")
     said = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
     assert [line.partition(",")[0] for line in said] == [
-        "a message on part/1 has 1500 bytes",
+        "a message on event/a has 1500 bytes",
         "a message on topology has 2003 bytes",
     ]
 

@@ -19,7 +19,6 @@ from paths import ROOT, SUPPORT, TESTS
 from serving import T0, wait_for
 from test_recovery import EVENTS, SETTINGS, Installation, uninterrupted
 
-from camtopod import codec
 from camtopod.codec import to_msgpack
 from camtopod.records import Event
 from camtopod.serve.learner_process import feeder, recovery
@@ -28,15 +27,9 @@ from camtopod.serve.learner_process.messages import (
     Begin,
     LearnBatch,
     LearnProgress,
-    NewVersion,
     Question,
-    ShardScope,
-    ShardUpdate,
-    Show,
-    Shown,
 )
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
-from camtopod.sharding.assignment import Sharding
 
 FAULTY = "learners.faulty"
 
@@ -149,32 +142,6 @@ def all_said(process: LearnerProcess, question: Question) -> list[Answer]:
         if (answer := process.receive(1.0)) is not None:
             said.append(answer)
     return said
-
-
-def test_of_what_was_stored_before_a_shard_tells_the_newest_alone() -> None:
-    """Relearning a long journal makes thousands of versions, each with its parts."""
-    portion, lessons = (
-        ShardScope(Sharding(districts=2), (0, 1)),
-        LearnBatch(0, [to_msgpack(one) for one in EVENTS]),
-    )
-    made: list[NewVersion] = []
-    for _ in range(2):
-        stored = {one.version: one.digest for one in made[:-1]}
-        with contextlib.closing(LearnerProcess()) as process:
-            process.ask(Begin(SETTINGS, "s", "E", stored, False, portion))
-            again = [one for one in all_said(process, lessons) if isinstance(one, NewVersion)]
-            shown = process.ask(Show())
-        assert isinstance(shown, Shown)
-        assert not made or [one.digest for one in again] == [made[-1].digest]
-        made = made or again
-    assert len(made) > 3
-    assert again[0].told is not None
-    assert shown.told is not None
-    told, newest = (
-        codec.read(ShardUpdate, packed, pack=True) for packed in (again[0].told, shown.told)
-    )
-    assert told.parts == newest.parts
-    assert len(told.parts) == 2
 
 
 def test_it_gives_way(process: LearnerProcess) -> None:

@@ -10,7 +10,7 @@ import random
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,6 @@ from camtopod.serve.ingest.puller import read_batch
 from camtopod.serve.ingest.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Receiver
 from camtopod.serve.live_predictions import Live
 from camtopod.serve.outbox.spool import SpoolBatch
-from camtopod.serve.runtime.ownership import owns_every_camera
 from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot
 from camtopod.serve.storage.packed_version import Version
@@ -48,9 +47,7 @@ class Acks:
 class Bench:
     """A receiver on a journal; time stands still at `T0`."""
 
-    def __init__(
-        self, directory: Path, owns: Callable[[str], bool] = owns_every_camera, **limits: float
-    ) -> None:
+    def __init__(self, directory: Path, **limits: float) -> None:
         self.journal, self.bus = Journal(directory), Acks()
         self.learned: list[Received] = []
         self.seen: list[Received] = []
@@ -65,7 +62,6 @@ class Bench:
             self.published.append,
             lambda batch, _: self.seen.extend(batch),
             steady=lambda: 0.0,
-            owns=owns,
         )
         self.stopping = threading.Event()
 
@@ -413,19 +409,6 @@ def test_an_answer_that_begins_beyond_all_measure_is_counted_as_far_as_counts_go
         bench.round()
     assert bench.receiver.streams.lost > 2**62
     assert to_msgpack(bench.receiver.streams.lost)
-
-
-def test_what_another_shards_camera_sent_unheard_is_not_lost(tmp_path: Path) -> None:
-    bench = Bench(tmp_path, lambda camera: camera == "own")
-    for camera in ("own", "guest"):
-        bench.hear(*events(1, 1, camera))
-        bench.round()
-        assert bench.receiver.on_answer(
-            SpoolAnswer(SpoolBatch(camera, "b", 800, 799, False, []), 2)
-        )
-        bench.round()
-        assert bench.receiver.streams.lost == 798
-    bench.journal.close()
 
 
 def test_a_camera_whose_place_was_given_away_may_still_have_something_under_way(

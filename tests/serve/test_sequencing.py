@@ -16,7 +16,7 @@ def streams(
     stored: dict[tuple[str, str], int] | None = None,
     boots_max: int = 4,
 ) -> Streams[int]:
-    return Streams(stored or {}, held, streams_max, boots_max, lambda camera: camera != "other's")
+    return Streams(stored or {}, held, streams_max, boots_max)
 
 
 def test_in_order_is_ready_at_once_and_a_repetition_is_a_duplicate() -> None:
@@ -83,16 +83,6 @@ def test_what_the_spool_no_longer_has_is_lost() -> None:
     assert order.skip_before(("new", "b9"), 500, 0.0) == []
     assert order.lost == 2, "a stream never seen before has lost nothing here"
     assert order.add(("new", "b9"), 500, 500, 0.0) == ("ready", [500])
-
-
-def test_of_a_camera_that_is_another_daemons_nothing_is_lost() -> None:
-    """It is a guest for a while, and again hours later."""
-    order, key = streams(), ("other's", "b1")
-    assert order.add(key, 1, 1, 0.0) == ("ready", [1])
-    assert order.add(key, 900, 900, 9000.0) == ("held", [])
-    assert order.skip_before(key, 890, 9000.0) == []
-    assert order.give_up_gaps(9006.0, 5.0, has_spool=set()) == [900]
-    assert order.lost == 0
 
 
 def test_limits() -> None:

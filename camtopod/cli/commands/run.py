@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import faulthandler
 import logging
-import re
 import sys
 from typing import Any
 
@@ -48,20 +47,6 @@ def add_parser(subparsers: Any) -> None:
         metavar="DIRECTORY",
         help="directory of the journal (default: [state] directory)",
     )
-    parser.add_argument(
-        "--shard",
-        metavar="I/N",
-        type=_shard,
-        help="be shard I (from 0) of N daemons that share the cameras of the site",
-    )
-
-
-def _shard(text: str) -> tuple[int, int]:
-    """Parse ``2/8``: a shard's number and the number of shards."""
-    found = re.fullmatch("([0-9]{1,4})/([1-9][0-9]{0,3})", text)
-    if found is None or int(found[1]) >= int(found[2]):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a shard; the shards of 8 are 0/8 to 7/8")
-    return int(found[1]), int(found[2])
 
 
 def run(args: argparse.Namespace) -> int:
@@ -76,14 +61,7 @@ def run(args: argparse.Namespace) -> int:
     # Load the configuration, then run with health page and watchdog.
     with signals() as told, ends_within(told.stop, LEAVE_SECONDS):
         config = configuration(args)
-        if args.shard and args.shard[1] > config.shards.districts:
-            raise CommandError(
-                f"--shard: {args.shard[1]} shards cannot share {config.shards.districts} "
-                f"districts: use fewer shards or more [shards] districts",
-                exits.USAGE,
-            )
-
-        daemon = Daemon(config, shard=args.shard)
+        daemon = Daemon(config)
         pages = {"/metrics": lambda: metrics.page(daemon, config.limits.cameras_max)}
         try:
             with (

@@ -51,7 +51,7 @@ function _shtab_camtopod_using
 end
 
 set -g _shtab_camtopod_commands demo init grab run learn predict simulate watch web export report ingest bridge forget rename judge reset keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' schema check doctor completion
-set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --log-level --loiterers --lost --minutes --missed --moved --name --objects-per-second --one-way --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --seed --shard --show --site --size --slow-share --speed --speed-sd --start --state --top --topology --truth --u-turn --uneven --updates --user --zone-separation --zone-stretch
+set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --log-level --loiterers --lost --minutes --missed --moved --name --objects-per-second --one-way --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --seed --show --site --size --slow-share --speed --speed-sd --start --state --top --topology --truth --u-turn --uneven --updates --user --zone-separation --zone-stretch
 
 complete -c camtopod -e
 complete -c camtopod -f
@@ -109,7 +109,6 @@ complete -c camtopod -n '_shtab_camtopod_using grab; and test $_shtab_camtopod_n
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a run -d 'run the daemon: learn the topology from events on the bus and predict'
 complete -c camtopod -n '_shtab_camtopod_using run' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using run' -l state -xka "(__fish_complete_directories)" -d 'directory of the journal (default: [state] directory)'
-complete -c camtopod -n '_shtab_camtopod_using run' -l shard -x -d 'be shard I (from 0) of N daemons that share the cameras of the site'
 complete -c camtopod -n '_shtab_camtopod_using run' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file; none: read no file (default: ./camtopod.toml, else /etc/camtopod/camtopod.toml, if there is one)'
 complete -c camtopod -n '_shtab_camtopod_using run' -l site -x -d 'name of the site, the second part of every key on the bus'
 complete -c camtopod -n '_shtab_camtopod_using run' -l connect -x -d 'zenoh endpoint to connect to, for example tcp/192.168.1.5:7447; may be repeated'

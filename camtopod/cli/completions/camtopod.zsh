@@ -436,7 +436,6 @@ _shtab_camtopod_reset_defaults_added=0
 _shtab_camtopod_run_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--state[directory of the journal (default\: \[state\] directory)]:DIRECTORY:_files -/"
-  "--shard[be shard I (from 0) of N daemons that share the cameras of the site]:I/N:"
   "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"
   "*--connect[zenoh endpoint to connect to, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"

@@ -41,7 +41,7 @@ def example() -> str:
     parts += [_CAMERAS + "\n".join(_settings(CameraSettings, _HALL))]
     parts += [
         table(name, TABLES[name], {})
-        for name in ("vision", "detector", "learn", "limits", "health", "web", "map", "shards")
+        for name in ("vision", "detector", "learn", "limits", "health", "web", "map")
     ]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 

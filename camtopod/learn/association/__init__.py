@@ -27,10 +27,8 @@ from camtopod.learn.association.screening import (
     CandidateScreen,
     FollowedSources,
     candidates_of_pairs,
-    excess_by_source,
     negative_without_overlap,
     place,
-    screen_input,
 )
 from camtopod.learn.association.speed_adjustment import adjust
 
@@ -46,7 +44,6 @@ __all__ = [
     "adjust",
     "candidates_of_pairs",
     "departures_in_reach",
-    "excess_by_source",
     "exposures",
     "find_candidates",
     "fit_jointly",
@@ -55,6 +52,5 @@ __all__ = [
     "newest_within_limit",
     "place",
     "result",
-    "screen_input",
     "slices_by_arrival",
 ]

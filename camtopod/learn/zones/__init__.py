@@ -20,8 +20,6 @@ from __future__ import annotations
 from camtopod.learn.zones.cell_sums import GridSums
 from camtopod.learn.zones.daspec import kernel_1d
 from camtopod.learn.zones.zone_map import (
-    MATCH_DISTANCE,
-    PLACE_SD_MIN,
     CellSums,
     ZoneMap,
     ZoneShape,
@@ -30,8 +28,6 @@ from camtopod.learn.zones.zone_map import (
 )
 
 __all__ = [
-    "MATCH_DISTANCE",
-    "PLACE_SD_MIN",
     "CellSums",
     "GridSums",
     "ZoneMap",

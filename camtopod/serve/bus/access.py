@@ -25,14 +25,11 @@ class AccessError(OSError):
     """The access list or a certificate cannot be used; ``str()`` says which and what to do."""
 
 
-def settings(
-    config: Config, mode: str, access: rules.Access | None = None, shared: bool = False
-) -> rules.Settings:
+def settings(config: Config, mode: str, access: rules.Access | None = None) -> rules.Settings:
     """Return the settings of a zenoh session, without its endpoints.
 
     mode: "router" for the daemon that listens, otherwise "client".
     access: the access list to enforce, in a router only.
-    shared: as in `camtopod.serve.bus.session.meet`.
     """
     values = rules.session_settings(mode)
     tls = config.bus.tls
@@ -40,9 +37,8 @@ def settings(
         values |= rules.mutual_tls(tls.ca, tls.certificate, tls.private_key)
     largest = config.bus.message_bytes_max
     if mode == "router":
-        # Without other shards it receives no topology and no parts of one: nothing large.
-        if not shared:
-            largest = min(largest, rules.spool_bytes_max(config.limits.pull_events_max))
+        # It receives no topology: nothing large.
+        largest = min(largest, rules.spool_bytes_max(config.limits.pull_events_max))
         values |= rules.size_limits(
             config.site.name, config.limits.pull_events_max
         ) | rules.priorities(config.site.name)

@@ -42,8 +42,6 @@ _REPLIES_MAX = 4096
 """Most answers to one query that are kept; closing the channel drops the rest."""
 _PROMPT = ("prediction", "ack", "status")
 """Schemas of small and urgent messages, which never wait behind a topology on the same link."""
-_UNREPEATED = ("event", "part")
-"""Schemas that are published once, by programs that may wait until a full link has room."""
 SLOW_PUBLICATION_SECONDS = 1.0
 """A publication that takes longer than this, in seconds, shows in the status."""
 
@@ -174,7 +172,7 @@ class Bus:
         schema: name of the payload's type; it also decides how the message is sent.
         attachment: bytes to send beside the payload.
 
-        Only events and parts wait for a subscriber that has stopped reading. Other messages for its
+        Only events wait for a subscriber that has stopped reading. Other messages for its
         full link are dropped, except one topology, which is sent when the link has room; the
         subscriber notices the gap in the versions, and queries the topology.
         """
@@ -193,7 +191,7 @@ class Bus:
                 congestion_control=_DROP
                 if schema in _PROMPT
                 else _WAIT
-                if schema in _UNREPEATED
+                if schema == "event"
                 else _ONE_WAITS,
                 priority=_FIRST if schema in _PROMPT else _USUAL,
                 attachment=attachment,
@@ -507,10 +505,8 @@ def dial(config: Config) -> Bus:
             return Bus(session, config.site.name, endpoints[0], config.bus)
 
 
-def open_daemon_session(config: Config, shared: bool = False) -> Bus:
+def open_daemon_session(config: Config) -> Bus:
     """Open the daemon's session: listen at ``config.listens``, or connect if there are none.
-
-    shared: the other shards of the site connect to this daemon and send what they have learned.
 
     Port 0 stands for a free port. Logs a warning if the bus is open without authentication. Raises
     `BusError`.
@@ -526,7 +522,7 @@ def open_daemon_session(config: Config, shared: bool = False) -> Bus:
     try:
         access.check_files(config)
         granted = access.read_access(config, clock.wall)
-        values = access.settings(config, "router", granted, shared)
+        values = access.settings(config, "router", granted)
         session = _open(config, values, connect=config.bus.connect, listen=endpoints)
     except access.AccessError as error:
         raise BusError(str(error)) from None

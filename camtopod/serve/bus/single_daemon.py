@@ -4,14 +4,12 @@ Two daemons would both acknowledge, and each would have half of the events. So a
 beside another one refuses to. If neither could see the other (in a network partition that has
 healed), both go on and log errors until one is stopped: nothing that was acknowledged is given up.
 A daemon's name stays with its state directory, so it does not mistake its own traces from before a
-crash for another daemon. The shards of a site (``2of8-NAME``) are no rivals as long as all of them
-state the same number of shards.
+crash for another daemon.
 """
 
 from __future__ import annotations
 
 import logging
-import re
 import threading
 import time
 
@@ -30,20 +28,18 @@ NAMED_MAX = 20
 class OtherDaemons:
     """The other daemons of the site.
 
-    name: the name of this daemon.
-    shard: (i, n) for shard i of n; None for a daemon that serves its site alone.
+    name: the name under which the other daemons see this one.
     """
 
-    def __init__(self, bus: Bus, name: str, shard: tuple[int, int] | None = None) -> None:
-        self._bus, self._shard = bus, shard
-        self.name = name if shard is None else "{}of{}-{}".format(*shard, name)
-        """The name under which the other daemons see this one."""
+    def __init__(self, bus: Bus, name: str) -> None:
+        self._bus = bus
+        self.name = name
         self._there: set[str] = set()
 
     def require_none(self, seconds: float, cancelled: threading.Event) -> None:
         """Raise `BusError` if there is another daemon, and it does not leave within ``seconds``."""
         deadline = time.monotonic() + seconds
-        while others := {name for name in self._bus.list_alive(ROLE) if self._is_rival(name)}:
+        while others := set(self._bus.list_alive(ROLE)) - {self.name}:
             if time.monotonic() >= deadline:
                 raise BusError(
                     f"another daemon ({', '.join(sorted(others))}) serves site {self._bus.site} "
@@ -64,7 +60,7 @@ class OtherDaemons:
         return f"another daemon ({others}) serves the same site: stop one of them" if others else ""
 
     def _on_change(self, name: str, alive: bool) -> None:
-        if not self._is_rival(name):
+        if name == self.name:
             return
         if not alive:
             self._there.discard(name)
@@ -75,12 +71,3 @@ class OtherDaemons:
                 name,
                 self._bus.site,
             )
-
-    def _is_rival(self, name: str) -> bool:
-        if name == self.name:
-            return False
-        theirs = re.match("([0-9]{1,9})of([0-9]{1,9})-", name)
-        if self._shard is None or theirs is None:
-            return True
-        number, shards = int(theirs[1]), int(theirs[2])
-        return shards != self._shard[1] or number == self._shard[0]

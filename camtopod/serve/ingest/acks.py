@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import collections
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 from msgspec import Struct
 from msgspec.structs import asdict
@@ -33,7 +33,6 @@ class Acks:
     called from any thread.
 
     stored: the highest stored seq of each stream, as of `Journal.streams`.
-    owns: the cameras whose events this daemon acknowledges.
     daemon: name of this daemon.
     event_time: event time as the learner has it after the stored events.
     """
@@ -42,11 +41,10 @@ class Acks:
         self,
         bus: Bus,
         stored: dict[Key, int],
-        owns: Callable[[str], bool],
         daemon: str,
         event_time: EventTime,
     ) -> None:
-        self._bus, self._owns, self._daemon, self._event_time = bus, owns, daemon, event_time
+        self._bus, self._daemon, self._event_time = bus, daemon, event_time
         self.stored = stored
         """The highest seq of each stream that is stored."""
         self._counts: dict[Key, Counts] = {}
@@ -106,7 +104,7 @@ class Acks:
 
         These are the streams of which events were stored since the last call, those that `repeat`
         was called for, and those of duplicates (`duplicate`); at first, all that were stored before
-        the start. Cameras of other daemons are left out.
+        the start.
 
         now (seconds): of a clock that never steps.
         """
@@ -121,10 +119,9 @@ class Acks:
                 self._dirty.add(key)
         for key in self._dirty:
             camera, boot = key
-            if self._owns(camera):
-                ack = Ack(camera, boot, self.stored[key], self._daemon, **asdict(self._of(key)))
-                self._bus.publish(f"ack/{camera}", ack, "ack")
-                beat()
+            ack = Ack(camera, boot, self.stored[key], self._daemon, **asdict(self._of(key)))
+            self._bus.publish(f"ack/{camera}", ack, "ack")
+            beat()
         self._dirty.clear()
 
         # Drop forgotten streams.

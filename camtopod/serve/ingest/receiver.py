@@ -69,7 +69,7 @@ from camtopod.serve.ingest.inbox import Inbox, Message
 from camtopod.serve.ingest.names import CommandRefused, Names, known_site, read_names
 from camtopod.serve.ingest.stages import Round, Stages
 from camtopod.serve.ingest.store_queue import StoreQueue
-from camtopod.serve.runtime import Beat, Clock, no_beat, owns_every_camera, steady_clock_for
+from camtopod.serve.runtime import Beat, Clock, no_beat, steady_clock_for
 from camtopod.serve.storage import NAMES_KEY, Journal, JournalWriter, Version, rewind
 
 log = logging.getLogger(__name__)
@@ -111,7 +111,6 @@ class Receiver:
     see: predicts from entries about to be stored, in journal order, each once, within the given
         number of seconds.
     steady: a clock that never steps.
-    owns: the cameras whose events this daemon acknowledges.
     daemon: name of this daemon.
     learned_time: event time as the learner has it after the entries stored so far.
     boxes: certificates of cameras; see `CameraRegistry`.
@@ -130,7 +129,6 @@ class Receiver:
         publish: Callable[[Version], None],
         see: Callable[[list[Received], float], None],
         steady: Clock | None = None,
-        owns: Callable[[str], bool] = owns_every_camera,
         daemon: str = "",
         learned_time: LearnedTime | None = None,
         boxes: Mapping[str, str] | None = None,
@@ -145,10 +143,10 @@ class Receiver:
         stored, usual = journal.streams(), journal.median_stored_time()
         self.cameras = CameraRegistry(limits, 0.0 if usual is None else usual - clock(), boxes)
         self.duplicates = DuplicateChecker(journal, self._steady)
-        self._acks = Acks(bus, stored, owns, daemon, self._learned_time)
+        self._acks = Acks(bus, stored, daemon, self._learned_time)
         self.names = Names(read_names(journal.meta(NAMES_KEY)), clock)
         self._stages = Stages(
-            self.cameras, self.duplicates, self._acks, limits, self._room, owns, self.names
+            self.cameras, self.duplicates, self._acks, limits, self._room, self.names
         )
         self._queue = StoreQueue()
         self.storing = JournalWriter(journal, clock, self._steady, publish)

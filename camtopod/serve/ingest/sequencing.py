@@ -8,7 +8,7 @@ last are followed, so that years of nightly reboots do not fill the memory.
 from __future__ import annotations
 
 import collections
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Generic, Literal, TypeVar
 
 from msgspec import Struct
@@ -62,8 +62,6 @@ class Streams(Generic[T]):
     stored: highest seq of each (camera, boot) in the journal; those received last are at the end.
     held_max: most items of one camera that wait behind gaps.
     streams_max, boots_max: most streams in all, and of one camera.
-    owns: the cameras whose missing events count as lost; of others this daemon does not get all
-        events.
     """
 
     def __init__(
@@ -72,14 +70,8 @@ class Streams(Generic[T]):
         held_max: int,
         streams_max: int,
         boots_max: int,
-        owns: Callable[[str], bool],
     ) -> None:
-        self._held_max, self._streams_max, self._boots_max, self._owns = (
-            held_max,
-            streams_max,
-            boots_max,
-            owns,
-        )
+        self._held_max, self._streams_max, self._boots_max = held_max, streams_max, boots_max
         # The stream received from last is the last one, here and in _boots.
         self._streams: dict[Key, _Stream] = {}
         self._boots: dict[str, dict[str, None]] = {}
@@ -275,7 +267,7 @@ class Streams(Generic[T]):
         """Give up what is missing below ``seq``; events held below it become ready."""
         early = sorted(held for held in stream.held if held < seq)
         ready = [self._unhold(key, stream, held) for held in early]
-        if (stream.next is not None or ready) and self._owns(key[0]):
+        if stream.next is not None or ready:
             self.lost = min(self.lost + max(0, seq - (stream.next or 0) - len(ready)), COUNT_MAX)
         stream.next = seq
         return ready + self._release(key, stream, now)

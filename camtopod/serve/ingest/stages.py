@@ -54,7 +54,6 @@ class Stages:
 
     cameras, duplicates, acks: collaborators that others use, too.
     room: returns how many entries may be put in order now.
-    owns: the cameras whose events this daemon acknowledges.
     names: forgotten and renamed cameras.
     """
 
@@ -65,12 +64,11 @@ class Stages:
         acks: Acks,
         limits: Limits,
         room: Callable[[], int],
-        owns: Callable[[str], bool],
         names: Names,
     ) -> None:
         self._names = names
         self._cameras, self._duplicates, self._acks = cameras, duplicates, acks
-        self._room, self._owns = room, owns
+        self._room = room
         self.rejects = Rejects()
         self.counts = dict.fromkeys(
             ("received", "stored", "duplicate", "future", "flood", "held_full", "refilled"), 0
@@ -80,7 +78,7 @@ class Stages:
         """Cameras whose publisher has been seen alive, so that it has a spool."""
         self._admission = Admission(cameras, self.with_spool, self.rejects, self.counts)
         self.streams: Streams[Received] = Streams(
-            acks.stored, limits.held_events_max, limits.streams_max, BOOTS_MAX, owns
+            acks.stored, limits.held_events_max, limits.streams_max, BOOTS_MAX
         )
         self.merge = BacklogMerger(limits.held_events_max)
         self.idle_time = IdleEventTime()
@@ -204,7 +202,7 @@ class Stages:
         """Count and report events that were acknowledged once, but are not in the journal."""
         stored = self._acks.stored.get((batch.camera, batch.boot), -1)
         missing = sum(stored < seq <= (batch.acked or 0) for seq, _ in batch.events)
-        if missing and self._owns(batch.camera):
+        if missing:
             if not self.counts["refilled"]:
                 log.error(
                     "the journal lacks events that were stored: those of camera %s after number %d,"

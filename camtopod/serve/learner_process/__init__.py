@@ -8,24 +8,19 @@ journal at the start.
 from __future__ import annotations
 
 from camtopod.serve.learner_process.feeder import LearnerFeeder
-from camtopod.serve.learner_process.messages import ShardScope, ShardUpdate
 from camtopod.serve.learner_process.process import LearnerProcess
 from camtopod.serve.learner_process.recovery import (
     Recovered,
     newest_topology,
     recent_events,
     recover,
-    shard_update_of,
 )
 
 __all__ = [
     "LearnerFeeder",
     "LearnerProcess",
     "Recovered",
-    "ShardScope",
-    "ShardUpdate",
     "newest_topology",
     "recent_events",
     "recover",
-    "shard_update_of",
 ]

@@ -118,13 +118,7 @@ class LearnerFeeder:
         """Number of damaged journal entries that were left out."""
         self.statistics = taught.statistics
         """The learner's statistics, as of its last step."""
-        self.reached = taught.reached
-        """Of a shard: event time up to which all versions before `made` are complete."""
-        self.strangers = frozenset(taught.strangers or ())
-        """Of a shard: cameras of other shards to which it subscribes only as guests."""
         self._refused_at = -math.inf
-        self.made = 0
-        """Number of versions handed over."""
         on_deadline(taught.deadline)
 
     def feed(self, batch: list[Received]) -> None:
@@ -298,9 +292,6 @@ class LearnerFeeder:
             taught.statistics,
             taught.epoch,
         )
-        self.reached = taught.reached
-        if taught.strangers is not None:
-            self.strangers = frozenset(taught.strangers)
         self._on_deadline(taught.deadline)
         if taught.unreadable:
             log.error(
@@ -369,10 +360,7 @@ class LearnerFeeder:
     def _hand_over_version(self, made: NewVersion) -> None:
         """Hand a new version over."""
         self._due = True
-        self.made += 1
-        self._on_version(
-            Version(head_of(made.packed), made.content, made.packed, made.delta, made.told)
-        )
+        self._on_version(Version(head_of(made.packed), made.content, made.packed, made.delta))
 
     def _begin_epoch(self, version: int) -> None:
         """Begin an epoch, as a stored version was not reproduced."""

@@ -20,7 +20,6 @@ from camtopod.admin import Command
 from camtopod.event_time import EventTimeState
 from camtopod.learn import Settings
 from camtopod.serve.storage import Rewind
-from camtopod.sharding import Part, Sharding
 
 INPUTS_MAX = 4_000
 """Most entries in one message: some hundred kilobytes, some hundredths of a second without a fit.
@@ -44,21 +43,13 @@ operator's command, or nothing.
 """
 
 
-class ShardScope(Struct, frozen=True):
-    """The part of the site that a learner learns: shard ``shard`` = (i, n), with these settings."""
-
-    sharding: Sharding
-    shard: tuple[int, int]
-
-
 class Load(Struct, tag=True):
-    """Question: can this state of a learner (or of a shard's learner) be used? `Begin` follows.
+    """Question: can this state of a learner be used? `Begin` follows.
 
     Answer: `Loaded` or `Unusable`.
     """
 
     state: bytes
-    sharded: bool = False
 
 
 class Begin(Struct, tag=True):
@@ -66,7 +57,6 @@ class Begin(Struct, tag=True):
 
     stored: digests of the epoch's versions that may have been published.
     load: use the state that was loaded last.
-    portion: None for the whole site.
     without: cameras to leave out of the loaded state.
     """
 
@@ -75,7 +65,6 @@ class Begin(Struct, tag=True):
     epoch: str
     stored: dict[int, str]
     load: bool
-    portion: ShardScope | None = None
     without: list[str] = []
 
 
@@ -115,7 +104,6 @@ class Loaded(Struct, tag=True):
     settings: Settings
     site: str
     epoch: str
-    portion: ShardScope | None = None
 
 
 class Unusable(Struct, tag=True):
@@ -130,7 +118,6 @@ class NewVersion(Struct, tag=True):
 
     content, packed: the version as JSON and as MessagePack.
     delta: difference from the version before, as MessagePack.
-    told: of a shard, its update for the other shards, as MessagePack.
     """
 
     epoch: str
@@ -139,7 +126,6 @@ class NewVersion(Struct, tag=True):
     content: bytes
     packed: bytes
     delta: bytes | None
-    told: bytes | None = None
 
 
 class VersionMismatch(Struct, tag=True):
@@ -154,27 +140,21 @@ class LearnProgress(Struct, tag=True):
     deadline: event time that the learner waits for.
     unreadable: number of events that this program cannot read.
     epoch: epoch of the next versions.
-    reached: of a shard, event time up to which its updates are complete.
-    strangers: of a shard, other shards' cameras of which it needs events only as guests; None if
-        unchanged.
-    event_time: at the beginning, the event time; in a shard that of its most advanced district.
+    event_time: at the beginning, the event time.
     """
 
     position: int
     deadline: float | None
     statistics: dict[str, int | float]
     unreadable: int
-    reached: float | None = None
-    strangers: list[str] | None = None
     event_time: EventTimeState = msgspec.field(default_factory=EventTimeState)
     epoch: str = ""
 
 
 class Shown(Struct, tag=True):
-    """The newest version as MessagePack, None before the first; of a shard also its update."""
+    """The newest version as MessagePack, None before the first."""
 
     packed: bytes | None
-    told: bytes | None = None
 
 
 class Saved(Struct, tag=True):
@@ -267,17 +247,3 @@ class SharedStatus:
         self._cells.release()
         self._memory.close()
         os.close(self.fd)
-
-
-class ShardUpdate(Struct):
-    """An update that a shard publishes on ``part/{shard}``.
-
-    reached (seconds): event time up to which its updates are complete; None before the first event.
-    parts: what its districts have learned, in the order it was made. The answer to a query has the
-        newest part of each district.
-    """
-
-    shard: int
-    shards: int
-    reached: float | None
-    parts: list[Part] = []

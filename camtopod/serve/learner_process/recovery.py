@@ -22,7 +22,6 @@ from camtopod.serve.learner_process.messages import (
     LearnProgress,
     Load,
     Loaded,
-    ShardScope,
     Show,
     Shown,
     Unusable,
@@ -97,22 +96,18 @@ def recover(
     settings: Settings,
     site: str,
     new_epoch: Callable[[], str],
-    portion: ShardScope | None = None,
     now: float = 0.0,
 ) -> Recovered:
     """Load the learner into ``process`` and return its state. Raises `StateError`.
 
     new_epoch: begins an epoch and stores its name.
-    portion: the part of the site that this daemon learns; None for the whole.
     now: Unix seconds.
     """
 
     def begin(position: int, epoch: str, load: bool = False) -> Recovered:
         before, left_out, forgotten = read_corrections(journal, position, epoch)
         epoch = before or epoch
-        taught = process.ask(
-            Begin(settings, site, epoch, journal.versions(epoch), load, portion, forgotten)
-        )
+        taught = process.ask(Begin(settings, site, epoch, journal.versions(epoch), load, forgotten))
         assert isinstance(taught, LearnProgress)
         return Recovered(position, epoch, taught, left_out)
 
@@ -131,7 +126,7 @@ def recover(
             journal.set_meta("damaged log", damaged.name)
 
     # After too many failures at one entry, leave out the events of a camera, or begin behind it.
-    failure, found = read_failure(journal), _newest_state(journal, process, portion)
+    failure, found = read_failure(journal), _newest_state(journal, process)
     beyond = 0 if found is None else found[0]
     if failure is not None and failure.is_hopeless and beyond < failure.at:
         ended, epoch = epoch, new_epoch()
@@ -202,13 +197,6 @@ def newest_topology(journal: Journal, process: LearnerProcess) -> Topology | Non
     return None if shown.packed is None else codec.read(Topology, shown.packed, pack=True)
 
 
-def shard_update_of(process: LearnerProcess) -> bytes | None:
-    """Return the update of a shard's learner for the other shards, as MessagePack."""
-    shown = process.ask(Show())
-    assert isinstance(shown, Shown)
-    return shown.told
-
-
 def recent_events(journal: Journal) -> list[Event]:
     """Return the newest events of the journal, for predictions to remember.
 
@@ -264,33 +252,19 @@ def note_failure(
     journal.set_meta("failure", codec.to_json(failure).decode())
 
 
-def _newest_state(
-    journal: Journal, process: LearnerProcess, portion: ShardScope | None
-) -> tuple[int, Loaded] | None:
+def _newest_state(journal: Journal, process: LearnerProcess) -> tuple[int, Loaded] | None:
     """Return the newest snapshot that can be used, with its position; None if there is none.
 
     ``process`` has loaded the state that is returned. The position is the number of the last entry
     of the journal that the state has learned.
 
-    portion: the part of the site that this daemon learns; None for the whole.
-
-    Snapshots are tried from the newest on. A snapshot
-
-    * that cannot be read is logged, and the one before it is tried;
-    * of another ``portion`` ends the search with None: older ones are not tried, and the journal is
-      learned again;
-    * of a newer program raises `StateError`.
+    Snapshots are tried from the newest on. One that cannot be read is logged, and the one before it
+    is tried; one of a newer program raises `StateError`.
     """
     for snapshot in journal.snapshots():
-        answer = process.ask(Load(snapshot.state, portion is not None))
+        answer = process.ask(Load(snapshot.state))
         if isinstance(answer, Loaded):
-            if answer.portion == portion:
-                return snapshot.position, answer
-            log.warning(
-                "the [shards] settings or the number of shards have changed: the journal is learned"
-                " again"
-            )
-            return None
+            return snapshot.position, answer
 
         # It cannot be used: try the one before, unless the program is too old.
         assert isinstance(answer, Unusable)

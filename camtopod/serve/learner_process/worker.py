@@ -23,7 +23,6 @@ from camtopod.learn import (
     Learner,
     LearnerState,
     NewerSnapshot,
-    Settings,
     SnapshotError,
     pack,
     rename,
@@ -46,8 +45,6 @@ from camtopod.serve.learner_process.messages import (
     Refresh,
     Save,
     Saved,
-    ShardScope,
-    ShardUpdate,
     SharedStatus,
     Show,
     Shown,
@@ -56,7 +53,6 @@ from camtopod.serve.learner_process.messages import (
 )
 from camtopod.serve.runtime import memory
 from camtopod.serve.storage import Rewind
-from camtopod.sharding import ShardLearner, ShardState, pack_shard, unpack_shard
 from camtopod.topology import alarms_follow, make_delta
 
 NICENESS = 5
@@ -80,17 +76,16 @@ class Worker:
         learner: type[Learner],
     ) -> None:
         self._asked, self._out, self._board, self._kind = asked, out, board, learner
-        self._loaded: LearnerState | ShardState | None = None
-        self._learner: Learner | ShardLearner
-        self._strangers: frozenset[str] | None = None  # those sent last
+        self._loaded: LearnerState | None = None
+        self._learner: Learner
 
     def work(self) -> None:
         """Answer questions for ever."""
         while True:
             question = self._asked.get()
             match question:
-                case Load(state, sharded):
-                    self._send(self._load(state, sharded))
+                case Load(state):
+                    self._send(self._load(state))
                 case Begin():
                     self._begin(question)
                     taught = self._progress(0, 0)
@@ -106,50 +101,26 @@ class Worker:
                     self._send(self._learn(position, lessons))
                 case Show():
                     newest = self._learner.topology
-                    self._send(
-                        Shown(
-                            None if newest is None else codec.to_msgpack(newest),
-                            self._shard_update(everything=True),
-                        )
-                    )
+                    self._send(Shown(None if newest is None else codec.to_msgpack(newest)))
                 case Save():
-                    self._send(Saved(self._save()))
+                    self._send(Saved(pack(self._learner.save())))
                 case NewEpoch():
                     raise ValueError("a new epoch was sent without a version mismatch")
 
-    def _save(self) -> bytes:
-        state = self._learner.save()
-        return pack_shard(state) if isinstance(state, ShardState) else pack(state)
-
-    def _load(self, packed: bytes, sharded: bool) -> Loaded | Unusable:
+    def _load(self, packed: bytes) -> Loaded | Unusable:
         """Unpack a state and keep it for `Begin`."""
         try:
-            self._loaded = unpack_shard(packed) if sharded else unpack(packed)
+            self._loaded = state = unpack(packed)
         except SnapshotError as error:
             return Unusable(str(error), isinstance(error, NewerSnapshot))
-        match self._loaded:
-            case LearnerState() as state:
-                return Loaded(state.settings, state.site, state.epoch)
-            case ShardState() as state:
-                of = state.districts[0].learner
-                return Loaded(
-                    of.settings, of.site, state.line.epoch, ShardScope(state.sharding, state.shard)
-                )
+        return Loaded(state.settings, state.site, state.epoch)
 
     def _begin(self, given: Begin) -> None:
         """Make the learner, with the loaded state if the daemon wants it."""
-        self._learner = self._new(given.settings, given.portion, given.site, given.epoch)
-        if given.load and self._loaded is not None:
-            match self._learner, self._loaded:
-                case (Learner() as learner, LearnerState() as state):
-                    learner.load(state)
-                    before = state.epoch
-                case (ShardLearner() as learner, ShardState() as state):
-                    learner.load(state)
-                    before = state.line.epoch
-                case _:
-                    raise ValueError("the loaded state is of another kind of learner")
-            if before != given.epoch:
+        self._learner = self._kind(given.settings, given.site, given.epoch)
+        if given.load and (state := self._loaded) is not None:
+            self._learner.load(state)
+            if state.epoch != given.epoch:
                 self._learner.begin_epoch(given.epoch)
 
         # Drop what is not wanted any more.
@@ -162,26 +133,13 @@ class Worker:
 
         # What is known of earlier versions.
         self._stored, self._newest_stored = given.stored, max(given.stored, default=0)
-        # True if other shards may not have received all versions.
-        self._passed_over = False
         self._newest = self._learner.topology
-
-    def _new(
-        self, settings: Settings, portion: ShardScope | None, site: str, epoch: str
-    ) -> Learner | ShardLearner:
-        if portion is not None:
-            return ShardLearner(settings, portion.sharding, portion.shard, site, epoch)
-        return self._kind(settings, site, epoch)
 
     def _change(self, change: Callable[[LearnerState], LearnerState]) -> None:
         """Continue with a changed state; only a new learner can load one."""
-        match self._learner:
-            case Learner() as learner:
-                changed = self._kind(learner.settings, learner.site, learner.epoch)
-                changed.load(change(learner.save()))
-                self._learner = changed
-            case ShardLearner() as shard:
-                shard.change(change)
+        learner = self._learner
+        self._learner = self._kind(learner.settings, learner.site, learner.epoch)
+        self._learner.load(change(learner.save()))
 
     def _rewind(self, lesson: Rewind) -> None:
         """Drop events after a time, and begin an epoch unless a later one has begun already."""
@@ -194,7 +152,6 @@ class Worker:
 
     def _reset(self, lesson: Reset) -> None:
         """Begin with a new learner, in a new epoch unless a later one has begun already."""
-        assert isinstance(self._learner, Learner), "shards refuse commands"
         epoch = self._learner.epoch
         after = self._learner.topology
         if lesson.epoch > epoch:
@@ -211,12 +168,10 @@ class Worker:
             case Reset():
                 self._reset(command)
             case Rename(old, new):
-                assert isinstance(self._learner, Learner)
                 self._learner.erase({new})
                 self._change(lambda state: rename(state, old, new))
                 self._learner.make_version()
             case Forget() | Judge():
-                assert isinstance(self._learner, Learner)
                 self._learner.administer(command)
             case TakeBack():
                 pass  # only the daemon refuses events
@@ -252,26 +207,13 @@ class Worker:
 
     def _progress(self, position: int, unreadable: int) -> LearnProgress:
         """Return the progress."""
-        taught = LearnProgress(
+        return LearnProgress(
             position,
             self._learner.next_deadline(),
             self._learner.statistics(),
             unreadable,
             epoch=self._learner.epoch,
         )
-        if isinstance(self._learner, ShardLearner):
-            taught.reached, strangers = self._learner.reached(), self._learner.strangers
-            if strangers != self._strangers:
-                self._strangers, taught.strangers = strangers, sorted(strangers)
-        return taught
-
-    def _shard_update(self, everything: bool = False) -> bytes | None:
-        """Return a shard's update: its new parts or, with ``everything``, its districts' newest."""
-        if not isinstance(self._learner, ShardLearner):
-            return None
-        made = self._learner.parts()
-        parts = self._learner.newest_parts() if everything else made
-        return codec.to_msgpack(ShardUpdate(*self._learner.shard, self._learner.reached(), parts))
 
     def _take_versions(self) -> None:
         """Send the versions of a step; called before the next step.
@@ -301,9 +243,6 @@ class Worker:
         # Pass over versions from before the start.
         before, self._newest = self._newest, topology
         if topology.version <= self._newest_stored:
-            self._passed_over = True
-            if isinstance(self._learner, ShardLearner):
-                self._learner.parts()  # drop the parts; a long journal makes thousands
             return
 
         # Send a new one.
@@ -318,10 +257,8 @@ class Worker:
                 codec.to_json(topology),
                 codec.to_msgpack(topology),
                 delta,
-                self._shard_update(everything=self._passed_over),
             )
         )
-        self._passed_over = False
 
     def _begin_epoch(self, version: int) -> None:
         """Report that a version was not reproduced, and continue in the daemon's new epoch."""

@@ -251,8 +251,7 @@ class _Scrape:
 
         # The cameras, and their grabbers.
         yield from self._families(CAMERA, status["cameras"])
-        if status.get("shard", "0/1").startswith("0/"):  # only one of the shards queries them
-            yield from self._families(GRABBER, grabbers(daemon.bus))
+        yield from self._families(GRABBER, grabbers(daemon.bus))
 
     def _families(self, metrics: Iterable[Metric], cameras: Mapping[str, Any]) -> Iterator[Family]:
         """Yield metrics of the first cameras by name, at most ``cameras_max``."""

@@ -2,15 +2,13 @@
 
 Read `clock` (wall clock, steady clock, ULIDs) and `progress` (watch whether loops make progress)
 first. `systemd` reports both to the service manager. `rejects` counts malformed input, `reload`
-compares configurations, `memory` tunes the allocator and the garbage collector, and `ownership`
-has the default answer to "which shard owns this camera".
+compares configurations, and `memory` tunes the allocator and the garbage collector.
 """
 
 from __future__ import annotations
 
 from camtopod.serve.runtime import clock, memory, systemd
 from camtopod.serve.runtime.clock import Clock, steady_clock_for, ulid, wall
-from camtopod.serve.runtime.ownership import owns_every_camera
 from camtopod.serve.runtime.progress import Beat, Heartbeat, Progress, no_beat
 from camtopod.serve.runtime.rejects import Rejects
 from camtopod.serve.runtime.reload import changed_settings
@@ -27,7 +25,6 @@ __all__ = [
     "clock",
     "memory",
     "no_beat",
-    "owns_every_camera",
     "steady_clock_for",
     "systemd",
     "ulid",

@@ -79,14 +79,12 @@ class Version(NamedTuple):
     content: the version as JSON.
     packed: the version as MessagePack.
     delta: the changes since the last version as MessagePack; None for the first.
-    told: of a shard, its part for the other shards.
     """
 
     head: Head
     content: bytes
     packed: bytes
     delta: bytes | None
-    told: bytes | None = None
 
     @classmethod
     def of(cls, topology: Topology, delta: bytes | None = None) -> Version:

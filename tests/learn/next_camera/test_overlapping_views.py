@@ -18,7 +18,6 @@ from camtopod.learn.next_camera.overlapping_views import Views, find_overlapping
 from camtopod.predict.hand_over import HandOver, cameras_to_watch
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, InView, NextCamera, Prediction, Topology
-from camtopod.sharding.parts import part_of
 from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, offset_bins
 
 BINS = offset_bins(LAG_SCALE_SECONDS, LAG_STEP)
@@ -177,11 +176,3 @@ def test_where_nobody_sees_an_object_the_next_camera_counts() -> None:
 def test_a_topology_without_overlaps_says_nothing() -> None:
     topology = learned_from(walkers(1, 30, 0.0))
     assert not HandOver(topology).overlaps("a")
-
-
-@pytest.mark.parametrize(("camera", "rows"), [("b", [("a", "b")]), ("a", [])])
-def test_a_district_tells_of_the_overlaps_with_its_own_cameras(
-    camera: str, rows: list[tuple[str, str]]
-) -> None:
-    part = part_of(learned_from(walkers(1, 200)), 0, {camera: 1.0}, 10)
-    assert list(overlaps(part.topology)) == rows
