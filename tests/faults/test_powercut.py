@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import collections
-import contextlib
 import shutil
-import sqlite3
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pytest
 from powercut import MODELS, Image, Record, images, put
@@ -15,7 +13,6 @@ from sizes import size
 from vfs import Vfs
 from written import Open, State, WrittenJournal, WrittenSpool
 
-from camtopod.serve.storage import sqlite_file
 from camtopod.serve.storage.sqlite_file import StateError
 
 QUICK_STEPS = {"journal": 45, "spool": 25}
@@ -144,48 +141,6 @@ def test_campaign_of_the_canary(quick_path: Path, disk_watch: Vfs) -> None:
         f"canary, synchronous=NORMAL: {len(outcome.lost)} of {outcome.images.total()} images lost something"
     )
     assert len(outcome.lost) > outcome.images.total() // 10
-
-
-class _MadeUnderFull(sqlite_file.Connection):
-    def execute(self, statement: str, *parameters: Any) -> sqlite3.Cursor:
-        return super().execute(
-            statement.replace("synchronous=EXTRA", "synchronous=FULL"), *parameters
-        )
-
-
-def without_table(
-    make_under_full: bool, base: Path, watch: Vfs, monkeypatch: pytest.MonkeyPatch
-) -> list[str]:
-    """Return the images without a table, after the table was made durable."""
-    schema = "CREATE TABLE IF NOT EXISTS event (id INTEGER PRIMARY KEY)"
-    record = Record()
-    real = sqlite_file._switch_to_wal
-
-    def made(connection: sqlite3.Connection, path: Path) -> None:
-        record.mark("done", 0)
-        real(connection, path)
-
-    base.mkdir()
-    with monkeypatch.context() as patch, watch.watching(record):
-        if make_under_full:
-            patch.setattr(sqlite_file, "Connection", _MadeUnderFull)
-        patch.setattr(sqlite_file, "_switch_to_wal", made)
-        sqlite_file.connect(base / "one.db", schema).close()
-    found = []
-    for image in images(record.ops, 3, seed=1):
-        if image.done >= 0:
-            put(image.content, base)
-            with contextlib.closing(sqlite3.connect(base / "one.db")) as connection:
-                if not connection.execute("SELECT name FROM sqlite_schema").fetchall():
-                    found.append(f"{image.model} after operation {image.after_op}")
-    return found
-
-
-def test_a_table_that_was_made_stays_and_made_under_full_it_would_not(
-    quick_path: Path, disk_watch: Vfs, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert without_table(False, quick_path / "extra", disk_watch, monkeypatch) == []
-    assert without_table(True, quick_path / "full", disk_watch, monkeypatch) != []
 
 
 @pytest.mark.campaign

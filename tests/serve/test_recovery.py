@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import signal
 import sqlite3
 import threading
@@ -26,7 +25,7 @@ from camtopod.serve.learner_process.feeder import CATCHING_UP_SECONDS, LearnerFe
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import recover
 from camtopod.serve.runtime.progress import no_beat
-from camtopod.serve.storage import corrections, wal_check
+from camtopod.serve.storage import corrections
 from camtopod.serve.storage.corrections import rewind
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.packed_version import Version
@@ -420,26 +419,6 @@ def test_of_an_epoch_that_has_ended_no_version_comes(start: Start) -> None:
     again = start(program="learners.hoarding")
     again.run()
     assert {epoch for epoch, _, _ in again.published} == {"F"}
-
-
-def test_what_a_damaged_log_has_lost_may_have_been_published(tmp_path: Path) -> None:
-    """So a new epoch begins, once: the same versions made again may differ."""
-    state = tmp_path / "state"
-    with closing(Installation(state)) as one:
-        for first in range(0, 150, 30):
-            one.learn(EVENTS[first : first + 30])
-        log = bytearray((state / "journal.db-wal").read_bytes())
-        begin = 32 + (wal_check.read(state / "journal.db").commits[-4] - 1) * (24 + 4096)
-        log[begin + 1000] ^= 1
-        killed = tmp_path / "killed"
-        killed.mkdir()
-        shutil.copyfile(state / "journal.db", killed / "journal.db")
-        (killed / "journal.db-wal").write_bytes(log)
-    with closing(Installation(killed)) as again:
-        assert again.learning.epoch == "F"
-        again.run()
-    with closing(Installation(killed)) as later:
-        assert later.learning.epoch == "F"
 
 
 def test_a_journal_without_entries_and_snapshots_but_with_versions_begins_an_epoch(

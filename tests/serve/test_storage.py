@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import gc
-import os
 import shutil
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,11 +13,10 @@ import pytest
 from serving import Failing
 
 from camtopod import codec
-from camtopod.config.settings import Limits
 from camtopod.records import Event
 from camtopod.serve.outbox import spool_schema
-from camtopod.serve.outbox.spool import Spool, open_spool
-from camtopod.serve.storage import sqlite_file, wal_check
+from camtopod.serve.outbox.spool import Spool
+from camtopod.serve.storage import sqlite_file
 from camtopod.serve.storage.sqlite_file import StateError
 
 
@@ -130,22 +125,6 @@ def test_what_one_daemon_has_acknowledged_is_given_to_no_other(
     assert again.statistics()["kept"] == kept
     assert len(again) == 2
     again.close()
-
-
-def test_the_spool_of_an_older_program_goes_on_as_that_of_the_site(tmp_path: Path) -> None:
-    older = Spool(tmp_path / "spool-lobby.db", "older", events_max=1000)
-    older.append([event(1), event(2)])
-    limits = Limits()
-    with pytest.raises(StateError, match="held by another"):
-        open_spool(tmp_path, "hq", "lobby", limits)
-    older.close()
-    spool = open_spool(tmp_path, "hq", "lobby", limits)
-    assert [seq for seq, _ in spool.batch("lobby", None, 0, 10).events] == [1, 2]
-    elsewhere = open_spool(tmp_path, "other", "lobby", limits)
-    assert len(elsewhere) == 0
-    assert {path.name for path in tmp_path.glob("spool-lobby*")} == {"spool-lobby.lock"}
-    for one in (spool, elsewhere):
-        one.close()
 
 
 def test_an_empty_spool_says_where_it_will_begin(spool: Spool) -> None:
@@ -358,42 +337,6 @@ def test_state_is_nobody_elses_to_read(tmp_path: Path) -> None:
     assert path.stat().st_mode & 0o777 == 0o600
 
 
-FORMAT_1 = """
-CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE count (camera TEXT PRIMARY KEY, seq INTEGER NOT NULL) WITHOUT ROWID;
-CREATE TABLE event (
-    id INTEGER PRIMARY KEY AUTOINCREMENT, camera TEXT NOT NULL, boot TEXT NOT NULL, seq INTEGER NOT NULL,
-    raw BLOB NOT NULL);
-CREATE UNIQUE INDEX event_stream ON event (camera, boot, seq);
-INSERT INTO meta VALUES ('boot', 'old');
-INSERT INTO count VALUES ('lobby', 9);
-"""
-
-
-def test_a_spool_of_the_first_format_goes_on(tmp_path: Path) -> None:
-    events = [Event("lobby", "entry", float(n), boot="old", seq=n) for n in (7, 8, 9)]
-    rows = [(e.camera, e.boot, e.seq, codec.to_msgpack(e)) for e in events]
-    with contextlib.closing(sqlite3.connect(tmp_path / "spool.db")) as connection, connection:
-        connection.executescript(FORMAT_1)
-        connection.executemany("INSERT INTO event VALUES (NULL, ?, ?, ?, ?)", rows)
-    spool = Spool(tmp_path / "spool.db", "new", events_max=10)
-    assert [
-        codec.event_from_msgpack(raw) for _, raw in spool.batch("lobby", "old", 0, 10).events
-    ] == events
-    assert [(one.boot, one.seq) for one in spool.append([event(10)])] == [("new", 1)]
-    spool.close()
-    Spool(tmp_path / "spool.db", "new", events_max=10).close()
-
-
-def test_a_spool_of_a_newer_format_is_refused_and_left_alone(spool: Spool, tmp_path: Path) -> None:
-    spool.append([event(1)])
-    spool_schema.set_row(spool._db, "meta", "format", "3")
-    spool.close()
-    with pytest.raises(StateError, match="format 3"):
-        Spool(tmp_path / "spool.db", "b", events_max=10)
-    assert sqlite_file.damaged_files(tmp_path / "spool.db") == []
-
-
 def test_a_damaged_spool_is_set_aside_and_what_can_be_read_goes_on(
     tmp_path: Path, caplog: Any
 ) -> None:
@@ -458,139 +401,3 @@ def test_text_that_is_no_text_any_more_damages_its_row_alone(spool: Spool) -> No
         "UPDATE event SET boot = CAST(x'62c3286f' AS TEXT) WHERE seq = 1 AND camera = 'lobby'"
     )
     assert [seq for seq, _ in spool.batch("lobby", "boot-1", 0, 10).events] == [2]
-
-
-def damaged_log(spool: Spool, tmp_path: Path) -> Path:
-    """Return a copy of the spool after a kill, with a flipped bit before whole transactions."""
-    for n in range(6):
-        spool.append([event(n)])
-    path = copy_of(tmp_path / "spool.db", tmp_path / "killed")
-    log = bytearray(path.with_name("spool.db-wal").read_bytes())
-    frame = wal_check.read(tmp_path / "spool.db").commits[3] - 1
-    log[32 + frame * (24 + 4096) + 1000] ^= 1
-    path.with_name("spool.db-wal").write_bytes(log)
-    return path
-
-
-def test_a_damaged_log_is_copied_once(spool: Spool, tmp_path: Path, caplog: Any) -> None:
-    path = damaged_log(spool, tmp_path)
-    log = path.with_name("spool.db-wal").read_bytes()
-    for _ in range(3):
-        path.with_name("spool.db-wal").write_bytes(log)
-        Spool(path, "boot-2", events_max=1000).close()
-        path.with_name("spool.db-wal").unlink(missing_ok=True)
-        shutil.copyfile(tmp_path / "spool.db", path)
-    assert sqlite_file.damaged_files(path.with_name("spool.db-wal")) == [
-        path.with_name("spool.db-wal.damaged-1")
-    ]
-    assert path.with_name("spool.db-wal.damaged-1").read_bytes() == log
-    assert "transactions cannot be read; a copy is" in caplog.text
-
-
-def test_the_copy_of_a_damaged_log_is_nobody_elses_to_read(spool: Spool, tmp_path: Path) -> None:
-    path = damaged_log(spool, tmp_path)
-    Spool(path, "boot-2", events_max=1000).close()
-    [aside] = sqlite_file.damaged_files(path.with_name("spool.db-wal"))
-    assert aside.stat().st_mode & 0o777 == 0o600
-
-
-def test_a_log_that_cannot_be_copied_leaves_no_part_of_a_copy(
-    spool: Spool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Otherwise a disk that is full for a while would count as one that damages every file."""
-    path = damaged_log(spool, tmp_path)
-
-    def full(source: Any, target: Any) -> None:
-        target.write(source.read(1000))
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(shutil, "copyfileobj", full)
-    Spool(path, "boot-2", events_max=1000).close()
-    assert sqlite_file.damaged_files(path.with_name("spool.db-wal")) == []
-    assert "transactions cannot be read; there is no copy: No space left on device" in caplog.text
-
-
-def test_an_index_of_the_log_without_content_is_no_trouble(tmp_path: Path) -> None:
-    """As a power cut leaves it, when the file itself was moved away."""
-    (tmp_path / "spool.db-shm").write_bytes(b"")
-    Spool(tmp_path / "spool.db", "b", events_max=10).close()
-
-
-def test_torn_frames_that_look_like_two_commits_are_no_damage(spool: Spool, tmp_path: Path) -> None:
-    spool.append([event(1)])
-    path = copy_of(tmp_path / "spool.db", tmp_path / "killed")
-    with path.with_name("spool.db-wal").open("r+b") as file:
-        salts = file.read(24)[16:]
-        file.seek(32 + max(wal_check.read(path).frames) * (24 + 4096))
-        for _ in range(2):
-            file.write(b"\0\0\0\1" + b"\0\0\0\5" + salts + bytes(8) + b"torn" * 1024)
-    assert len(wal_check.read(path).commits) >= 2
-    again = Spool(path, "boot-2", events_max=1000)
-    assert (len(again), again.statistics()["damaged_files"]) == (1, 0)
-    again.close()
-
-
-def test_damage_in_a_spool_too_large_to_be_scanned_is_found_out_at_the_next_start(
-    spool: Spool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sqlite_file, "SCAN_BYTES_MAX", 0)
-    spool.append([event(n) for n in range(900)])
-    spool.close()
-    path = tmp_path / "spool.db"
-    content = bytearray(path.read_bytes())
-    begin = content.index(codec.to_msgpack(event(450).t)) // 4096 * 4096
-    content[begin : begin + 4096] = b"\xaa" * 4096
-    path.write_bytes(content)
-    unsuspecting = Spool(path, "boot-2", events_max=1000)
-    with pytest.raises(sqlite_file.Damaged, match="it is set aside at the next start"):
-        unsuspecting.batch("lobby", "boot-1", 0, 1000)
-    unsuspecting.close()
-    again = Spool(path, "boot-3", events_max=1000)
-    assert 800 < again.rescued < 900
-    again.append([event(900)])
-    again.close()
-
-
-def test_a_connection_that_is_not_closed_is_reported(tmp_path: Path) -> None:
-    schema = "CREATE TABLE IF NOT EXISTS one (a)"
-    sqlite_file.connect(tmp_path / "one.db", schema)
-    with pytest.warns(ResourceWarning, match="unclosed"):
-        gc.collect()
-    sqlite_file.connect(tmp_path / "one.db", schema).close()
-    gc.collect()
-
-
-def test_who_reads_a_database_beside_its_process_does_not_take_the_memory_from_under_it(
-    tmp_path: Path,
-) -> None:
-    """SQLite sees other processes by a lock on the log's index; without it a reader truncates the
-    index.
-    """
-    path = tmp_path / "spool.db"
-    with contextlib.closing(Spool(path, "boot-1", events_max=1000)) as killed:
-        killed.append([event(n) for n in range(5)])
-        path = copy_of(path, tmp_path / "killed")
-    again = Spool(path, "boot-2", events_max=1000)  # with a log to look at
-    index = tmp_path / "killed" / "spool.db-shm"
-    locks = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
-    held = [
-        words[-2]
-        for words in locks
-        if words[-4] == str(os.getpid()) and words[-3].endswith(f":{index.stat().st_ino}")
-    ]
-    assert "128" in held
-    reads = (
-        "import sqlite3, sys; reader = sqlite3.connect(sys.argv[1]); "
-        "print(reader.execute('SELECT COUNT(*) FROM event').fetchone()); reader.close()"
-    )
-    for number in range(6, 9):
-        again.append([event(number)])
-        read = subprocess.run(
-            [sys.executable, "-c", reads, str(index)[:-4]],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert read.stdout == f"({number},)\n"
-        assert index.stat().st_size > 0
-    again.close()

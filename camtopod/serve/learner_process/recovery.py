@@ -111,19 +111,10 @@ def recover(
         assert isinstance(taught, LearnProgress)
         return Recovered(position, epoch, taught, left_out)
 
-    # A new state, and one whose last entries were lost after they may have been published, begin an
-    # epoch.
+    # A new state begins an epoch.
     epoch = journal.meta("epoch")
     if epoch is None:
         epoch = new_epoch()
-    for damaged in journal.damaged_logs()[-1:]:
-        if journal.meta("damaged log") != damaged.name:
-            epoch = new_epoch()
-            log.warning(
-                "versions that were in the damaged log may have been published: epoch %s begins",
-                epoch,
-            )
-            journal.set_meta("damaged log", damaged.name)
 
     # After too many failures at one entry, leave out the events of a camera, or begin behind it.
     failure, found = read_failure(journal), _newest_state(journal, process)

@@ -255,8 +255,7 @@ class Spool:
                 "kept": self._kept,
                 "dropped": self.dropped,
                 "damaged_events": len(self._damaged),
-                "damaged_files": len(sqlite_file.damaged_files(self.path))
-                + len(sqlite_file.damaged_files(self.path.with_name(f"{self.path.name}-wal"))),
+                "damaged_files": len(sqlite_file.damaged_files(self.path)),
             }
 
     def __len__(self) -> int:
@@ -513,19 +512,7 @@ def open_spool(directory: Path, site: str, name: str, limits: Limits) -> Spool:
     limits: the limits of events and bytes.
     """
     path = spool_path(directory, site, name)
-    _adopt(directory / f"spool-{name}.db", path)
     boot = clock.ulid(clock.wall())
     return Spool(
         path, boot, limits.spool_events_max, limits.spool_bytes_max, limits.spool_kept_events
     )
-
-
-def _adopt(older: Path, path: Path) -> None:
-    """Take over the spool of an older program, which had one spool for all sites."""
-    if path.exists() or not older.exists():
-        return
-    lock = sqlite_file.Lock(older.with_suffix(".lock"))
-    try:
-        sqlite_file.move(older, path)
-    finally:
-        lock.close()

@@ -1,7 +1,6 @@
 """Durable state of a program: SQLite files that survive power cuts, and the daemon's journal.
 
-Read from the bottom up. `sqlite_file` opens, checks and sets aside databases, with the help of
-`wal_check` (is the write-ahead log complete) and `open_files` (are the open files still in place).
+Read from the bottom up. `sqlite_file` opens, checks and sets aside databases.
 `journal` stores entries, versions and snapshots in one of them; `journal_schema` has its tables,
 `witness` notices a journal that was restored from an older copy, `read_corrections` are entries
 that revise what was learned, and `packed_version` is a topology on its way into the journal.

@@ -26,9 +26,8 @@ from msgspec import Struct
 
 from camtopod.config import KeepSettings
 from camtopod.serve.storage import journal_schema, sqlite_file
-from camtopod.serve.storage.journal_schema import SCHEMA, last_entry, prepare, rescue
-from camtopod.serve.storage.open_files import Displaced
-from camtopod.serve.storage.sqlite_file import crc
+from camtopod.serve.storage.journal_schema import FORMAT, SCHEMA, last_entry, rescue
+from camtopod.serve.storage.sqlite_file import Displaced, crc
 from camtopod.serve.storage.witness import Witness
 
 log = logging.getLogger(__name__)
@@ -126,7 +125,7 @@ class Journal:
         # Open the file; release everything after an error.
         with contextlib.ExitStack() as undo:
             undo.callback(self._lock.close)
-            self._db, self.set_aside = sqlite_file.connect_or_recreate(self._path, SCHEMA, prepare)
+            self._db, self.set_aside = sqlite_file.connect_or_recreate(self._path, SCHEMA, FORMAT)
             undo.callback(self._db.close)
             try:
                 with sqlite_file.damage_noticed(self._path):
@@ -175,9 +174,8 @@ class Journal:
     def set_meta(self, key: str, value: str) -> None:
         """Store a value under ``key``. Raises `sqlite3.Error`."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
-            self._check()
+            self._db.check()
             journal_schema.write_meta(self._db, key, value)
-            self._check()
             self._witness.note(journal_schema.how_far(self._db))
 
     def commit(
@@ -196,10 +194,10 @@ class Journal:
 
         Raises `sqlite3.Error`; then the same call may be repeated. A commit can fail although its
         rows are durable, so a repeated call first looks whether they are there. Without anything to
-        store the files are checked all the same (`Displaced`), which is cheap.
+        store, only `Displaced` is raised if the file is not in place.
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
-            self._check()
+            self._db.check()
             if not entries and not versions and snapshot is None:
                 return
 
@@ -215,7 +213,7 @@ class Journal:
                         self._add_snapshot(snapshot, int(now))
                     for key, value in (meta or {}).items():
                         journal_schema.write_meta(self._db, key, value)
-                self._check()  # before anything counts as stored
+                    self._db.check()  # again, as a transaction can take long
             self._sure = True
             self._last += len(entries)
 
@@ -249,8 +247,6 @@ class Journal:
         `sqlite3.Error`.
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
-            self._check()
-
             # Find the entries to delete: those before both snapshots that are too old, or all of
             # those if the journal is too large.
             keep, oldest = self._keep, self._oldest_snapshot()
@@ -426,7 +422,7 @@ class Journal:
         """
         if self._mutex.acquire(blocking=False):
             try:
-                files = [path.name for path in self.damaged_files()]
+                files = [path.name for path in sqlite_file.damaged_files(self._path)]
                 self._seen = {"bytes": self.size(), "damaged_files": files}
             except (sqlite3.Error, OSError) as error:
                 self._seen = {"reason": str(error)}
@@ -434,24 +430,11 @@ class Journal:
                 self._mutex.release()
         return {"entries": len(self), "missing": self.missing, **self._seen}
 
-    def damaged_files(self) -> list[Path]:
-        """Return the files that were set aside of the database and its log and still exist."""
-        return [*sqlite_file.damaged_files(self._path), *self.damaged_logs()]
-
-    def damaged_logs(self) -> list[Path]:
-        """Return the set-aside logs, newest last; they hold committed transactions, now lost."""
-        return sqlite_file.damaged_files(self._path.with_name(f"{self._path.name}-wal"))
-
     def close(self) -> None:
         """Close the journal and release the directory; may be called twice."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             self._db.close()
             self._lock.close()
-
-    def _check(self) -> None:
-        """Raise `Displaced` if a file in use is not in place."""
-        self._db.check()
-        self._lock.check()
 
     def _has(self, count: int) -> bool:
         """Return True if an attempt that raised an error did store its transaction completely.

@@ -1,4 +1,4 @@
-"""The tables of the journal, and the migration of older ones.
+"""The tables of the journal.
 
 Every row ends with a checksum of its other columns, as SQLite does not notice a flipped bit in a
 value.
@@ -8,22 +8,18 @@ from __future__ import annotations
 
 import logging
 import sqlite3
-import zlib
 from pathlib import Path
 
-from camtopod.serve.storage.sqlite_file import Damaged, StateError, crc, readable
+from camtopod.serve.storage.sqlite_file import crc, readable
 from camtopod.serve.storage.witness import JournalExtent
 
 log = logging.getLogger(__name__)
 
 FORMAT = 2
-"""Format of the tables; an older one is migrated, a newer one refused."""
+"""Format of the tables; a journal of another format is refused."""
 
 NAMES_KEY = "names"
 """Key in ``meta`` of forgotten and renamed cameras; see `camtopod.serve.ingest.names`."""
-
-DAMAGED = -1
-"""A value that no checksum has: given to rows that were damaged before the migration."""
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS meta (
@@ -50,35 +46,6 @@ stream: the highest seq of each (camera, boot), and the entry that has it.
 content: the topology, compressed; empty if only its digest is known.
 position: the last entry that a snapshot's state contains.
 """
-
-
-def prepare(database: sqlite3.Connection) -> None:
-    """Create the tables, or migrate those of an older program.
-
-    Raises `StateError` for those of a newer program, and `Damaged` if the format is unreadable.
-    """
-    tables = {
-        name for (name,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")
-    }
-    if "meta" not in tables:
-        create(database)
-        return
-    row = database.execute("SELECT * FROM meta WHERE key = 'format'").fetchone()
-    if row is None or (len(row) > 2 and row != meta_row(*row[:2])):
-        raise Damaged("the journal is damaged: it does not say its format")
-    if row[1] == "1":
-        _from_1(database)
-    elif row[1] != str(FORMAT):
-        raise StateError(
-            f"the journal has format {row[1]}, this program {FORMAT}: use the one that wrote it"
-        )
-
-
-def create(database: sqlite3.Connection) -> None:
-    """Create the tables and store their format, within the caller's transaction."""
-    for statement in SCHEMA.split(";"):
-        database.execute(statement)
-    database.execute("INSERT INTO meta VALUES (?, ?, ?)", meta_row("format", str(FORMAT)))
 
 
 def rescue(database: sqlite3.Connection, aside: Path) -> int:
@@ -171,63 +138,3 @@ def prepare_new_epoch(database: sqlite3.Connection, known: JournalExtent) -> Non
     write_meta(database, "epoch before", max(found.epoch, known.epoch))
     if known.name and not found.name:
         write_meta(database, "name", known.name)
-
-
-def _from_1(database: sqlite3.Connection) -> None:
-    """Migrate format 1, which had no times, kept every entry, and only digests of versions.
-
-    Its digests are of the current epoch.
-    """
-
-    # Create the new tables beside the old ones.
-    for table in ("meta", "entry", "version"):
-        database.execute(f"ALTER TABLE {table} RENAME TO old_{table}")
-    database.execute("DROP INDEX entry_stream")
-    for statement in SCHEMA.split(";"):
-        database.execute(statement)
-
-    # Copy the values, with checksums.
-    meta = dict(database.execute("SELECT key, value FROM old_meta")) | {"format": str(FORMAT)}
-    database.executemany(
-        "INSERT INTO meta VALUES (?, ?, ?)", [meta_row(*item) for item in meta.items()]
-    )
-
-    # Copy the entries; the time is 0, and damaged ones stay marked as damaged.
-    entries = database.execute("SELECT * FROM old_entry ORDER BY id")
-    database.executemany(
-        "INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-        (
-            (
-                *row[:1],
-                0,
-                *row[1:6],
-                crc(row[0], 0, *row[1:6]) if zlib.crc32(row[5]) == row[6] else DAMAGED,
-            )
-            for row in entries
-        ),
-    )
-
-    # Derive the streams.
-    newest = database.execute(
-        "SELECT camera, boot, MAX(seq), MAX(id) FROM entry"
-        " WHERE boot IS NOT NULL GROUP BY camera, boot"
-    ).fetchall()
-    database.executemany(
-        "INSERT INTO stream VALUES (?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in newest]
-    )
-
-    # Copy the digests of versions.
-    digests = database.execute(
-        "SELECT version, digest FROM old_version ORDER BY version"
-    ).fetchall()
-    rows = [
-        (n, meta.get("epoch", ""), version, 0, digest, 0, b"")
-        for n, (version, digest) in enumerate(digests, 1)
-    ]
-    database.executemany(
-        "INSERT INTO version VALUES (?, ?, ?, ?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in rows]
-    )
-
-    # Delete the old tables.
-    for table in ("meta", "entry", "version"):
-        database.execute(f"DROP TABLE old_{table}")

@@ -1,38 +1,31 @@
 """A SQLite file that keeps its committed transactions through kill -9 and power cuts.
 
-The disk must honour flushes. A damaged file is set aside, never deleted, and a new one is begun.
-SQLite itself notices little damage: a torn log reads as a shorter one, a flipped bit in a value as
-another value. So the log is checked before SQLite opens it (`wal_check`), every row carries a
-`crc`, and a grabber remembers what was acknowledged (`camtopod.serve.outbox.spool`).
+The disk must honour flushes. SQLite's own check runs when a file is opened, and every row carries a
+`crc` of its other columns, as SQLite does not notice a flipped bit in a value. A damaged file is
+set aside, never deleted, and a new one is begun with the rows that can be read of the old one.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
-import filecmp
 import functools
 import logging
 import os
-import shutil
 import sqlite3
-import warnings
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from camtopod.serve.storage import wal_check
-from camtopod.serve.storage.open_files import Identity, OpenFiles
-
 log = logging.getLogger(__name__)
 
 DAMAGED_FILES_MAX = 8
-"""Most damaged files set aside beside one database; with more, no new one is begun."""
-SCAN_BYTES_MAX = 64 * 2**20
-"""Larger files are scanned on opening only if they have shown damage; this size takes about 1 s."""
+"""Maximum number of damaged files set aside beside one database; with more, no new one is begun."""
+THOROUGH_BYTES_MAX = 64 * 2**20
+"""Size, in bytes, up to which indices are compared with their tables on opening; this takes 1 s."""
 
 _AUTOCHECKPOINT_PAGES = 200
 """Length of the write-ahead log, in pages, at which SQLite copies it into the database."""
@@ -40,7 +33,6 @@ _LOG_BYTES_MAX = 2**20
 """Size to which SQLite truncates a write-ahead log that has become larger, in bytes."""
 _BUSY_SECONDS = 2.0
 """Longest wait for another connection's lock on the database, in seconds."""
-_SIDE_FILES = ("-wal", "-journal")
 _SHAPE = """
 SELECT m.type, m.name, m.tbl_name, x.name, x.type, x."notnull", x.pk
 FROM sqlite_schema AS m LEFT JOIN pragma_table_xinfo(m.name) AS x ON m.type = 'table'
@@ -55,6 +47,10 @@ class StateError(OSError):
 
 class Damaged(StateError):
     """The content of a file differs from what was written."""
+
+
+class Displaced(sqlite3.OperationalError):
+    """The open file is no longer the one at its path; ``str()`` says what to do."""
 
 
 class Lock:
@@ -77,12 +73,6 @@ class Lock:
                 f"{path} is held by another camtopod process; "
                 f"stop that one or use another state directory"
             ) from None
-
-        self._place = Identity(path, self._fd)
-
-    def check(self) -> None:
-        """Raise `Displaced` if the path leads to another file, which another process could lock."""
-        self._place.check()
 
     def read(self, size: int) -> bytes:
         """Return the first ``size`` bytes of the file. Raises `OSError`."""
@@ -116,78 +106,42 @@ def crc(*columns: int | float | str | bytes | None) -> int:
 
 
 class Connection(sqlite3.Connection):
-    """A connection that closes the descriptors of its files after the database, and not before.
+    """A connection that knows which file it has opened."""
 
-    The reason is in `wal_check.open_index`.
-    """
-
-    def __init__(self, *given: Any, **more: Any) -> None:
-        super().__init__(*given, **more)
-        self._kept: list[int] = []
-        self._files: OpenFiles | None = None
-
-    def keep(self, fd: int) -> int:
-        """Return ``fd``, and close it after the database."""
-        self._kept.append(fd)
-        return fd
-
-    def watch(self, path: Path, index: int | None) -> None:
-        """Make `check` check the files of ``path``. Raises `OSError`.
-
-        index: the descriptor of `wal_check.open_index`, kept already, or None.
-        """
-        self.execute("PRAGMA page_count").fetchall()  # makes SQLite open the log
-        database, log = (
-            self.keep(os.open(f"{path}{suffix}", os.O_RDONLY | os.O_CLOEXEC))
-            for suffix in ("", "-wal")
-        )
-        if index is None and (index := wal_check.open_index(path)) is not None:
-            self.keep(index)
-        if index is not None:
-            self._files = OpenFiles(path, database, log, index)
+    def __init__(self, path: Path, *given: Any, **more: Any) -> None:
+        super().__init__(path, *given, **more)
+        self._path = path
+        self._inode = os.stat(path).st_ino
 
     def check(self) -> None:
-        """Raise `Displaced` if a file of the database is not in place. Not within transactions."""
-        if self._files is not None:
-            self._files.check()
+        """Raise `Displaced` if the file was removed, moved or replaced since it was opened.
 
-    def close(self) -> None:
-        """Close the database; may be called twice."""
-        super().close()
-        self._files = None
-        while self._kept:
-            os.close(self._kept.pop())
-
-    def __del__(self) -> None:
-        """Warn if the connection was not closed, as Python's own connections do since 3.13."""
-        with contextlib.suppress(sqlite3.ProgrammingError):  # it is closed
-            what = f"unclosed {self!r}, {self.total_changes} changes"
-            warnings.warn(what, ResourceWarning, stacklevel=2, source=self)
+        SQLite would go on writing into a file that nobody finds again.
+        """
+        try:
+            unchanged = os.stat(self._path).st_ino == self._inode
+        except OSError:
+            unchanged = False
+        if not unchanged:
+            raise Displaced(
+                f"{self._path} was removed or replaced while it is in use: "
+                "move it back, or restart the program, which goes on with the file it finds"
+            )
 
 
 def connect(
-    path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None
+    path: Path, schema: str, format_number: int, needed_tables: tuple[str, ...] = ()
 ) -> Connection:
-    """Open, or create with ``schema``, a database in WAL mode under synchronous=FULL.
+    """Open, or create with ``schema``, a database in WAL mode that syncs each transaction.
 
-    prepare: called before the schema is created, in the same transaction, to migrate the file or to
-        raise `StateError`.
+    format_number: kept in the table ``meta`` (key, value, crc), which ``schema`` has to create;
+        a file of another format is refused.
+    needed_tables: those of which every row must be undamaged.
 
-    The file is created under synchronous=EXTRA, then switched: created under FULL, power cuts lost
-    the table in half of the cases measured. Transactions are explicit (``isolation_level=None``).
-    Raises `StateError` and `Damaged`.
+    Transactions are explicit (``isolation_level=None``). Raises `StateError` and `Damaged`.
     """
     try:
-        # Look at the log before SQLite does.
         _make_private(path)
-        written = wal_check.read(path)
-        if (written.frames or written.headless) and path.stat().st_size == 0:
-            # SQLite would delete the log.
-            raise Damaged(
-                f"{path} is damaged: it is empty or was missing, and its log is still there"
-            )
-
-        # Open the database, check it, and report what was lost.
         database = sqlite3.connect(
             path,
             timeout=_BUSY_SECONDS,
@@ -195,31 +149,33 @@ def connect(
             check_same_thread=False,
             factory=Connection,
         )
-        database.text_factory = _text
         with contextlib.ExitStack() as undo:
             undo.callback(database.close)
+            database.text_factory = _text
+
+            # Under FULL, power cuts lost newly created tables in half of the cases measured.
             database.execute("PRAGMA synchronous=EXTRA")
             _scan(database, path)
-            if (index := wal_check.open_index(path)) is not None:
-                database.keep(index)
-            _report_lost(path, written, index)
-
-            # Migrate or create the tables.
             with transaction(database):
-                if prepare is not None:
-                    prepare(database)
-                _create(database, schema)
-            _check_shape(database, schema, path)
-
+                if not database.execute("SELECT 1 FROM sqlite_schema").fetchone():
+                    _create(database, schema)
+                    row = "format", str(format_number)
+                    database.execute("INSERT INTO meta VALUES (?, ?, ?)", (*row, crc(*row)))
+                _check_format(database, path, format_number)
+            if not _shape_of(schema) <= set(database.execute(_SHAPE)):
+                raise Damaged(f"{path} is damaged: its tables are not those of this program")
+            for table in needed_tables:
+                rows = database.execute(f"SELECT * FROM {table}")
+                if any(crc(*row[:-1]) != row[-1] for row in rows):
+                    raise Damaged(f"{path} is damaged: a row of its table {table}")
             _switch_to_wal(database, path)
-            database.watch(path, index)
             undo.pop_all()
             return database
     except sqlite3.Error as error:
         if is_damage(error, path):
-            raise Damaged(f"{path} is damaged: {error}; it is left as it is") from None
+            raise Damaged(f"{path} is damaged: {error}") from None
         raise StateError(
-            f"cannot use {path}: {error}; it is left as it is: "
+            f"cannot use {path}: {error}; the file was not modified: "
             f"see whether the disk is full, or move the file away to start anew"
         ) from None
     except StateError:
@@ -229,36 +185,18 @@ def connect(
 
 
 def connect_or_recreate(
-    path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None
+    path: Path, schema: str, format_number: int, needed_tables: tuple[str, ...] = ()
 ) -> tuple[Connection, Path | None]:
     """Open as `connect` does; set a damaged file aside and begin a new one.
 
     Returns the connection and the new path of the damaged file, if any.
     """
     try:
-        return connect(path, schema, prepare), None
+        return connect(path, schema, format_number, needed_tables), None
     except Damaged as damage:
         aside = set_aside(path)
         log.error("%s; it is now %s and a new one is begun", damage, aside)
-        return connect(path, schema, prepare), aside
-
-
-def move(path: Path, new: Path) -> None:
-    """Move the database ``path`` to ``new``, with its write-ahead log. Raises `StateError`.
-
-    No process may have the database open. A database at ``new`` is overwritten. The log is moved
-    first, so that an interrupted move is completed by the next call.
-    """
-    try:
-        _make_directory(new.parent)
-        for suffix in (*_SIDE_FILES, ""):
-            with contextlib.suppress(FileNotFoundError):
-                os.rename(f"{path}{suffix}", f"{new}{suffix}")
-        Path(f"{path}-shm").unlink(missing_ok=True)
-        _sync_directory(new.parent)
-        _sync_directory(path.parent)
-    except OSError as error:
-        raise StateError(f"cannot move {path} to {new}: {error.strerror}") from None
+        return connect(path, schema, format_number, needed_tables), aside
 
 
 def set_aside(path: Path) -> Path:
@@ -267,9 +205,16 @@ def set_aside(path: Path) -> Path:
     The log is renamed first: after a power cut in between, an old log must not be taken for the new
     file's. Raises `StateError` if there are `DAMAGED_FILES_MAX` such files already.
     """
-    aside = _name_aside(path)
+    before = damaged_files(path)
+    if len(before) >= DAMAGED_FILES_MAX:
+        raise StateError(
+            f"{path} is damaged, as it was {len(before)} times before: "
+            f"check the disk, and move the damaged files away"
+        )
+    number = int(before[-1].name.rpartition("-")[2]) + 1 if before else 1
+    aside = path.with_name(f"{path.name}.damaged-{number}")
     try:
-        for suffix in (*_SIDE_FILES, ""):
+        for suffix in ("-wal", "-journal", ""):
             with contextlib.suppress(FileNotFoundError):
                 os.rename(f"{path}{suffix}", f"{aside}{suffix}")
                 _sync_directory(path.parent)
@@ -280,10 +225,7 @@ def set_aside(path: Path) -> Path:
 
 
 def damaged_files(path: Path) -> list[Path]:
-    """Return the files that were set aside of ``path`` and still exist, the newest last.
-
-    Give the path of a write-ahead log for those of the log.
-    """
+    """Return the files that were set aside of ``path`` and still exist, the newest last."""
     start = f"{path.name}.damaged-"
     names = (one.name.removeprefix(start) for one in path.parent.glob(f"{start}*"))
     return [
@@ -294,17 +236,12 @@ def damaged_files(path: Path) -> list[Path]:
 
 @contextlib.contextmanager
 def damage_noticed(path: Path) -> Iterator[None]:
-    """Raise `Damaged` if the block finds ``path`` damaged, and have it scanned at the next start.
-
-    It is then scanned however large it is.
-    """
+    """Raise `Damaged` if the block finds ``path`` damaged."""
     try:
         yield
     except sqlite3.Error as error:
         if not is_damage(error, path):
             raise
-        with contextlib.suppress(OSError):
-            _suspicion(path).touch(mode=0o600)
         raise Damaged(f"{path} is damaged: {error}; it is set aside at the next start") from None
 
 
@@ -331,40 +268,31 @@ def transaction(database: sqlite3.Connection) -> Iterator[None]:
             database.execute("ROLLBACK")
 
 
-def _name_aside(path: Path) -> Path:
-    """Return the path for the next file to set aside. Raises `StateError` if there are too many."""
-    before = damaged_files(path)
-    if len(before) >= DAMAGED_FILES_MAX:
-        raise StateError(
-            f"{path} is damaged, as it was {len(before)} times before: "
-            f"check the disk, and move the damaged files away"
-        )
-    number = int(before[-1].name.rpartition("-")[2]) + 1 if before else 1
-    return path.with_name(f"{path.name}.damaged-{number}")
+def readable(
+    path: Path, table: str, key: str
+) -> Iterator[tuple[int | float | str | bytes | None, ...]]:
+    """Yield the rows of ``table`` that can still be read from a damaged file, some of them twice.
 
-
-def _copy_aside(path: Path) -> Path:
-    """Copy a damaged file, all or nothing, and return the copy's path.
-
-    If the newest copy is equal, that one is returned: the file may be opened again before it is
-    written to.
+    They come by rising ``key`` up to the first damaged page, then from the other end. Only a row's
+    CRC tells whether it is good. The file is not changed.
     """
-    for aside in damaged_files(path)[-1:]:
-        if filecmp.cmp(path, aside, shallow=False):
-            return aside
-
-    # Write and sync a copy; remove it after an error.
-    aside = _name_aside(path)
-    with contextlib.ExitStack() as undo, path.open("rb") as source:
-        fd = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-        undo.callback(aside.unlink)
-        with open(fd, "wb") as target:
-            shutil.copyfileobj(source, target)
-            target.flush()
-            os.fsync(target.fileno())
-        undo.pop_all()
-    _sync_directory(path.parent)
-    return aside
+    if path.stat().st_size == 0:
+        return  # it has no rows, and SQLite would delete the log beside it
+    try:
+        with contextlib.closing(
+            sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
+        ) as database:
+            database.text_factory = _text
+            for order in ("ASC", "DESC"):
+                try:
+                    yield from database.execute(
+                        f"SELECT * FROM {table} NOT INDEXED ORDER BY {key} {order}"
+                    )
+                    return
+                except sqlite3.Error as error:
+                    log.info("reading %s of %s by %s %s: %s", table, path, key, order, error)
+    except sqlite3.Error as error:
+        log.info("opening %s: %s", path, error)
 
 
 def _make_directory(directory: Path) -> None:
@@ -409,68 +337,32 @@ def _create(database: sqlite3.Connection, schema: str) -> None:
 
 
 def _switch_to_wal(database: sqlite3.Connection, path: Path) -> None:
-    """Switch to WAL mode under synchronous=FULL. Raises `StateError` if that is impossible."""
-    database.execute("PRAGMA journal_mode=WAL")
-    database.execute("PRAGMA synchronous=FULL")
+    """Switch to WAL mode. Raises `StateError` if that is impossible."""
+    mode = database.execute("PRAGMA journal_mode=WAL").fetchone()[0]
+    if mode != "wal":
+        raise StateError(f"{path}: SQLite cannot write safely on this file system ({mode})")
     database.execute(f"PRAGMA wal_autocheckpoint={_AUTOCHECKPOINT_PAGES}")
     database.execute(f"PRAGMA journal_size_limit={_LOG_BYTES_MAX}")
     database.execute("PRAGMA mmap_size=0")
-    mode = database.execute("PRAGMA journal_mode").fetchone()[0]
-    synchronous = database.execute("PRAGMA synchronous").fetchone()[0]
-    if (mode, synchronous) != ("wal", 2):
-        raise StateError(
-            f"{path}: SQLite cannot write safely on this file system ({mode}, {synchronous})"
-        )
 
 
 def _scan(database: sqlite3.Connection, path: Path) -> None:
-    """Raise `Damaged` if pages, rows and indices disagree; scans large files on suspicion only."""
-    pages = database.execute("PRAGMA page_count").fetchone()[0]
-    small = pages * database.execute("PRAGMA page_size").fetchone()[0] <= SCAN_BYTES_MAX
-    if small or _suspicion(path).exists():
-        found = database.execute("PRAGMA integrity_check(1)").fetchone()[0]
-        if found != "ok":
-            raise Damaged(f"{path} is damaged: {found}; it is left as it is")
-    _suspicion(path).unlink(missing_ok=True)
+    """Raise `Damaged` if SQLite finds damage."""
+    check = "integrity_check" if path.stat().st_size <= THOROUGH_BYTES_MAX else "quick_check"
+    found = database.execute(f"PRAGMA {check}(1)").fetchone()[0]
+    if found != "ok":
+        raise Damaged(f"{path} is damaged: {' '.join(found.split())}")
 
 
-def _suspicion(path: Path) -> Path:
-    """Return the path of the marker file that exists once ``path`` has shown damage."""
-    return path.with_name(f"{path.name}.suspect")
-
-
-def _report_lost(path: Path, written: wal_check.Log, index: int | None) -> None:
-    """Log what SQLite has ignored of the log, and keep a copy of a damaged log."""
-    lost = wal_check.lost(path, written, index)
-    if lost.damaged:
-        # Keep a copy of the log.
-        try:
-            copy = f"a copy is {_copy_aside(Path(f'{path}-wal'))}"
-        except StateError:
-            raise
-        except OSError as error:
-            # Giving up would not save the log: SQLite deletes it on closing.
-            copy = f"there is no copy: {error.strerror}"
-        log.error(
-            "the log of %s is damaged: %s cannot be read; %s",
-            path,
-            "nothing of it" if lost.headless else f"{lost.transactions} transactions",
-            copy,
-        )
-    elif lost.frames:
-        # As after a kill or a power cut.
-        log.warning(
-            "the last transaction in the log of %s is incomplete and ignored: "
-            "it was being written when the program ended, or is damaged",
-            path,
-        )
-
-
-def _check_shape(database: sqlite3.Connection, schema: str, path: Path) -> None:
-    """Raise `Damaged` if a table or an index is not as in ``schema``."""
-    if not _shape_of(schema) <= set(database.execute(_SHAPE)):
-        raise Damaged(
-            f"{path} is damaged: its tables are not those of this program; it is left as it is"
+def _check_format(database: sqlite3.Connection, path: Path, format_number: int) -> None:
+    """Raise `StateError` if the file has another format, and `Damaged` if it does not say which."""
+    row = database.execute("SELECT * FROM meta WHERE key = 'format'").fetchone()
+    if row is None or (len(row) > 2 and row[2] != crc(*row[:2])):
+        raise Damaged(f"{path} is damaged: it does not say its format")
+    if row[1] != str(format_number):
+        raise StateError(
+            f"{path} has format {row[1]} and this version of camtopod writes {format_number}: "
+            "move the state directory away to start anew, or use the version that wrote it"
         )
 
 
@@ -480,30 +372,3 @@ def _shape_of(schema: str) -> frozenset[tuple[object, ...]]:
     with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as wanted:
         _create(wanted, schema)
         return frozenset(wanted.execute(_SHAPE))
-
-
-def readable(
-    path: Path, table: str, key: str
-) -> Iterator[tuple[int | float | str | bytes | None, ...]]:
-    """Yield the rows of ``table`` that can still be read from a damaged file, some of them twice.
-
-    They come by rising ``key`` up to the first damaged page, then from the other end. Only a row's
-    CRC tells whether it is good. The file is not changed.
-    """
-    if path.stat().st_size == 0:
-        return  # it has no rows, and SQLite would delete the log beside it
-    try:
-        with contextlib.closing(
-            sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
-        ) as database:
-            database.text_factory = _text
-            for order in ("ASC", "DESC"):
-                try:
-                    yield from database.execute(
-                        f"SELECT * FROM {table} NOT INDEXED ORDER BY {key} {order}"
-                    )
-                    return
-                except sqlite3.Error as error:
-                    log.info("reading %s of %s by %s %s: %s", table, path, key, order, error)
-    except sqlite3.Error as error:
-        log.info("opening %s: %s", path, error)
