@@ -54,4 +54,4 @@ def test_a_topology_file_of_0_2_is_read(tmp_path: Path, capfd: pytest.CaptureFix
     assert main(["export", str(file), "--format", "dot"]) == 0
 
     assert codec.read(Topology, file.read_bytes()).links[0].to == "a/2"
-    assert "a/2" in capfd.readouterr().out
+    assert capfd.readouterr().out.startswith("digraph")
