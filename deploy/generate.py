@@ -18,8 +18,6 @@ import shtab
 
 from camtopod import __version__
 from camtopod.cli.commands.completion import SHELLS
-from camtopod.cli.generated.api_description import api_description_text
-from camtopod.cli.generated.bus_description import bus_description_text
 from camtopod.cli.generated.config_schema import text as schema
 from camtopod.cli.generated.example_config import example
 from camtopod.cli.main import COMMANDS, parser_of
@@ -57,8 +55,6 @@ def files() -> dict[Path, str]:
     return {
         deploy / "camtopod.toml": example(),
         deploy / "camtopod.schema.json": schema(),
-        deploy / "asyncapi.json": bus_description_text(),
-        ROOT / "camtopod" / "web" / "static" / "openapi.json": api_description_text(),
         deploy / "camtopod.1": manual(),
         **{completions / f"camtopod.{shell}": completion(shell) for shell in SHELLS},
     }

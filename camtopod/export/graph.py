@@ -6,7 +6,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from camtopod.records import Link, Topology, Transit
+from camtopod.records import Link, PairRelation, Topology, Transit
 
 BLACK, GREY = "black", "gray60"
 """Colours of the thesis (4.6): overlapping views, and paths that no camera sees."""
@@ -27,6 +27,11 @@ class Edge(Struct, frozen=True):
     """Expected number of transitions of all its links."""
     operator: Literal["right", "wrong"] | None = None
     """An operator's word on its links; None without one, or if they differ."""
+
+    @property
+    def relation(self) -> PairRelation:
+        """Relation of the two cameras."""
+        return "overlapped" if self.overlapped else "unseen_path"
 
     @property
     def colour(self) -> str:

@@ -46,7 +46,7 @@ def to_graphml(topology: Topology) -> str:
             graph, "edge", source=visible(edge.from_), target=visible(edge.to)
         )
         values = {
-            "relation": "overlapped" if edge.overlapped else "unseen_path",
+            "relation": edge.relation,
             "colour": edge.colour,
             "weight": edge.transit.mode,
             **{name: getattr(edge.transit, name) for name in ("mean", "sd", "q10", "q50", "q90")},

@@ -2,11 +2,11 @@
 
 Reading order: `app` is the HTTP server, `api` its part for programs, and `feed` follows the bus for
 both. `map_data` makes the map of a version (`camtopod.export` places the cameras), `explanations`
-the details of a camera, pair or link, `version_diff` the differences of two versions, of which
-`version_cache` fetches older ones. `outbox` queues messages for open pages and `pictures` finds
-camera pictures. `connections`, `guards` and `login` decide who is answered; `configured` is what
-the configuration says about the page. `report` gathers the data of a report, `single_file` makes
-one HTML file of it. The page itself is in ``static/``.
+the details of a camera, pair or link, `versions` the time line and what each version changed.
+`outbox` queues messages for open pages and `pictures` finds camera pictures. `connections`,
+`guards` and `login` decide who is answered; `configured` is what the configuration says about the
+page. `report` gathers the data of a report, `single_file` makes one HTML file of it. The page
+itself is in ``static/``.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Read-only HTTP API of the page's server, for programs in any language.
 
-`static/openapi.json` describes it. Predictions are streamed as server-sent events.
+`deploy/page.md` lists its routes. Predictions are streamed as server-sent events.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from camtopod import codec
-from camtopod.records import CAMERA_PATTERN, Prediction, Topology
+from camtopod.records import CAMERA_PATTERN, Prediction
 from camtopod.serve.bus import Bus, QueryError
 from camtopod.web.feed import Feed
 from camtopod.web.outbox import PageQueues
-from camtopod.web.version_cache import VersionCache
 
 BEAT_SECONDS = 10.0
 """Longest interval between two messages of a stream; a comment is sent if there is nothing else."""
@@ -41,8 +40,10 @@ class Api:
         carry a token.
     """
 
-    def __init__(self, bus: Bus, feed: Feed, past: VersionCache, is_open: bool) -> None:
-        self._bus, self._feed, self._past, self._is_open = bus, feed, past, is_open
+    def __init__(self, bus: Bus, feed: Feed, is_open: bool) -> None:
+        self._bus = bus
+        self._feed = feed
+        self._is_open = is_open
         self._readers = PageQueues()
         bus.subscribe("prediction/*", self._on_prediction)
 
@@ -62,21 +63,27 @@ class Api:
 
     def topology(self, request: Request) -> Response:
         """Return the newest topology, or with ``version`` an older one of its epoch."""
-        newest = self._newest
+        newest = self._feed.topology
         if newest is None:
             return _error(404, "nothing has been learned yet")
         number = request.query_params.get("version", str(newest.version))
         if not _VERSION.fullmatch(number):
             return _error(400, f"version {number[:20]!r} is not a whole number")
-        found = self._past.version(newest, int(number))
-        if found is None:
+        if int(number) == newest.version:
+            return _content(codec.to_json(newest))
+        asked = {"epoch": newest.epoch, "version": int(number)}
+        try:
+            answers = self._bus.query("topology", asked, one=True)
+            found = [codec.decode_topology(payload, pack=True) for _, payload in answers]
+        except (QueryError, codec.Rejected):
+            found = []
+        if not found:
             return _error(404, f"version {number} is not kept, or the daemon does not answer")
-        return _content(codec.to_json(found))
+        return _content(codec.to_json(found[0]))
 
     def versions(self, request: Request) -> Response:
-        """Return summaries of the versions that are known without a query, oldest first."""
-        newest = self._newest
-        return _content(codec.to_json([] if newest is None else self._past.summaries(newest)))
+        """Return summaries of the versions since this server began, oldest first."""
+        return _content(codec.to_json(self._feed.versions))
 
     def status(self, request: Request) -> Response:
         """Return state, reason and counters of the daemon and of all cameras."""
@@ -108,22 +115,18 @@ class Api:
         camera = request.query_params.get("camera", _EVERY_CAMERA)
         if camera != _EVERY_CAMERA and not re.match(CAMERA_PATTERN, camera):
             return _error(400, "camera: the id of a camera")
-        box = self._readers.open(camera)
-        if box is None:
+        page_queue = self._readers.open(camera)
+        if page_queue is None:
             return _error(503, "too many programs read predictions")
 
         async def stream() -> AsyncIterator[bytes]:
             with contextlib.ExitStack() as stack:
-                stack.callback(self._readers.leave, box)
+                stack.callback(self._readers.leave, page_queue)
                 yield b"retry: 1000\n\n"
-                while (messages := await box.take(BEAT_SECONDS)) is not None:
+                while (messages := await page_queue.take(BEAT_SECONDS)) is not None:
                     yield messages or b": still here\n\n"
 
         return StreamingResponse(stream(), media_type="text/event-stream")
-
-    @property
-    def _newest(self) -> Topology | None:
-        return None if self._feed.stories is None else self._feed.stories.topology
 
     def _answering(self, handler: Callable[[Request], Response]) -> Callable[[Request], Response]:
         """Return a handler that refuses requests if the API is not open."""

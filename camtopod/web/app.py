@@ -19,7 +19,6 @@ import msgspec
 import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.convertors import IntegerConvertor, register_url_convertor
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
@@ -27,7 +26,7 @@ from starlette.responses import FileResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
-from camtopod.records import CAMERA_PATTERN, Topology
+from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import Beat, Clock, Progress
 from camtopod.web.api import Api
@@ -38,8 +37,6 @@ from camtopod.web.guards import Named, Strict
 from camtopod.web.login import Login, LoginRequired
 from camtopod.web.outbox import PageQueues
 from camtopod.web.pictures import picture_of, pictured
-from camtopod.web.version_cache import VersionCache
-from camtopod.web.version_diff import changes
 
 BEAT_SECONDS = 4.0
 """Longest interval between two messages to a page."""
@@ -54,32 +51,22 @@ _NOTHING = Configured()
 STATIC = resources.files("camtopod.web") / "static"
 
 
-class _Version(IntegerConvertor):
-    """Version number in a URL, limited to the digits that the daemon accepts.
-
-    Python refuses to parse thousands of digits.
-    """
-
-    regex = "[0-9]{1,18}"
-
-
-register_url_convertor("version", _Version())
-
-
 class Routes:
     """Handlers of the routes."""
 
     def __init__(
         self,
         feed: Feed,
-        past: VersionCache,
-        hub: PageQueues,
+        page_queues: PageQueues,
         pictures: Path | None,
         configured: Configured,
         has_login: bool,
     ) -> None:
-        self._feed, self._past, self._hub, self._pictures = feed, past, hub, pictures
-        self._configured, self._has_login = configured, has_login
+        self._feed = feed
+        self._page_queues = page_queues
+        self._pictures = pictures
+        self._configured = configured
+        self._has_login = has_login
 
     def map(self, request: Request) -> Response:
         """Return the newest version's map; null if nothing has been learned."""
@@ -92,64 +79,39 @@ class Routes:
     def camera(self, request: Request) -> Response:
         """Return one camera's zones and links, and whether there is a picture."""
         name = request.path_params["camera"]
-        story = self._feed.stories.camera(name) if self._feed.stories else None
-        if story is None:
+        explanations = self._feed.explanations
+        details = explanations.camera(name) if explanations else None
+        if details is None:
             return _json({"error": f"camera {name} is not in the newest version"}, 404)
-        return _json(
-            {
-                **story,
-                "picture": self._picture_of(name) is not None,
-                "page": self._configured.pages.get(name),
-                "hours": self._feed.hours_of(name),
-            }
-        )
+        more = {
+            "picture": self._picture_of(name) is not None,
+            "page": self._configured.pages.get(name),
+            "hours": self._feed.hours_of(name),
+        }
+        return _json({**details, **more})
 
     def pair(self, request: Request) -> Response:
         """Return the links between two cameras."""
-        a, b = request.path_params["a"], request.path_params["b"]
-        story = self._feed.stories.pair(a, b) if self._feed.stories else None
-        return (
-            _json(story)
-            if story
-            else _json({"error": f"the newest version has no link between {a} and {b}"}, 404)
-        )
+        a = request.path_params["a"]
+        b = request.path_params["b"]
+        explanations = self._feed.explanations
+        details = explanations.pair(a, b) if explanations else None
+        if details is None:
+            return _json({"error": f"the newest version has no link between {a} and {b}"}, 404)
+        return _json(details)
 
     def link(self, request: Request) -> Response:
         """Return one link, given by ``from``, ``to`` and ``relation``."""
         key = [request.query_params.get(name, "") for name in ("from", "to", "relation")]
-        story = self._feed.stories.link(*key) if self._feed.stories else None
-        return (
-            _json(story)
-            if story
-            else _json({"error": f"the newest version has no link {key[0]} → {key[1]}"}, 404)
-        )
+        explanations = self._feed.explanations
+        details = explanations.link(*key) if explanations else None
+        if details is None:
+            return _json({"error": f"the newest version has no link {key[0]} → {key[1]}"}, 404)
+        return _json(details)
 
     def versions(self, request: Request) -> Response:
-        """Return summaries of the versions known without a query to the daemon."""
-        newest = self._newest
-        return _json([] if newest is None else self._past.summaries(newest))
-
-    def version(self, request: Request) -> Response:
-        """Return a version's summary, querying the daemon if necessary."""
-        newest, number = self._newest, request.path_params["version"]
-        found = None if newest is None else self._past.summary(newest, number)
-        return _json(found) if found else _not_kept(number)
-
-    def changes(self, request: Request) -> Response:
-        """Return the changes from version ``old`` to ``new``."""
-        newest = self._newest
-        numbers = request.path_params["old"], request.path_params["new"]
-        found: list[Topology] = []
-        for number in numbers:
-            one = None if newest is None else self._past.version(newest, number)
-            if one is None:
-                return _not_kept(number)
-            found.append(one)
-        return _json(changes(*found))
-
-    @property
-    def _newest(self) -> Topology | None:
-        return None if self._feed.stories is None else self._feed.stories.topology
+        """Return summaries of the versions since this server began, oldest first."""
+        return _json(self._feed.versions)
 
     def pictures(self, request: Request) -> Response:
         """Return the cameras of which there is a picture."""
@@ -193,19 +155,19 @@ class Routes:
         camera = request.query_params.get("camera")
         if camera is not None and not re.match(CAMERA_PATTERN, camera):
             return _json({"error": "not a valid camera id"}, 404)
-        box = self._hub.open(camera)
-        if box is None:
+        page_queue = self._page_queues.open(camera)
+        if page_queue is None:
             return _json({"error": "too many pages are open"}, 503)
 
         async def stream() -> AsyncIterator[bytes]:
             async with contextlib.AsyncExitStack() as stack:
-                stack.callback(self._hub.leave, box)
+                stack.callback(self._page_queues.leave, page_queue)
                 if camera is not None:
                     watching = self._feed.watching(camera)
                     await run_in_threadpool(watching.__enter__)
                     stack.callback(watching.__exit__, None, None, None)
                 yield b"retry: 1000\n\n" + self._feed.beat() + self._feed.hello()
-                while (messages := await box.take(BEAT_SECONDS)) is not None:
+                while (messages := await page_queue.take(BEAT_SECONDS)) is not None:
                     yield messages or self._feed.beat()
 
         return StreamingResponse(stream(), media_type="text/event-stream")
@@ -246,8 +208,6 @@ def application(
         Route("/data/pair/{a}/{b}", site.pair),
         Route("/data/link", site.link),
         Route("/data/versions", site.versions),
-        Route("/data/version/{version:version}", site.version),
-        Route("/data/changes/{old:version}/{new:version}", site.changes),
         Route("/data/pictures", site.pictures),
         Route("/data/placement", site.placement),
         Route("/plan", site.plan),
@@ -255,7 +215,6 @@ def application(
         Route("/live", site.live),
         *api.routes(),
         *([] if login is None else _login_routes(login)),
-        Route("/api/openapi.json", lambda request: FileResponse(str(STATIC / "openapi.json"))),
     ]
 
     middleware = [
@@ -299,10 +258,10 @@ def serving(
         marks.watch(name, stall_seconds) for name in ("page", "versions", "messages")
     )
     stop = threading.Event()
-    hub = PageQueues()
-    feed, past = Feed(bus, hub, clock, status_seconds), VersionCache(bus)
-    api = Api(bus, feed, past, is_open=login is not None or not any_address)
-    site = Routes(feed, past, hub, pictures, configured, login is not None)
+    page_queues = PageQueues()
+    feed = Feed(bus, page_queues, clock, status_seconds)
+    api = Api(bus, feed, is_open=login is not None or not any_address)
+    site = Routes(feed, page_queues, pictures, configured, login is not None)
     config = uvicorn.Config(
         application(site, api, names, any_address, login, page.beat),
         log_config=None,
@@ -320,10 +279,10 @@ def serving(
     threads = [
         threading.Thread(target=server.run, args=[[listener]], name="page", daemon=True),
         threading.Thread(
-            target=feed.versions, args=[stop, versions.beat], name="versions", daemon=True
+            target=feed.follow_versions, args=[stop, versions.beat], name="versions", daemon=True
         ),
         threading.Thread(
-            target=feed.messages, args=[stop, messages.beat], name="messages", daemon=True
+            target=feed.follow_messages, args=[stop, messages.beat], name="messages", daemon=True
         ),
     ]
 
@@ -337,7 +296,7 @@ def serving(
         yield lambda: all(thread.is_alive() for thread in threads)
     finally:
         stop.set()
-        hub.close()
+        page_queues.close()
         api.close()
         server.should_exit = True
         for thread in threads:
@@ -355,7 +314,3 @@ def _login_routes(login: Login) -> list[Route]:
 
 def _json(content: Any, status: int = 200) -> Response:
     return Response(msgspec.json.encode(content), status, media_type="application/json")
-
-
-def _not_kept(version: int) -> Response:
-    return _json({"error": f"version {version} is not kept, or the daemon cannot be reached"}, 404)

@@ -29,6 +29,7 @@ from camtopod.web.explanations import Explanations
 from camtopod.web.hourly_events import HourlyEvents
 from camtopod.web.map_data import Map, change, draw
 from camtopod.web.outbox import PageQueues
+from camtopod.web.versions import VersionSummary, summary
 
 log = logging.getLogger(__name__)
 
@@ -42,6 +43,8 @@ PREDICTIONS_PER_SECOND_MAX = 25
 """Predictions forwarded per second, of all cameras together; people cannot follow more."""
 PREDICTIONS_HELD = 20
 """Predictions kept for pages that connect later."""
+VERSIONS_MAX = 500
+"""Versions on the time line; beyond it the oldest are forgotten."""
 NEXT_SHOWN = 3
 """Next cameras of a prediction that the page receives."""
 SILENT_STATUSES = 6
@@ -88,13 +91,18 @@ def shown(prediction: Prediction) -> ShownPrediction:
 
 
 class Feed:
-    """Follower of one site's bus; run `versions` and `messages` in a thread each.
+    """Follower of one site's bus; run `follow_versions` and `follow_messages` in a thread
+    each.
 
     status_seconds: interval in which the daemon publishes its status.
     """
 
-    def __init__(self, bus: Bus, hub: PageQueues, clock: Clock, status_seconds: float) -> None:
-        self._bus, self._hub, self._clock = bus, hub, clock
+    def __init__(
+        self, bus: Bus, page_queues: PageQueues, clock: Clock, status_seconds: float
+    ) -> None:
+        self._bus = bus
+        self._page_queues = page_queues
+        self._clock = clock
         self._silent_seconds = SILENT_STATUSES * status_seconds
         self._inbox: queue.Queue[tuple[str, bytes]] = queue.Queue(INBOX_MAX)
         self._mutex = threading.Lock()
@@ -111,12 +119,17 @@ class Feed:
             "catching_up": None,
         }
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
-        self._second, self._this_second = 0, 0
+        self._second = 0
+        self._this_second = 0
         self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
         self._view = TopologySubscriber(bus)
         self._hourly = HourlyEvents()
-        self.stories: Explanations | None = None
+        self.topology: Topology | None = None
+        """The newest version."""
+        self.explanations: Explanations | None = None
         """Details of the newest version."""
+        self.versions: list[VersionSummary] = []
+        """Versions of the newest epoch since this server began, oldest first; never changed."""
         self.map: Map | None = None
         self.map_json = b"null"
         self.dropped = 0
@@ -124,7 +137,7 @@ class Feed:
         bus.subscribe("status/*", self._put)
         bus.subscribe("prediction/*", self._put)
 
-    def versions(self, stop: threading.Event, beat: Beat = no_beat) -> None:
+    def follow_versions(self, stop: threading.Event, beat: Beat = no_beat) -> None:
         """Follow the topology until ``stop`` is set."""
         while not stop.wait(_TICK_SECONDS):
             beat()
@@ -133,18 +146,30 @@ class Feed:
 
     def show(self, topology: Topology) -> None:
         """Show a version from now on."""
-        before = self.map
-        drawn = draw(topology, before)
-        if before is not None and before.epoch != drawn.epoch:
+        # The version before, unless a new epoch has begun.
+        before = self.topology
+        if before is not None and before.epoch != topology.epoch:
+            before = None
+            self.versions = []
             with self._mutex:
                 self._predictions.clear()
-        self.stories, self.map, self.map_json = Explanations(topology), drawn, codec.to_json(drawn)
-        if before is not None and before.epoch == drawn.epoch:
-            self._hub.send("map", codec.to_json(change(before, drawn)))
-        else:
-            self._hub.send("resync", b"{}")
 
-    def messages(self, stop: threading.Event, beat: Beat = no_beat) -> None:
+        # Everything that the page asks for.
+        old_map = self.map
+        new_map = draw(topology, old_map)
+        self.topology = topology
+        self.explanations = Explanations(topology)
+        self.versions = [*self.versions, summary(topology, before)][-VERSIONS_MAX:]
+        self.map = new_map
+        self.map_json = codec.to_json(new_map)
+
+        # Open pages need what has changed only.
+        if before is not None and old_map is not None:
+            self._page_queues.send("map", codec.to_json(change(old_map, new_map)))
+        else:
+            self._page_queues.send("resync", b"{}")
+
+    def follow_messages(self, stop: threading.Event, beat: Beat = no_beat) -> None:
         """Process queued messages, and notice when the daemon falls silent, until ``stop``."""
         for key, payload in self._bus.query("status/*"):
             self._on_status(key.removeprefix("status/"), payload)
@@ -188,7 +213,7 @@ class Feed:
         daemon = status.pop(DAEMON, None)
         known: dict[str, Any] = (daemon or {}).get("cameras", {})
         drawn = self.map.cameras if self.map is not None else {}
-        learned = {} if self.stories is None else self.stories.last_events
+        learned = {} if self.explanations is None else self.explanations.last_events
         rows = [
             _row(name, self._word(name, status.get(name)), known.get(name), learned.get(name))
             for name in sorted({*status, *known, *drawn})
@@ -251,7 +276,8 @@ class Feed:
             before = self._status.get(name)
             if before is None and len(self._status) >= CAMERAS_MAX:
                 return
-            self._status[name], self._heard[name] = status, self._clock()
+            self._status[name] = status
+            self._heard[name] = self._clock()
             again = name in self._silent
             self._silent.discard(name)
 
@@ -280,7 +306,7 @@ class Feed:
     def _tell_health(self, name: str, status: dict[str, Any]) -> None:
         """Send a camera's health to all pages."""
         row = _row(name, self._word(name, status), None)
-        self._hub.send("health", msgspec.json.encode({**row, "at": self._clock()}))
+        self._page_queues.send("health", msgspec.json.encode({**row, "at": self._clock()}))
 
     def _word(self, name: str, status: dict[str, Any] | None) -> dict[str, Any] | None:
         """Return a camera's status, with the state ``silent`` if it has stopped publishing."""
@@ -295,10 +321,10 @@ class Feed:
     def _on_prediction(self, name: str, payload: bytes) -> None:
         """Forward a prediction, unless there are too many this second."""
         second = int(self._clock())
-        self._second, self._this_second = (
-            second,
-            self._this_second + 1 if second == self._second else 1,
-        )
+        if second != self._second:
+            self._second = second
+            self._this_second = 0
+        self._this_second += 1
         if self._this_second > PREDICTIONS_PER_SECOND_MAX:
             return
         try:
@@ -308,7 +334,7 @@ class Feed:
         content = codec.to_json(shown(prediction))
         with self._mutex:
             self._predictions.append(content)
-        self._hub.send("prediction", content, passing=True)
+        self._page_queues.send("prediction", content, passing=True)
 
     def _on_event(self, name: str, payload: bytes) -> None:
         """Forward an event, without its track, to the pages that watch its camera."""
@@ -317,7 +343,7 @@ class Feed:
         except codec.Rejected:
             return
         shown = Event(event.camera, event.kind, event.t, event.x, event.y)
-        self._hub.send("event", codec.to_json(shown), camera=name, passing=True)
+        self._page_queues.send("event", codec.to_json(shown), camera=name, passing=True)
 
     def _look(self) -> None:
         """Notice when the daemon becomes live or silent, and which cameras have fallen silent."""
@@ -362,7 +388,7 @@ class Feed:
                 "catching_up": behind,
             }
             told = msgspec.json.encode(self._live)
-        self._hub.send("live", told)
+        self._page_queues.send("live", told)
 
     def _look_at_cameras(self, now: float) -> None:
         """Mark and report cameras whose grabbers have stopped publishing."""
@@ -420,7 +446,8 @@ def _row(
     counted: the daemon's figures of it.
     learned: time of its last learned event, Unix seconds.
     """
-    said, known = status or {}, counted or {}
+    said = status or {}
+    known = counted or {}
     return {
         "id": name,
         "state": str(said.get("state") or ("unknown" if known.get("alive") else "no grabber"))[

@@ -95,26 +95,26 @@ class PageQueues:
 
     def __init__(self) -> None:
         self._mutex = threading.Lock()
-        self._boxes: set[PageQueue] = set()
+        self._queues: set[PageQueue] = set()
         self._closed = False
 
     def open(self, camera: str | None) -> PageQueue | None:
         """Return a queue for a new page; None if there are `PAGES_MAX` already, or when closing."""
         with self._mutex:
-            if self._closed or len(self._boxes) >= PAGES_MAX:
+            if self._closed or len(self._queues) >= PAGES_MAX:
                 return None
-            box = PageQueue(camera)
-            self._boxes.add(box)
-            return box
+            queue = PageQueue(camera)
+            self._queues.add(queue)
+            return queue
 
     def __bool__(self) -> bool:
         """Return True if any page is open."""
-        return bool(self._boxes)
+        return bool(self._queues)
 
-    def leave(self, box: PageQueue) -> None:
+    def leave(self, queue: PageQueue) -> None:
         """Remove the queue of a page that has gone."""
         with self._mutex:
-            self._boxes.discard(box)
+            self._queues.discard(queue)
 
     def send(
         self, name: str, content: bytes, camera: str | None = None, passing: bool = False
@@ -126,14 +126,14 @@ class PageQueues:
         """
         message = b"event: " + name.encode() + b"\ndata: " + content + b"\n\n"
         with self._mutex:
-            boxes = [box for box in self._boxes if camera is None or box.camera == camera]
-        for box in boxes:
-            box.put(message, passing)
+            queues = [queue for queue in self._queues if camera is None or queue.camera == camera]
+        for queue in queues:
+            queue.put(message, passing)
 
     def close(self) -> None:
         """End all connections."""
         with self._mutex:
             self._closed = True
-            boxes = list(self._boxes)
-        for box in boxes:
-            box.close()
+            queues = list(self._queues)
+        for queue in queues:
+            queue.close()

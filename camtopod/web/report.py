@@ -12,15 +12,13 @@ from camtopod.records import Link, Topology
 from camtopod.web.explanations import Explanations
 from camtopod.web.map_data import draw
 from camtopod.web.pictures import TYPES, picture_of
-from camtopod.web.version_diff import changes, summary
+from camtopod.web.versions import summary
 
 LINKS_MAX = 3_000
 """Links with full details, those with most transitions first.
 
 A browser cannot open the links of a large site in one file.
 """
-COMPARED_MAX = 20
-"""Newest versions that are compared, each with each."""
 Count = Callable[[int, int], None]
 """Progress callback: parts that are ready, and their total number."""
 _T = TypeVar("_T")
@@ -44,15 +42,13 @@ def gather(
     files = {
         camera: path for camera in cameras if (path := picture_of(pictures, camera)) is not None
     }
-    stories = Explanations(topology)
+    explanations = Explanations(topology)
     versions = [*older, topology]
-    compared = versions[-COMPARED_MAX:]
-    links = _told(topology)
-    both = [(old, new) for k, new in enumerate(compared) for old in compared[: k + 1]]
+    links = _explained(topology)
 
     # Progress.
     ready = itertools.count()
-    parts = len(cameras) + len(drawn.edges) + len(links) + len(both)
+    parts = len(cameras) + len(drawn.edges) + len(links) + len(versions)
 
     def counted(part: _T) -> _T:
         count(next(ready), parts)
@@ -62,25 +58,25 @@ def gather(
     return {
         "map": drawn,
         "cameras": {
-            name: {**(stories.camera(counted(name)) or {}), "picture": name in files}
+            name: {**(explanations.camera(counted(name)) or {}), "picture": name in files}
             for name in cameras
         },
-        "pairs": {key: stories.pair(*counted(key).split(" ")) for key in drawn.edges},
+        "pairs": {key: explanations.pair(*counted(key).split(" ")) for key in drawn.edges},
         "links": {
-            f"{link.from_} {link.to} {link.relation}": stories.link(
+            f"{link.from_} {link.to} {link.relation}": explanations.link(
                 link.from_, link.to, link.relation
             )
             for link in map(counted, links)
         },
-        "versions": [summary(one) for one in versions],
-        "changes": {
-            f"{old.version} {new.version}": changes(old, new) for old, new in map(counted, both)
-        },
+        "versions": [
+            summary(counted(one), before)
+            for before, one in zip([None, *versions[:-1]], versions, strict=True)
+        ],
         "pictures": {name: _inline(path) for name, path in files.items()},
     }
 
 
-def _told(topology: Topology) -> list[Link]:
+def _explained(topology: Topology) -> list[Link]:
     """Return the links with full details, links between views before those within one."""
     camera = {zone.id: zone.camera for zone in topology.zones}
     links = [

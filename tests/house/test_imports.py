@@ -1,7 +1,8 @@
 """Imports go one way, and from outside only to the names that packages export.
 
 `FLOORS` lists the packages from the lowest up: a module imports from its own package and from lower
-ones. From outside, a package is used through the names in its ``__all__``.
+ones. From outside, a package is used through the names in its ``__all__``, or those its head
+re-exports.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import ast
 import importlib
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from paths import ROOT
@@ -128,8 +130,20 @@ def package_of(module: str) -> str:
 
 
 def door_of(module: str) -> list[str]:
-    """Return the names in a package's ``__all__``."""
-    return list(getattr(importlib.import_module(module), "__all__", ()))
+    """Return a package's public names: its ``__all__``, or what its head defines and re-exports.
+
+    A name is re-exported by ``from package.module import Name as Name``.
+    """
+    head = importlib.import_module(module)
+    if hasattr(head, "__all__"):
+        return list(head.__all__)
+    names = []
+    for node in ast.parse(Path(str(head.__file__)).read_text("utf-8")).body:
+        if isinstance(node, ast.ImportFrom):
+            names += [alias.name for alias in node.names if alias.asname == alias.name]
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            names.append(node.target.id)
+    return names
 
 
 def problems(module: str, source: str) -> list[str]:
@@ -254,7 +268,7 @@ def test_a_package_is_small_and_has_a_door(package: str) -> None:
     assert len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) <= 20
     door = importlib.import_module(package)
     assert door.__doc__
-    for name in getattr(door, "__all__", ()):
+    for name in door_of(package):
         if not (folder / f"{name}.py").exists():
             assert hasattr(door, name), name
 

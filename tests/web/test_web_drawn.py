@@ -36,15 +36,18 @@ Shows = Callable[..., None]
 
 @pytest.fixture
 def show(browser: Browser, tmp_path: Path) -> Iterator[Shows]:
-    """Open a report on a topology, on a desktop or in another size, without complaints."""
+    """Open a report on the last of some versions, on a desktop or in another size, without complaints."""
 
-    def open_report(topology: Topology, width: int = 1280, height: int = 800) -> None:
+    def open_report(
+        *versions: Topology, width: int = 1280, height: int = 800, place: str = ""
+    ) -> None:
         path = tmp_path / "report.html"
-        path.write_text(page(report.gather(topology, [], None)), "utf-8")
+        path.write_text(page(report.gather(versions[-1], versions[:-1], None)), "utf-8")
         browser.size(width, height)
-        browser.open(path.as_uri())
-        browser.wait(lambda: browser.count(".node") == len(topology.cameras), "the map")
-        browser.wait(lambda: browser.count(".labels .name") > 0, "it to be drawn")
+        browser.open(path.as_uri() + place)
+        cameras = len(versions[-1].cameras)
+        browser.wait(lambda: browser.count(".node") == cameras, "the map")
+        browser.wait(lambda: browser.count(".labels .name") > 0 or bool(place), "it to be drawn")
 
     yield open_report
     assert browser.complaints() == []
@@ -182,7 +185,7 @@ def test_a_dozen_cameras_have_room_for_their_times(
     browser: Browser, show: Shows, width: int, height: int, share: float
 ) -> None:
     topology = synthetic_topology(12)
-    show(topology, width, height)
+    show(topology, width=width, height=height)
     browser.wait(lambda: len(times(browser)) >= share * len(topology.pairs), "the times")
     assert browser.count(".labels .name") == 12
     clashes = "const all = boxes('.labels text'); return all.filter((a) => all.some((b) => a !== b && upon(a, b)))"
@@ -224,50 +227,57 @@ def test_no_camera_is_under_what_lies_on_the_map(browser: Browser) -> None:
 
 
 def test_versions_are_on_a_time_line_before_there_is_a_score_and_all_can_be_listed(
-    browser: Browser,
+    browser: Browser, show: Shows
 ) -> None:
     versions = [
         msgspec.structs.replace(SITE, version=k, as_of=SITE.as_of + 60.0 * k, score=None)
         for k in range(1, 46)
     ]
-    shown = Shown(*versions)
-    with shown.serving():
-        opened(browser, shown, "#/versions")
-        browser.wait(lambda: browser.count(".page .mark") == 45, "a mark each")
-        places = browser.run(
-            "return [...document.querySelectorAll('.page .mark')].map((one) => one.cx.baseVal.value)"
-        )
-        assert places == sorted(set(places)), "along the time"
-        assert browser.count(".page .axis text") >= 3
-        assert "needs two scored versions" in browser.text(".columns")
-        assert browser.count(".page tbody tr") == 40
-        assert browser.text(".page .more") == "Show 5 more"
-        browser.run("document.querySelector('.page .more').focus()")
-        browser.press("ENTER")
-        browser.wait(lambda: browser.count(".page tbody tr") == 45, "all of them")
-        assert browser.count(".page .more") == 0
+    changed = msgspec.structs.replace(versions[-1], pairs=SITE.pairs[1:])
+    show(*versions[:-1], changed, place="#/versions")
+
+    browser.wait(lambda: browser.count(".page .mark") == 45, "a mark each")
+    places = browser.run(
+        "return [...document.querySelectorAll('.page .mark')].map((one) => one.cx.baseVal.value)"
+    )
+    assert places == sorted(set(places)), "along the time"
+    assert browser.count(".page .axis text") >= 3
+    assert "needs two scored versions" in browser.text(".columns")
+
+    assert "What changed from version 44 to 45" in browser.text(".columns")
+    assert browser.text(".changes .gone b") == " – ".join(SITE.pairs[0].cameras)
+    browser.go("#/versions/44")
+    browser.wait(lambda: "No camera, pair, link or zone came" in browser.text(".columns"), "44")
+
+    assert browser.count(".page tbody tr") == 40
+    assert browser.text(".page .more") == "Show 5 more"
+    browser.run("document.querySelector('.page .more').focus()")
+    browser.press("ENTER")
+    browser.wait(lambda: browser.count(".page tbody tr") == 45, "all of them")
+    assert browser.count(".page .more") == 0
 
 
 def test_versions_with_a_score_are_as_high_as_it_and_those_without_are_there(
-    browser: Browser,
+    browser: Browser, show: Shows
 ) -> None:
     scores = [None, None, SCORE, SCORE, msgspec.structs.replace(SCORE, top1=0.5)]
-    shown = Shown(
-        *(
-            msgspec.structs.replace(SITE, version=k, as_of=SITE.as_of + 60.0 * k, score=one)
-            for k, one in enumerate(scores, 1)
-        )
+    versions = [
+        msgspec.structs.replace(SITE, version=k, as_of=SITE.as_of + 86400.0 * k, score=score)
+        for k, score in enumerate(scores, 1)
+    ]
+    show(*versions, place="#/versions")
+
+    browser.wait(lambda: browser.count(".page .mark") == 5, "a mark each")
+    height = (
+        "return [...document.querySelectorAll('.page .mark')].map((one) => one.cy.baseVal.value)"
     )
-    with shown.serving():
-        opened(browser, shown, "#/versions")
-        browser.wait(lambda: browser.count(".page .mark") == 5, "a mark each")
-        y = browser.run(
-            "return [...document.querySelectorAll('.page .mark')].map((one) => one.cy.baseVal.value)"
-        )
-        assert browser.count(".page .mark.unscored") == 2, (
-            "not marked as if they had been wrong each time"
-        )
+    days = (
+        "return [...document.querySelectorAll('.chart .axis text')].map((one) => one.textContent)"
+    )
+    y = browser.run(height)
     assert y[0] == y[1] > y[4] > y[2] == y[3]
+    assert browser.count(".page .mark.unscored") == 2, "not as if they had been wrong each time"
+    assert len(set(browser.run(days)) & {f"{day} Nov" for day in range(14, 22)}) == 3
 
 
 def test_an_address_of_a_link_without_its_relation_opens_the_only_one(browser: Browser) -> None:
@@ -285,16 +295,6 @@ def test_an_address_of_a_link_without_its_relation_opens_the_only_one(browser: B
             lambda: f"No link leads from {path.from_} to" in browser.text(".panel"),
             "that there is none",
         )
-
-
-def test_a_version_that_is_no_number_is_as_if_none_were_named(browser: Browser) -> None:
-    shown = Shown(SITE, msgspec.structs.replace(SITE, version=2))
-    with shown.serving():
-        for place in (f"#/versions/1/{'9' * 5000}", "#/versions/0.5/2"):
-            opened(browser, shown, place)
-            browser.wait(
-                lambda: "No notable change" in browser.text(".columns"), "the two newest compared"
-            )
 
 
 def test_a_page_too_many_is_told_so(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:

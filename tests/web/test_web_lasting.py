@@ -17,7 +17,7 @@ from chromium import Browser
 from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
-from camtopod.records import Camera, Event, Link, SelfScore, Topology
+from camtopod.records import Camera, Event, Link, Topology
 from camtopod.web import report
 from camtopod.web.single_file import page
 
@@ -40,7 +40,7 @@ PLACES = (
     "#/map",
     "#/links",
     "#/versions",
-    "#/versions/1/2",
+    "#/versions/1",
     "#/health",
     f"#/camera/{FIRST}",
     "#/camera/a",
@@ -249,20 +249,6 @@ def test_a_report_of_a_recording_counts_its_seconds(browser: Browser, tmp_path: 
     assert {"400 s", "800 s"} <= set(axis)
     assert "1970" not in browser.text("body")
     assert browser.complaints() == []
-
-
-def test_the_scores_axis_says_which_day_it_was(browser: Browser) -> None:
-    score = SelfScore(200, 1, 1.1, 0.75, 0.91, 1.6, 0.55)
-    shown = Shown(*(newer(k, as_of=SITE.as_of + 86400 * k, score=score) for k in range(1, 6)))
-    with shown.serving():
-        opened(browser, shown, "#/versions")
-        browser.wait(lambda: browser.count(".page .mark") == 5, "the score of all versions")
-        texts = browser.run(
-            "return [...document.querySelectorAll('.chart .axis text')].map((one) => one.textContent)"
-        )
-    assert {"15 Nov", "17 Nov", "19 Nov"} <= set(texts) or {"16 Nov", "18 Nov", "20 Nov"} <= set(
-        texts
-    ), texts
 
 
 def contrast(one: str, other: str) -> float:

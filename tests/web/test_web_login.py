@@ -32,7 +32,6 @@ PRIVATE = (
     "/picture/a",
     "/live",
     "/api/topology",
-    "/api/openapi.json",
     "/static/main.js",
     "/nowhere",
 )

@@ -106,34 +106,14 @@ def test_what_it_tells(server: Server) -> None:
     told = server.json(f"/data/link?from={link.from_}&to={link.to}&relation={link.relation}")
     assert told["why"]
     assert [one["version"] for one in server.json("/data/versions")] == [2]
-    assert server.json("/data/version/1")["version"] == 1
-    assert [one["version"] for one in server.json("/data/versions")] == [1, 2]
-    (gone,) = server.json("/data/changes/1/2")
-    assert (gone["sign"], gone["subject"]) == ("-", [CLOSED.from_, CLOSED.to, "unseen"])
     assert server.json("/data/health")["live"]["live"] is False
     for path in (
         "/data/camera/x",
         "/data/pair/x/y",
         "/data/link",
-        "/data/version/3",
-        "/data/changes/1/9",
     ):
         status, _, body = server.get(path)
         assert (status, "error" in json.loads(body)) == (404, True), path
-
-
-def test_a_number_that_no_version_can_have_is_not_found(
-    server: Server, capfd: pytest.CaptureFixture[str]
-) -> None:
-    digits = "9" * 5000
-    for path in (
-        f"/data/version/{digits}",
-        f"/data/changes/1/{digits}",
-        f"/data/changes/{digits}/1",
-    ):
-        assert server.get(path)[0] == 404, path[:20]
-    assert server.get(f"/data/version/{'9' * 18}")[0] == 404
-    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_it_only_reads(server: Server) -> None:

@@ -202,7 +202,7 @@ complete -c camtopod -n '_shtab_camtopod_using web' -l log-format -xka "text log
 complete -c camtopod -n '_shtab_camtopod_using web' -l log-level -xka "debug info warning error" -d 'least important messages to show (default: info)'
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a export -d 'convert a topology to a picture or an exchange format'
 complete -c camtopod -n '_shtab_camtopod_using export' -s h -l help -d 'show this help message and exit'
-complete -c camtopod -n '_shtab_camtopod_using export' -l format -xka "dot graphml svg mermaid json aicity" -d 'format of the output'
+complete -c camtopod -n '_shtab_camtopod_using export' -l format -xka "dot graphml svg json aicity" -d 'format of the output'
 complete -c camtopod -n '_shtab_camtopod_using export' -l out -xka "(__fish_complete_path (commandline -ct))" -d 'write to FILE (default: standard output)'
 complete -c camtopod -n '_shtab_camtopod_using export' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file; none: read no file (default: ./camtopod.toml, else /etc/camtopod/camtopod.toml, if there is one)'
 complete -c camtopod -n '_shtab_camtopod_using export' -l site -x -d 'name of the site, the second part of every key on the bus'

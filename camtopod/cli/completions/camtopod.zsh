@@ -138,7 +138,7 @@ _shtab_camtopod_doctor_defaults_added=0
 
 _shtab_camtopod_export_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--format[format of the output]:format:(dot graphml svg mermaid json aicity)"
+  "--format[format of the output]:format:(dot graphml svg json aicity)"
   "--out[write to FILE (default\: standard output)]:FILE:_files"
   "--config[configuration, a TOML file\; none\: read no file (default\: .\/camtopod.toml, else \/etc\/camtopod\/camtopod.toml, if there is one)]:FILE:_files"
   "--site[name of the site, the second part of every key on the bus]:NAME:"

@@ -2,8 +2,7 @@
 
 `example_config` writes the example configuration (`camtopod check --example`), `config_schema` its
 JSON Schema for editors (`camtopod check --schema`), `message_schemas` the schemas of the messages
-on the bus (`camtopod schema`), `bus_description` the keys of the bus (``deploy/asyncapi.json``),
-`api_description` the HTTP API (``openapi.json`` of the page).
+on the bus (`camtopod schema`).
 """
 
 from __future__ import annotations
@@ -13,16 +12,12 @@ from typing import TYPE_CHECKING
 from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
-    from camtopod.cli.generated.api_description import api_description_text
-    from camtopod.cli.generated.bus_description import bus_description_text
     from camtopod.cli.generated.config_schema import text
     from camtopod.cli.generated.example_config import example, table
     from camtopod.cli.generated.message_schemas import NAMES, schema_text
 
 __all__ = [
     "NAMES",
-    "api_description_text",
-    "bus_description_text",
     "example",
     "schema_text",
     "table",
@@ -33,8 +28,6 @@ __getattr__ = lazy_getattr(
     __name__,
     {
         "NAMES": "message_schemas",
-        "api_description_text": "api_description",
-        "bus_description_text": "bus_description",
         "example": "example_config",
         "schema_text": "message_schemas",
         "table": "example_config",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -75,33 +74,20 @@ def message_schema(name: str) -> dict[str, Any]:
     """
     if name == "configuration":
         return configuration_schema()
-    reference, made = described_types([MESSAGES[name]], "#/$defs/{name}")
-    return {
-        "$schema": _DIALECT,
-        "title": f"camtopod {name}",
-        **reference[0],
-        "$defs": made,
-    }
-
-
-def described_types(
-    kinds: Sequence[type[Struct]], ref_template: str
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Return a reference to the schema of each type, and all schemas by the name of the type.
-
-    ref_template: form of the references, with ``{name}`` for the name of a type.
-    """
-    references, made = msgspec.json.schema_components(kinds, ref_template=ref_template)
-    for name, described in made.items():
-        _describe(described, Status if name == "Status" else getattr(records, name))
+    [reference], types = msgspec.json.schema_components(
+        [MESSAGES[name]], ref_template="#/$defs/{name}"
+    )
+    for kind, described in types.items():
+        _describe(described, Status if kind == "Status" else getattr(records, kind))
 
     # Rules that the types cannot express.
-    if "Event" in made:  # a position has both coordinates
-        made["Event"]["dependentRequired"] = {"x": ["y"], "y": ["x"]}
+    if "Event" in types:  # a position has both coordinates
+        types["Event"]["dependentRequired"] = {"x": ["y"], "y": ["x"]}
     for kind, schema in (("Topology", TOPOLOGY_SCHEMA), ("Delta", DELTA_SCHEMA)):
-        if kind in made:
-            made[kind]["properties"]["schema"] = {"const": schema}
-    return list(references), _portable(made)
+        if kind in types:
+            types[kind]["properties"]["schema"] = {"const": schema}
+    content: dict[str, Any] = _portable({**reference, "$defs": types})
+    return {"$schema": _DIALECT, "title": f"camtopod {name}", **content}
 
 
 def _describe(described: dict[str, Any], kind: type[Struct]) -> None:

@@ -1,4 +1,4 @@
-// What is shown is in the address: #/camera/lobby, #/link/lobby%2F1/hall%2F2/unseen, #/versions/3/7.
+// What is shown is in the address: #/camera/lobby, #/link/lobby%2F1/hall%2F2/unseen, #/versions/7.
 
 export function link(...parts) {
   return `#/${parts.map(encodeURIComponent).join("/")}`;

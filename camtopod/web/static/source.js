@@ -32,12 +32,6 @@ class Server {
   versions() {
     return get("data/versions");
   }
-  version(number) {
-    return get(`data/version/${number}`);
-  }
-  changes(old, now) {
-    return get(`data/changes/${old}/${now}`);
-  }
   // Address of the floor plan and the places on it, or null.
   async plan() {
     const placement = await get("data/placement");
@@ -78,12 +72,6 @@ class Report {
   }
   async versions() {
     return this.held.versions;
-  }
-  async version(number) {
-    return this.#found(this.held.versions.find((one) => one.version === number));
-  }
-  async changes(old, now) {
-    return this.#found(this.held.changes[`${old} ${now}`]);
   }
   async plan() {
     return null;

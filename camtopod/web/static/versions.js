@@ -1,16 +1,13 @@
-// The versions as a time line, the daemon's own score over time, and what changed between any two.
+// The versions as a time line, the daemon's own score over time, and what each version changed.
 
 import { alarmList, fact } from "./camera.js";
 import { axisX, axisY, points, scale, ticks } from "./chart.js";
 import { fill, h, more, s } from "./dom.js";
-import { go, link } from "./place.js";
-import { Away, NotThere } from "./source.js";
+import { link } from "./place.js";
+import { Away } from "./source.js";
 import { axisTime, clock, count, percent, plural } from "./words.js";
 
-const ASKED_MAX = 60; // older versions that are asked of the daemon while this is open
 const ROWS = 40;
-const CHANGES_SHOWN = 300;
-const SIGNS = { "+": ["new", "appeared"], "-": ["gone", "disappeared"], "~": ["other", "changed"] };
 const NARROW = matchMedia("(max-width: 720px)");
 const HEIGHT = 200;
 const HEIGHT_BARE = 56; // of a time line without a curve
@@ -19,11 +16,9 @@ const WITHOUT_CURVE =
 const EDGE = { left: 44, right: 14, top: 16, bottom: 26 };
 
 export class Versions {
-  #known = new Map(); // version -> summary
+  #all = []; // summaries, oldest first
   #open = false;
-  #asking = false;
-  #compared = "";
-  #named = []; // the versions that the address names, if any
+  #chosen = null; // the version that the address names; without one the newest is shown
   #rows = ROWS;
 
   constructor(app) {
@@ -31,84 +26,46 @@ export class Versions {
     this.head = h("div", {});
     this.chart = h("div", { class: "card" });
     this.list = h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Versions" });
-    this.compare = h("div", { class: "card" });
+    this.changes = h("div", { class: "card", role: "status" });
     this.alarms = h("div", { class: "card" });
     this.element = h(
       "section",
       { class: "page" },
       h("h1", {}, "Versions"),
       this.head,
-      h("div", { class: "columns" }, h("div", {}, this.chart, this.compare), h("div", {}, this.list, this.alarms)),
+      h("div", { class: "columns" }, h("div", {}, this.chart, this.changes), h("div", {}, this.list, this.alarms)),
     );
   }
 
   // A new version has come.
-  async update(map) {
-    if (this.#known.size && map && this.#known.values().next().value.epoch !== map.epoch) this.#known.clear();
-    if (this.#open) await (this.#known.size ? this.#refresh() : this.shown(...this.#named));
+  async update() {
+    if (this.#open) await this.#refresh();
   }
 
-  // The view is shown, comparing two versions if they are named.
-  async shown(old, now) {
+  // The view is shown, with the changes of the version that is named.
+  async shown(version) {
     this.#open = true;
-    this.#named = [old, now];
+    this.#chosen = version ?? null;
     await this.#refresh();
-    const [, last] = this.#ends();
-    if (last === undefined) return;
-    if (last === 1) {
-      fill(this.compare, h("h2", {}, "What changed"), h("p", { class: "quiet" }, "There is one version so far."));
-      return;
-    }
-    const versions = [numbered(old) ?? Math.max(1, last - 1), numbered(now) ?? last];
-    await this.#compareThem(Math.min(...versions), Math.max(...versions));
-    if (this.app.source.live) await this.#askForOlder();
   }
 
   hidden() {
     this.#open = false;
   }
 
-  #ends() {
-    const versions = [...this.#known.keys()].sort((a, b) => a - b);
-    return [versions[0], versions.at(-1)];
-  }
-
   async #refresh() {
     try {
-      for (const one of await this.app.source.versions()) this.#known.set(one.version, one);
+      this.#all = await this.app.source.versions();
     } catch (error) {
       if (!(error instanceof Away)) throw error;
-      if (!this.#known.size) fill(this.head, h("p", { class: "quiet" }, error.message));
+      if (!this.#all.length) fill(this.head, h("p", { class: "quiet" }, error.message));
       return;
     }
     this.#draw();
   }
 
-  // Newest first, one at a time, until the daemon keeps no older one.
-  async #askForOlder() {
-    if (this.#asking) return;
-    this.#asking = true;
-    try {
-      for (
-        let asked = 0, version = this.#ends()[1] - 1;
-        this.#open && version >= 1 && asked < ASKED_MAX;
-        version -= 1
-      ) {
-        if (this.#known.has(version)) continue;
-        asked += 1;
-        const found = await this.app.source.version(version);
-        this.#known.set(found.version, found);
-        this.#draw();
-      }
-    } catch (error) {
-      if (!(error instanceof NotThere || error instanceof Away)) throw error;
-    } finally {
-      this.#asking = false;
-    }
-  }
-
   #draw() {
-    const all = [...this.#known.values()].sort((a, b) => a.version - b.version);
+    const all = this.#all;
     const newest = all.at(-1);
     if (!newest) return fill(this.head, h("p", { class: "quiet" }, "No version yet."));
     const score = newest.score;
@@ -147,11 +104,12 @@ export class Versions {
           this.#draw();
         }),
     );
-    const alarms = all.flatMap((one) => one.alarms);
+    fill(this.changes, changesOf(all.find((one) => String(one.version) === this.#chosen) ?? newest));
+    const alarms = this.app.map?.alarms ?? [];
     fill(
       this.alarms,
       h("h2", {}, "Alarms"),
-      alarms.length ? alarmList(alarms.slice(-30)) : h("p", { class: "quiet" }, "None in the versions listed."),
+      alarms.length ? alarmList(alarms.slice(-30)) : h("p", { class: "quiet" }, "None."),
     );
     return undefined;
   }
@@ -186,7 +144,7 @@ export class Versions {
                 { scope: "row" },
                 h(
                   "a",
-                  { href: link("versions", Math.max(1, one.version - 1), one.version), title: "What changed with it" },
+                  { href: link("versions", one.version), title: "What changed with it" },
                   one.version,
                 ),
               ),
@@ -206,94 +164,40 @@ export class Versions {
       ),
     );
   }
-
-  async #compareThem(old, now) {
-    const asked = (this.#compared = `${old} ${now}`);
-    const [, last] = this.#ends();
-    const field = (value, name) => h("input", { type: "number", min: 1, max: last, value, "aria-label": name });
-    const [from, to] = [field(old, "Older version"), field(now, "Newer version")];
-    const form = h(
-      "form",
-      {
-        class: "tools",
-        on: {
-          submit: (event) => {
-            event.preventDefault();
-            go("versions", from.value, to.value);
-          },
-        },
-      },
-      "from ",
-      from,
-      " to ",
-      to,
-      h("button", { type: "submit" }, "Compare"),
-    );
-    const result = h("div", { role: "status" }, h("p", { class: "quiet" }, "Comparing …"));
-    fill(this.compare, h("h2", {}, "What changed"), form, result);
-    try {
-      const found = await this.app.source.changes(old, now);
-      if (asked === this.#compared) fill(result, changeList(found));
-    } catch (error) {
-      if (!(error instanceof NotThere || error instanceof Away)) throw error;
-      fill(result, h("p", { class: "quiet" }, error.message));
-    }
-  }
 }
 
-// The version that a part of the address names, if it can be one.
-function numbered(text) {
-  const number = Number(text);
-  return Number.isSafeInteger(number) && number > 0 ? number : null;
-}
-
-function changeList(changes) {
-  if (!changes.length)
-    return h("p", { class: "quiet" }, "No notable change: figures differ by less than their uncertainty.");
+// What a version changed, in a table-like list.
+function changesOf({ version, since, changes, changes_count: all }) {
+  if (since === null)
+    return [h("h2", {}, "What changed"), h("p", { class: "quiet" }, `Version ${version} is the first one known here.`)];
   return [
-    h(
-      "p",
-      { class: "quiet" },
-      Object.entries(SIGNS)
-        .map(([sign, [, verb]]) => [changes.filter((one) => one.sign === sign).length, verb])
-        .filter(([n]) => n)
-        .map(([n, verb]) => `${count(n)} ${verb}`)
-        .join(", "),
-    ),
-    h(
-      "ul",
-      { class: "changes" },
-      changes
-        .slice(0, CHANGES_SHOWN)
-        .map((one) =>
-          h(
-            "li",
-            { class: SIGNS[one.sign][0] },
-            h("span", { class: "sign", title: SIGNS[one.sign][1] }, one.sign === "-" ? "−" : one.sign),
-            h("span", { class: "kind" }, one.kind),
-            h("span", {}, subject(one), h("small", {}, one.text)),
-          ),
-        ),
-    ),
-    changes.length > CHANGES_SHOWN
-      ? h("p", { class: "quiet" }, `and ${count(changes.length - CHANGES_SHOWN)} more`)
-      : null,
+    h("h2", {}, `What changed from version ${since} to ${version}`),
+    changes.length
+      ? h("ul", { class: "changes" }, changes.map(changed))
+      : h("p", { class: "quiet" }, "No camera, pair, link or zone came or went."),
+    all > changes.length ? h("p", { class: "quiet" }, `and ${count(all - changes.length)} more`) : null,
   ];
 }
 
-// What a change is about, as a link to its page where there is one.
-function subject({ kind, sign, subject: parts }) {
-  const text = kind === "link" ? `${parts[0]} → ${parts[1]}` : parts.join(" – ");
-  if (sign === "-") return h("b", {}, text);
-  const camera = parts[0].split("/")[0];
+function changed({ kind, subject, before, now }) {
+  const [look, sign, title] =
+    before === null ? ["new", "+", "appeared"] : now === null ? ["gone", "−", "disappeared"] : ["other", "~", "changed"];
+  const text = before && now ? `${before} → ${now}` : now || before;
   return h(
-    "a",
-    {
-      href:
-        kind === "link" ? link("link", ...parts) : kind === "pair" ? link("pair", ...parts) : link("camera", camera),
-    },
-    text,
+    "li",
+    { class: look },
+    h("span", { class: "sign", title }, sign),
+    h("span", { class: "kind" }, kind),
+    h("span", {}, subjectOf(kind, subject, now !== null), text ? h("small", {}, text) : null),
   );
+}
+
+// What a change is about, as a link to its page where there is one.
+function subjectOf(kind, parts, exists) {
+  const text = kind === "link" ? `${parts[0]} → ${parts[1]}` : parts.join(" – ");
+  if (!exists) return h("b", {}, text);
+  const href = kind === "zone" ? link("camera", parts[0].split("/")[0]) : link(kind, ...parts);
+  return h("a", { href }, text);
 }
 
 // All versions along the time, those that have a score at the height of it.
@@ -342,7 +246,7 @@ function mark(one, cx, cy) {
     : "not scored yet";
   return s(
     "a",
-    { href: link("versions", Math.max(1, one.version - 1), one.version), tabindex: -1 },
+    { href: link("versions", one.version), tabindex: -1 },
     s("circle", { class: `mark${alarmed ? " alarm" : ""}${one.score ? "" : " unscored"}`, cx, cy, r: alarmed ? 5 : 3.5 }),
     s("title", {}, `version ${one.version}, ${clock(one.as_of)}: ${said}`),
   );

@@ -1,0 +1,51 @@
+"""Node-link JSON, for D3 and networkx. (A topology is JSON already: see `camtopod.records`.)"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from camtopod.export.graph import edges
+from camtopod.records import Topology
+
+_ABOUT = ("site", "epoch", "version", "as_of", "digest")
+
+
+def to_json_graph(topology: Topology) -> str:
+    """Return a directed graph of cameras with their zones.
+
+    Edge weights are modes of transit times, seconds.
+    """
+    zones = {zone.id: zone for zone in topology.zones}
+    nodes = [
+        {
+            "id": camera.id,
+            "clock_offset": camera.clock_offset,
+            "zones": [zones[zone] for zone in camera.zones],
+        }
+        for camera in topology.cameras
+    ]
+    links: list[dict[str, Any]] = []
+    for edge in edges(topology):
+        link = {
+            "source": edge.from_,
+            "target": edge.to,
+            "relation": edge.relation,
+            "colour": edge.colour,
+            "weight": edge.transit.mode,
+            "transit": edge.transit,
+            "probability": edge.probability,
+            "transitions": edge.transitions,
+        }
+        if edge.operator is not None:
+            link["operator"] = edge.operator
+        links.append(link)
+    graph = {
+        "directed": True,
+        "multigraph": False,
+        "graph": {name: getattr(topology, name) for name in _ABOUT},
+        "nodes": nodes,
+        "links": links,
+    }
+    return msgspec.json.format(msgspec.json.encode(graph), indent=2).decode() + "\n"

@@ -1,0 +1,87 @@
+"""Versions on the page's time line: figures of each, and what it changed."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from camtopod.records import Alarm, SelfScore, Topology
+from camtopod.topology import link_key, links_between_views
+
+CHANGES_MAX = 100
+"""Changes of a version that are listed."""
+_RELATIONS = {"overlapped": "overlapping views", "unseen_path": "an unseen path"}
+
+
+class Change(Struct, frozen=True):
+    """A part of the site that has come, gone or become another.
+
+    kind: ``camera``, ``pair``, ``link`` or ``zone``.
+    subject: a camera, the cameras of a pair, the zones and the relation of a link, or a zone.
+    before, now: None where it was not, or is no more; the relation of a pair in words, else "".
+    """
+
+    kind: str
+    subject: tuple[str, ...]
+    before: str | None
+    now: str | None
+
+
+class VersionSummary(Struct, frozen=True):
+    """A version on the time line."""
+
+    version: int
+    as_of: float
+    events: int
+    cameras: int
+    links: int
+    """Links between views."""
+    pairs: int
+    score: SelfScore | None
+    alarms: list[Alarm]
+    """Alarms raised by this version."""
+    since: int | None
+    """The version before it on the time line, if any."""
+    changes: list[Change]
+    """Changes since then; the first `CHANGES_MAX` of them."""
+    changes_count: int
+    """Number of all changes."""
+
+
+def summary(topology: Topology, before: Topology | None) -> VersionSummary:
+    """Return the summary of a version; ``before`` is the one before it on the time line, if any."""
+    changes = [] if before is None else _changes(before, topology)
+    return VersionSummary(
+        version=topology.version,
+        as_of=topology.as_of,
+        events=topology.events,
+        cameras=len(topology.cameras),
+        links=len(links_between_views(topology)),
+        pairs=len(topology.pairs),
+        score=topology.score,
+        alarms=[one for one in topology.alarms or [] if one.version == topology.version],
+        since=None if before is None else before.version,
+        changes=changes[:CHANGES_MAX],
+        changes_count=len(changes),
+    )
+
+
+def _changes(old: Topology, new: Topology) -> list[Change]:
+    """Return what came, went or became another: cameras, pairs, links between views, zones."""
+    before = _parts(old)
+    now = _parts(new)
+    return [
+        Change(*part, before.get(part), now.get(part))
+        for part in {**now, **before}
+        if before.get(part) != now.get(part)
+    ]
+
+
+def _parts(topology: Topology) -> dict[tuple[str, tuple[str, ...]], str]:
+    """Return the relation of every pair in words, and "" for every other part of a version."""
+    links = links_between_views(topology)
+    return {
+        **{("camera", (one.id,)): "" for one in topology.cameras},
+        **{("pair", one.cameras): _RELATIONS[one.relation] for one in topology.pairs},
+        **{("link", link_key(one)): "" for one in links},
+        **{("zone", (one.id,)): "" for one in topology.zones},
+    }
