@@ -267,7 +267,7 @@ class Bush:
         )
         self._leaves = np.clip(110.0 + 35.0 * fine + 25.0 * coarse, 0.0, 255.0)
         oval = (2 * columns / width - 1) ** 2 + (2 * rows / height - 1) ** 2
-        self._cover = (oval + 0.15 * outline < 0.9).astype(np.float32)
+        self._mark_occluded = (oval + 0.15 * outline < 0.9).astype(np.float32)
 
         # Four waves, each with its frequency and its phases.
         self._hertz = rng.uniform(0.3, 1.2, 4)
@@ -294,7 +294,7 @@ class Bush:
         leaves = cv2.remap(
             self._leaves, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
         )
-        cover = cv2.remap(self._cover, columns, rows, cv2.INTER_LINEAR)
+        cover = cv2.remap(self._mark_occluded, columns, rows, cv2.INTER_LINEAR)
         canvas[:] = (canvas * (1 - cover) + leaves * cover).round().astype(np.uint8)
 
 

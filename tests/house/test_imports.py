@@ -39,7 +39,7 @@ FLOORS = (
     "learn.changes learn.next_camera",
     "learn",
     "adapt export sim",
-    "vision.settings",
+    "vision.settings vision.boxes",
     "vision.detect",
     "vision.detector",
     "vision.source vision.track",

@@ -15,7 +15,8 @@ from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Place, line
 from camtopod.codec import to_json
 from camtopod.records import Event
 from camtopod.vision.analysis import Analysis
-from camtopod.vision.detect import Blob, Box
+from camtopod.vision.boxes import Box
+from camtopod.vision.detect import Blob
 from camtopod.vision.detector import Detection, Detector, Known, Model
 from camtopod.vision.detector.agreement import Agreement
 from camtopod.vision.detector.crops import Crops

@@ -10,7 +10,7 @@ import pytest
 from onnx import TensorProto, helper, save
 from onnx_models import Picture, draw_person, write_model
 
-from camtopod.vision.detect import Box
+from camtopod.vision.boxes import Box
 from camtopod.vision.detector import (
     LABELS,
     Detection,
@@ -19,7 +19,7 @@ from camtopod.vision.detector import (
     Model,
     input_size,
     layouts,
-    look_once,
+    try_model,
 )
 from camtopod.vision.detector.coco import IDS, class_number, label_name
 from camtopod.vision.detector.crops import whole
@@ -141,7 +141,7 @@ def test_coco_has_80_labels_and_numbers_of_its_own() -> None:
 def test_the_better_of_two_boxes_of_a_class_is_kept() -> None:
     boxes = np.array([[0, 0, 10, 20], [1, 0, 11, 20], [30, 0, 40, 20], [0, 0, 10, 20]], np.float32)
     scores = np.array([0.9, 0.8, 0.7, 0.6], np.float32)
-    kept = layouts.without_overlaps(layouts.Found(boxes, scores, np.array([0, 0, 0, 1])))
+    kept = layouts.nms(layouts.Found(boxes, scores, np.array([0, 0, 0, 1])))
     assert kept.scores.tolist() == pytest.approx([0.9, 0.7, 0.6])
 
 
@@ -239,9 +239,9 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 def test_a_report_has_layout_size_time_and_boxes(tmp_path: Path) -> None:
     given = settings(write_model(tmp_path / "person.onnx", "yolox"))
-    text = look_once(given, picture()).text
+    text = try_model(given, picture()).text
     assert text.startswith("person.onnx: layout yolox, 160x160, 80 classes, ")
     assert " ms a look; in the whole picture: person 1.00 at (" in text
     assert text.count("person 1.00") == 2
-    assert look_once(given).text.endswith("in an empty picture: nothing")
-    assert look_once(settings(tmp_path)).problem
+    assert try_model(given).text.endswith("in an empty picture: nothing")
+    assert try_model(settings(tmp_path)).problem

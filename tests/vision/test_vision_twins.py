@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from camtopod.vision.boxes import overlap, union
 from camtopod.vision.detect import background, blobs, motion, shake, shrink
 from camtopod.vision.detect.wiener import temporal_noise
 from camtopod.vision.settings import VisionSettings
@@ -162,7 +163,7 @@ def test_merged_are_all_that_belong(seed: int, known: bool) -> None:
             for j in range(len(groups) - 1, i, -1):
                 if blobs._belong(groups[i][1], groups[j][1], height):
                     labels, box = groups.pop(j)
-                    groups[i] = (groups[i][0] + labels, blobs._union(groups[i][1], box))
+                    groups[i] = (groups[i][0] + labels, union(groups[i][1], box))
     assert blobs._merge(list(enumerate(boxes)), height) == groups
     assert len(groups) < len(boxes)
 
@@ -207,7 +208,7 @@ def test_only_what_is_near_or_overlaps_can_be_a_track_s(seed: int) -> None:
         for blob, cost in zip(seen, followed._costs(track, seen), strict=True):
             head = np.hypot(blob.head[0] - x, blob.top - top)
             foot = np.hypot(blob.foot_x - foot_x, blob.bottom - bottom)
-            near = min(head, foot) <= gate or tracker._overlap(track.last.box, blob.box) >= 0.3
+            near = min(head, foot) <= gate or overlap(track.last.box, blob.box) >= 0.3
             assert (cost < tracker._NEVER) == near
             if near:
                 assert cost == pytest.approx(
@@ -224,7 +225,7 @@ def test_kalman_is_the_textbook_s() -> None:
     quick = kalman.Kalman(tuple(start.tolist()), height)
     state = np.column_stack([start, np.zeros(4)])
     noise = (kalman.MEASUREMENT * height) ** 2
-    covariance = np.diag([noise, (kalman.SPEED_AT_BIRTH * height) ** 2])
+    covariance = np.diag([noise, (kalman.SPEED_SIGMA * height) ** 2])
     step = np.array([[1.0, dt], [0.0, 1.0]])
     push = np.array([dt * dt / 2, dt]) * kalman.ACCELERATION * height
     for _ in range(20):

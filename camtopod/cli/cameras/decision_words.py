@@ -46,12 +46,12 @@ _TENTATIVE: dict[Reason, str] = {
 """Words by the reason why a track was not an object."""
 _ENDS: dict[Reason, str] = {
     "left": "exit by {edge} at {place}",
-    "handed over": "exit by {edge} at {place}, where track {other} came in at the same time",
+    "swapped": "exit by {edge} at {place}, where track {other} came in at the same time",
     "stayed": "no exit: gone at {edge} at {place}, but had only swayed or stood there, moved by "
     "{value:.2f} of its height, at least {least:g} are needed",
     "lost": "no exit: lost in mid-view at {place}, not at a border or door, and not found again "
     "(if that happens there again and again, a door is learned)",
-    "covered": "no exit: lost behind others in mid-view at {place}, and not found again",
+    "occluded": "no exit: lost behind others in mid-view at {place}, and not found again",
     "interrupted": "no exit: in mid-view at {place} when the pictures paused, and not found again",
     "ghost": "no exit: not an object, but the hole in the background where one stood at {place}; "
     "the background is corrected",

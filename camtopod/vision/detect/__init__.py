@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from camtopod.vision.detect.background import Luma
 from camtopod.vision.detect.blobs import Blob, find_blobs
-from camtopod.vision.detect.motion import Box, MotionDetector
+from camtopod.vision.detect.motion import MotionDetector
 from camtopod.vision.detect.shrink import shrunk
 from camtopod.vision.detect.watched import ignored_share
 
 __all__ = [
     "Blob",
-    "Box",
     "Luma",
     "MotionDetector",
     "find_blobs",

@@ -9,9 +9,10 @@ from functools import cache
 import cv2
 import numpy as np
 
+from camtopod.vision.boxes import Box, area, box_height, union
 from camtopod.vision.detect.background import Luma
 from camtopod.vision.detect.heads import find_heads
-from camtopod.vision.detect.motion import Box, Motion
+from camtopod.vision.detect.motion import Motion
 
 FRAGMENT_PIXELS_MIN = 6
 """Smallest fragment, pixels."""
@@ -96,9 +97,9 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     area_min = max(AREA_PIXELS_MIN, AREA_SHARE_MIN * mask.size)
     blobs = []
     for group, box in groups:
-        area = sum(int(areas[label - 1]) for label in group)
-        if area >= area_min:
-            blob = _blob(group, box, area, labels, motion)
+        pixels = sum(int(areas[label - 1]) for label in group)
+        if pixels >= area_min:
+            blob = _blob(group, box, pixels, labels, motion)
             if blob is not None:
                 blobs.append(blob)
     return blobs
@@ -128,7 +129,7 @@ def _box(row: cv2.typing.MatLike) -> Box:
     return (left, top, left + width, top + height)
 
 
-def _blob(group: list[int], box: Box, area: int, labels: Luma, motion: Motion) -> Blob | None:
+def _blob(group: list[int], box: Box, pixels: int, labels: Luma, motion: Motion) -> Blob | None:
     """Return the blob of the fragments ``group``, or None.
 
     None if it fills too little of its box or has too few edges of its own.
@@ -140,16 +141,16 @@ def _blob(group: list[int], box: Box, area: int, labels: Luma, motion: Motion) -
         mask |= part == label
 
     # Reject shadows, light and scattered pixels.
-    if area < FILL_SHARE_MIN * (right - left) * (bottom - top):
+    if pixels < FILL_SHARE_MIN * (right - left) * (bottom - top):
         return None
-    if np.count_nonzero(motion.edges[top:bottom, left:right][mask]) < EDGE_SHARE_MIN * area:
+    if np.count_nonzero(motion.edges[top:bottom, left:right][mask]) < EDGE_SHARE_MIN * pixels:
         return None
 
     # Foot: middle of the lowest fifth.
     feet = np.flatnonzero(mask[-max(1, (bottom - top) // 5) :].any(axis=0))
     foot_x = left + float(feet[0] + feet[-1] + 1) / 2
     heads = tuple(left + column + 0.5 for column in find_heads(mask))
-    return Blob(left, top, right, bottom, foot_x, area, heads=heads)
+    return Blob(left, top, right, bottom, foot_x, pixels, heads=heads)
 
 
 def _merge(
@@ -172,7 +173,7 @@ def _merge(
                     continue
                 if _belong(a, b, expected_height):
                     labels, box = groups.pop(j)
-                    groups[i] = (groups[i][0] + labels, _union(groups[i][1], box))
+                    groups[i] = (groups[i][0] + labels, union(groups[i][1], box))
                     merged = True
     return groups
 
@@ -185,28 +186,24 @@ def _tallest(boxes: list[Box], expected_height: ExpectedHeight) -> float:
     return max(expected_height(box[3]) or unknown for box in boxes)
 
 
-def _union(a: Box, b: Box) -> Box:
-    return (min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3]))
-
-
 def _belong(a: Box, b: Box, expected_height: ExpectedHeight) -> bool:
     """Return True if two boxes are parts of one person."""
     overlap = (a[2] if a[2] < b[2] else b[2]) - (a[0] if a[0] > b[0] else b[0])
     height = expected_height(a[3] if a[3] > b[3] else b[3])
     if height is None:
-        height = _HEIGHT_UNKNOWN * max(a[3] - a[1], b[3] - b[1])
+        height = _HEIGHT_UNKNOWN * max(box_height(a), box_height(b))
     if overlap < -BESIDE_HEIGHTS * height:
         return False
 
     gap = max(a[1], b[1]) - min(a[3], b[3])
-    together = _union(a, b)
+    together = union(a, b)
 
     # One above the other.
     if overlap >= 0.5 * min(a[2] - a[0], b[2] - b[0]):
         slim = together[2] - together[0] <= 1.3 * max(a[2] - a[0], b[2] - b[0])
-        return slim and gap <= 0.35 * height and together[3] - together[1] <= 1.2 * height
+        return slim and gap <= 0.35 * height and box_height(together) <= 1.2 * height
 
     # Nearly touching, and one of them is small.
-    small = min((a[2] - a[0]) * (a[3] - a[1]), (b[2] - b[0]) * (b[3] - b[1]))
+    small = min(area(a), area(b))
     near = gap <= 0.05 * height
-    return near and small < 0.05 * height * height and together[3] - together[1] <= 1.2 * height
+    return near and small < 0.05 * height * height and box_height(together) <= 1.2 * height

@@ -18,15 +18,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from camtopod.vision.boxes import Box
 from camtopod.vision.detect.background import Background, Luma
 from camtopod.vision.detect.shake import shift, shifted_back
 from camtopod.vision.detect.swaying import Swaying, outside_range
 from camtopod.vision.detect.watched import watched_pixels
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import VisionSettings
-
-Box = tuple[float, float, float, float]
-"""Left, top, right, bottom in pixels; right and bottom are exclusive."""
 
 DIFFERENCE_MIN = 15.0
 """Smallest difference (grey levels) of a moving pixel, in a picture without noise."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from camtopod.vision.detector.fusion import Known
     from camtopod.vision.detector.looker import Detector, Looks, Seen
     from camtopod.vision.detector.model import Detection, DetectorError, Model
-    from camtopod.vision.detector.once import ModelReport, look_once
+    from camtopod.vision.detector.once import ModelReport, try_model
     from camtopod.vision.detector.onnx_header import HeaderError, input_size
 
 __all__ = [
@@ -38,7 +38,7 @@ __all__ = [
     "ModelReport",
     "Seen",
     "input_size",
-    "look_once",
+    "try_model",
 ]
 
 __getattr__ = lazy_getattr(
@@ -55,6 +55,6 @@ __getattr__ = lazy_getattr(
         "ModelReport": "once",
         "Seen": "looker",
         "input_size": "onnx_header",
-        "look_once": "once",
+        "try_model": "once",
     },
 )

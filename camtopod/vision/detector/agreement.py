@@ -18,9 +18,9 @@ PRIOR = 0.25
 """Agreement before the first look."""
 PRIOR_AREA = 0.03
 """Moving area (share of the picture) that counts as much as the prior."""
-LOOKS_MEMORY = 200
+INFERENCES_MEMORY = 200
 """Looks after which an area counts 1/e as much."""
-USELESS_LOOKS_MIN = 30
+USELESS_INFERENCES_MIN = 30
 """Looks that are needed to call a detector useless."""
 
 
@@ -38,7 +38,7 @@ class Agreement:
 
         Both as shares of the picture.
         """
-        kept = 1.0 - 1.0 / LOOKS_MEMORY
+        kept = 1.0 - 1.0 / INFERENCES_MEMORY
         self._area = kept * self._area + area
         self._inside = kept * self._inside + inside
         self._looks += 1
@@ -57,4 +57,4 @@ class Agreement:
     @property
     def useless(self) -> bool:
         """True if the detector has seen hardly anything of what moves."""
-        return self._looks >= USELESS_LOOKS_MIN and self.share < USELESS_BELOW
+        return self._looks >= USELESS_INFERENCES_MIN and self.share < USELESS_BELOW

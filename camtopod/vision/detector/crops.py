@@ -8,11 +8,12 @@ were looked at last.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from math import inf
 
 import numpy as np
 
-from camtopod.vision.detect import Box
+from camtopod.vision.boxes import Box, Size, area, box_height, centre, union
 
 MARGIN_HEIGHTS = 0.5
 """Margin round a region (heights of the region): motion shows some of a person only."""
@@ -34,7 +35,7 @@ Aspect = float
 class Crops:
     """Plans the looks at one view."""
 
-    def __init__(self, size: tuple[int, int], input_size: tuple[int, int]) -> None:
+    def __init__(self, size: Size, input_size: Size) -> None:
         """Prepare for pictures of ``size`` and a model with inputs of ``input_size`` pixels.
 
         Both are (width, height).
@@ -52,7 +53,7 @@ class Crops:
         """
         if not regions or looks < 1:
             return []
-        largest = sorted(regions, key=lambda box: (box[1] - box[3]) * (box[2] - box[0]))
+        largest = sorted(regions, key=area, reverse=True)
         groups = [[region] for region in largest[:REGIONS_MAX]]
         groups = self._merged(groups, HEIGHT_GOOD, 1)
         if len(groups) > looks:
@@ -80,7 +81,7 @@ class Crops:
                 for j in range(i):
                     group = groups[i] + groups[j]
                     part = self._part(group)
-                    side = part[3] - part[1]
+                    side = box_height(part)
                     if side < best_side and _median_height(group) >= least * side:
                         best, best_side = (i, j), side
             if best is None:
@@ -92,9 +93,8 @@ class Crops:
 
     def _part(self, group: Sequence[Box]) -> Box:
         """Return the part of the picture for some regions, inside of the picture if it fits."""
-        left, right = min(box[0] for box in group), max(box[2] for box in group)
-        top, bottom = min(box[1] for box in group), max(box[3] for box in group)
-        margin = MARGIN_HEIGHTS * max(box[3] - box[1] for box in group)
+        left, top, right, bottom = reduce(union, group)
+        margin = MARGIN_HEIGHTS * max(map(box_height, group))
 
         # Height of the part, in the shape of the input, not larger than the whole picture needs.
         aspect = self._input[0] / self._input[1]
@@ -113,12 +113,13 @@ class Crops:
 
     def _cell(self, region: Box) -> tuple[int, int]:
         """Return the cell (row, column) of a region's middle."""
-        row = int((region[1] + region[3]) / 2 / self._size[1] * GRID[0])
-        column = int((region[0] + region[2]) / 2 / self._size[0] * GRID[1])
+        x, y = centre(region)
+        row = int(y / self._size[1] * GRID[0])
+        column = int(x / self._size[0] * GRID[1])
         return min(max(row, 0), GRID[0] - 1), min(max(column, 0), GRID[1] - 1)
 
 
-def whole(size: tuple[int, int], input_size: tuple[int, int]) -> Box:
+def whole(size: Size, input_size: Size) -> Box:
     """Return the part that holds the whole picture of ``size`` (width, height), in its middle."""
     aspect = input_size[0] / input_size[1]
     height = max(size[1], size[0] / aspect)
@@ -127,7 +128,7 @@ def whole(size: tuple[int, int], input_size: tuple[int, int]) -> Box:
 
 
 def _median_height(group: Sequence[Box]) -> float:
-    heights = sorted(box[3] - box[1] for box in group)
+    heights = sorted(map(box_height, group))
     return heights[len(heights) // 2]
 
 

@@ -15,7 +15,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.vision.detect import Blob, Box, Luma
+from camtopod.vision.boxes import (
+    TOUCH_PIXELS,
+    Box,
+    Size,
+    area,
+    box_height,
+    centre,
+    intersection,
+    iou,
+)
+from camtopod.vision.detect import Blob, Luma
 
 LINK_SHARE = 0.4
 """Least share of a detection, or half of a blob, that they have in common to be of one object."""
@@ -25,8 +35,8 @@ MOVING_SHARE = 0.25
 """Least share of moving pixels in the box of a track that is not detected, beside detections."""
 BORDER_HEIGHTS = 0.15
 """Distance from the border (heights) within which a detection ends there, if its motion does."""
-TOUCH_PIXELS = 1.5
-"""Distance from the border (pixels) within which a blob touches it."""
+SAME_IOU = 0.5
+"""IoU above which two boxes are of one object."""
 
 
 class Known(NamedTuple):
@@ -57,7 +67,7 @@ def fuse(
     """
     height, width = moving.shape
     picture = (0.0, 0.0, float(width), float(height))
-    shown = [(one, box) for one in known if (box := _common(one.box, picture)) is not None]
+    shown = [(one, box) for one in known if (box := intersection(one.box, picture)) is not None]
     links = [[d for d, box in enumerate(detections) if _linked(blob.box, box)] for blob in blobs]
     fused = []
 
@@ -92,7 +102,7 @@ def fuse(
         if not one.confirmed or any(same(track, box) for box in boxes):
             continue
         for b, blob in enumerate(blobs):
-            rest = _common(track, blob.box)
+            rest = intersection(track, blob.box)
             if links[b] and rest is not None and _moves_beside(rest, track, boxes, moving):
                 fused.append(_blob(rest, detected=False, part_of=0))
                 break
@@ -101,15 +111,13 @@ def fuse(
 
 def same(track: Box, detection: Box) -> bool:
     """Return True if a track and a detection are of one object."""
-    common = _common(track, detection)
-    return common is not None and _area(common) >= SAME_SHARE * min(_area(track), _area(detection))
+    common = intersection(track, detection)
+    return common is not None and area(common) >= SAME_SHARE * min(area(track), area(detection))
 
 
 def same_box(a: Box, b: Box) -> bool:
-    """Return True if the intersection of two boxes is more than half of their union."""
-    common = _common(a, b)
-    area = 0.0 if common is None else _area(common)
-    return area > 0.5 * (_area(a) + _area(b) - area)
+    """Return True if two boxes have the same outline, nearly."""
+    return iou(a, b) > SAME_IOU
 
 
 def share_inside(moving: Luma, part: Box, boxes: Sequence[Box]) -> tuple[int, int]:
@@ -127,16 +135,16 @@ def share_inside(moving: Luma, part: Box, boxes: Sequence[Box]) -> tuple[int, in
 
 def _linked(blob: Box, detection: Box) -> bool:
     """Return True if a blob shows a piece of a detected object, or contains it."""
-    common = _common(blob, detection)
+    common = intersection(blob, detection)
     if common is None:
         return False
-    area = _area(common)
-    return area >= LINK_SHARE * _area(detection) or area >= 0.5 * _area(blob)
+    shared = area(common)
+    return shared >= LINK_SHARE * area(detection) or shared >= 0.5 * area(blob)
 
 
-def _to_border(box: Box, blobs: Sequence[Box], size: tuple[int, int]) -> Box:
+def _to_border(box: Box, blobs: Sequence[Box], size: Size) -> Box:
     """Return a detection's box up to the border, where it is near and its motion touches it."""
-    reach = max(3.0, BORDER_HEIGHTS * (box[3] - box[1]))
+    reach = max(3.0, BORDER_HEIGHTS * box_height(box))
     ends = (0.0, 0.0, float(size[0]), float(size[1]))
     sides = []
     for side, (value, end) in enumerate(zip(box, ends, strict=True)):
@@ -150,32 +158,21 @@ def _moves_beside(rest: Box, track: Box, others: Sequence[Box], moving: Luma) ->
 
     rest: the part of it that is in a blob; track: the part that is in the picture.
     """
-    if _area(rest) < SAME_SHARE * _area(track):
+    if area(rest) < SAME_SHARE * area(track):
         return False
     count, covered = share_inside(moving, rest, others)
-    return count - covered >= MOVING_SHARE * _area(track)
+    return count - covered >= MOVING_SHARE * area(track)
 
 
 def _blob(box: Box, detected: bool, part_of: int) -> Blob:
     """Return a blob with the foot in the middle of the box's bottom."""
-    middle = (box[0] + box[2]) / 2
-    return Blob(*box, middle, _area(box), detected, part_of)
+    return Blob(*box, centre(box)[0], area(box), detected, part_of)
 
 
 def _inside(box: Box, part: Box) -> bool:
     """Return True if most of a box is inside of a part."""
-    common = _common(box, part)
-    return common is not None and _area(common) >= 0.8 * _area(box)
-
-
-def _common(a: Box, b: Box) -> Box | None:
-    left, top = max(a[0], b[0]), max(a[1], b[1])
-    right, bottom = min(a[2], b[2]), min(a[3], b[3])
-    return (left, top, right, bottom) if left < right and top < bottom else None
-
-
-def _area(box: Box) -> float:
-    return max(0.0, box[2] - box[0]) * max(0.0, box[3] - box[1])
+    common = intersection(box, part)
+    return common is not None and area(common) >= 0.8 * area(box)
 
 
 def _slices(box: Box, picture: Luma) -> tuple[slice, slice]:

@@ -24,6 +24,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
+from camtopod.vision.boxes import Size, ious
 from camtopod.vision.settings import Layout
 
 Array = npt.NDArray[np.float32]
@@ -32,7 +33,7 @@ LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 """Values of the setting `layout`."""
 STRIDES = (8, 16, 32)
 """Pixels of the input a cell of each of the three grids."""
-OVERLAP_MAX = 0.5
+IOU_MAX = 0.5
 """Largest overlap (area of the intersection over that of the union) of two boxes of a class."""
 CANDIDATES_MAX = 300
 """Boxes that take part in the suppression of non-maxima, those of the highest scores."""
@@ -83,7 +84,7 @@ class Found(NamedTuple):
 # -- which layout ------------------------------
 
 
-def recognise(outputs: Sequence[Array], size: tuple[int, int], asked: Layout | None) -> Form:
+def recognise(outputs: Sequence[Array], size: Size, asked: Layout | None) -> Form:
     """Return the form of a model's outputs.
 
     outputs: those for any picture; their values tell what the shapes leave open.
@@ -118,7 +119,7 @@ def _can_be(forms: Sequence[Form]) -> str:
     return f"write layout = {', '.join(names[:-1])} or {names[-1]}"
 
 
-def _possible(outputs: Sequence[Array], size: tuple[int, int]) -> list[Form]:
+def _possible(outputs: Sequence[Array], size: Size) -> list[Form]:
     """Return the forms that the shapes and values of the outputs allow."""
     shapes = [output.shape for output in outputs]
 
@@ -158,7 +159,7 @@ def _possible(outputs: Sequence[Array], size: tuple[int, int]) -> list[Form]:
     return []
 
 
-def cell_count(size: tuple[int, int]) -> int:
+def cell_count(size: Size) -> int:
     """Return the number of cells of the three grids for an input of (width, height) pixels."""
     return sum((size[0] // stride) * (size[1] // stride) for stride in STRIDES)
 
@@ -198,7 +199,7 @@ def _is_decoded(output: Array) -> bool:
 def decode(
     outputs: Sequence[Array],
     form: Form,
-    size: tuple[int, int],
+    size: Size,
     wanted: Sequence[int],
     score_min: float,
 ) -> Found:
@@ -238,7 +239,7 @@ def decode(
     chosen = scores[:, numbers]
     best = chosen.argmax(axis=1)
     found = _above(boxes, chosen[np.arange(len(best)), best], numbers[best], score_min)
-    return found if form.layout == "rt-detr" else without_overlaps(found)
+    return found if form.layout == "rt-detr" else nms(found)
 
 
 def _of_classes(
@@ -251,7 +252,7 @@ def _of_classes(
     numbers = classes.round().astype(np.int64)
     kept = np.isin(numbers, wanted)
     found = _above(boxes[kept], scores[kept], numbers[kept], least)
-    return without_overlaps(found) if overlaps else found
+    return nms(found) if overlaps else found
 
 
 def _above(boxes: Array, scores: Array, classes: npt.NDArray[np.int64], score_min: float) -> Found:
@@ -261,7 +262,7 @@ def _above(boxes: Array, scores: Array, classes: npt.NDArray[np.int64], score_mi
     return Found(boxes[order], scores[order], classes[order])
 
 
-def without_overlaps(found: Found) -> Found:
+def nms(found: Found) -> Found:
     """Return the boxes without those that a better one of the same class overlaps.
 
     found: best first. This is the usual greedy suppression of non-maxima.
@@ -269,17 +270,9 @@ def without_overlaps(found: Found) -> Found:
     kept: list[int] = []
     for index in range(len(found.scores)):
         same = [other for other in kept if found.classes[other] == found.classes[index]]
-        if not same or overlaps(found.boxes[index], found.boxes[same]).max() <= OVERLAP_MAX:
+        if not same or ious(found.boxes[index], found.boxes[same]).max() <= IOU_MAX:
             kept.append(index)
     return Found(found.boxes[kept], found.scores[kept], found.classes[kept])
-
-
-def overlaps(box: Array, others: Array) -> Array:
-    """Return intersection over union of a box (4,) with each of the others (N, 4)."""
-    low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
-    common = np.prod(np.maximum(high - low, 0.0), axis=1)
-    areas = np.prod(others[:, 2:] - others[:, :2], axis=1) + np.prod(box[2:] - box[:2])
-    return np.asarray(common / np.maximum(areas - common, 1e-6), np.float32)
 
 
 def _corners(places: Array) -> Array:
@@ -288,7 +281,7 @@ def _corners(places: Array) -> Array:
     return np.concatenate([places[:, :2] - half, places[:, :2] + half], axis=1)
 
 
-def _from_grid(raw: Array, size: tuple[int, int]) -> Array:
+def _from_grid(raw: Array, size: Size) -> Array:
     """Return middles and sizes (N, 4), pixels, of the raw values of a grid (N, 4)."""
     cells, strides = [], []
     for stride in STRIDES:

@@ -11,14 +11,15 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple, Protocol
 
-from camtopod.vision.detect import Blob, Box, Luma
+from camtopod.vision.boxes import Box, contains_centre, scaled
+from camtopod.vision.detect import Blob, Luma
 from camtopod.vision.detector.agreement import Agreement
 from camtopod.vision.detector.crops import Crops
 from camtopod.vision.detector.fusion import Known, fuse, same, same_box, share_inside
 from camtopod.vision.detector.model import Detection, Picture
 from camtopod.vision.settings import DetectorSettings
 
-LOOKS_SAVED_MAX = 2
+INFERENCES_SAVED_MAX = 2
 """Looks that can be saved up while nothing moves."""
 STANDING_SECONDS = 0.5
 """Time between two looks at people who stand, and for which a detection of them counts."""
@@ -90,13 +91,13 @@ class Detector:
         regions = [blob.box for blob in blobs]
         regions += [one.box for one in known if one.confirmed]
         only_standing = all(_stands(region, known) for region in regions)
-        parts = self._plan(t, picture, [_scaled(box, factor) for box in regions], only_standing)
+        parts = self._plan(t, picture, [scaled(box, factor) for box in regions], only_standing)
         detections = [
-            one._replace(box=_scaled(one.box, 1 / factor))
+            one._replace(box=scaled(one.box, 1 / factor))
             for part in parts
             for one in self._look(picture, part)
         ]
-        looked = [_scaled(part, 1 / factor) for part in parts]
+        looked = [scaled(part, 1 / factor) for part in parts]
 
         # Drop faint ones that nothing is known of, and those that two parts share.
         detections = _distinct(
@@ -138,12 +139,12 @@ class Detector:
         dt = 0.0 if self._t is None else max(0.0, t - self._t)
         self._t = t
         earned = dt * self._settings.looks_per_second_max
-        self._saved = min(float(LOOKS_SAVED_MAX), self._saved + earned)
+        self._saved = min(float(INFERENCES_SAVED_MAX), self._saved + earned)
 
         # Less often at people who stand, and where it is of no use.
         pause = STANDING_SECONDS if only_standing else 0.0
         pause = USELESS_SECONDS if self._agreement.useless else pause
-        looks = min(1 if self._agreement.useless else LOOKS_SAVED_MAX, int(self._saved + 1e-6))
+        looks = min(1 if self._agreement.useless else INFERENCES_SAVED_MAX, int(self._saved + 1e-6))
         if t - self._last < pause or not regions:
             return []
 
@@ -182,7 +183,7 @@ class Detector:
             (at, box)
             for at, box in self._standing
             if t - at <= STANDING_SECONDS + 0.1
-            and not any(_holds(part, box) for part in looked)
+            and not any(contains_centre(part, box) for part in looked)
             and any(one.still and same(one.box, box) for one in known)
         ]
         fresh = [
@@ -204,13 +205,3 @@ def _distinct(detections: Iterable[Detection]) -> list[Detection]:
 def _stands(region: Box, known: Sequence[Known]) -> bool:
     """Return True if a region is a person who stands."""
     return any(one.still and same(one.box, region) for one in known)
-
-
-def _scaled(box: Box, factor: float) -> Box:
-    return (factor * box[0], factor * box[1], factor * box[2], factor * box[3])
-
-
-def _holds(part: Box, box: Box) -> bool:
-    """Return True if the middle of a box is in a part."""
-    x, y = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
-    return part[0] <= x <= part[2] and part[1] <= y <= part[3]

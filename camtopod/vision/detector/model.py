@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, cast
 import cv2
 import numpy as np
 
-from camtopod.vision.detect import Box
+from camtopod.vision.boxes import Box
 from camtopod.vision.detector import layouts, onnx_header
 from camtopod.vision.detector.coco import class_number, label_name
 from camtopod.vision.settings import DetectorSettings, Layout

@@ -26,7 +26,7 @@ class ModelReport(Struct, frozen=True):
     """Layout, size, milliseconds and boxes, in words."""
 
 
-def look_once(settings: DetectorSettings, picture: Picture | None = None) -> ModelReport:
+def try_model(settings: DetectorSettings, picture: Picture | None = None) -> ModelReport:
     """Load the model of the settings, look once at a picture, and describe it.
 
     picture (H, W, 3): blue, green, red; None for an empty one.

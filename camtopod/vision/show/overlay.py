@@ -154,7 +154,7 @@ def _colour(decision: Decision) -> Colour:
     """Return the colour of a decision's words."""
     if decision.reason == "entered":
         return _ENTRY
-    return _EXIT if decision.reason in ("left", "handed over") else _TENTATIVE
+    return _EXIT if decision.reason in ("left", "swapped") else _TENTATIVE
 
 
 def _draw_areas(picture: Picture, areas: Iterable[Polygon]) -> None:

@@ -18,7 +18,7 @@ import cv2
 import msgspec
 from msgspec import Struct
 
-from camtopod.vision.detector import ModelReport, look_once
+from camtopod.vision.detector import ModelReport, try_model
 from camtopod.vision.settings import DetectorSettings, VisionSettings
 from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
@@ -124,7 +124,7 @@ def probe(
         seen = _watched(capture, kind != "file", settled)
         if detector.model and not seen.problem:
             latest = capture.picture(capture.size[0]) if capture.has_picture else None
-            seen.detector = look_once(detector, latest)
+            seen.detector = try_model(detector, latest)
         return seen if settled is None else _with_picture(seen, settled)
     finally:
         capture.release()
@@ -233,5 +233,5 @@ if __name__ == "__main__":
         else:
             answer = Probe("no source")
         if asked.detector.model and answer.detector == ModelReport():
-            answer.detector = look_once(asked.detector)
+            answer.detector = try_model(asked.detector)
     sys.stdout.buffer.write(msgspec.json.encode(answer))

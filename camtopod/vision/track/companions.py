@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import replace
 
-from camtopod.vision.detect import Blob, Box
+from camtopod.vision.boxes import Box, centre
+from camtopod.vision.detect import Blob
 from camtopod.vision.track.kalman import Kalman
 from camtopod.vision.track.track import HISTORY_SIGHTINGS, Sighting, Track
 
@@ -19,7 +20,7 @@ CROWDED_SIGHTINGS_MIN = 4
 """Sightings with more heads than tracks after which a track is added."""
 CROWDED_SHARE_MIN = 0.5
 """Least share of these among all sightings of the whole blob."""
-COVERED_WIDTHS_MAX = 0.65
+OCCLUDED_WIDTHS_MAX = 0.65
 """Widths of one person by which people side by side may cover each other."""
 ABREAST_HEIGHTS_MAX = 0.7
 """Largest width for each head (heights); wider objects are vehicles, not people."""
@@ -39,7 +40,7 @@ def count_heads(
     many = len(blob.heads)
     crowded = (
         many > len(held)
-        and usual_width * (many - COVERED_WIDTHS_MAX) <= blob.width
+        and usual_width * (many - OCCLUDED_WIDTHS_MAX) <= blob.width
         and blob.width <= ABREAST_HEIGHTS_MAX * many * blob.height
         and (usual_height is None or blob.height < TALLER_MAX * usual_height)
     )
@@ -64,8 +65,8 @@ def missing_track(t: float, blob: Blob, held: list[Track], number: int) -> Track
         track.crowded_sightings = track.whole_sightings = 0
 
     # The head that is farthest from all tracks, and the track that it was taken for.
-    free = max(blob.heads, key=lambda x: min(abs(x - _middle(track)) for track in held))
-    nearest = min(held, key=lambda track: abs(free - _middle(track)))
+    free = max(blob.heads, key=lambda x: min(abs(x - _column(track)) for track in held))
+    nearest = min(held, key=lambda track: abs(free - _column(track)))
     width = blob.width / len(blob.heads)
     added = _at(t, free, width, replace(nearest, number=number))
     if len(held) == 1:
@@ -87,7 +88,6 @@ def _at(t: float, x: float, width: float, track: Track) -> Track:
     return replace(track, last=last, kalman=kalman, width=width, history=history)
 
 
-def _middle(track: Track) -> float:
+def _column(track: Track) -> float:
     """Return the middle column of the latest sighting, pixels."""
-    left, _, right, _ = track.last.box
-    return (left + right) / 2
+    return centre(track.last.box)[0]

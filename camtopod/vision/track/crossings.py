@@ -12,7 +12,7 @@ from math import hypot, inf
 from statistics import median
 
 from camtopod.records import Event, Kind
-from camtopod.vision.detect import Box
+from camtopod.vision.boxes import TOUCH_PIXELS, Box, border_distances, box_height, touches_border
 from camtopod.vision.settings import Polygon
 from camtopod.vision.track.decisions import Edge, Ending, Reason
 from camtopod.vision.track.doors import Doors
@@ -30,8 +30,6 @@ BORDER_SECONDS_MAX = 1.5
 """Longest time between a sighting and the crossing of the border that it is moved to."""
 DATED_SECONDS_MAX = 0.7
 """Longest time that it is dated back or forward; an exit is known no sooner after the sighting."""
-TOUCH_PIXELS = 1.5
-"""Distance from the border (pixels) within which it cuts a box."""
 FOOT_SIGHTINGS = 5
 """Sightings whose median gives the foot row of a person cut by the side of the picture."""
 WHOLE_SHARE = 0.6
@@ -83,8 +81,8 @@ class Crossings:
 
     def touches(self, box: Box) -> bool:
         """Return True if the border of the picture or an ignored area cuts the box."""
-        near = min(box[0], box[1], self._width - box[2], self._height - box[3])
-        return near <= TOUCH_PIXELS or (self._ignored is not None and self._ignored.cut(box))
+        ignored = self._ignored
+        return touches_border(box, self.size) or (ignored is not None and ignored.cut(box))
 
     def _border(
         self, box: Box, height: float, drift: tuple[float, float] = (0.0, 0.0)
@@ -165,8 +163,8 @@ class Crossings:
             self._forget(track)
             if track.interrupted:
                 self._note("interrupted", track, track.last)
-            elif track.covered:
-                self._note("covered", track, track.last)
+            elif track.occluded:
+                self._note("occluded", track, track.last)
             else:
                 self._note("lost", track, track.last)
                 if _has_walked(track):
@@ -226,7 +224,7 @@ class Crossings:
                 self._walks.pop(track.number, None)
                 continue
             self._forget(track)
-            reason: Ending = "handed over" if track.successor else "left"
+            reason: Ending = "swapped" if track.successor else "left"
             events.append(self._event(reason, track, track.last, track.edge))
         return events
 
@@ -245,8 +243,8 @@ class Crossings:
         """
         kind: Kind = "entry" if reason in ("entered", "split") else "exit"
         x, y = at.foot
-        cut_by_side = at.box[0] <= TOUCH_PIXELS or at.box[2] >= self._width - TOUCH_PIXELS
-        if cut_by_side:
+        left, _, right, _ = border_distances(at.box, self.size)
+        if min(left, right) <= TOUCH_PIXELS:
             y = _foot_row(list(track.history), latest=kind == "exit")
         at = self._at_border(track, at._replace(foot=(x, y)), edge, 1.0 if kind == "exit" else -1.0)
         x, y = at.foot
@@ -294,11 +292,9 @@ def _foot_row(sightings: list[Sighting], latest: bool) -> float:
 
     The piece of a person that is seen last need not include a foot.
     """
-    tallest = max(sighting.box[3] - sighting.box[1] for sighting in sightings)
+    tallest = max(box_height(sighting.box) for sighting in sightings)
     whole = [
-        sighting
-        for sighting in sightings
-        if sighting.box[3] - sighting.box[1] >= WHOLE_SHARE * tallest
+        sighting for sighting in sightings if box_height(sighting.box) >= WHOLE_SHARE * tallest
     ]
     return median(
         x.foot[1] for x in (whole[-FOOT_SIGHTINGS:] if latest else whole[:FOOT_SIGHTINGS])

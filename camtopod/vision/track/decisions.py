@@ -42,10 +42,10 @@ continues: it continues the track `other`, which was lost `value` seconds before
 
 Ending = Literal[
     "left",
-    "handed over",
+    "swapped",
     "stayed",
     "lost",
-    "covered",
+    "occluded",
     "interrupted",
     "paused",
     "ghost",
@@ -55,11 +55,11 @@ Ending = Literal[
 """Why a track has ended.
 
 left: an exit, by `edge`.
-handed over: an exit by the border, where the track `other` came in at the same time.
+swapped: an exit by the border, where the track `other` came in at the same time.
 stayed: out of sight at an edge, but it had moved by `value` heights only, of `least`: no exit.
 lost: out of sight in mid-view and not found again; if that happens again and again at a place, a
     door is learned.
-covered: the same, but last seen hidden behind others, which says nothing of a door.
+occluded: the same, but last seen occluded by others, which says nothing of a door.
 interrupted: the same, but the frames had paused.
 paused: tentative when the frames paused.
 ghost: not an object, but the hole that one has left in the background model.

@@ -14,10 +14,9 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from camtopod.vision.detect import Box, Luma
+from camtopod.vision.boxes import TOUCH_PIXELS, Box
+from camtopod.vision.detect import Luma
 
-TOUCH_PIXELS = 1.5
-"""Distance (pixels) within which an ignored area cuts a box."""
 Beyond = Literal["border", "view"]
 """What lies behind an ignored area: the border of the picture, or more of the view."""
 

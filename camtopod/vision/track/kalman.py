@@ -16,7 +16,7 @@ ACCELERATION = 1.2
 """Process noise: one sigma of the acceleration, heights per second squared."""
 MEASUREMENT = 0.08
 """Measurement noise: one sigma of a head or foot position, heights."""
-SPEED_AT_BIRTH = 1.0
+SPEED_SIGMA = 1.0
 """Initial uncertainty of the velocity: one sigma, heights per second."""
 COASTING_SECONDS = 1.0
 """Time constant with which an object is expected to slow down while out of sight."""
@@ -32,7 +32,7 @@ class Kalman:
         self._pp, self._pv, self._vv = (
             (MEASUREMENT * height) ** 2,
             0.0,
-            (SPEED_AT_BIRTH * height) ** 2,
+            (SPEED_SIGMA * height) ** 2,
         )
 
     def predict(self, dt: float, height: float, coasting: bool) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from camtopod.vision.detect import Box
+from camtopod.vision.boxes import TOUCH_PIXELS, Box, Size, border_distances
 from camtopod.vision.track.track import Sighting
 
 CHANGE_HEIGHTS = 0.35
@@ -26,9 +26,7 @@ LEFT_SHARE = 1.0
 """Largest share of a person's width (at the sides) or height in view at the turning point."""
 
 
-def find_handover(
-    history: Sequence[Sighting], size: tuple[int, int], width: float, height: float
-) -> int | None:
+def find_swap(history: Sequence[Sighting], size: Size, width: float, height: float) -> int | None:
     """Return the index of the sighting at which one person replaced another at the border, or None.
 
     size: width and height of the picture, pixels.
@@ -41,7 +39,7 @@ def find_handover(
         turn = min(range(len(into)), key=into.__getitem__)
         if not 0 < turn < len(into) - 1 or into[turn] > LEFT_SHARE * whole:
             continue
-        if not touches_side(history[turn].box, side, size):
+        if border_distances(history[turn].box, size)[side] > TOUCH_PIXELS:
             continue
 
         # It must draw back and come out far enough.
@@ -59,11 +57,6 @@ def find_handover(
     return None
 
 
-def _into_view(box: Box, side: int, size: tuple[int, int]) -> float:
+def _into_view(box: Box, side: int, size: Size) -> float:
     """Return how far the box extends from a side (0 to 3: left, top, right, bottom), pixels."""
     return (box[2], box[3], size[0] - box[0], size[1] - box[1])[side]
-
-
-def touches_side(box: Box, side: int, size: tuple[int, int], pixels: float = 1.5) -> bool:
-    """Return True if that side of the picture cuts the box."""
-    return (box[0], box[1], size[0] - box[2], size[1] - box[3])[side] <= pixels

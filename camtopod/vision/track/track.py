@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from camtopod.vision.detect import Box
+from camtopod.vision.boxes import Box
 from camtopod.vision.track.decisions import Edge, Shortfall
 from camtopod.vision.track.kalman import Kalman, Vector
 
@@ -36,7 +36,7 @@ class Track:
     frames: int = 1
     """Frames since the first sighting."""
     confirmed: bool = False
-    covered: bool = False
+    occluded: bool = False
     """Hidden behind others in the latest frame."""
     entered: bool = False
     """An entry was reported for it."""
@@ -56,7 +56,7 @@ class Track:
     """Sightings of its blob that the border does not cut, since a person was last added to it."""
     crowded_sightings: int = 0
     """Those of them with more heads than tracks: see `companions`."""
-    lack: Lack | None = None
+    unmet: Unmet | None = None
     """What a tentative track lacked in the latest frame that showed it."""
     edge: Edge | None = None
     """Edge by which it left; None while it has not."""
@@ -115,7 +115,7 @@ class Changes:
     """Objects out of sight in mid-view that were not found again."""
 
 
-class Lack(NamedTuple):
+class Unmet(NamedTuple):
     """What a tentative track lacks to be an object."""
 
     reason: Shortfall

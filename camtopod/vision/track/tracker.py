@@ -24,15 +24,16 @@ from typing import Protocol
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from camtopod.vision.detect import Blob, Box
+from camtopod.vision.boxes import Box, box_height, centre, contains_centre, gap, overlap
+from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track.companions import count_heads, missing_track
 from camtopod.vision.track.decisions import Edge
 from camtopod.vision.track.kalman import Kalman
 from camtopod.vision.track.recorder import Recorder
 from camtopod.vision.track.stature import Stature
-from camtopod.vision.track.swap import find_handover
-from camtopod.vision.track.track import HISTORY_SIGHTINGS, Changes, Lack, Sighting, Track
+from camtopod.vision.track.swap import find_swap
+from camtopod.vision.track.track import HISTORY_SIGHTINGS, Changes, Sighting, Track, Unmet
 
 GATE_HEIGHTS = 0.35
 """Gate: largest distance (heights, plus two sigma) of head or foot from the expected position."""
@@ -44,7 +45,7 @@ TENTATIVE_PATIENCE_SECONDS = 0.45
 """Patience with tentative tracks."""
 GONE_PATIENCE_SECONDS = 0.7
 """Patience with an object that the border cut when it was last seen."""
-COVERED_PATIENCE_FACTOR = 2.0
+OCCLUDED_PATIENCE_FACTOR = 2.0
 """Factor of the patience with an object hidden behind others."""
 STITCH_HEIGHTS = 1.0
 """Distance (heights) within which a broken passage may continue, for a gap of no time."""
@@ -63,7 +64,7 @@ It is measured from where the object would be at its last velocity, and allows i
 """
 PIECE_HEIGHT_MIN = 0.35
 """Least height of a blob away from the border, as a share of the person it is assigned to."""
-BIRTH_HEIGHT_MIN = 0.4
+START_HEIGHT_MIN = 0.4
 """Least height of a new blob in mid-view, as a share of a person's."""
 STATURE_STEP_HEIGHTS = 0.15
 """Distance (heights) after which an object's height is measured again.
@@ -75,7 +76,7 @@ TALL_SIGHTINGS_MIN = 3
 
 A single one may be two small animals in one blob.
 """
-DETECTOR_LOOKS_MIN = 3
+INFERENCES_MIN = 3
 """Looks of a detector at a track after which it says whether there is an object."""
 DETECTED_SHARE_MIN = 0.2
 """Least share of these looks in which it sees one, for the track to be confirmed."""
@@ -128,7 +129,7 @@ class Tracker:
         self._start: float | None = None
         self.stature = Stature()
         self.active: list[Track] = []
-        self.broken: list[Track] = []
+        self.lost: list[Track] = []
         self.stitched = 0
 
     def step(self, t: float, blobs: list[Blob]) -> Changes:
@@ -146,18 +147,18 @@ class Tracker:
         for track in self.active:
             track.kalman.predict(dt, track.size, coasting=track.last.t < t - 1.5 * dt)
             track.frames += 1
-            track.covered = False
+            track.occluded = False
 
         # Assign blobs, to groups first, and begin tracks with the others.
         free = self._update_groups(t, blobs)
         free = self._assign(t, free)
-        self._cover(t, blobs)
+        self._mark_occluded(t, blobs)
         for blob in free:
-            self._give_birth(t, blob)
+            self._start_track(t, blob)
 
         # Confirm, split and end tracks.
         appeared = self._confirm(t)
-        left += self._hand_over(t, appeared)
+        left += self._find_swaps(t, appeared)
         appeared += self._add_companions(t, blobs)
         return self._retire(t, appeared, left)
 
@@ -167,7 +168,7 @@ class Tracker:
         """Update tracks by blobs that cover several confirmed people; return the other blobs."""
         free = []
         waiting = [
-            (track, *_middle(track.box))
+            (track, *centre(track.box))
             for track in self.active
             if track.confirmed and track.last.t < t
         ]
@@ -246,7 +247,7 @@ class Tracker:
             head = hypot((blob.left + blob.right) / 2 - head_x, blob.top - head_y)
             foot = hypot(blob.foot_x - foot_x, blob.bottom - foot_y)
             near, far = (head, foot) if head < foot else (foot, head)
-            if near > gate and _overlap(track.last.box, blob.box) < 0.3:
+            if near > gate and overlap(track.last.box, blob.box) < 0.3:
                 continue
             if blob.bottom - blob.top >= height_min or self._touches(blob.box):
                 costs[j] = (0.7 * near + 0.3 * far) / gate + (0.0 if track.confirmed else 0.5)
@@ -264,7 +265,7 @@ class Tracker:
 
         track.kalman.update(measured, track.height)
         self._seen(track, Sighting(t, blob.foot, blob.box))
-        _note_look(track, blob)
+        _count_inference(track, blob)
 
         # Measure the height of whole people, once per distance walked.
         step = hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1])
@@ -291,30 +292,30 @@ class Tracker:
         foot = hypot(sighting.foot[0] - foot_x, bottom - foot_y)
         track.reach = max(track.reach, head, foot)
 
-    def _cover(self, t: float, blobs: list[Blob]) -> None:
+    def _mark_occluded(self, t: float, blobs: list[Blob]) -> None:
         """Mark confirmed tracks that are hidden behind a blob."""
         for track in self.active:
             if track.last.t < t and track.confirmed:
                 box = track.box
-                track.covered = any(_holds(blob.box, box) for blob in blobs)
+                track.occluded = any(contains_centre(blob.box, box) for blob in blobs)
 
     # -- births and deaths ------------------------------
 
-    def _give_birth(self, t: float, blob: Blob) -> None:
+    def _start_track(self, t: float, blob: Blob) -> None:
         """Begin a tentative track, unless the blob is too small or a fragment of an object."""
         if len(self.active) >= self._settings.tracks_max:
             return
         expected = self.stature.height(blob.bottom)
         cut = self._touches(blob.box)
-        if expected is not None and not cut and blob.height < BIRTH_HEIGHT_MIN * expected:
+        if expected is not None and not cut and blob.height < START_HEIGHT_MIN * expected:
             return
         others = [track for track in self.active if track.confirmed]
-        if any(track.last.t == t and _holds(track.last.box, blob.box) for track in others):
+        if any(track.last.t == t and contains_centre(track.last.box, blob.box) for track in others):
             return  # a fragment of an object that is seen already
 
         sighting = Sighting(t, blob.foot, blob.box)
         measured = (*blob.head, *blob.foot)
-        beside = any(_gap(track.box, blob.box) < 0.3 * track.height for track in others)
+        beside = any(gap(track.box, blob.box) < 0.3 * track.height for track in others)
         height = max(blob.height, 0.5 * (expected or 0.0))
         track = Track(
             number=self._next,
@@ -329,7 +330,7 @@ class Tracker:
             cut_t=t if cut else float("-inf"),
         )
         track.history.append(sighting)
-        _note_look(track, blob)
+        _count_inference(track, blob)
         track.split_from = self._parent_of(t, track)
         self._next += 1
         self.active.append(track)
@@ -357,35 +358,35 @@ class Tracker:
         for track in self.active:
             if track.confirmed or track.last.t < t:
                 continue
-            track.lack = self._lack(t, track)
-            if track.lack is not None:
+            track.unmet = self._unmet(t, track)
+            if track.unmet is not None:
                 continue
             track.confirmed = True
             if not self._stitch(t, track):
                 appeared.append(track)
         return appeared
 
-    def _lack(self, t: float, track: Track) -> Lack | None:
+    def _unmet(self, t: float, track: Track) -> Unmet | None:
         """Return what a track that is seen at ``t`` lacks to be an object; None if nothing."""
         seconds = t - track.first.t
         if seconds < self._settings.confirm_seconds:
-            return Lack("brief", seconds, self._settings.confirm_seconds)
+            return Unmet("brief", seconds, self._settings.confirm_seconds)
         if track.sightings < CONFIRM_SIGHTINGS_SHARE * track.frames:
-            return Lack("patchy", track.sightings / track.frames, CONFIRM_SIGHTINGS_SHARE)
+            return Unmet("patchy", track.sightings / track.frames, CONFIRM_SIGHTINGS_SHARE)
         if track.reach < CONFIRM_HEIGHTS * track.height:
-            return Lack("still", track.reach / track.height, CONFIRM_HEIGHTS)
-        if track.looks >= DETECTOR_LOOKS_MIN:
+            return Unmet("still", track.reach / track.height, CONFIRM_HEIGHTS)
+        if track.looks >= INFERENCES_MIN:
             share = track.detections / track.looks
             if share < DETECTED_SHARE_MIN:
-                return Lack("undetected", share, DETECTED_SHARE_MIN)
+                return Unmet("undetected", share, DETECTED_SHARE_MIN)
 
         # Tall enough in several sightings.
         if self._height_min > 0.0:
-            heights = [sighting.box[3] - sighting.box[1] for sighting in track.history]
+            heights = [box_height(sighting.box) for sighting in track.history]
             tall = sum(height >= self._height_min for height in heights)
             needed = min(TALL_SIGHTINGS_MIN, len(heights))
             if tall < needed:
-                return Lack("low", tall, needed)
+                return Unmet("low", tall, needed)
         return None
 
     def _stitch(self, t: float, track: Track) -> bool:
@@ -397,18 +398,20 @@ class Tracker:
 
         # Nearest by distance over reach.
         best, best_score = None, 1.0
-        for other in [*self.broken, *missing]:
+        for other in [*self.lost, *missing]:
             if other is track or (other.last.t < t and self._at_edge(other)):
                 continue
-            gap = max(0.0, track.first.t - other.last.t)
+            seconds = max(0.0, track.first.t - other.last.t)
             x, y = other.last.foot
-            reach = min(STITCH_HEIGHTS + STITCH_HEIGHTS_PER_SECOND * gap, STITCH_HEIGHTS_MAX)
+            reach = min(STITCH_HEIGHTS + STITCH_HEIGHTS_PER_SECOND * seconds, STITCH_HEIGHTS_MAX)
             if self._begins_at_edge(track):
-                reach = STITCH_AT_EDGE_HEIGHTS if gap <= STITCH_AT_EDGE_SECONDS else 0.0
+                reach = STITCH_AT_EDGE_HEIGHTS if seconds <= STITCH_AT_EDGE_SECONDS else 0.0
             elif from_behind and self._edges.goes_behind(other):
-                reach = STITCH_HEIGHTS + BEHIND_HEIGHTS_PER_SECOND * gap
-                x, y = x + gap * other.velocity[0], y + gap * other.velocity[1]
-            height, other_height = _height(track.first.box), _height(other.last.box)
+                reach = STITCH_HEIGHTS + BEHIND_HEIGHTS_PER_SECOND * seconds
+                dx, dy = other.velocity
+                x += seconds * dx
+                y += seconds * dy
+            height, other_height = box_height(track.first.box), box_height(other.last.box)
             reach *= max(height, other_height)
             distance = hypot(track.first.foot[0] - x, track.first.foot[1] - y)
             ratio = height / other_height
@@ -423,14 +426,14 @@ class Tracker:
     def _absorb(self, track: Track, earlier: Track) -> None:
         """Make ``track`` continue the passage ``earlier``, with its number and beginning."""
         self.stitched += 1
-        gap = max(0.0, track.first.t - earlier.last.t)
-        self._note("continues", track, track.first, value=gap, other=earlier.number)
+        seconds = max(0.0, track.first.t - earlier.last.t)
+        self._note("continues", track, track.first, value=seconds, other=earlier.number)
         track.number, track.first, track.entered = earlier.number, earlier.first, earlier.entered
         track.from_start, track.beside_others = earlier.from_start, earlier.beside_others
-        self.broken = [other for other in self.broken if other is not earlier]
+        self.lost = [other for other in self.lost if other is not earlier]
         self.active = [other for other in self.active if other is not earlier]
 
-    def _hand_over(self, t: float, appeared: list[Track]) -> list[Track]:
+    def _find_swaps(self, t: float, appeared: list[Track]) -> list[Track]:
         """Split tracks where one person replaced another at the border.
 
         Returns the people who left and adds the new ones to ``appeared``.
@@ -441,7 +444,7 @@ class Tracker:
                 continue
             if track.cut_t < track.history[0].t:
                 continue
-            turn = find_handover(track.history, self._size, track.width, track.height)
+            turn = find_swap(track.history, self._size, track.width, track.height)
             if turn is not None:
                 left.append(self._split(track, turn))
                 appeared.append(track)
@@ -456,7 +459,9 @@ class Tracker:
             held = [
                 track
                 for track in self.active
-                if track.confirmed and track.last.t == t and _holds(blob.box, track.last.box)
+                if track.confirmed
+                and track.last.t == t
+                and contains_centre(blob.box, track.last.box)
             ]
             width, height = self.stature.width(blob.height), self.stature.height(blob.bottom)
             if not held or not count_heads(blob, held, width, height):
@@ -499,31 +504,31 @@ class Tracker:
             patience = (
                 self._settings.patience_seconds if track.confirmed else TENTATIVE_PATIENCE_SECONDS
             )
-            if track.covered:
-                patience *= COVERED_PATIENCE_FACTOR
+            if track.occluded:
+                patience *= OCCLUDED_PATIENCE_FACTOR
             elif self._touches(track.last.box) and self._at_edge(track):
                 patience = min(patience, GONE_PATIENCE_SECONDS)
             if track.unseen_seconds(t) <= patience:
                 kept.append(track)
             elif not track.confirmed:
-                self._note_lack(track)
+                self._note_unmet(track)
             elif edge := self._at_edge(track):
                 track.edge = edge
                 left.append(track)
             else:
-                self.broken.append(track)
+                self.lost.append(track)
         self.active = kept
 
         # Broken tracks that were not continued have vanished.
         deadline = t - self._settings.stitch_seconds
-        vanished = [track for track in self.broken if track.last.t < deadline]
-        self.broken = [track for track in self.broken if track.last.t >= deadline]
+        vanished = [track for track in self.lost if track.last.t < deadline]
+        self.lost = [track for track in self.lost if track.last.t >= deadline]
         return Changes(appeared, left, vanished)
 
-    def _note_lack(self, track: Track) -> None:
+    def _note_unmet(self, track: Track) -> None:
         """Record why a tentative track that has ended was not an object."""
-        assert track.lack is not None, "it was looked at in the frame in which it began"
-        reason, value, least = track.lack
+        assert track.unmet is not None, "it was looked at in the frame in which it began"
+        reason, value, least = track.unmet
         self._note(reason, track, track.last, value=value, least=least)
 
     def drop(self, track: Track) -> None:
@@ -538,7 +543,7 @@ class Tracker:
         """
         self._start = t
         tracks, self.active = self.active, []
-        for track in [*tracks, *self.broken]:
+        for track in [*tracks, *self.lost]:
             track.interrupted = True
 
         # Split them by where they were seen last.
@@ -550,7 +555,7 @@ class Tracker:
             elif track.edge:
                 left.append(track)
             else:
-                self.broken.append(track)
+                self.lost.append(track)
         return left
 
     def restart(self) -> None:
@@ -558,9 +563,9 @@ class Tracker:
 
         Objects seen next count as having been there from the start.
         """
-        for track in [*self.active, *self.broken]:
+        for track in [*self.active, *self.lost]:
             self._note("scene changed", track, track.last)
-        self.active, self.broken = [], []
+        self.active, self.lost = [], []
         self._t = self._start = None
 
     def finish(self, t: float) -> list[Track]:
@@ -577,47 +582,16 @@ class Tracker:
             elif track.confirmed:
                 self._note("in view", track, track.last)
             else:
-                self._note_lack(track)
-        for track in self.broken:
+                self._note_unmet(track)
+        for track in self.lost:
             self._note("lost", track, track.last)
-        self.active, self.broken = [], []
+        self.active, self.lost = [], []
         return left
 
 
-def _note_look(track: Track, blob: Blob) -> None:
+def _count_inference(track: Track, blob: Blob) -> None:
     """Count what a detector has seen of the blob that shows a track."""
     track.part_of = blob.part_of
     if blob.detected is not None:
         track.looks += 1
         track.detections += blob.detected
-
-
-def _holds(outer: Box, inner: Box) -> bool:
-    """Return True if the middle of ``inner`` is in ``outer``."""
-    x, y = _middle(inner)
-    return outer[0] <= x <= outer[2] and outer[1] <= y <= outer[3]
-
-
-def _height(box: Box) -> float:
-    return box[3] - box[1]
-
-
-def _middle(box: Box) -> tuple[float, float]:
-    return (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
-
-
-def _overlap(a: Box, b: Box) -> float:
-    """Return the common area as a share of the smaller box."""
-    if a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]:
-        return 0.0
-    width = min(a[2], b[2]) - max(a[0], b[0])
-    height = min(a[3], b[3]) - max(a[1], b[1])
-    smaller = min((a[2] - a[0]) * (a[3] - a[1]), (b[2] - b[0]) * (b[3] - b[1]))
-    return width * height / max(smaller, 1.0)
-
-
-def _gap(a: Box, b: Box) -> float:
-    """Return the distance between two boxes in pixels, 0 where they overlap."""
-    x = max(0.0, max(a[0], b[0]) - min(a[2], b[2]))
-    y = max(0.0, max(a[1], b[1]) - min(a[3], b[3]))
-    return hypot(x, y)

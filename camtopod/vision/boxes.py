@@ -1,0 +1,94 @@
+"""Geometry of boxes in an image."""
+
+from __future__ import annotations
+
+from math import hypot
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Box = tuple[float, float, float, float]
+"""Left, top, right, bottom in pixels; right and bottom are exclusive."""
+Size = tuple[int, int]
+"""Width and height of an image, pixels."""
+
+TOUCH_PIXELS = 1.5
+"""Distance (pixels) within which the border of the image, or an ignored area, cuts a box."""
+
+
+def box_height(box: Box) -> float:
+    """Return the height, pixels."""
+    return box[3] - box[1]
+
+
+def area(box: Box) -> float:
+    """Return the area, pixels."""
+    return max(0.0, box[2] - box[0]) * max(0.0, box[3] - box[1])
+
+
+def centre(box: Box) -> tuple[float, float]:
+    """Return the centre (x, y)."""
+    return (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
+
+
+def scaled(box: Box, factor: float) -> Box:
+    """Return the box in an image that is ``factor`` times as large."""
+    return (factor * box[0], factor * box[1], factor * box[2], factor * box[3])
+
+
+def contains_centre(outer: Box, inner: Box) -> bool:
+    """Return True if the centre of ``inner`` is in ``outer``."""
+    x, y = centre(inner)
+    return outer[0] <= x <= outer[2] and outer[1] <= y <= outer[3]
+
+
+def union(a: Box, b: Box) -> Box:
+    """Return the smallest box around both."""
+    return (min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3]))
+
+
+def intersection(a: Box, b: Box) -> Box | None:
+    """Return the common part of two boxes; None if they have none."""
+    if a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]:
+        return None
+    return (max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3]))
+
+
+def overlap(a: Box, b: Box) -> float:
+    """Return the common area as a share of the smaller box, 0 to 1."""
+    common = intersection(a, b)
+    return 0.0 if common is None else area(common) / max(min(area(a), area(b)), 1.0)
+
+
+def iou(a: Box, b: Box) -> float:
+    """Return intersection over union, 0 to 1."""
+    common = intersection(a, b)
+    if common is None:
+        return 0.0
+    return area(common) / (area(a) + area(b) - area(common))
+
+
+def ious(box: npt.NDArray[Any], others: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """Return intersection over union of a box (4,) with each of the others (N, 4)."""
+    low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
+    common = np.prod(np.maximum(high - low, 0.0), axis=1)
+    areas = np.prod(others[:, 2:] - others[:, :2], axis=1) + np.prod(box[2:] - box[:2])
+    return np.asarray(common / np.maximum(areas - common, 1e-6), np.float32)
+
+
+def gap(a: Box, b: Box) -> float:
+    """Return the distance between two boxes in pixels, 0 where they overlap."""
+    x = max(0.0, max(a[0], b[0]) - min(a[2], b[2]))
+    y = max(0.0, max(a[1], b[1]) - min(a[3], b[3]))
+    return hypot(x, y)
+
+
+def border_distances(box: Box, size: Size) -> Box:
+    """Return the distance to each side of an image (left, top, right, bottom), pixels."""
+    return (box[0], box[1], size[0] - box[2], size[1] - box[3])
+
+
+def touches_border(box: Box, size: Size) -> bool:
+    """Return True if the border of an image cuts the box."""
+    return min(border_distances(box, size)) <= TOUCH_PIXELS
