@@ -138,7 +138,7 @@ MECHANISMS = [
     Mechanism(
         "test of overlap",
         {
-            "learn.next_camera.fit:negative_without_overlap": lambda c, *rest: np.zeros(
+            "learn.next_camera.fit:negative_without_overlap": lambda problem, c, *rest: np.zeros(
                 len(c.lag), np.bool_
             )
         },

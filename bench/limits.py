@@ -68,7 +68,7 @@ class Told:
         c = em.candidates
         left, came = (
             np.rint(t * MICROSECONDS).astype(np.int64).tolist()
-            for t in (em.departures.t, em.arrivals.t)
+            for t in (em.problem.departures.t, em.problem.arrivals.t)
         )
         pairs = zip(c.departure.tolist(), c.arrival.tolist(), strict=True)
         return np.array([self.next.get(left[d]) == came[a] for d, a in pairs], np.float32)
@@ -101,12 +101,12 @@ class Told:
 
         def begin(fitter: PosteriorFitter) -> None:
             if from_truth:
-                fitter.em.responsibility = self.responsibilities(fitter.em)
+                fitter.em.believe(self.responsibilities(fitter.em))
             sample(fitter)
 
         def follow(fitter: PosteriorFitter, overlapping: NDArray[np.bool_]) -> NDArray[np.bool_]:
             em = fitter.em
-            em.responsibility = np.maximum(em.responsibility, self.responsibilities(em))
+            em.believe(np.maximum(em.responsibility, self.responsibilities(em)))
             return worth(fitter, overlapping)
 
         with (

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from camtopod.arrays import Bools, Floats, Ints, rows_by_group
-from camtopod.learn.association import Candidates, CandidateScreen
+from camtopod.learn.association import Candidates, CandidateScreen, Problem
 from camtopod.learn.changes import Change
 from camtopod.learn.clocks import (
     LAGS,
@@ -33,7 +33,6 @@ from camtopod.learn.clocks import (
 from camtopod.learn.links import LinkTable
 from camtopod.learn.next_camera import Posterior
 from camtopod.learn.traffic import Arrivals, Departures
-from camtopod.topology import LagBins
 
 BIN_SECONDS = 1.0
 """Width of the bins of the correlograms."""
@@ -220,6 +219,10 @@ class Delayed(NamedTuple):
     reached: Bools
     """(views, views) True if arrivals in the second view may be of departures from the first."""
 
+    def of(self, problem: Problem) -> Problem:
+        """Return a problem with the departures replaced by these, copies and zones included."""
+        return problem._replace(departures=self.departures, zones=len(self.zone))
+
     def places(self) -> Iterator[tuple[int, int]]:
         """Return the view of each zone, and the real zone that it stands for."""
         return zip(self.camera.tolist(), self.zone.tolist(), strict=True)
@@ -228,10 +231,8 @@ class Delayed(NamedTuple):
         """Return the candidates whose arrival's view may be reached from the departure's view."""
         if not self.seconds.any():
             return candidates
-        view_left, view_reached = (
-            self.departures.camera[candidates.departure],
-            arrivals.camera[candidates.arrival],
-        )
+        view_left = self.departures.camera[candidates.departure]
+        view_reached = arrivals.camera[candidates.arrival]
         return candidates.take(self.reached[view_left, view_reached])
 
     def overlapping(self, table: Bools) -> Bools:
@@ -293,15 +294,16 @@ def delayed(departures: Departures, camera: Ints, cameras: int, paths: list[Long
     """
     reached = np.zeros((cameras + len(paths), cameras + len(paths)), np.bool_)
     reached[:cameras, :cameras] = True
-    zone, view, seconds = (
-        [np.arange(len(camera), dtype=np.int32)],
-        [camera],
-        [np.zeros(len(camera))],
-    )
-    row, copies, number = [np.arange(len(departures.t))], [departures], len(camera)
+    zone = [np.arange(len(camera), dtype=np.int32)]
+    view = [camera]
+    seconds = [np.zeros(len(camera))]
+    row = [np.arange(len(departures.t))]
+    copies = [departures]
+    number = len(camera)
 
     for k, path in enumerate(paths, start=cameras):
-        reached[path.source, path.target], reached[k, path.target] = False, True
+        reached[path.source, path.target] = False
+        reached[k, path.target] = True
 
         # Virtual zones for the copies.
         zones_of_source = np.flatnonzero(camera == path.source)
@@ -332,7 +334,8 @@ def delayed(departures: Departures, camera: Ints, cameras: int, paths: list[Long
         np.concatenate(originals) for originals in zip(*(one[:-1] for one in copies), strict=True)
     ]
     order = np.argsort(columns[0], kind="stable")
-    rows, place = np.concatenate(row)[order], np.argsort(order)
+    rows = np.concatenate(row)[order]
+    place = np.argsort(order)
     return Delayed(
         Departures(*(column[order] for column in columns))._replace(
             of=place[rows] if paths else None
@@ -345,14 +348,7 @@ def delayed(departures: Departures, camera: Ints, cameras: int, paths: list[Long
     )
 
 
-def with_long_paths(
-    departures: Departures,
-    arrivals: Arrivals,
-    camera: Ints,
-    cameras: int,
-    bins: LagBins,
-    candidates_max: int,
-) -> Delayed:
+def with_long_paths(problem: Problem, camera: Ints, cameras: int, candidates_max: int) -> Delayed:
     """Find the long paths, and add delayed copies of departures for them.
 
     No copies are added on sites that are so large that candidates are screened (`screening`), or if
@@ -360,19 +356,14 @@ def with_long_paths(
 
     camera (zones,): camera of each zone.
     cameras: number of cameras.
-    bins: bins of the lags.
     candidates_max: number of candidates beyond which they are screened.
     """
+    departures, arrivals, bins, *_ = problem
     without = delayed(departures, camera, cameras, [])
-    if CandidateScreen.is_needed(departures, arrivals, bins, len(camera), candidates_max):
+    if CandidateScreen.is_needed(problem, candidates_max):
         return without
-    late = delayed(
-        departures, camera, cameras, find_long_paths(departures, arrivals, cameras, bins.lag_max)
-    )
-    return (
-        without
-        if CandidateScreen.is_needed(
-            late.departures, arrivals, bins, len(late.zone), candidates_max
-        )
-        else late
-    )
+    paths = find_long_paths(departures, arrivals, cameras, bins.lag_max)
+    late = delayed(departures, camera, cameras, paths)
+    if CandidateScreen.is_needed(late.of(problem), candidates_max):
+        return without
+    return late

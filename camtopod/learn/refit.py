@@ -35,6 +35,7 @@ from camtopod.learn.association import (
     CandidateScreen,
     Fit,
     FollowedSources,
+    Problem,
     candidates_of_pairs,
     fit_jointly,
     place,
@@ -72,7 +73,7 @@ from camtopod.learn.next_camera import (
 from camtopod.learn.outcomes import Exit, Happened, outcomes_of
 from camtopod.learn.prediction_model import build_model
 from camtopod.learn.settings import Settings
-from camtopod.learn.traffic import Arrivals, Departures, Scene
+from camtopod.learn.traffic import Scene
 from camtopod.learn.window import Window
 from camtopod.records import Model
 from camtopod.topology import LagBins, offset_bins
@@ -136,9 +137,10 @@ class Associated(NamedTuple):
 
     between: every pair of zones with expected transitions, with its held-out evidence.
     changes: links that opened, closed or changed their share.
-    delayed: the departures, with delayed copies for long paths. The copies have zones of their own,
-        and so have the tables of the fits; `Delayed.links_back`, `Delayed.changes_back` and
-        `Delayed.posterior_back` map results back to the real zones.
+    problem: the departures, with delayed copies for long paths, and the arrivals. The copies have
+        zones of their own, and so have the tables of the fits.
+    delayed: maps results back to the real zones (`Delayed.links_back`, `Delayed.changes_back` and
+        `Delayed.posterior_back`).
     likely_candidates: the candidates that the fit for prediction uses.
     evidence (pairs,): held-out evidence of the pairs of zones of the joint fit, nats.
     followed: `Known.followed` for the next refit.
@@ -146,6 +148,7 @@ class Associated(NamedTuple):
 
     between: LinkTable
     changes: list[Change]
+    problem: Problem
     delayed: Delayed
     likely_candidates: Candidates
     evidence: Floats
@@ -214,17 +217,13 @@ def refit(
         associated = associate(scene, silences, overlapping, window, known, settings, on_step)
         on_step("prediction")
         predicted = predict_next(scene, window, clocks, associated, overlapping, known, settings)
-        all_pairs, changes, followed = (
-            associated.between,
-            associated.changes,
-            associated.followed,
-        )
+        all_pairs = associated.between
+        changes = associated.changes
+        followed = associated.followed
     else:
-        all_pairs, changes, followed = (
-            nothing(settings, zones),
-            list[Change](),
-            dict(known.followed),
-        )
+        all_pairs = nothing(settings, zones)
+        changes = []
+        followed = dict(known.followed)
         model = build_model(
             window.cameras, scene, None, bins, window, [], settings.correct_clocks, overlapping
         )
@@ -273,23 +272,20 @@ def associate(
     for the likely candidates, which the fit for prediction uses.
     """
     bins, arrivals, cameras = lag_bins(settings), scene.arrivals, len(window.cameras)
+    real = Problem(scene.departures, arrivals, bins, len(scene.zones), scene.last)
 
     # 3. Candidates: departures, and delayed copies for long paths, within the range of the lags.
     # From here on, the copies have zones of their own.
     on_step("candidates")
     view = np.array([zone.camera for zone in scene.zones], np.int32)
-    delayed = with_long_paths(
-        scene.departures, arrivals, view, cameras, bins, settings.candidates_max
-    )
+    delayed = with_long_paths(real, view, cameras, settings.candidates_max)
+    problem = delayed.of(real)
     places = [place(camera, scene.zones[zone].number) for camera, zone in delayed.places()]
     screen = CandidateScreen()
     screen.followed = dict(known.followed)
     candidates = screen.find(
-        delayed.departures,
-        arrivals,
-        bins,
+        problem,
         np.array(places),
-        scene.last,
         known.learned,
         settings.candidates_max,
         everywhere=known.everywhere,
@@ -297,81 +293,67 @@ def associate(
     candidates = delayed.among(candidates, arrivals)
 
     # 4. to 6. Joint fit, evidence, changes.
-    between, changes, evidence = judge(
-        scene, delayed, candidates, bool(screen.followed), silences, settings, on_step
+    between, changes, evidence = find_evidence(
+        problem, delayed, candidates, bool(screen.followed), silences, len(scene.zones), on_step
     )
 
     overlap = delayed.overlapping(overlap_table(overlapping, cameras))
-    zones = len(delayed.zone)
-    likely_candidates = followed_of(
-        delayed.departures, arrivals, candidates, bins, zones, scene.last, overlap
+    likely_candidates = followed_of(problem, candidates, overlap)
+    return Associated(
+        between, changes, problem, delayed, likely_candidates, evidence, screen.followed
     )
-    return Associated(between, changes, delayed, likely_candidates, evidence, screen.followed)
 
 
-def judge(
-    scene: Scene,
+def find_evidence(
+    problem: Problem,
     delayed: Delayed,
     candidates: Candidates,
     screened: bool,
     silences: list[CameraSilences],
-    settings: Settings,
+    zones: int,
     on_step: Callable[[str], None],
 ) -> tuple[LinkTable, list[Change], Floats]:
     """Do steps 4 to 6; return the table of pairs of zones, the changes, the evidence (pairs, nats).
 
-    delayed: the departures, with delayed copies for long paths.
-    candidates: candidates of these departures and the arrivals of ``scene``.
+    candidates: candidates of the problem.
     screened: whether unlikely candidates have been left out.
+    zones: number of real zones.
 
-    Table and changes have the zones of ``scene``. The evidence is that of the pairs of zones of the
-    joint fit, in which delayed copies have zones of their own.
+    Table and changes have the real zones. The evidence is that of the pairs of zones of the joint
+    fit, in which delayed copies have zones of their own.
     """
-    departures, arrivals, bins, zones = (
-        delayed.departures,
-        scene.arrivals,
-        lag_bins(settings),
-        len(delayed.zone),
-    )
-
     # 4. The joint fit: each arrival has one cause at most, each departure one effect at most.
     on_step("joint fit")
-    fit = fit_jointly(departures, arrivals, candidates, bins, zones, scene.last)
+    fit = fit_jointly(problem, candidates)
 
     # 5. Evidence: each part of the window is judged by a fit of other parts.
     on_step("evidence")
-    first = float(min(scene.departures.t[0], arrivals.t[0]))
-    full_fit = with_unlikely(fit, departures, arrivals, bins, zones) if screened else fit
-    evidence = cross_evidence(departures, arrivals, full_fit, bins, zones, first, scene.last)
+    first = float(min(problem.departures.t[0], problem.arrivals.t[0]))
+    full_fit = with_unlikely(problem, fit) if screened else fit
+    evidence = cross_evidence(problem, full_fit, first)
     between = tabulate(
         transitions_of(fit),
-        exposed_departures(departures, bins, zones, scene.last),
-        bins,
-        zones,
-        transition_slowness(fit, departures, arrivals, zones),
+        exposed_departures(problem),
+        problem.bins,
+        problem.zones,
+        transition_slowness(problem, fit),
         delayed.seconds,
     )
-    between = delayed.links_back(between.with_evidence(evidence, len(scene.zones) ** 2))
+    between = delayed.links_back(between.with_evidence(evidence, zones**2))
 
     # 6. Links that have opened or closed; departures during a camera's silence do not count.
     on_step("changes")
-    certain_until = scene.last - bins.lag_max
-    gaps = [silence.intervals for silence in silences]
-    changes = find_changes(fit, departures, arrivals, certain_until, gaps)
+    changes = find_changes(problem, fit, [silence.intervals for silence in silences])
     return between, delayed.changes_back(changes), evidence
 
 
-def with_unlikely(
-    fit: Fit, departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int
-) -> Fit:
+def with_unlikely(problem: Problem, fit: Fit) -> Fit:
     """Return a fit of screened candidates with all candidates of the pairs that may be links.
 
     Screening has left out unlikely candidates; evidence from the rest alone would be biased.
     """
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
-    return fit._replace(
-        candidates=candidates_of_pairs(fit.candidates, pairs, departures, arrivals, bins, zones)
-    )
+    return fit._replace(candidates=candidates_of_pairs(problem, fit.candidates, pairs))
 
 
 def predict_next(
@@ -388,22 +370,18 @@ def predict_next(
     associated: result of steps 3 to 6.
     """
     # The fit for prediction, and its table of pairs of zones; both are mapped back to real zones.
-    delayed, bins, cameras = associated.delayed, lag_bins(settings), window.cameras
-    zones = len(delayed.zone)
+    delayed, problem, cameras = associated.delayed, associated.problem, window.cameras
+    bins = problem.bins
     posterior = fit_followed(
-        delayed.departures,
-        scene.arrivals,
+        problem,
         associated.likely_candidates,
-        bins,
-        zones,
-        scene.last,
         associated.evidence,
         bool(associated.followed),
     )
 
     transitions = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
-    exposed = exposed_departures(delayed.departures, bins, zones, scene.last)
-    likely_pairs = tabulate(transitions, exposed, bins, zones, delay=delayed.seconds)
+    exposed = exposed_departures(problem)
+    likely_pairs = tabulate(transitions, exposed, bins, problem.zones, delay=delayed.seconds)
     likely_pairs = likely_pairs.without_counts()
     likely_pairs = likely_pairs.with_evidence(likely_pairs.ratio, len(posterior.share))
     likely_pairs = delayed.links_back(likely_pairs)

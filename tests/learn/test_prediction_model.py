@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from synthetic_events import LINKED, Views, fit_posterior
+from synthetic_events import Views, fit_posterior
 
-from camtopod.learn.association.candidates import find_candidates
+from camtopod.learn.association.problem import Problem
 from camtopod.learn.changes.change_points import Change
 from camtopod.learn.next_camera.fit import Posterior
 from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX, build_model
@@ -35,7 +35,6 @@ def learned() -> tuple[Scene, Posterior]:
             zone = 1 if dice < 0.6 else 2
             views.through(t + 4 + rng.normal(8, 1), t + 20, zone, zone, block=9)
     departures, arrivals = views.columns()
-    found = find_candidates(departures, arrivals, BINS, 3)
     none = np.zeros(0, np.int32)
     scene = Scene(
         [ZoneRef(k, 1, None) for k in range(3)],
@@ -48,7 +47,7 @@ def learned() -> tuple[Scene, Posterior]:
         0.0,
         float(departures.t[-1]),
     )
-    return scene, fit_posterior(departures, arrivals, found, BINS, 3, scene.last, LINKED)
+    return scene, fit_posterior(Problem(departures, arrivals, BINS, 3, scene.last))
 
 
 def made(learned: tuple[Scene, Posterior | None], changes: list[Change] | None = None) -> Model:
@@ -154,7 +153,7 @@ def test_contexts_that_are_not_known_are_no_contexts(learned: tuple[Scene, Poste
         own=np.where(half, -1, d.own).astype(np.int32),
         block=np.where(half, -1, d.block).astype(np.int32),
     )
-    found = fit_posterior(d, a, find_candidates(d, a, BINS, 3), BINS, 3, scene.last, LINKED)
+    found = fit_posterior(Problem(d, a, BINS, 3, scene.last))
     rows = made((scene, found)).contexts or []
     assert all(row.entry or row.block is not None or row.previous for row in rows)
     assert {row.block for row in rows if row.zone == "a/1"} == {None, 5}

@@ -1,9 +1,9 @@
 """Synthetic data for tests: a topology equal to the ground truth; passages through views."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camtopod.learn.association.candidates import Candidates
+from camtopod.learn.association.candidates import Candidates, find_candidates
+from camtopod.learn.association.problem import Problem
 from camtopod.learn.learner import Learner
 from camtopod.learn.next_camera.fit import Posterior, fit_followed, followed_of
 from camtopod.learn.traffic.background_rate import local_rates
@@ -110,19 +110,17 @@ class Views:
             Arrivals(since[came], entry[came], self.camera[entry[came]], rate, unknown),
         )
 
+    def problem(self, bins: LagBins) -> Problem:
+        departures, arrivals = self.columns()
+        until = float(max(departures.t[-1], arrivals.t[-1]))
+        return Problem(departures, arrivals, bins, len(self.camera), until)
+
 
 def fit_posterior(
-    departures: Departures,
-    arrivals: Arrivals,
-    candidates: Candidates,
-    bins: LagBins,
-    zones: int,
-    until: float,
-    evidence: NDArray[np.float64],
-    screened: bool = False,
+    problem: Problem, candidates: Candidates | None = None, screened: bool = False
 ) -> Posterior:
-    """Return the posterior of these candidates, in one step."""
-    cameras = int(max(departures.camera.max(initial=0), arrivals.camera.max(initial=0))) + 1
-    nothing = np.zeros((cameras, cameras), np.bool_)
-    followed = followed_of(departures, arrivals, candidates, bins, zones, until, nothing)
-    return fit_followed(departures, arrivals, followed, bins, zones, until, evidence, screened)
+    """Return the posterior of some candidates of a problem, or all, with clear evidence."""
+    cameras = 1 + max(int(ends.camera.max(initial=0)) for ends in problem[:2])
+    apart = np.zeros((cameras, cameras), np.bool_)
+    followed = followed_of(problem, candidates or find_candidates(problem), apart)
+    return fit_followed(problem, followed, LINKED, screened)

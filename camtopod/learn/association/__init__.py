@@ -1,8 +1,9 @@
 """Data association: estimate which departure and which arrival are of one object.
 
 A *candidate* is a departure and an arrival that may be of one object; its *responsibility* is the
-probability that it is. Reading order: `candidates` lists every departure and arrival within the
-range of lags. `exposure` counts how many departures could have been seen to arrive after each lag.
+probability that it is. Reading order: `problem` holds the departures and arrivals; `candidates`
+lists every two of them within the range of lags. `exposure` counts how many departures could have
+been seen to arrive after each lag.
 `speed_adjustment` corrects lags for each object's speed. `em` estimates responsibilities and
 hazards (rates of arrivals by lag, for each pair of zones) by expectation maximisation, and
 `joint_fit` runs it to find links. On large sites, which have too many candidates for one fit,
@@ -20,9 +21,10 @@ from camtopod.learn.association.candidates import (
     newest_within_limit,
     slices_by_arrival,
 )
-from camtopod.learn.association.em import NOTHING, START_FLOOR, Em
+from camtopod.learn.association.em import NOTHING, START_FLOOR, Em, EmModel
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import Fit, fit_jointly, result
+from camtopod.learn.association.problem import Problem
 from camtopod.learn.association.screening import (
     CandidateScreen,
     FollowedSources,
@@ -39,8 +41,10 @@ __all__ = [
     "CandidateScreen",
     "Candidates",
     "Em",
+    "EmModel",
     "Fit",
     "FollowedSources",
+    "Problem",
     "adjust",
     "candidates_of_pairs",
     "departures_in_reach",

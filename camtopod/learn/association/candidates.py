@@ -2,7 +2,7 @@
 
 `find_candidates` lists them in a `Candidates` table, ordered by arrival: M candidates, each of a
 *pair* of zones (zone of departure, zone of arrival), of which there are P. This module also groups
-candidates by arrival for the fits (`slices_by_arrival`, `runs_of`), and computes the first hazards
+candidates by arrival for the fits (`slices_by_arrival`), and computes the first hazards
 of a fit from the histogram of lags of each pair (`initial_hazards`).
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Singles, row_slices
-from camtopod.learn.traffic import Arrivals, Departures
+from camtopod.learn.association.problem import Problem
 from camtopod.topology import LagBins, lag_smoothing_matrix
 
 PAIR_TABLE_MAX = 20_000_000
@@ -64,10 +64,8 @@ class Candidates(NamedTuple):
         )
 
 
-def newest_within_limit(
-    departures: Departures, arrivals: Arrivals, bins: LagBins, candidates_max: int
-) -> tuple[Departures, Arrivals]:
-    """Return the newest departures and arrivals that make no more candidates than a limit.
+def newest_within_limit(problem: Problem, candidates_max: int) -> Problem:
+    """Return a problem with only the newest departures and arrivals, within a limit of candidates.
 
     candidates_max: the limit; every departure and arrival within the range of lags counts.
 
@@ -75,15 +73,18 @@ def newest_within_limit(
     would look like one of an object that left the site.
     """
     # Count candidates back from the newest arrival.
-    low, high = departures_in_reach(departures.t, arrivals.t, bins)
+    departures, arrivals = problem.departures, problem.arrivals
+    low, high = departures_in_reach(departures.t, arrivals.t, problem.bins)
     kept = int(np.searchsorted(np.cumsum((high - low)[::-1]), candidates_max, side="right"))
     if kept == len(arrivals.t):
-        return departures, arrivals
+        return problem
 
     # Cut both at the first arrival that is kept.
     first = arrivals.t[len(arrivals.t) - kept] if kept else np.inf
     late = arrivals.t >= first
-    return departures.take(departures.t >= first, late), arrivals.take(late)
+    return problem._replace(
+        departures=departures.take(departures.t >= first, late), arrivals=arrivals.take(late)
+    )
 
 
 def departures_in_reach(
@@ -102,9 +103,7 @@ def departures_in_reach(
 
 
 def possible(
-    departures: Departures,
-    arrivals: Arrivals,
-    bins: LagBins,
+    problem: Problem,
     arrival_rows: NDArray[np.intp],
     departure_rows: NDArray[np.intp] | None = None,
     at_once: int = CANDIDATES_AT_ONCE,
@@ -119,10 +118,9 @@ def possible(
     ``arrival_rows``, and seconds from the departure to the arrival.
     """
     # Find the departures in reach of each arrival.
-    t, arrived = (
-        departures.t if departure_rows is None else departures.t[departure_rows],
-        arrivals.t[arrival_rows],
-    )
+    departures, arrivals, bins, *_ = problem
+    t = departures.t if departure_rows is None else departures.t[departure_rows]
+    arrived = arrivals.t[arrival_rows]
     low, high = departures_in_reach(t, arrived, bins)
     reached = np.concatenate(([0], np.cumsum(high - low)))
 
@@ -162,27 +160,23 @@ def possible(
         first = stop
 
 
-def find_candidates(
-    departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int
-) -> Candidates:
-    """Return all candidates of the given departures and arrivals.
-
-    zones: number of zones.
-    """
+def find_candidates(problem: Problem) -> Candidates:
+    """Return all candidates of a problem."""
+    departures, arrivals, bins, zones, _ = problem
     low, high = departures_in_reach(departures.t, arrivals.t, bins)
     most = int((high - low).sum())
 
     # np.empty reserves address space only: pages that are never written cost no memory, and there
     # are fewer candidates than departures in reach.
-    departure, arrival, lag = (
-        np.empty(most, np.int32),
-        np.empty(most, np.int32),
-        np.empty(most, np.float32),
-    )
+    departure = np.empty(most, np.int32)
+    arrival = np.empty(most, np.int32)
+    lag = np.empty(most, np.float32)
     n = 0
-    for departed, arrived, lags in possible(departures, arrivals, bins, np.arange(len(arrivals.t))):
+    for departed, arrived, lags in possible(problem, np.arange(len(arrivals.t))):
         rows = slice(n, n := n + len(departed))
-        departure[rows], arrival[rows], lag[rows] = departed, arrived, lags
+        departure[rows] = departed
+        arrival[rows] = arrived
+        lag[rows] = lags
     departure, arrival, lag = departure[:n], arrival[:n], lag[:n]
 
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
@@ -203,26 +197,6 @@ def slices_by_arrival(arrival: Indices) -> list[slice]:
         parts.append(slice(first, stop))
         first = stop
     return parts
-
-
-class ArrivalRuns(NamedTuple):
-    """Runs of successive candidates that have the same arrival, m in number."""
-
-    arrival: Indices
-    """(m,) row of the arrival of each run."""
-    first: NDArray[np.intp]
-    """(m,) the first candidate of each run."""
-    candidates: NDArray[np.intp]
-    """(m,) the number of candidates in each run."""
-
-
-def runs_of(arrival: Indices) -> ArrivalRuns:
-    """Return the runs of candidates that have the same arrival.
-
-    arrival (n,): arrival of each candidate, ascending.
-    """
-    first = np.flatnonzero(np.diff(arrival, prepend=-1))
-    return ArrivalRuns(arrival[first], first, np.diff(first, append=len(arrival)))
 
 
 def excess_over_null(observed: Floats, expected: Floats, bins: LagBins, noise_sd: float) -> Floats:

@@ -20,44 +20,42 @@ counts expected transitions by lag and smooths. Marinakis and Dudek (2005) sampl
 here their sum is approximated.
 
 A departure that may begin a long path has *delayed copies* among the departures (`long_paths`);
-``departures.of`` gives the original of a copy. A departure and its copies together cause at most
+``Departures.of`` gives the original of a copy. A departure and its copies together cause at most
 one arrival, so the E step sums over them (`Em.over_copies`).
 
-The fit for prediction (`next_camera.fit`) adds to the model: `Term`s (further ways in which a
-departure causes an arrival), a `PairPrior`, and factors for single candidates and departures
-(``multiplier``, ``leaving``). It also samples (`next_camera.sampling`): `Em.draw`, `Em.end_draw`,
-``_drawn`` and ``_telling`` are only for that, and a reader of the joint fit may skip them.
+An `EmModel` adds to this: the sparse prior of the joint fit; and for the fit for prediction
+(`next_camera.fit`) `Term`s (further ways in which a departure causes an arrival), a `PairPrior`,
+and factors for single candidates and departures. `Em.assume` replaces the model, `Em.believe` the
+responsibilities; nothing else is changed from outside.
 
-There may be millions of candidates. Only one array of a kind is kept for all of them; intermediate
-results exist for one part at a time (`slices_by_arrival`).
+There may be millions of candidates. Intermediate results of the E step exist for one part of them
+at a time (`slices_by_arrival`); the M step takes another 20 bytes for each candidate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from camtopod.arrays import Bools, Floats, Indices, Longs, Singles, row_slices
+from camtopod.arrays import Bools, Floats, Indices, Ints, Longs, Singles, row_slices
 from camtopod.learn.association.candidates import (
     Candidates,
     initial_hazards,
-    runs_of,
     slices_by_arrival,
 )
 from camtopod.learn.association.exposure import exposures
+from camtopod.learn.association.problem import Problem
 from camtopod.learn.association.speed_adjustment import Adjusted, adjust
 from camtopod.learn.traffic import (
     NO_PERSISTENCE,
     SURE_RESPONSIBILITY,
-    Arrivals,
-    Departures,
     NullRates,
     Persistence,
     estimate_persistence,
 )
-from camtopod.topology import LEAVE_FLOOR, LagBins, smooth
+from camtopod.topology import LEAVE_FLOOR, smooth
 
 OUTSIDE_FLOOR = 0.01
 """Lower bound on the share of the local rate of arrivals that comes from outside."""
@@ -136,6 +134,28 @@ class PairPrior(Protocol):
         """Return what the prior adds, given the counted transitions ``counts`` (P, bins)."""
 
 
+class EmModel(NamedTuple):
+    """What a fit assumes in addition to hazards and background."""
+
+    terms: Sequence[Term] = ()
+    """Further ways in which a departure causes an arrival."""
+    prior: PairPrior | None = None
+    """Prior over the transitions of pairs of zones."""
+    sparsity: float = 0.0
+    """Transitions that a sparse prior (a Gamma with shape 0) takes off each pair of zones."""
+    multiplier: Singles | None = None
+    """(M,) factor on each candidate's rate, by the context of its departure; None for 1."""
+    leaving: Floats | None = None
+    """(n,) probability that the object of each departure leaves the site; None to compute it from
+    the hazards.
+    """
+    near: Bools | None = None
+    """(n,) mask of departures that the null model of the first hazards counts; None for all."""
+
+
+NO_ADDITIONS = EmModel()
+
+
 class Em:
     """A fit in progress: M candidates of P pairs of zones, and their responsibilities.
 
@@ -144,40 +164,24 @@ class Em:
 
     def __init__(
         self,
-        departures: Departures,
-        arrivals: Arrivals,
+        problem: Problem,
         candidates: Candidates,
-        bins: LagBins,
-        zones: int,
-        until: float,
+        model: EmModel = NO_ADDITIONS,
         exposure: Floats | None = None,
         adjusted: Adjusted | None = None,
     ) -> None:
         """Begin a fit with responsibilities of 0.
 
-        until (Unix seconds): end of the window.
         exposure (zones, bins): exposed departures; None to compute them.
         adjusted: the candidates adjusted for speed; None to begin without adjustment.
         """
-        self.departures, self.arrivals = departures, arrivals
-        self.bins, self.zones = bins, zones
-
-        # Additions to the model by the fit for prediction; none to begin with.
-        self.terms: Sequence[Term] = ()
-        self.prior: PairPrior | None = None
-        self.sparsity = 0.0
-        """Transitions that a sparse prior (a Gamma with shape 0) takes off each pair of zones."""
-        self.multiplier: Singles | None = None
-        """(M,) factor on each candidate's rate, by the context of its departure; None for 1."""
-        self.leaving: Floats | None = None
-        """(n,) probability that the object of each departure leaves the site; None to compute it
-        from the hazards.
-        """
-        self.near: Bools | None = None
-        """(n,) mask of departures that the null model of the first hazards counts; None for all."""
+        departures, arrivals, bins, zones, _ = problem
+        self.problem = problem
+        self.model = model
+        self.candidates = candidates
 
         # Figures of zones.
-        self.exposure = exposures(departures, bins, zones, until) if exposure is None else exposure
+        self.exposure = exposures(problem) if exposure is None else exposure
         """(zones, bins) exposed departures."""
         self.exposure_at_least_one = np.maximum(self.exposure, 1.0)
         """(zones, bins) exposed departures, at least 1: a divisor."""
@@ -196,13 +200,9 @@ class Em:
 
         # Figures of candidates. Messages are those of the sum-product algorithm, from arrivals to
         # candidates.
-        self._follow(candidates)
-        self._agreement: Singles | None = None
         self._message = np.ones(len(candidates.lag), np.float32)
         self.responsibility: Singles = np.zeros(len(candidates.lag), np.float32)
         """(M,) probability that the candidate is of one object."""
-        # After `draw`, the rows of the candidates whose responsibility is 1, ascending.
-        self._drawn: Indices | None = None
         self.own = np.zeros((self.pairs, bins.size), np.float32)
         """(P, bins) share that one transition in a bin contributes to the smoothed count there.
 
@@ -210,14 +210,32 @@ class Em:
         bin is 2.0: ``own`` is 0.3 / 2.0 = 0.15. A candidate in this bin with a responsibility of
         0.8 has made 0.8 * 0.15 = 0.12 of the hazard, so it is judged by 0.88 of the hazard.
         """
-        if adjusted is None:
-            adjusted = adjust(candidates, departures, arrivals, NO_PERSISTENCE, bins)
-        self.use(adjusted)
+        self._adjusted = adjusted or adjust(problem, candidates, NO_PERSISTENCE)
 
     @property
     def pairs(self) -> int:
         """Number of pairs of zones that are followed, P."""
         return len(self.candidates.source)
+
+    @property
+    def persistence(self) -> Persistence:
+        """How far speed persists from view to view, as the candidates are adjusted for it."""
+        return self._adjusted.persistence
+
+    @property
+    def cell(self) -> Ints:
+        """(M,) index of each candidate, at usual speed, in a flattened table (P, bins)."""
+        return self._adjusted.cell
+
+    # --- Changes from outside ---------------------------------------------------------------------
+
+    def assume(self, model: EmModel) -> None:
+        """Replace the model."""
+        self.model = model
+
+    def believe(self, responsibility: Singles) -> None:
+        """Replace the responsibilities (M,)."""
+        self.responsibility = responsibility
 
     # --- The loop ---------------------------------------------------------------------------------
 
@@ -226,17 +244,18 @@ class Em:
 
         noise_sd: standard deviations of the null model that are subtracted in addition.
         """
-        c, departures, arrivals = self.candidates, self.departures, self.arrivals
+        c = self.candidates
+        departures, arrivals, bins, zones, _ = self.problem
         if len(c.lag) == 0:
-            return np.zeros((self.pairs, self.bins.size), np.float32)
-        histograms = self._count(np.ones(part.stop - part.start) for part in self.parts)
-        near = slice(None) if self.near is None else self.near
+            return np.zeros((self.pairs, bins.size), np.float32)
+        histograms = self._count(np.ones(len(c.lag), np.float32))
+        near = slice(None) if self.model.near is None else self.model.near
         null_model = NullRates(
-            departures.t[near], departures.zone[near], arrivals.t, arrivals.zone, self.zones
+            departures.t[near], departures.zone[near], arrivals.t, arrivals.zone, zones
         )
         rates = null_model.rates_of(c.source, c.target)
         first = initial_hazards(
-            histograms, rates, self.exposure, c.source, self.bins, noise_sd, START_FLOOR
+            histograms, rates, self.exposure, c.source, bins, noise_sd, START_FLOOR
         )
         return first.astype(np.float32)
 
@@ -266,12 +285,13 @@ class Em:
         before, which are replaced as well (``_message``), as is the `share` of each term.
         """
         result = self.responsibility
-        background = self.outside[self.arrivals.zone] * self.arrivals.rate
-        background = np.maximum(background, BACKGROUND_MIN)
+        arrivals, arrival = self.problem.arrivals, self.candidates.arrival
+        background = np.maximum(self.outside[arrivals.zone] * arrivals.rate, BACKGROUND_MIN)
+        parts = slices_by_arrival(arrival)
 
         # Per departure, the probability mass of all its candidates and of leaving the site.
-        taken = np.zeros(len(self.departures.t))
-        for part in self.parts:
+        taken = np.zeros(len(self.problem.departures.t))
+        for part in parts:
             result[part] = weight = self._rates(hazard, part)
             np.add.at(taken, self._departure(part), (weight * self._message[part]).astype(float))
         taken += self._leaving(hazard)
@@ -279,21 +299,18 @@ class Em:
         # A candidate's offer to its arrival is its rate, given that the departure has caused no
         # other arrival. The responsibility is the offer's share among all offers and the
         # background; the message back is the reciprocal of the competing offers and background.
-        for part, run in zip(self.parts, self._runs, strict=True):
+        for part in parts:
             weight = result[part]
-            remaining = taken.take(self._departure(part))
-            remaining -= weight * self._message[part]
-            offers = np.divide(weight, remaining, out=remaining)
-            demand = background[run.arrival] + np.add.reduceat(offers, run.first)
-            demand = np.repeat(demand, run.candidates)
-            np.divide(offers, demand, out=result[part])
-            demand -= offers
-            np.maximum(demand, BACKGROUND_MIN, out=demand)
-            np.divide(1.0, demand, out=self._message[part])
+            offers = weight / (taken[self._departure(part)] - weight * self._message[part])
+            first = np.flatnonzero(np.diff(arrival[part], prepend=-1))
+            demand = background[arrival[part][first]] + np.add.reduceat(offers, first)
+            demand = np.repeat(demand, np.diff(first, append=len(offers)))
+            result[part] = offers / demand
+            self._message[part] = 1.0 / np.maximum(demand - offers, BACKGROUND_MIN)
 
     def maximise(self) -> Singles:
         """Do the M step: return the hazards (P, bins) by the responsibilities; update the terms."""
-        for term in self.terms:
+        for term in self.model.terms:
             term.learn(self.responsibility)
         self._estimate_outside()
         return self.hazards(self.transitions())
@@ -305,40 +322,42 @@ class Em:
         Which candidates are sure is decided without the agreement of slownesses, as agreement would
         otherwise reinforce itself.
         """
-        before = np.concatenate([np.zeros(0, np.float32), *map(self.at_exit, self.parts)])
+        before = self._at_exit()
 
         # The surest candidates, whatever their slownesses.
-        self._agreement = None
+        self._adjusted = self._adjusted._replace(agreement=None)
         self.expect(hazard)
         sure = np.flatnonzero(self.responsibility > SURE_RESPONSIBILITY)
         c = self.candidates
         found = estimate_persistence(
-            self.departures.slow.take(c.departure[sure]),
-            self.arrivals.slow.take(c.arrival[sure]),
+            self.problem.departures.slow.take(c.departure[sure]),
+            self.problem.arrivals.slow.take(c.arrival[sure]),
             c.lag[sure].astype(float),
             c.pair[sure],
             self.responsibility[sure].astype(float),
         )
 
-        self.use(adjust(c, self.departures, self.arrivals, found, self.bins))
-        return self.hazards(self._count(before[part] for part in self.parts))
+        self._adjusted = adjust(self.problem, c, found)
+        return self.hazards(self._count(before))
 
     def keep_pairs(self, alive: Bools) -> None:
         """Drop all pairs of zones but those of the mask ``alive`` (P,), and their candidates."""
         kept = alive[self.candidates.pair]
-        self._follow(self.candidates.take(kept))
-        self._message, self.responsibility = self._message[kept], self.responsibility[kept]
+        self.candidates = self.candidates.take(kept)
+        self._message = self._message[kept]
+        self.responsibility = self.responsibility[kept]
         self.own = self.own[alive]
-        found = self.persistence
-        self.use(adjust(self.candidates, self.departures, self.arrivals, found, self.bins))
+        self._adjusted = adjust(self.problem, self.candidates, self.persistence)
 
-    def responsibilities_under(self, hazard: Singles, sweeps: int) -> Floats:
+    def responsibilities_under(self, hazard: Singles, outside: Floats, sweeps: int) -> Floats:
         """Return the responsibilities (M,) under hazards estimated from other events.
 
         hazard (P, bins): the hazards. No candidate has contributed to them, so none may be left
             out of them (`expect`): the responsibilities are set to 0 before each E step.
+        outside (zones,): share of the arrivals that no departure explains, from the same events.
         sweeps: number of E steps, over which the messages settle.
         """
+        self.outside = outside
         self._message[:] = 1.0
         for _ in range(sweeps):
             self.responsibility[:] = 0.0
@@ -347,70 +366,30 @@ class Em:
 
     # --- Candidates -------------------------------------------------------------------------------
 
-    def use(self, adjusted: Adjusted) -> None:
-        """Use lag bins and agreement of slownesses of these adjusted candidates from here on."""
-        self.persistence: Persistence = adjusted.persistence
-        self.cell = adjusted.cell
-        self._agreement = adjusted.agreement
-
-    def draw(self, drawn: Indices) -> None:
-        """Give the candidates ``drawn`` (rows, ascending) a responsibility of 1, all others 0."""
-        self.responsibility[:] = 0.0
-        self.responsibility[drawn] = 1.0
-        self._drawn = drawn
-
-    def end_draw(self) -> None:
-        """End the state after `draw`: any candidate may have a responsibility again."""
-        self._drawn = None
-
     def summed(self, index: Indices, size: int) -> Floats:
         """Return the sum of responsibilities by group of candidates, (size,).
 
         index (M,): group of each candidate, such as its pair of zones, from 0 to ``size`` - 1.
         """
-        total = np.zeros(size)
-        for part in self._telling:
-            np.add.at(total, index[part].astype(np.intp), self.responsibility[part].astype(float))
-        return total
+        return np.bincount(index, self.responsibility, minlength=size).astype(float)
 
     def transitions(self) -> Floats:
         """Return the expected transitions by pair and lag (P, bins), without those of the terms."""
-        return self._count(map(self.at_exit, self._telling))
+        return self._count(self._at_exit())
 
-    def at_exit(self, part: slice | Indices) -> Singles:
-        """Return the responsibilities of some candidates without the shares of the terms.
-
-        part: a slice of the candidates, or after `draw` the rows of the drawn candidates.
-        """
-        shares = self.responsibility[part]
-        if not self.terms:
-            return shares
-        of_terms = np.zeros(len(shares), np.float32)
-        for term in reversed(self.terms):
-            if isinstance(part, slice):
-                here = within(term.rows, part)
-                of_terms[term.rows[here] - part.start] += term.share[here]
-            else:
-                drawn = np.flatnonzero(self.responsibility[term.rows])
-                of_terms[np.searchsorted(part, term.rows[drawn])] += term.share[drawn]
-        from_exit: Singles = shares * np.maximum(1.0 - of_terms, 0.0)
-        return from_exit
-
-    def _follow(self, candidates: Candidates) -> None:
-        """Use these candidates from here on, and cut them into parts."""
-        self.candidates = candidates
-        self.parts = slices_by_arrival(candidates.arrival)
-        self._runs = [runs_of(candidates.arrival[part]) for part in self.parts]
+    def _at_exit(self) -> Singles:
+        """Return the responsibilities (M,) without the shares of the terms."""
+        of_terms = np.zeros(len(self.responsibility), np.float32)
+        for term in reversed(self.model.terms):
+            of_terms[term.rows] += term.share
+        at_exit: Singles = self.responsibility * np.maximum(1.0 - of_terms, 0.0)
+        return at_exit
 
     def _departure(self, part: slice) -> Indices:
         """Return the row of each candidate's departure in a part; for a copy, its original."""
-        of, row = self.departures.of, self.candidates.departure[part].astype(np.intp)
+        of = self.problem.departures.of
+        row = self.candidates.departure[part].astype(np.intp)
         return row if of is None else of.take(row)
-
-    @property
-    def _telling(self) -> Sequence[slice | Indices]:
-        """Parts of the candidates that cover all with a responsibility above 0."""
-        return self.parts if self._drawn is None else [self._drawn]
 
     # --- Rates ------------------------------------------------------------------------------------
 
@@ -422,65 +401,47 @@ class Em:
         # The hazard, without the candidate's own contribution to it (leave one out): otherwise a
         # lone arrival would be its own evidence, and all clutter would find a departure.
         cell = self.cell[part].astype(np.intp)
-        weight = hazard.take(cell)
-        if self._drawn is None:
-            weight *= self._others(cell, self.responsibility[part])
-        else:
-            drawn = self._drawn[within(self._drawn, part)]
-            at = drawn - part.start
-            weight[at] *= self._others(cell[at], self.responsibility[drawn])
-        if self._agreement is not None:
-            weight *= self._agreement[part]
+        others = np.maximum(1.0 - self.own.take(cell) * self.responsibility[part], 0.0)
+        weight: Singles = hazard.take(cell) * others
+        agreement = self._adjusted.agreement
+        if agreement is not None:
+            weight *= agreement[part]
 
         # The rates of the terms, and the shares of the terms in the sum.
         added = []
-        for term in self.terms:
+        for term in self.model.terms:
             here = within(term.rows, part)
             rows = term.rows[here].astype(np.intp)
             rates = term.rates(here, self.responsibility.take(rows))
-            if self._agreement is not None:
-                rates *= self._agreement.take(rows)
+            if agreement is not None:
+                rates *= agreement.take(rows)
             weight[rows - part.start] += rates
             added.append((term, here, rows, rates))
         for term, here, rows, rates in added:
             term.share[here] = rates / np.maximum(weight.take(rows - part.start), NOTHING)
 
-        if self.multiplier is not None:
-            weight *= self.multiplier[part]
+        if self.model.multiplier is not None:
+            weight *= self.model.multiplier[part]
         return weight
-
-    def _others(self, cell: Indices, responsibility: Singles) -> Singles:
-        """Return the share of a hazard that is not made by one candidate, for k candidates (k,).
-
-        cell (k,): index of each candidate's hazard in the flattened table (P, bins).
-        responsibility (k,): of the candidates.
-        """
-        contributed = self.own.take(cell)
-        contributed *= responsibility
-        others: Singles = np.maximum(
-            np.subtract(1.0, contributed, out=contributed), 0.0, out=contributed
-        )
-        return others
 
     def _leaving(self, hazard: Singles) -> Floats:
         """Return the probability (n,) that the object of each departure leaves the site.
 
         hazard (P, bins): the hazards, by which an object appears again or not.
         """
-        if self.leaving is not None:
-            return self.leaving
+        if self.model.leaving is not None:
+            return self.model.leaving
         share = np.zeros(self.pairs)
         for rows in row_slices(self.pairs):
             share[rows] = self.appears(self.after_exit(hazard, rows), rows).sum(axis=1)
-        again = np.bincount(self.candidates.source, share, minlength=self.zones).astype(float)
-        leaving: Floats = np.maximum(
-            1.0 - self.over_copies(again[self.departures.zone]), LEAVE_FLOOR
-        )
+        of_zone = np.bincount(self.candidates.source, share, minlength=self.problem.zones)
+        again = self.over_copies(of_zone.astype(float)[self.problem.departures.zone])
+        leaving: Floats = np.maximum(1.0 - again, LEAVE_FLOOR)
         return leaving
 
     def over_copies(self, each: Floats) -> Floats:
         """Return the sum of ``each`` (n,) over every departure and its delayed copies, (n,)."""
-        of = self.departures.of
+        of = self.problem.departures.of
         return each if of is None else np.bincount(of, each, minlength=len(of)).astype(float)[of]
 
     def after_exit(self, hazard: Singles, rows: slice) -> Singles:
@@ -490,7 +451,7 @@ class Em:
         rows: the pairs.
         """
         result = hazard[rows]
-        for term in self.terms:
+        for term in self.model.terms:
             result = term.after_exit(result, rows)
         return result
 
@@ -499,26 +460,24 @@ class Em:
 
         hazard (pairs, bins): hazards of the pairs ``rows``.
         """
-        appears: Floats = hazard * self.bins.widths * self._able_share[self.candidates.source[rows]]
+        able = self._able_share[self.candidates.source[rows]]
+        appears: Floats = hazard * self.problem.bins.widths * able
         return appears
 
     # --- Counts -----------------------------------------------------------------------------------
 
     def _estimate_outside(self) -> None:
         """Estimate the share of each zone's arrivals that no departure explains (`outside`)."""
-        explained = self.summed(self.candidates.arrival, len(self.arrivals.t))
-        of_zone = np.bincount(self.arrivals.zone, explained, minlength=self.zones)
+        arrivals, zones = self.problem.arrivals, self.problem.zones
+        explained = self.summed(self.candidates.arrival, len(arrivals.t))
+        of_zone = np.bincount(arrivals.zone, explained, minlength=zones)
         self.outside = np.clip(1.0 - of_zone / self.arrivals_of_zone, OUTSIDE_FLOOR, 1.0)
 
-    def _count(self, shares: Iterable[Singles | Floats]) -> Floats:
-        """Return the sum of shares of candidates by pair of zones and lag bin, (P, bins).
-
-        shares: for each part of `_telling`, the share with which each candidate counts.
-        """
-        flat = np.zeros(self.pairs * self.bins.size)
-        for part, share in zip(self._telling, shares, strict=True):
-            np.add.at(flat, self.cell[part].astype(np.intp), share.astype(float, copy=False))
-        return flat.reshape(self.pairs, self.bins.size)
+    def _count(self, shares: Singles) -> Floats:
+        """Return the sum of shares (M,) of candidates by pair of zones and lag bin, (P, bins)."""
+        size = self.problem.bins.size
+        flat = np.bincount(self.cell, shares, minlength=self.pairs * size)
+        return flat.astype(float, copy=False).reshape(self.pairs, size)
 
     def hazards(self, counts: Floats) -> Singles:
         """Return the hazards (P, bins) that follow from counted transitions.
@@ -527,7 +486,8 @@ class Em:
 
         Hazards are the smoothed counts over exposure and width of the bin. A prior adds to both.
         """
-        expected = None if self.prior is None else self.prior.expected(counts)
+        prior, widths = self.model.prior, self.problem.bins.widths
+        expected = None if prior is None else prior.expected(counts)
         smoothed = self._smoothed(counts)
         del counts  # larger than the hazards
 
@@ -535,19 +495,19 @@ class Em:
         for rows in row_slices(self.pairs):
             departures = self._exposure_of_pairs(rows)
             if expected is None:
-                np.divide(smoothed[rows], departures * self.bins.widths, out=hazard[rows])
+                hazard[rows] = smoothed[rows] / (departures * widths)
             else:
                 more = expected.of(
                     rows, lambda back: smoothed[back] / self._exposure_of_pairs(back)
                 )
-                seconds = (departures + expected.departures) * self.bins.widths
-                np.divide(smoothed[rows] + more, seconds, out=hazard[rows])
+                seconds = (departures + expected.departures) * widths
+                hazard[rows] = (smoothed[rows] + more) / seconds
         return hazard
 
     def _smoothed(self, counts: Floats) -> Singles:
         """Return the counts (P, bins) less the sparse prior, smoothed; set `own` to match."""
         total = counts.sum(axis=1)
-        kept = np.maximum(total - self.sparsity, 1e-3 * total) if self.sparsity else total
+        kept = np.maximum(total - self.model.sparsity, 1e-3 * total)
         share = (kept / np.maximum(total, 1e-300))[:, None]
         smoothed = np.empty(counts.shape, np.float32)
         for rows in row_slices(self.pairs):
@@ -584,11 +544,12 @@ class Em:
 
         hazard (P, bins): the hazards that depend on the lag.
         """
-        even, c = np.zeros(self.pairs), self.candidates
+        even = np.zeros(self.pairs)
+        c, bins = self.candidates, self.problem.bins
         one_view = self.camera[c.source] == self.camera[c.target]
-        before = self.bins.edges[1:] <= 0
+        before = bins.edges[1:] <= 0
         for rows in row_slices(self.pairs):
-            seconds = self.exposure[c.source[rows]] * self.bins.widths
+            seconds = self.exposure[c.source[rows]] * bins.widths
             seconds[one_view[rows, None] & before] = 0.0  # in one view no lag is before the exit
             total = np.maximum(seconds.sum(axis=1), 1e-9)
             even[rows] = (hazard[rows] * seconds).sum(axis=1) / total

@@ -11,19 +11,16 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Floats, rows_by_group
-from camtopod.learn.traffic import Departures
-from camtopod.topology import LagBins
+from camtopod.learn.association.problem import Problem
 
 
-def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:
+def exposures(problem: Problem) -> Floats:
     """Return the number of departures of each zone that are exposed to each lag bin, (zones, bins).
-
-    zones: number of zones.
-    until (seconds): end of the window.
 
     A departure is exposed to a lag bin after the exit if the window reaches past the bin. It is
     exposed to a lag bin before the exit as far as its passage had begun by then, possibly in part.
     """
+    departures, _, bins, zones, until = problem
     exposed = np.zeros((zones, bins.size))
     ahead = int((bins.edges[1:] <= 0).sum())
     before = bins.edges[: ahead + 1]

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 from camtopod.arrays import Floats, Singles
 from camtopod.learn.association.candidates import Candidates
-from camtopod.learn.association.em import Em
-from camtopod.learn.traffic import Arrivals, Departures, Persistence
-from camtopod.topology import LagBins
+from camtopod.learn.association.em import Em, EmModel
+from camtopod.learn.association.problem import Problem
+from camtopod.learn.traffic import Persistence
 
 SPARSE_ROUNDS_MAX = 4
 """Largest number of runs of EM with the sparse prior."""
@@ -51,28 +51,17 @@ class Fit(NamedTuple):
     """How far the speed of objects persists from view to view."""
 
 
-def fit_jointly(
-    departures: Departures,
-    arrivals: Arrivals,
-    candidates: Candidates,
-    bins: LagBins,
-    zones: int,
-    until: float,
-) -> Fit:
-    """Estimate responsibilities and hazards of all candidates jointly.
-
-    candidates: candidates of the departures and arrivals.
-    zones: number of zones.
-    until (Unix seconds): end of the window.
+def fit_jointly(problem: Problem, candidates: Candidates) -> Fit:
+    """Estimate responsibilities and hazards of all candidates of a problem jointly.
 
     Every fit begins from nothing. A fit that starts from the last one reinforces early mistakes and
     is late to find that a link has opened.
     """
-    em = Em(departures, arrivals, candidates, bins, zones, until)
+    em = Em(problem, candidates)
 
     # First without, then with the sparse prior, and without pairs of zones without transitions.
     hazard = em.run(em.learn_speed(em.run(em.start())))
-    em.sparsity = SPARSITY
+    em.assume(EmModel(sparsity=SPARSITY))
     hazard, counts = prune(em, em.run(hazard))
 
     # Repeat until the persistence of speed has settled.

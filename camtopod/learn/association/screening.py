@@ -37,6 +37,7 @@ from camtopod.learn.association.candidates import (
 )
 from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.exposure import exposures
+from camtopod.learn.association.problem import Problem
 from camtopod.learn.limits import (
     JUDGED_MAX,
     WEIGHED_AT_ONCE,
@@ -46,7 +47,7 @@ from camtopod.learn.limits import (
     arrivals_within,
     zone_pairs_max,
 )
-from camtopod.learn.traffic import Arrivals, Departures, NullRates
+from camtopod.learn.traffic import NullRates
 from camtopod.topology import LagBins, lag_smoothing_matrix, smooth
 
 Part = tuple[Ints, Ints, Singles, Singles]
@@ -89,6 +90,8 @@ LIKELY_MAX, LIKELY_PER_ARRIVAL = 3_000_000, 8
 that is more.
 """
 
+_NO_ROWS = np.zeros(0, np.int32)
+
 
 class FollowedSources(Struct):
     """The zones of departure that are followed as sources of one zone of arrival."""
@@ -100,10 +103,9 @@ class FollowedSources(Struct):
 
 
 class ScreenInput(NamedTuple):
-    """Departures and arrivals of a window, prepared for looks and weighing (`screen_input`)."""
+    """A problem, prepared for looks and weighing (`screen_input`)."""
 
-    departures: Departures
-    arrivals: Arrivals
+    problem: Problem
     leaving: list[Rows]
     """(zones,) rows of the departures from each zone."""
     coming: list[Rows]
@@ -112,8 +114,6 @@ class ScreenInput(NamedTuple):
     """(zones, bins) exposed departures."""
     chance: NullRates
     """Rates of arrivals under the null model."""
-    bins: LagBins
-    """Bins of the lags."""
 
 
 class CandidateScreen:
@@ -127,24 +127,18 @@ class CandidateScreen:
         """Zones of departure that are followed, by key (`place`) of the zone of arrival."""
 
     @staticmethod
-    def is_needed(
-        departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, candidates_max: int
-    ) -> bool:
+    def is_needed(problem: Problem, candidates_max: int) -> bool:
         """Return True if there are too many candidates or pairs of zones for one fit.
 
-        zones: number of zones.
         candidates_max: limit of the candidates; that of the pairs is `PAIRS_FEW`.
         """
-        low, high = departures_in_reach(departures.t, arrivals.t, bins)
-        return int((high - low).sum()) > candidates_max or zones**2 > PAIRS_FEW
+        low, high = departures_in_reach(problem.departures.t, problem.arrivals.t, problem.bins)
+        return int((high - low).sum()) > candidates_max or problem.zones**2 > PAIRS_FEW
 
     def find(
         self,
-        departures: Departures,
-        arrivals: Arrivals,
-        bins: LagBins,
+        problem: Problem,
         places: Longs,
-        until: float,
         learned: int,
         candidates_max: int,
         everywhere: bool = False,
@@ -152,27 +146,25 @@ class CandidateScreen:
         """Return the candidates of a window, screened if there are too many.
 
         places (zones,): key of each zone that stays the same from fit to fit (`place`).
-        until (seconds): end of the window.
         learned: number of events learned so far.
         candidates_max: number of candidates up to which all are returned.
         everywhere: True to look at every zone of arrival now, as there is no later fit.
         """
-        if not self.is_needed(departures, arrivals, bins, len(places), candidates_max):
+        if not self.is_needed(problem, candidates_max):
             self.followed = {}
-            return find_candidates(departures, arrivals, bins, len(places))
+            return find_candidates(problem)
 
         # Look at the zones whose turn it is.
+        departures, arrivals, bins, *_ = problem
         low, high = departures_in_reach(departures.t, arrivals.t, bins)
-        ends = screen_input(departures, arrivals, bins, len(places), until)
+        ends = screen_input(problem)
         self._look(ends, places, learned, high - low, everywhere)
         sources_of = self._sources(places)
 
         # Count the departures in reach of each arrival; beyond the limit, the arrivals with the
         # fewest are kept.
-        reach, departure_times = (
-            np.zeros(len(arrivals.t), np.intp),
-            [departures.t[rows] for rows in ends.leaving],
-        )
+        reach = np.zeros(len(arrivals.t), np.intp)
+        departure_times = [departures.t[rows] for rows in ends.leaving]
         for zone, sources in sources_of.items():
             arrival_rows = ends.coming[zone]
             reach[arrival_rows] = _reach(
@@ -189,7 +181,7 @@ class CandidateScreen:
                     if len(arrivals_of_block):
                         yield _likely(ends, zone, sources, arrivals_of_block)
 
-        return _joined(parts(), departures, arrivals, len(places))
+        return _joined(parts(), problem)
 
     def _sources(self, places: Longs) -> dict[int, Longs]:
         """Return, by zone of arrival, the zones of departure that are followed, ascending.
@@ -218,7 +210,8 @@ class CandidateScreen:
         self.followed = {place: self.followed.get(place, never) for place in places.tolist()}
 
         pairs_max = zone_pairs_max(len(np.unique(places >> 32)))
-        budget = max(LOOKS_MIN, LOOKS_PER_EVENT * (len(ends.departures.t) + len(ends.arrivals.t)))
+        departures, arrivals, bins, *_ = ends.problem
+        budget = max(LOOKS_MIN, LOOKS_PER_EVENT * (len(departures.t) + len(arrivals.t)))
         for zone in sorted(
             range(len(places)), key=lambda zone: self.followed[int(places[zone])].looked
         ):
@@ -226,17 +219,10 @@ class CandidateScreen:
                 break
             sources = find_sources(ends, zone, pairs_max)
             self.followed[int(places[zone])] = FollowedSources(places[sources], learned)
-            budget -= int(reach[ends.coming[zone]].sum()) + len(places) * ends.bins.size
+            budget -= int(reach[ends.coming[zone]].sum()) + len(places) * bins.size
 
 
-def candidates_of_pairs(
-    candidates: Candidates,
-    pairs: Rows,
-    departures: Departures,
-    arrivals: Arrivals,
-    bins: LagBins,
-    zones: int,
-) -> Candidates:
+def candidates_of_pairs(problem: Problem, candidates: Candidates, pairs: Rows) -> Candidates:
     """Return all candidates of the given pairs of zones, probable or not, as evidence for links.
 
     Screened candidates are biased as evidence: those that remain of a pair have similar lags,
@@ -245,8 +231,9 @@ def candidates_of_pairs(
 
     candidates: the screened candidates, whose numbering of pairs is kept.
     pairs (k,): numbers of the pairs.
-    zones: number of zones.
     """
+    departures, arrivals, bins, zones, _ = problem
+
     # Group events by zone, and pairs by zone of arrival.
     leaving, coming = rows_by_group(departures.zone, zones), rows_by_group(arrivals.zone, zones)
     pairs_to = {
@@ -266,28 +253,15 @@ def candidates_of_pairs(
     clear = arrivals_within(reach, JUDGED_MAX)
 
     # List the candidates of one zone of arrival at a time.
-    parts = [
-        (
-            np.zeros(0, np.int32),
-            np.zeros(0, np.int32),
-            np.zeros(0, np.int32),
-            np.zeros(0, np.float32),
-        )
-    ]
+    parts = [(_NO_ROWS, _NO_ROWS, _NO_ROWS, np.zeros(0, np.float32))]
     for zone, pairs_here in pairs_to.items():
         number = np.full(zones, -1, np.int32)
         number[candidates.source[pairs_here]] = pairs_here
-        departure_rows, arrival_rows = (
-            _among(leaving, candidates.source[pairs_here]),
-            coming[zone][clear[coming[zone]]],
-        )
-        for departure, at, lag in possible(
-            departures, arrivals, bins, arrival_rows, departure_rows
-        ):
-            part_arrival, pair = (
-                arrival_rows[at].astype(np.int32),
-                number[departures.zone[departure]],
-            )
+        departure_rows = _among(leaving, candidates.source[pairs_here])
+        arrival_rows = coming[zone][clear[coming[zone]]]
+        for departure, at, lag in possible(problem, arrival_rows, departure_rows):
+            part_arrival = arrival_rows[at].astype(np.int32)
+            pair = number[departures.zone[departure]]
             parts.append((departure.astype(np.int32), part_arrival, pair, lag.astype(np.float32)))
 
     # Order by arrival. Each part has its own arrivals, ordered by arrival and departure.
@@ -303,9 +277,8 @@ def candidates_of_pairs(
 
 
 def negative_without_overlap(
+    problem: Problem,
     candidates: Candidates,
-    departures: Departures,
-    arrivals: Arrivals,
     responsibility: Singles,
     overlapping: Bools,
 ) -> NDArray[np.bool_]:
@@ -323,10 +296,8 @@ def negative_without_overlap(
     cameras = len(overlapping)
     c = candidates
     ahead = np.flatnonzero(c.lag < 0)
-    camera_left, camera_reached = (
-        departures.camera[c.departure[ahead]],
-        arrivals.camera[c.arrival[ahead]],
-    )
+    camera_left = problem.departures.camera[c.departure[ahead]]
+    camera_reached = problem.arrivals.camera[c.arrival[ahead]]
     views = np.minimum(camera_left, camera_reached).astype(np.int64) * cameras + np.maximum(
         camera_left, camera_reached
     )
@@ -361,18 +332,15 @@ def place(camera: int, number: int) -> int:
     return camera << 32 | number
 
 
-def screen_input(
-    departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, until: float
-) -> ScreenInput:
-    """Prepare the departures and arrivals of a window that ends at ``until`` (seconds)."""
+def screen_input(problem: Problem) -> ScreenInput:
+    """Prepare a problem for looks and weighing."""
+    departures, arrivals, _, zones, _ = problem
     return ScreenInput(
-        departures,
-        arrivals,
+        problem,
         rows_by_group(departures.zone, zones),
         rows_by_group(arrivals.zone, zones),
-        exposures(departures, bins, zones, until),
+        exposures(problem),
         NullRates(departures.t, departures.zone, arrivals.t, arrivals.zone, zones),
-        bins,
     )
 
 
@@ -398,21 +366,19 @@ def excess_by_source(ends: ScreenInput, zone: int) -> Floats:
     The result (zones,) is by zone of departure, in standard deviations of the null model at the lag
     with the largest excess; -inf where there are fewer than `SEEN_MIN` candidates.
     """
-    zones, bins = len(ends.leaving), ends.bins
+    departures, arrivals, bins, zones, _ = ends.problem
     counts_flat = np.zeros(zones * bins.size)
     arrival_rows = ends.coming[zone]
-    low, high = departures_in_reach(ends.departures.t, ends.arrivals.t[arrival_rows], bins)
+    low, high = departures_in_reach(departures.t, arrivals.t[arrival_rows], bins)
 
     # Beyond the limit, count the candidates of every second arrival only, or every third, and so
     # on.
-    most = ZONE_SCREEN_PAIRS_PER_EVENT_MAX * (len(ends.departures.t) + len(ends.arrivals.t))
+    most = ZONE_SCREEN_PAIRS_PER_EVENT_MAX * (len(departures.t) + len(arrivals.t))
     thinned = arrival_rows[:: -(-int((high - low).sum()) // most) or 1]
 
     # Histograms of the lags, by zone of departure.
-    for departure, _, lag in possible(
-        ends.departures, ends.arrivals, bins, thinned, at_once=COUNTED_AT_ONCE
-    ):
-        cell = ends.departures.zone[departure].astype(np.int64) * bins.size + bins.index(lag)
+    for departure, _, lag in possible(ends.problem, thinned, at_once=COUNTED_AT_ONCE):
+        cell = departures.zone[departure].astype(np.int64) * bins.size + bins.index(lag)
         counts_flat += np.bincount(cell, minlength=len(counts_flat))
 
     # Compare those with enough candidates with the null model, thinned like the arrivals.
@@ -468,28 +434,22 @@ def _likely(ends: ScreenInput, zone: int, sources: Longs, arrival_rows: Rows) ->
     sources: the zones of departure that are followed, ascending.
     arrival_rows: rows of the arrivals.
     """
-    bins = ends.bins
+    departures, arrivals, bins, *_ = ends.problem
     departure_rows = _among(ends.leaving, sources)
     number = np.zeros(len(ends.leaving), np.int64)
     number[sources] = np.arange(len(sources))
 
     # List the candidates: departure, index of the arrival, cell (source and lag bin) and lag.
-    parts = [
-        (
-            np.zeros(0, np.int32),
-            np.zeros(0, np.int32),
-            np.zeros(0, np.int32),
-            np.zeros(0, np.float32),
-        )
-    ]
-    for departed, arrived, lags in possible(
-        ends.departures, ends.arrivals, bins, arrival_rows, departure_rows
-    ):
-        at_bin = (number[ends.departures.zone[departed]] * bins.size + bins.index(lags)).astype(
-            np.int32
-        )
+    parts = [(_NO_ROWS, _NO_ROWS, _NO_ROWS, np.zeros(0, np.float32))]
+    for departed, arrived, lags in possible(ends.problem, arrival_rows, departure_rows):
+        at_bin = number[departures.zone[departed]] * bins.size + bins.index(lags)
         parts.append(
-            (departed.astype(np.int32), arrived.astype(np.int32), at_bin, lags.astype(np.float32))
+            (
+                departed.astype(np.int32),
+                arrived.astype(np.int32),
+                at_bin.astype(np.int32),
+                lags.astype(np.float32),
+            )
         )
     departure, at, cell, lag = (np.concatenate(column) for column in zip(*parts, strict=True))
     del parts
@@ -505,7 +465,8 @@ def _likely(ends: ScreenInput, zone: int, sources: Longs, arrival_rows: Rows) ->
 
     # A few rounds of EM. E step: share each arrival among its candidates and the outside, and each
     # departure among at most one arrival. M step: count, smooth, divide by exposure.
-    outside, share = OUTSIDE_FIRST * ends.arrivals.rate[arrival_rows], np.zeros(0)
+    outside = OUTSIDE_FIRST * arrivals.rate[arrival_rows]
+    share = np.zeros(0)
     for _ in range(ROUNDS):
         weight = hazard.ravel()[cell]
         share = weight / (outside + np.bincount(at, weight, minlength=len(arrival_rows)))[at]
@@ -523,10 +484,9 @@ def _likely(ends: ScreenInput, zone: int, sources: Longs, arrival_rows: Rows) ->
     )
 
 
-def _joined(
-    parts: Iterable[Part], departures: Departures, arrivals: Arrivals, zones: int
-) -> Candidates:
+def _joined(parts: Iterable[Part], problem: Problem) -> Candidates:
     """Return the likeliest candidates of all parts, ordered by arrival."""
+    departures, arrivals, _, zones, _ = problem
     most = max(LIKELY_MAX, LIKELY_PER_ARRIVAL * len(arrivals.t))
 
     # Collect the parts; now and then, reduce them to the likeliest candidates to limit memory.
@@ -553,12 +513,7 @@ def _likeliest(parts: list[Part], most: int, room: int) -> Part:
     Candidates as likely as the last of them are returned, too, as long as there are at most
     ``room`` in all.
     """
-    nothing = (
-        np.zeros(0, np.int32),
-        np.zeros(0, np.int32),
-        np.zeros(0, np.float32),
-        np.zeros(0, np.float32),
-    )
+    nothing = (_NO_ROWS, _NO_ROWS, np.zeros(0, np.float32), np.zeros(0, np.float32))
     departure, arrival, lag, share = (
         np.concatenate(column) for column in zip(nothing, *parts, strict=True)
     )

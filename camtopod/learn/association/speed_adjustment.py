@@ -13,16 +13,14 @@ import numpy as np
 
 from camtopod.arrays import Indices, Ints, Singles
 from camtopod.learn.association.candidates import Candidates, slices_by_arrival
+from camtopod.learn.association.problem import Problem
 from camtopod.learn.traffic import (
     NO_PERSISTENCE,
-    Arrivals,
-    Departures,
     Persistence,
     adjusted_lag,
     agreement,
     mean_slowness,
 )
-from camtopod.topology import LagBins
 
 
 class Adjusted(NamedTuple):
@@ -45,26 +43,20 @@ class Adjusted(NamedTuple):
         return Adjusted(self.persistence, self.cell[kept], agreement)
 
 
-def adjust(
-    candidates: Candidates,
-    departures: Departures,
-    arrivals: Arrivals,
-    found: Persistence,
-    bins: LagBins,
-) -> Adjusted:
+def adjust(problem: Problem, candidates: Candidates, found: Persistence) -> Adjusted:
     """Return the lag bin at usual speed, and the agreement of slownesses, of each candidate.
 
     found: estimate of how far speed persists.
     """
-    c = candidates
+    c, bins = candidates, problem.bins
     cell = np.empty(len(c.lag), np.int32)
     agreements = np.empty(len(c.lag), np.float32) if found.correlation > 0 else None
 
     for part in slices_by_arrival(c.arrival):
         lag = np.clip(c.lag[part].astype(float), bins.lag_min, bins.lag_max)
         if found != NO_PERSISTENCE:
-            slow_before = departures.slow.take(c.departure[part])
-            slow_after = arrivals.slow.take(c.arrival[part])
+            slow_before = problem.departures.slow.take(c.departure[part])
+            slow_after = problem.arrivals.slow.take(c.arrival[part])
             lag = adjusted_lag(lag, mean_slowness(slow_before, slow_after), found.scaling, bins)
         cell[part] = c.pair[part] * bins.size + bins.index(lag)
         if agreements is not None:

@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from camtopod.arrays import Floats, Longs, rows_by_group
-from camtopod.learn.association import Fit
+from camtopod.learn.association import Fit, Problem
 from camtopod.learn.links import LinkTable, log_likelihood_ratio
-from camtopod.learn.traffic import Arrivals, Departures
+from camtopod.learn.traffic import Departures
 
 FALSE_ALARM = 5e-3
 """Theoretical probability of any false change in one window.
@@ -101,16 +101,17 @@ class Trials(NamedTuple):
     """(J,) responsibility of each transition."""
 
 
-def find_changes(
-    fit: Fit, departures: Departures, arrivals: Arrivals, over: float, silences: list[list[Silence]]
-) -> list[Change]:
+def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> list[Change]:
     """Return the latest change of each pair of zones of a fit that has one, in order of pairs.
 
-    over (seconds): time up to which departures count; later ones may still have an arrival.
     silences: intervals in which each camera reported nothing. Departures in an interval do not
         count for pairs that lead to the camera, as their arrivals could not be recorded.
     """
-    # Pairs to test, and the departures of each zone that count.
+    departures, arrivals, bins, _, until = problem
+
+    # Pairs to test, and the departures of each zone that count: later ones may still have an
+    # arrival.
+    over = until - bins.lag_max
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     threshold = threshold_nats(len(pairs), len(departures.t))
     camera_of = dict(zip(arrivals.zone.tolist(), arrivals.camera.tolist(), strict=True))
@@ -120,7 +121,7 @@ def find_changes(
     )
 
     found = []
-    for pair, moved, share in transitions_by_pair(fit, departures, arrivals, pairs):
+    for pair, moved, share in transitions_by_pair(problem, fit, pairs):
         # Departures and transitions of the pair.
         source, target = int(fit.candidates.source[pair]), int(fit.candidates.target[pair])
         t = done[departures_of[source]]
@@ -172,7 +173,7 @@ def threshold_nats(series: int, trials: int) -> float:
 
 
 def transitions_by_pair(
-    fit: Fit, departures: Departures, arrivals: Arrivals, pairs: NDArray[np.intp]
+    problem: Problem, fit: Fit, pairs: NDArray[np.intp]
 ) -> list[tuple[int, Floats, Floats]]:
     """Return the transitions of each pair: (pair, departure times (J,), responsibilities (J,)).
 
@@ -182,6 +183,7 @@ def transitions_by_pair(
     transition: its responsibility is the sum, its time of departure the weighted mean.
     """
     # Candidates of these pairs.
+    departures, arrivals, *_ = problem
     c = fit.candidates
     is_asked = np.zeros(len(c.source), bool)
     is_asked[pairs] = True

@@ -25,10 +25,8 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Floats, Longs, Singles
-from camtopod.learn.association import Candidates, Em, Fit, adjust
+from camtopod.learn.association import Candidates, Em, EmModel, Fit, Problem, adjust
 from camtopod.learn.links.significance import FLAT_MAX
-from camtopod.learn.traffic import Arrivals, Departures
-from camtopod.topology import LagBins
 
 PARTS = 8
 """Number of parts of the window."""
@@ -53,21 +51,11 @@ products of bets over these shares is an e-value, too.
 """
 SWEEPS = 3
 """Number of E steps under given hazards."""
-ROUNDS = 1
-"""Runs of EM of each fit before the run with the sparse prior."""
 RESPONSIBILITY_MAX = 1.0 - 1e-7
 """Upper bound on a responsibility r where log(1 - r) is computed."""
 
 
-def cross_evidence(
-    departures: Departures,
-    arrivals: Arrivals,
-    fit: Fit,
-    bins: LagBins,
-    zones: int,
-    first: float,
-    until: float,
-) -> Floats:
+def cross_evidence(problem: Problem, fit: Fit, first: float) -> Floats:
     """Return the held-out evidence (P, nats) that the zones of each pair of a fit are linked.
 
     The evidence is a log likelihood ratio against two null models, of which the stronger one counts
@@ -76,10 +64,9 @@ def cross_evidence(
 
     fit: the joint fit of the whole window, for its candidates and pairs of zones; its hazards are
         not used.
-    zones: number of zones.
-    first, until (seconds): beginning and end of the window.
+    first (seconds): beginning of the window.
     """
-    parts = WindowParts(departures, arrivals, fit, bins, zones, first, until)
+    parts = WindowParts(problem, fit, first)
     numbers = np.arange(PARTS)
     products = [*_products(parts, numbers), *_products(parts, numbers[::-1])]
     mean: Floats = np.logaddexp.reduce(products) - np.log(len(products))
@@ -108,31 +95,24 @@ class WindowParts:
     Arguments are as for `cross_evidence`.
     """
 
-    def __init__(
-        self,
-        departures: Departures,
-        arrivals: Arrivals,
-        fit: Fit,
-        bins: LagBins,
-        zones: int,
-        first: float,
-        until: float,
-    ) -> None:
-        self.departures, self.arrivals, self.fit = departures, arrivals, fit
-        self.bins, self.zones, self.first, self.until = bins, zones, first, until
+    def __init__(self, problem: Problem, fit: Fit, first: float) -> None:
+        self.problem = problem
+        self.fit = fit
+        self.first = first
 
         # Length of the stretches, seconds.
-        span = max(until - first, 1.0)
+        span = max(problem.until - first, 1.0)
         self.stretch = min(
-            max(span / STRETCHES, STRETCH_LAGS_MIN * bins.lag_max),
+            max(span / STRETCHES, STRETCH_LAGS_MIN * problem.bins.lag_max),
             STRETCH_SECONDS_MAX,
             span / PARTS,
         )
 
         # Part of each event, exposure of each part, and the speed-adjusted candidates.
-        self._departure_part, self._arrival_part = self._of(departures.t), self._of(arrivals.t)
+        self._departure_part = self._of(problem.departures.t)
+        self._arrival_part = self._of(problem.arrivals.t)
         self._exposure = self._exposures()
-        self._adjusted = adjust(fit.candidates, departures, arrivals, fit.persistence, bins)
+        self._adjusted = adjust(problem, fit.candidates, fit.persistence)
 
     def take(self, numbers: Longs) -> Em:
         """Return a fit in progress of the arrivals in some parts; pairs are numbered as in `fit`.
@@ -140,15 +120,11 @@ class WindowParts:
         numbers: the parts.
         """
         # Keep the candidates whose arrivals lie in these parts.
-        departs, arrives = (
-            np.isin(self._departure_part, numbers),
-            np.isin(self._arrival_part, numbers),
-        )
+        departs = np.isin(self._departure_part, numbers)
+        arrives = np.isin(self._arrival_part, numbers)
         c = self.fit.candidates
-        kept, arrival = (
-            np.flatnonzero(arrives[c.arrival]),
-            (np.cumsum(arrives) - 1).astype(np.int32),
-        )
+        kept = np.flatnonzero(arrives[c.arrival])
+        arrival = (np.cumsum(arrives) - 1).astype(np.int32)
         candidates = Candidates(
             c.departure[kept],
             arrival[c.arrival[kept]],
@@ -158,18 +134,13 @@ class WindowParts:
             c.target,
         )
 
-        fitter = Em(
-            self.departures,
-            self.arrivals.take(arrives),
+        return Em(
+            self.problem._replace(arrivals=self.problem.arrivals.take(arrives)),
             candidates,
-            self.bins,
-            self.zones,
-            self.until,
+            EmModel(near=departs if departs.any() else None),
             self._exposure[numbers].sum(axis=0),
             self._adjusted.take(kept),
         )
-        fitter.near = departs if departs.any() else None
-        return fitter
 
     def _of(self, t: Floats) -> Longs:
         """Return the number of the part (n,) in which each of the times (n, seconds) lies."""
@@ -183,27 +154,24 @@ class WindowParts:
         exposed to the lag. With the exposure of the whole window instead, short lags would look
         like links: an arrival after a short lag is often in the departure's own part.
         """
-        d, bins = self.departures, self.bins
-        result = np.zeros((PARTS, self.zones, bins.size))
+        d, _, bins, zones, until = self.problem
+        result = np.zeros((PARTS, zones, bins.size))
         for k, centre in enumerate(bins.centres):
             if bins.edges[k + 1] <= 0:
                 exposed = np.clip((bins.edges[k + 1] + d.t - d.since) / bins.widths[k], 0.0, 1.0)
             else:
-                exposed = (self.until - d.t >= bins.edges[k + 1]).astype(float)
-            cell = self._of(d.t + centre) * self.zones + d.zone
-            result[:, :, k] = np.bincount(cell, exposed, minlength=PARTS * self.zones).reshape(
-                PARTS, self.zones
+                exposed = (until - d.t >= bins.edges[k + 1]).astype(float)
+            cell = self._of(d.t + centre) * zones + d.zone
+            result[:, :, k] = np.bincount(cell, exposed, minlength=PARTS * zones).reshape(
+                PARTS, zones
             )
         return result
 
 
 def _fitted(fitter: Em) -> Singles:
     """Return hazards (P, bins) fitted from scratch, with the sparse prior in the last run only."""
-    fitter.sparsity = 0.0
-    hazard = fitter.start()
-    for _ in range(ROUNDS):
-        hazard = fitter.run(hazard)
-    fitter.sparsity = BET_SPARSITY
+    hazard = fitter.run(fitter.start())
+    fitter.assume(fitter.model._replace(sparsity=BET_SPARSITY))
     return fitter.run(hazard)
 
 
@@ -218,12 +186,12 @@ def _evidence(fitter: Em, hazard: Singles, outside: Floats) -> tuple[Floats, Flo
         fit.
     """
     # Responsibilities of the held-out candidates under the given hazards.
-    fitter.outside = outside
-    share = np.minimum(fitter.responsibilities_under(hazard, SWEEPS), RESPONSIBILITY_MAX)
+    share = fitter.responsibilities_under(hazard, outside, SWEEPS)
+    share = np.minimum(share, RESPONSIBILITY_MAX)
     c = fitter.candidates
 
     # Point-process likelihood ratio against no link: arrivals explained, less arrivals expected.
-    expected: Floats = (hazard * fitter.exposure[c.source] * fitter.bins.widths).sum(axis=1)
+    expected: Floats = (hazard * fitter.exposure[c.source] * fitter.problem.bins.widths).sum(axis=1)
     unrelated: Floats = np.bincount(c.pair, -np.log1p(-share), minlength=fitter.pairs) - expected
 
     # Likelihood ratio against the same number of transitions spread evenly over all lags.

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Ints, row_slices
-from camtopod.learn.association import Fit, exposures
+from camtopod.learn.association import Fit, Problem, exposures
 from camtopod.learn.links import mahalanobis, monte_carlo
 from camtopod.learn.links.significance import log_likelihood_ratio, q_values
 from camtopod.learn.links.transit_time import MEDIAN_ERROR, TransitFigures, transit_figures
 from camtopod.learn.settings import Settings
-from camtopod.learn.traffic import Arrivals, Departures, mean_slowness
+from camtopod.learn.traffic import mean_slowness
 from camtopod.topology import LagBins, smooth
 
 TRANSITIONS_MIN = 2.0
@@ -74,18 +74,15 @@ def transitions_of(fit: Fit, least: float = 0.0) -> Transitions:
     )
 
 
-def exposed_departures(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:
+def exposed_departures(problem: Problem) -> Floats:
     """Return the number of departures of each zone to which a probability refers, (zones, bins).
-
-    zones: number of zones.
-    until (seconds): end of the window.
 
     For a lag after the exit, these are the departures that could have been seen to arrive after the
     lag: an object that has just left may still be under way. For lags before the exit, they are all
     departures.
     """
-    every = np.bincount(departures.zone, minlength=zones)[:, None]
-    return np.where(bins.edges[1:] > 0, exposures(departures, bins, zones, until), every)
+    every = np.bincount(problem.departures.zone, minlength=problem.zones)[:, None]
+    return np.where(problem.bins.edges[1:] > 0, exposures(problem), every)
 
 
 class TransitionSlowness(NamedTuple):
@@ -101,13 +98,9 @@ class TransitionSlowness(NamedTuple):
     """(zones,) standard error of the usual log dwell time after arrivals at a zone, scaled."""
 
 
-def transition_slowness(
-    fit: Fit, departures: Departures, arrivals: Arrivals, zones: int
-) -> TransitionSlowness | None:
-    """Return the slowness of the objects of a fit's candidates; None if it does not affect lags.
-
-    zones: number of zones.
-    """
+def transition_slowness(problem: Problem, fit: Fit) -> TransitionSlowness | None:
+    """Return the slowness of the objects of a fit's candidates; None if it does not affect lags."""
+    departures, arrivals, _, zones, _ = problem
     scaling, _, sd = fit.persistence
     if scaling <= 0:
         return None

@@ -14,6 +14,7 @@ import numpy as np
 
 from camtopod.arrays import Floats, Longs, rows_by_group
 from camtopod.learn.association import (
+    Problem,
     departures_in_reach,
     find_candidates,
     fit_jointly,
@@ -56,12 +57,13 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
     ]
 
     # Cameras without tracks: fit each of them, with a fair share of the candidates.
-    views = [_view(scene, int(camera)) for camera in np.flatnonzero(~scene.tracked)]
-    reach = [departures_in_reach(view.starts.t, view.ends.t, bins) for view in views]
+    views = [_view(scene, int(camera), bins) for camera in np.flatnonzero(~scene.tracked)]
+    problems = [view.problem for view in views]
+    reach = [departures_in_reach(one.departures.t, one.arrivals.t, bins) for one in problems]
     most = fair_share(
         np.array([int((high - low).sum()) for low, high in reach], np.intp), candidates_max
     )
-    parts.extend(_joined(view, bins, most, scene.last) for view in views)
+    parts.extend(_joined(view, most) for view in views)
     return concatenate_transitions(parts)
 
 
@@ -105,19 +107,15 @@ def with_usual_dwell_times(departures: Departures, through: LinkTable) -> Depart
 class _View(NamedTuple):
     """The events of one camera without tracks, prepared for the joint fit.
 
-    starts: its entries, in the role of departures.
-    ends: its exits, in the role of arrivals.
-    first, zones: index of its first zone, and the number of its zones. Zones of ``starts`` and
-        ``ends`` are numbered from 0.
+    problem: its entries as departures, its exits as arrivals; zones are numbered from 0.
+    first: index of its first zone.
     """
 
-    starts: Departures
-    ends: Arrivals
+    problem: Problem
     first: int
-    zones: int
 
 
-def _view(scene: Scene, camera: int) -> _View:
+def _view(scene: Scene, camera: int, bins: LagBins) -> _View:
     """Return the entries and exits of one camera, given by its index, for the joint fit."""
     is_entry = scene.arrivals.camera == camera
     is_exit = scene.departures.camera == camera
@@ -139,19 +137,17 @@ def _view(scene: Scene, camera: int) -> _View:
         local_rates(t, zone, zones),
         scene.departures.slow[is_exit],
     )
-    return _View(starts, ends, first, zones)
+    return _View(Problem(starts, ends, bins, zones, scene.last), first)
 
 
-def _joined(view: _View, bins: LagBins, candidates_max: int, until: float) -> Transitions:
+def _joined(view: _View, candidates_max: int) -> Transitions:
     """Return the passages through the view of a camera without tracks, by a joint fit.
 
     candidates_max: limit of the candidates, which the newest events meet.
-    until (seconds): end of the window.
     """
-    starts, ends = newest_within_limit(view.starts, view.ends, bins, candidates_max)
-    if len(starts.t) == 0 or len(ends.t) == 0:
+    problem = newest_within_limit(view.problem, candidates_max)
+    if len(problem.departures.t) == 0 or len(problem.arrivals.t) == 0:
         return concatenate_transitions([])
-    candidates = find_candidates(starts, ends, bins, view.zones)
-    found = transitions_of(fit_jointly(starts, ends, candidates, bins, view.zones, until))
+    found = transitions_of(fit_jointly(problem, find_candidates(problem)))
     first = np.int32(view.first)
     return found._replace(source=found.source + first, target=found.target + first)

@@ -24,9 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
-from camtopod.learn.association import Candidates, slices_by_arrival
+from camtopod.learn.association import Candidates, Problem, slices_by_arrival
 from camtopod.learn.limits import context_cells_max
-from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
 LEVELS = ("entry", "block", "entry+block", "previous")
@@ -120,12 +119,14 @@ class Contexts:
     entry (n,): zone of entry of the passage that ends with each departure; -1 if unknown.
     """
 
-    def __init__(
-        self, departures: Departures, arrivals: Arrivals, zones: int, cameras: int
-    ) -> None:
-        self.zones, self.cameras = zones, cameras
-        self.departures, self.arrivals = departures, arrivals
-        zone, block = departures.zone.astype(np.int64), departures.block.astype(np.int64)
+    def __init__(self, problem: Problem, cameras: int) -> None:
+        departures, arrivals, _, zones, _ = problem
+        self.zones = zones
+        self.cameras = cameras
+        self.departures = departures
+        self.arrivals = arrivals
+        zone = departures.zone.astype(np.int64)
+        block = departures.block.astype(np.int64)
         self._zone = zone
         self.entry = np.where(departures.own >= 0, arrivals.zone[departures.own], -1).astype(
             np.int64

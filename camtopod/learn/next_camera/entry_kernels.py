@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Singles, row_slices
-from camtopod.learn.association import START_FLOOR, Candidates, initial_hazards
+from camtopod.learn.association import START_FLOOR, Candidates, Problem, initial_hazards
 from camtopod.learn.limits import entry_pairs_max
 from camtopod.learn.links import passages_lasting
-from camtopod.learn.traffic import Arrivals, Departures, NullRates
-from camtopod.topology import LagBins, smooth
+from camtopod.learn.traffic import NullRates
+from camtopod.topology import smooth
 
 
 class EntryKernels:
@@ -35,21 +35,20 @@ class EntryKernels:
 
     def __init__(
         self,
+        problem: Problem,
         candidates: Candidates,
-        departures: Departures,
-        arrivals: Arrivals,
         entry: NDArray[np.int64],
-        bins: LagBins,
-        zones: int,
     ) -> None:
         """Select the candidates and number the pairs of zones.
 
         candidates: all candidates of the fit.
         entry (n,): zone where the passage of each departure began, -1 where unknown.
-        zones: number of zones.
         """
-        c, d, a = candidates, departures, arrivals
-        self._departures, self._arrivals, self._bins, self._zones = d, a, bins, zones
+        c = candidates
+        d, a, bins, zones, _ = problem
+        self._arrivals = a
+        self._bins = bins
+        self._zones = zones
 
         # Candidates with a negative lag, and their lag from the entry; delayed copies of departures
         # (`long_paths`) have no passage.
@@ -66,12 +65,9 @@ class EntryKernels:
         if len(present) > most:
             usual = np.sort(np.argsort(-often, kind="stable")[:most])
             kept = np.isin(number, usual)
-            early, at, number, present = (
-                early[kept],
-                at[kept],
-                np.searchsorted(usual, number[kept]),
-                present[usual],
-            )
+            early, at = early[kept], at[kept]
+            number = np.searchsorted(usual, number[kept])
+            present = present[usual]
 
         self.rows: Indices = early
         """(m,) rows of these candidates, ascending."""

@@ -34,9 +34,12 @@ from camtopod.learn.association import (
     NOTHING,
     Candidates,
     Em,
+    EmModel,
     Fit,
+    Problem,
     negative_without_overlap,
     result,
+    slices_by_arrival,
 )
 from camtopod.learn.limits import FOLLOWED_MAX
 from camtopod.learn.next_camera.contexts import ContextCounts, ContextLevel, Contexts, multipliers
@@ -52,8 +55,7 @@ from camtopod.learn.next_camera.skipped_cameras import (
     view_paths,
 )
 from camtopod.learn.next_camera.spurious import spurious_shares
-from camtopod.learn.traffic import Arrivals, Departures
-from camtopod.topology import LEAVE_FLOOR, LagBins
+from camtopod.topology import LEAVE_FLOOR
 
 FIRST_NOISE_SD = 3.0
 """Standard deviations of the null model that are subtracted from lag histograms for first hazards.
@@ -106,47 +108,30 @@ class Posterior(NamedTuple):
 
 
 def followed_of(
-    departures: Departures,
-    arrivals: Arrivals,
-    candidates: Candidates,
-    bins: LagBins,
-    zones: int,
-    until: float,
-    overlapping: NDArray[np.bool_],
+    problem: Problem, candidates: Candidates, overlapping: NDArray[np.bool_]
 ) -> Candidates:
     """Select the candidates that are worth using in `fit_followed`.
 
-    zones: number of zones.
-    until (Unix seconds): end of the window.
     overlapping (cameras, cameras): True where two views are known to overlap.
     """
-    scout = PosteriorFitter(departures, arrivals, candidates, bins, zones, until)
+    scout = PosteriorFitter(problem, candidates)
     scout.scout()
     return candidates.take(scout.worth_following(overlapping))
 
 
 def fit_followed(
-    departures: Departures,
-    arrivals: Arrivals,
-    followed: Candidates,
-    bins: LagBins,
-    zones: int,
-    until: float,
-    evidence: Floats,
-    screened: bool = False,
+    problem: Problem, followed: Candidates, evidence: Floats, screened: bool = False
 ) -> Posterior:
     """Fit the posterior of the selected candidates.
 
     followed: result of `followed_of`.
-    zones: number of zones.
-    until (Unix seconds): end of the window.
     evidence (k, nats): held-out evidence of k pairs of zones (`cross_evidence`).
     screened: True if screening has left out pairs of zones, so that paths over skipped cameras to
         these pairs are added.
 
     Every fit begins from nothing, as a fit that starts from the last one reinforces early mistakes.
     """
-    fitter = PosteriorFitter(departures, arrivals, followed, bins, zones, until)
+    fitter = PosteriorFitter(problem, followed)
     fitter.learn()
     fitter.sample()
     posterior = fitter.posterior(evidence)
@@ -161,31 +146,26 @@ class PosteriorFitter:
     entering, skipping: the two additional terms of the EM model.
     """
 
-    def __init__(
-        self,
-        departures: Departures,
-        arrivals: Arrivals,
-        candidates: Candidates,
-        bins: LagBins,
-        zones: int,
-        until: float,
-    ) -> None:
-        """Begin without responsibilities; arguments are as for `fit_followed`."""
-        self.em = em = Em(departures, arrivals, candidates, bins, zones, until)
+    def __init__(self, problem: Problem, candidates: Candidates) -> None:
+        """Begin without responsibilities."""
+        departures, _, bins, zones, _ = problem
+        self.problem = problem
+        self.em = em = Em(problem, candidates)
         self.hazard: Singles = np.zeros((em.pairs, bins.size), np.float32)
         """(P, bins) hazards by lag from the exit, without those of skipped cameras."""
         self._departures_of = np.bincount(departures.zone, minlength=zones).astype(float)
-        self.share, self.leave = np.zeros(em.pairs), np.ones(zones)
+        self.share = np.zeros(em.pairs)
+        self.leave = np.ones(zones)
 
         # Contexts, and the additional terms and the prior of the EM model.
         cameras = int(em.camera.max(initial=0)) + 1
-        self.contexts = Contexts(departures, arrivals, zones, cameras)
+        self.contexts = Contexts(problem, cameras)
         entry = self.contexts.entry
         self._through = view_paths(departures, entry, em.camera)
-        self.entering = EntryKernels(candidates, departures, arrivals, entry, bins, zones)
+        self.entering = EntryKernels(problem, candidates, entry)
         self.skipping = SkippedCameras(bins, self._departures_of[candidates.source])
-        em.terms = (self.entering, self.skipping)
-        em.prior = Prior(candidates, em.camera, em.exposure, em.arrivals_of_zone)
+        prior = Prior(candidates, em.camera, em.exposure, em.arrivals_of_zone)
+        em.assume(EmModel(terms=(self.entering, self.skipping), prior=prior))
 
     def scout(self) -> None:
         """Run a few iterations, enough for `worth_following`."""
@@ -204,9 +184,7 @@ class PosteriorFitter:
         Of more than `FOLLOWED_MAX` candidates, the likeliest are returned.
         """
         c, responsibility = self.em.candidates, self.em.responsibility
-        impossible = negative_without_overlap(
-            c, self.em.departures, self.em.arrivals, responsibility, overlapping
-        )
+        impossible = negative_without_overlap(self.problem, c, responsibility, overlapping)
         kept = (responsibility > NEGLIGIBLE) & ~impossible
         rows = np.flatnonzero(kept)
         if len(rows) > FOLLOWED_MAX:
@@ -229,20 +207,20 @@ class PosteriorFitter:
         """
         em, entering, skipping = self.em, self.entering, self.skipping
         fitted = em.responsibility.copy()
-        sources = Sources(em.candidates.arrival, len(em.arrivals.t), SAMPLING_SEED)
+        arrivals = len(self.problem.arrivals.t)
+        sources = Sources(em.candidates.arrival, arrivals, SAMPLING_SEED)
         believed, skipped = np.zeros((2, len(fitted)), np.float32)
         entered = np.zeros(len(entering.rows))
-        sweeps = min(max(DRAWN_ARRIVALS // max(len(em.arrivals.t), 1), SWEEPS_MIN), SWEEPS_MAX)
+        sweeps = min(max(DRAWN_ARRIVALS // max(arrivals, 1), SWEEPS_MIN), SWEEPS_MAX)
         burn_in = sweeps // 2
 
         for sweep in range(sweeps):
             # Estimate hazards and terms from one draw, then the responsibilities under these.
-            em.draw(sources.draw(em.responsibility))
+            em.believe(sources.draw(em.responsibility))
             hazard = self._with_faint(em.maximise())
             if (sweep + 1) % SKIPS_EVERY == 0:
                 self._find_skips(hazard)
             em.expect(hazard)
-            em.end_draw()
             if sweep % CONTEXTS_EVERY == 0:
                 self._learn_contexts()
 
@@ -253,17 +231,12 @@ class PosteriorFitter:
                 entered += em.responsibility[entering.rows] * entering.share
 
         # Shares of the terms on average, and responsibilities averaged with those of the fit.
-        skipping_rows = np.flatnonzero(skipped)
-        skipping.believe(
-            skipping_rows,
-            (skipped[skipping_rows] / np.maximum(believed[skipping_rows], NOTHING)).astype(
-                np.float32
-            ),
-        )
+        rows = np.flatnonzero(skipped)
+        share = skipped[rows] / np.maximum(believed[rows], NOTHING)
+        skipping.believe(rows, share.astype(np.float32))
         entering.share = entered / np.maximum(believed[entering.rows], NOTHING)
-        believed *= SAMPLES_SHARE / (sweeps - burn_in)
-        fitted *= 1.0 - SAMPLES_SHARE
-        np.add(believed, fitted, out=em.responsibility)
+        samples = believed * np.float32(SAMPLES_SHARE / (sweeps - burn_in))
+        em.believe(samples + fitted * np.float32(1.0 - SAMPLES_SHARE))
         self.hazard = self._with_faint(em.maximise())
 
     def posterior(self, evidence: Floats) -> Posterior:
@@ -274,7 +247,7 @@ class PosteriorFitter:
         em = self.em
         levels = self.contexts.published_levels(em.candidates, self._count_contexts())
         hazard = em.after_exit(self.hazard, slice(0, em.pairs))
-        found = result(em, hazard, np.zeros((0, em.bins.size)))  # without counts
+        found = result(em, hazard, np.zeros((0, self.problem.bins.size)))  # without counts
         doubt = spurious_shares(
             em.candidates.pair, found.responsibility, em.pairs, evidence, self._departures_of
         )
@@ -296,16 +269,18 @@ class PosteriorFitter:
         Screening may have left out all candidates of such pairs.
         """
         # Hazards of the additional pairs.
-        em, c = self.em, posterior.fit.candidates
+        c = posterior.fit.candidates
+        bins, zones = self.problem.bins, self.problem.zones
         source, target, unit = skip_hazards_elsewhere(
-            self._legs(self.hazard), c, self._through, em.bins, em.zones
+            self._legs(self.hazard), c, self._through, bins, zones
         )
         hazard = (self.skipping.odds * unit).astype(np.float32)
-        share = hazard @ em.bins.widths
+        share = hazard @ bins.widths
 
         # Number the pairs of zones anew, by source, then target.
-        sources, targets = np.concatenate((c.source, source)), np.concatenate((c.target, target))
-        key = sources.astype(np.int64) * em.zones + targets
+        sources = np.concatenate((c.source, source))
+        targets = np.concatenate((c.target, target))
+        key = sources.astype(np.int64) * zones + targets
         order = np.argsort(key, kind="stable")
         number = np.argsort(order)
 
@@ -318,11 +293,11 @@ class PosteriorFitter:
             hazard=np.concatenate((posterior.fit.hazard, hazard))[order],
             candidates=c._replace(
                 pair=number[c.pair].astype(np.int32),
-                source=(key[order] // em.zones).astype(np.int32),
-                target=(key[order] % em.zones).astype(np.int32),
+                source=(key[order] // zones).astype(np.int32),
+                target=(key[order] % zones).astype(np.int32),
             ),
         )
-        gone = posterior.leave - np.bincount(source, share, minlength=em.zones)
+        gone = posterior.leave - np.bincount(source, share, minlength=zones)
         return posterior._replace(
             fit=fit,
             share=mixed(posterior.share, share),
@@ -348,16 +323,20 @@ class PosteriorFitter:
         """Return the hazards (P, bins) with faint transitions added at every lag (`sampling`)."""
         em = self.em
         return add_prior_transitions(
-            hazard, em.exposure_at_least_one, em.candidates.source, em.bins
+            hazard, em.exposure_at_least_one, em.candidates.source, self.problem.bins
         )
 
     def _find_skips(self, hazard: Singles) -> None:
         """Find the paths over skipped cameras that follow from the present hazards (P, bins)."""
         em = self.em
         pair, unit = skip_hazards(
-            self._legs(hazard), em.candidates, self._through, em.bins, em.zones
+            self._legs(hazard),
+            em.candidates,
+            self._through,
+            self.problem.bins,
+            self.problem.zones,
         )
-        self.skipping.use(pair, unit, em.candidates, em.cell, em.parts)
+        self.skipping.use(pair, unit, em.candidates, em.cell)
 
     def _legs(self, hazard: Singles) -> Legs:
         """Return the hazards (P, bins) as possible legs of paths over a skipped camera."""
@@ -365,31 +344,38 @@ class PosteriorFitter:
         share = np.concatenate(
             [em.appears(hazard[rows], rows).sum(axis=1) for rows in row_slices(em.pairs)]
         )
-        return legs_of(share, lambda some: em.appears(hazard[some], some), em.candidates, em.bins)
+        return legs_of(
+            share,
+            lambda pairs: em.appears(hazard[pairs], pairs),
+            em.candidates,
+            self.problem.bins,
+        )
 
     def _learn_contexts(self) -> None:
         """Estimate the factor on each candidate's rate by the context of its departure."""
-        em, counted = self.em, self._count_contexts()
+        em = self.em
+        counted = self._count_contexts()
         multiplier = self.contexts.judged(em.candidates, em.responsibility, self.share, counted)
-        for part in em.parts:
+        for part in slices_by_arrival(em.candidates.arrival):
             multiplier[part] = multipliers(
                 self.share.take(em.candidates.pair[part]), multiplier[part].astype(float)
             )
-        em.multiplier = multiplier
+        em.assume(em.model._replace(multiplier=multiplier))
 
     def _count_contexts(self) -> list[ContextCounts]:
         """Estimate `share` and `leave`, and return departures and transitions by context."""
-        em, c, zone = self.em, self.em.candidates, self.em.departures.zone
+        em, c = self.em, self.em.candidates
+        zone = self.problem.departures.zone
         departures_of_source = np.maximum(self._departures_of, 1e-9)
 
         # Shares of the departures of each zone: by next zone, and those that leave the site.
         self.share = em.summed(c.pair, em.pairs) / departures_of_source[c.source]
         seen_again = em.over_copies(em.summed(c.departure, len(zone)))
         gone = 1.0 - np.minimum(seen_again, 1.0)
-        leave = np.bincount(zone, gone, minlength=em.zones) / departures_of_source
+        leave = np.bincount(zone, gone, minlength=self.problem.zones) / departures_of_source
         self.leave = np.maximum(leave, LEAVE_FLOOR)
 
         # Shares by context.
         counted, leaving = self.contexts.count(c, em.responsibility, gone, self.leave[zone])
-        em.leaving = np.maximum(leaving, LEAVE_FLOOR)
+        em.assume(em.model._replace(leaving=np.maximum(leaving, LEAVE_FLOOR)))
         return counted

@@ -30,18 +30,18 @@ class Sources:
 
     def __init__(self, arrival: Indices, n: int, seed: int) -> None:
         self._start = np.searchsorted(arrival, np.arange(n + 1))
-        self._reached = np.zeros(len(arrival) + 1)
         self._random = np.random.default_rng(seed)
 
-    def draw(self, responsibility: Singles) -> Indices:
-        """Return the rows of the drawn candidates, ascending; at most one of each arrival.
+    def draw(self, responsibility: Singles) -> Singles:
+        """Return 1 for each drawn candidate, at most one an arrival, and 0 for all others, (M,).
 
         responsibility (M,): probability with which each candidate is drawn.
         """
-        reached = np.cumsum(responsibility, dtype=float, out=self._reached[1:])
-        before = self._reached[self._start[:-1]]
-        at = np.searchsorted(reached, before + self._random.random(len(before)))
-        drawn: Indices = at[at < self._start[1:]]
+        reached = np.concatenate(([0.0], np.cumsum(responsibility, dtype=float)))
+        before = reached[self._start[:-1]]
+        at = np.searchsorted(reached[1:], before + self._random.random(len(before)))
+        drawn = np.zeros(len(responsibility), np.float32)
+        drawn[at[at < self._start[1:]]] = 1.0
         return drawn
 
 

@@ -10,8 +10,6 @@ in ten of the candidates may have taken such a path. Data are kept for these onl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from camtopod.arrays import Floats, Indices, Ints, Longs, Singles
@@ -47,37 +45,33 @@ class SkippedCameras:
         self.share: Singles = np.zeros(0, np.float32)
         """(s,) share of each candidate's rate that skipped cameras contribute."""
 
-    def use(
-        self, pair: Longs, unit: Floats, candidates: Candidates, cell: Ints, parts: Sequence[slice]
-    ) -> None:
+    def use(self, pair: Longs, unit: Floats, candidates: Candidates, cell: Ints) -> None:
         """Replace the hazards of skipped cameras, and select the candidates that they apply to.
 
         pair (K,): pairs of zones that paths over skipped cameras join, ascending.
         unit (K, bins): hazards of these pairs at odds of 1 (`skip_hazards`).
         candidates: all candidates of the fit.
         cell (M,): flat index of each candidate in a table (P, bins) of pairs of zones by lag bin.
-        parts: slices of the candidates, of which one is processed at a time.
         """
-        self.pair, self._unit = pair, unit.astype(np.float32)
+        self.pair = pair
+        self._unit = unit.astype(np.float32)
         row = np.full(len(candidates.source), -1, np.int32)
         row[pair] = np.arange(len(pair), dtype=np.int32)
 
         # Candidates of these pairs whose lag a path over a skipped camera can have.
-        candidate_rows, cells = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)]
-        for part in parts:
-            of = candidates.pair[part]
-            in_part = np.flatnonzero(row.take(of) >= 0)
-            of = of[in_part]
-            at = cell[part][in_part] + (row.take(of) - of) * self._bins.size
-            occurs = self._unit.take(at) > 0
-            candidate_rows.append((in_part[occurs] + part.start).astype(np.int32))
-            cells.append(at[occurs])
-        self.rows, self._cell = np.concatenate(candidate_rows), np.concatenate(cells)
+        joined = np.flatnonzero(row.take(candidates.pair) >= 0).astype(np.int32)
+        of = candidates.pair[joined]
+        at = cell[joined] + (row.take(of) - of) * self._bins.size
+        occurs = self._unit.take(at) > 0
+        self.rows = joined[occurs]
+        self._cell = at[occurs]
         self.share = np.zeros(len(self.rows), np.float32)
 
     def believe(self, rows: Indices, share: Singles) -> None:
         """Set the final candidates (s,), and the share (s,) that skipped cameras have in each."""
-        self.rows, self.share, self._cell = rows, share, np.zeros(0, np.int32)
+        self.rows = rows
+        self.share = share
+        self._cell = np.zeros(0, np.int32)
 
     def rates(self, here: slice, responsibility: Singles) -> Singles:
         """Return the rates of a slice of `rows` at the present odds of a missed passage.

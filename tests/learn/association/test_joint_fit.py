@@ -17,9 +17,10 @@ from camtopod.learn.association.candidates import (
     find_candidates,
     newest_within_limit,
 )
-from camtopod.learn.association.em import Em
+from camtopod.learn.association.em import Em, EmModel
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import Fit, fit_jointly
+from camtopod.learn.association.problem import Problem
 from camtopod.learn.association.speed_adjustment import adjust
 from camtopod.learn.links.cross_validation import cross_evidence
 from camtopod.learn.traffic.background_rate import local_rates
@@ -89,11 +90,12 @@ def test_candidates_equal_a_double_loop(seed: int, left: int, came: int, in_step
     departures, arrivals = made(seed, left, came)
     if in_step:
         departures, arrivals = in_whole_seconds(departures, arrivals)
+    problem = Problem(departures, arrivals, SHORT, 3, 60.0)
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(candidates_module, "CANDIDATES_AT_ONCE", 7)
-        found = find_candidates(departures, arrivals, SHORT, 3)
+        found = find_candidates(problem)
         limits.setattr(candidates_module, "PAIR_TABLE_MAX", 0)
-        sparse = find_candidates(departures, arrivals, SHORT, 3)
+        sparse = find_candidates(problem)
     slow = naive.candidates(departures, arrivals, -3.0, 8.0)
     assert listed(found) == slow
     assert found.lag == pytest.approx([arrivals.t[a] - departures.t[d] for d, a in slow])
@@ -107,8 +109,9 @@ def test_candidates_equal_a_double_loop(seed: int, left: int, came: int, in_step
 @given(st.integers(0, 10**6), st.integers(1, 400))
 def test_beyond_the_limit_only_the_newest_stretch_counts(seed: int, limit: int) -> None:
     departures, arrivals = made(seed, 40, 40)
-    left, came = newest_within_limit(departures, arrivals, SHORT, limit)
-    assert len(find_candidates(left, came, SHORT, 3).lag) <= limit
+    newest = newest_within_limit(Problem(departures, arrivals, SHORT, 3, 60.0), limit)
+    left, came = newest.departures, newest.arrivals
+    assert len(find_candidates(newest).lag) <= limit
     first = came.t[0] if len(came.t) else np.inf
     assert came.t.tolist() == [t for t in arrivals.t if t >= first]
     older = [t for t in arrivals.t if t < first]
@@ -139,9 +142,10 @@ def test_excess_is_what_exceeds_chance() -> None:
 
 @given(st.integers(0, 10**6), st.integers(0, 30), st.floats(-5, 90))
 def test_exposures_equal_a_double_loop(seed: int, left: int, until: float) -> None:
-    departures, _ = made(seed, left, 0)
+    departures, arrivals = made(seed, left, 0)
     slow = naive.exposures(departures, SHORT, 3, until)
-    assert exposures(departures, SHORT, 3, until) == pytest.approx(slow, abs=1e-9)
+    found = exposures(Problem(departures, arrivals, SHORT, 3, until))
+    assert found == pytest.approx(slow, abs=1e-9)
 
 
 @given(st.integers(0, 10**6), st.floats(0, 100))
@@ -170,14 +174,13 @@ def test_iterations_equal_their_slow_twin(
     seed: int, iterations: int, sparsity: float, at_once: int
 ) -> None:
     departures, arrivals = made(seed, 20, 20)
-    found = find_candidates(departures, arrivals, SHORT, 3)
-    with pytest.MonkeyPatch.context() as limits:
-        limits.setattr(candidates_module, "CANDIDATES_AT_ONCE", at_once)
-        fitter = Em(departures, arrivals, found, SHORT, 3, 60.0)
-    fitter.sparsity = sparsity
+    problem = Problem(departures, arrivals, SHORT, 3, 60.0)
+    found = find_candidates(problem)
+    fitter = Em(problem, found, EmModel(sparsity=sparsity))
     hazard = np.random.default_rng(seed).random((fitter.pairs, SHORT.size)) * 0.05
     named = list(zip(found.source.tolist(), found.target.tolist(), strict=True))
     with pytest.MonkeyPatch.context() as limits:
+        limits.setattr(candidates_module, "CANDIDATES_AT_ONCE", at_once)
         limits.setattr(em, "ITERATIONS", iterations)
         limits.setattr(em, "SETTLING_ITERATIONS", iterations)
         hazards = fitter.run(hazard.astype(np.float32))
@@ -262,8 +265,8 @@ class Walks:
 
 
 def fitted(departures: Departures, arrivals: Arrivals, zones: int) -> Fit:
-    found = find_candidates(departures, arrivals, BINS, zones)
-    return fit_jointly(departures, arrivals, found, BINS, zones, float(departures.t[-1]))
+    problem = Problem(departures, arrivals, BINS, zones, float(departures.t[-1]))
+    return fit_jointly(problem, find_candidates(problem))
 
 
 def share(fit: Fit, departures: Departures, source: int, target: int) -> float:
@@ -322,14 +325,12 @@ def test_without_a_candidate(gap: float) -> None:
     departures, _ = made(1, 20, 0)
     _, arrivals = made(2, 0, 20)
     arrivals = arrivals._replace(t=arrivals.t + gap)
-    found = find_candidates(departures, arrivals, BINS, 3)
-    assert len(found.lag) == 0
-    until = max(departures.t[-1], arrivals.t[-1])
-    fit = fit_jointly(departures, arrivals, found, BINS, 3, float(until))
+    problem = Problem(departures, arrivals, BINS, 3, float(max(departures.t[-1], arrivals.t[-1])))
+    fit = fit_jointly(problem, find_candidates(problem))
     assert (fit.outside == 1).all()
     assert fit.counts.shape == (0, BINS.size)
     first = min(departures.t[0], arrivals.t[0])
-    assert len(cross_evidence(departures, arrivals, fit, BINS, 3, float(first), float(until))) == 0
+    assert len(cross_evidence(problem, fit, float(first))) == 0
 
 
 def test_departures_of_one_zone_and_arrivals_of_one_camera_only() -> None:
@@ -348,7 +349,7 @@ def test_evidence_of_chance_is_small_and_of_a_link_large() -> None:
         walks.go(400, 12_000.0, (zone, 0, 0, 1))
     departures, arrivals = walks.columns(6)
     fit = fitted(departures, arrivals, 6)
-    ratio = cross_evidence(departures, arrivals, fit, BINS, 6, 0.0, 12_000.0)
+    ratio = cross_evidence(Problem(departures, arrivals, BINS, 6, 12_000.0), fit, 0.0)
     linked = (fit.candidates.source == 0) & (fit.candidates.target == 1)
     assert ratio[linked] > 100
     assert (ratio[~linked] < np.log(36 * 100)).all()
@@ -358,7 +359,8 @@ def test_evidence_of_chance_is_small_and_of_a_link_large() -> None:
 def test_evidence_of_any_span(span: float) -> None:
     departures, arrivals = made(4, 30, 30, span=span)
     fit = fitted(departures, arrivals, 3)
-    assert np.isfinite(cross_evidence(departures, arrivals, fit, BINS, 3, 0.0, span)).all()
+    problem = Problem(departures, arrivals, BINS, 3, span)
+    assert np.isfinite(cross_evidence(problem, fit, 0.0)).all()
 
 
 # --- slowness ---
@@ -466,10 +468,10 @@ def test_agreement_stays_within_single_precision() -> None:
     departures, arrivals = made(3, 20, 20)
     departures = departures._replace(slow=np.full(len(departures.t), 1.5))
     arrivals = arrivals._replace(slow=np.full(len(arrivals.t), 1.5))
-    found = find_candidates(departures, arrivals, SHORT, 3)
-    fitter = Em(departures, arrivals, found, SHORT, 3, 60.0)
-    persistent = Persistence(0.0, 0.95, 0.05)
-    fitter.use(adjust(found, departures, arrivals, persistent, SHORT))
+    problem = Problem(departures, arrivals, SHORT, 3, 60.0)
+    found = find_candidates(problem)
+    adjusted = adjust(problem, found, Persistence(0.0, 0.95, 0.05))
+    fitter = Em(problem, found, adjusted=adjusted)
     assert np.isfinite(fitter.run(fitter.start())).all()
     assert np.isfinite(fitter.responsibility).all()
     assert fitter.responsibility.any()

@@ -17,6 +17,7 @@ from camtopod.learn.association.candidates import (
     possible,
 )
 from camtopod.learn.association.em import START_FLOOR
+from camtopod.learn.association.problem import Problem
 from camtopod.learn.association.screening import (
     CandidateScreen,
     _joined,
@@ -89,9 +90,12 @@ def found_by(
     zones: int,
     learned: int = 1,
 ) -> Candidates:
-    departures, arrivals = ends
-    until = float(max(departures.t[-1], arrivals.t[-1]))
-    return screen.find(departures, arrivals, BINS, places_of(zones), until, learned, most)
+    return screen.find(problem_of(ends, zones), places_of(zones), learned, most)
+
+
+def problem_of(ends: tuple[Departures, Arrivals], zones: int, bins: LagBins = BINS) -> Problem:
+    until = max((float(one.t[-1]) for one in ends if len(one.t)), default=0.0)
+    return Problem(*ends, bins, zones, until)
 
 
 def listed(found: Candidates) -> dict[tuple[int, int], tuple[float, int, int]]:
@@ -121,7 +125,7 @@ def test_while_they_are_few_all_are_found_and_nothing_is_followed() -> None:
     screen, number = CandidateScreen(), in_reach(*ends)
     assert len(found_by(screen, ends, number - 1, 6).lag)
     assert len(screen.followed) == 6
-    found, every = found_by(screen, ends, number, 6), find_candidates(*ends, BINS, 6)
+    found, every = found_by(screen, ends, number, 6), find_candidates(problem_of(ends, 6))
     assert screen.followed == {}
     assert all((one == other).all() for one, other in zip(found, every, strict=True))
 
@@ -147,7 +151,7 @@ def test_what_is_kept_are_candidates(seed: int, left: int, came: int, most: int)
         found = found_by(CandidateScreen(), ends, in_reach(*ends) - 1, 6)
     assert len(found.lag) <= most
     rows = listed(found)
-    assert rows.items() <= listed(find_candidates(*ends, BINS, 6)).items()
+    assert rows.items() <= listed(find_candidates(problem_of(ends, 6))).items()
     assert list(rows) == sorted(rows)
     pairs = list(zip(found.source.tolist(), found.target.tolist(), strict=True))
     assert pairs == sorted({(u, v) for _, u, v in rows.values()})
@@ -166,7 +170,7 @@ def test_the_true_ones_among_many_are_kept() -> None:
     """Of 300,000 candidates nearly all are spurious."""
     ends = site(2)
     every, found = (
-        find_candidates(*ends, BINS, 40),
+        find_candidates(problem_of(ends, 40)),
         found_by(CandidateScreen(), ends, in_reach(*ends) - 1, 40),
     )
     assert len(found.lag) < 0.5 * len(every.lag)
@@ -202,7 +206,7 @@ def test_parts_are_joined_by_arrival_and_the_likeliest_stay(
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(module, "LIKELY_MAX", most)
         limits.setattr(module, "LIKELY_PER_ARRIVAL", 0)
-        found = _joined(made, departures, arrivals, 6)
+        found = _joined(made, problem_of((departures, arrivals), 6))
     rows = sorted(
         ((s, a, d, lag) for part in made for d, a, lag, s in zip(*part, strict=True)), reverse=True
     )[:most]
@@ -230,7 +234,8 @@ def test_possible_ones_equal_a_double_loop(
     departures, arrivals = anything(seed, left, came)
     mine = np.flatnonzero(arrivals.zone == arrivals.zone[0])
     among = None if share is None else np.flatnonzero(rng.random(left) < share)
-    parts = list(possible(departures, arrivals, SHORT, mine, among, at_once))
+    problem = problem_of((departures, arrivals), 6, SHORT)
+    parts = list(possible(problem, mine, among, at_once))
     departure, at, lag = (np.concatenate(column) for column in zip(*parts, strict=True))
     assert all(len(np.unique(at)) == 1 or len(at) <= at_once for _, at, _ in parts if len(at))
     slow = naive.candidates(departures, arrivals.take(mine), SHORT.lag_min, SHORT.lag_max)
@@ -243,7 +248,7 @@ def test_possible_ones_equal_a_double_loop(
 @given(st.integers(0, 10**6), st.integers(1, 25), st.integers(1, 25))
 def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> None:
     departures, arrivals = anything(seed, left, came, zones=4, span=30.0)
-    ends = module.screen_input(departures, arrivals, SHORT, 4, 40.0)
+    ends = module.screen_input(Problem(departures, arrivals, SHORT, 4, 40.0))
     zone = int(arrivals.zone[0])
     sources = np.flatnonzero(np.random.default_rng(seed).random(4) < 0.6)
     if not len(sources):
@@ -271,9 +276,7 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
 
 
 def made_ready(departures: Departures, arrivals: Arrivals, zones: int) -> module.ScreenInput:
-    return module.screen_input(
-        departures, arrivals, BINS, zones, float(max(departures.t[-1], arrivals.t[-1]))
-    )
+    return module.screen_input(problem_of((departures, arrivals), zones))
 
 
 @settings(max_examples=20)
@@ -288,7 +291,8 @@ def test_what_stands_out_equals_its_slow_twin(
     seed: int, left: int, came: int, at_once: int, all_seen: bool
 ) -> None:
     departures, arrivals = anything(seed, left, came)
-    ends = module.screen_input(departures, arrivals, SHORT, 6, 60.0)
+    problem = Problem(departures, arrivals, SHORT, 6, 60.0)
+    ends = module.screen_input(problem)
     seen_min = 1 if all_seen else module.SEEN_MIN
     above = [
         naive.standing_out(
@@ -316,7 +320,7 @@ def test_what_stands_out_equals_its_slow_twin(
         limits.setattr(module, "_above", above_chance)
         found = [find_sources(ends, zone).tolist() for zone in range(6)]
     assert found == [[u for u in range(6) if row[u] > module.STANDS_OUT_SD] for row in above]
-    every = find_candidates(departures, arrivals, SHORT, 6)
+    every = find_candidates(problem)
     pairs = np.bincount(every.pair, minlength=len(every.source))
     kept = np.where(pairs >= seen_min, pairs, 0)
     assert counted == np.bincount(every.target, kept, minlength=6).tolist()
@@ -360,8 +364,8 @@ def test_where_there_is_no_other_fit_every_zone_is_looked_at(
 ) -> None:
     monkeypatch.setattr(module, "LOOKS_MIN", 1)
     monkeypatch.setattr(module, "LOOKS_PER_EVENT", 0)
-    (departures, arrivals), screen = anything(10, 200, 200), CandidateScreen()
-    screen.find(departures, arrivals, BINS, places_of(6), 1e9, 1, 100, everywhere=True)
+    ends, screen = anything(10, 200, 200), CandidateScreen()
+    screen.find(problem_of(ends, 6), places_of(6), 1, 100, everywhere=True)
     assert looked(screen, 6) == [1] * 6
 
 
@@ -379,13 +383,12 @@ def test_as_many_looks_as_the_events_allow(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_zone_that_is_no_more_is_forgotten_and_a_new_one_looked_at_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    (departures, arrivals), screen = site(12), CandidateScreen()
-    most = in_reach(departures, arrivals) // 2
+    ends, screen = site(12), CandidateScreen()
+    most = in_reach(*ends) // 2
     names = places_of(40)
-    until = float(departures.t[-1])
 
     def find(learned: int) -> Candidates:
-        return screen.find(departures, arrivals, BINS, names, until, learned, most)
+        return screen.find(problem_of(ends, 40), names, learned, most)
 
     assert {(3, 0), (17, 0)} <= {(u, v) for _, u, v in listed(find(1)).values()}
     old, names[3] = int(names[3]), place(99, 1)
@@ -412,19 +415,14 @@ def test_whole_pairs_have_all_their_candidates(
     ends = anything(seed, left, came)
     found = found_by(CandidateScreen(), ends, min(100, in_reach(*ends) - 1), 6)
     asked = np.flatnonzero(np.random.default_rng(seed).random(len(found.source)) < share)
-    full = candidates_of_pairs(found, asked, *ends, BINS, 6)
+    full = candidates_of_pairs(problem_of(ends, 6), found, asked)
     pairs = set(zip(found.source[asked].tolist(), found.target[asked].tolist(), strict=True))
-    every = listed(find_candidates(*ends, BINS, 6))
+    every = listed(find_candidates(problem_of(ends, 6)))
     assert listed(full) == {key: row for key, row in every.items() if row[1:] in pairs}
     assert list(listed(full)) == sorted(listed(full))
     assert (full.source == found.source).all()
     assert (full.target == found.target).all()
     assert set(full.pair.tolist()) <= set(asked.tolist())
-
-
-def test_places_differ() -> None:
-    names = {place(camera, number) for camera in (0, 1, 9999) for number in (1, 2, 10**6)}
-    assert len(names) == 9
 
 
 # --- in a learner ---
@@ -451,7 +449,7 @@ def test_where_there_are_no_links_none_is_published(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(module, "LIKELY_MAX", 1)  # a few for each arrival
     network = SimSettings(cameras=24, hours=0.3, seed=2, linked=False, objects_per_second=4.0)
     assert learned(network, SCREENED)[1] == 0
-    monkeypatch.setattr("camtopod.learn.refit.with_unlikely", lambda fit, *_: fit)
+    monkeypatch.setattr("camtopod.learn.refit.with_unlikely", lambda problem, fit: fit)
     assert learned(network, SCREENED)[1] > 0
 
 

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic_events import LINKED, Views, fit_posterior
+from synthetic_events import Views, fit_posterior
 
 from camtopod.arrays import ROWS_AT_ONCE, row_slices
 from camtopod.learn.association import candidates as module
 from camtopod.learn.association.candidates import find_candidates, slices_by_arrival
 from camtopod.learn.association.em import Em
+from camtopod.learn.association.problem import Problem
 from camtopod.learn.association.speed_adjustment import adjust
 from camtopod.learn.traffic.speed import Persistence
 from camtopod.topology.lag_bins import LagBins
@@ -61,14 +62,14 @@ def test_no_part_of_a_fit_differs() -> None:
     rng = np.random.default_rng(5)
     departures = departures._replace(slow=rng.normal(size=len(departures.t)))
     arrivals = arrivals._replace(slow=rng.normal(size=len(arrivals.t)))
+    problem = Problem(departures, arrivals, BINS, 3, 3_200.0)
     results = []
     for at_once in (100_000, 50):
         with pytest.MonkeyPatch.context() as limits:
             limits.setattr(module, "CANDIDATES_AT_ONCE", at_once)
-            found = find_candidates(departures, arrivals, BINS, 3)
-            fitter = Em(departures, arrivals, found, BINS, 3, 3_200.0)
-            persistent = Persistence(0.5, 0.6, 1.0)
-            fitter.use(adjust(found, departures, arrivals, persistent, BINS))
+            found = find_candidates(problem)
+            adjusted = adjust(problem, found, Persistence(0.5, 0.6, 1.0))
+            fitter = Em(problem, found, adjusted=adjusted)
             hazard = fitter.run(fitter.start())
             joint = (
                 *found,
@@ -78,7 +79,7 @@ def test_no_part_of_a_fit_differs() -> None:
                 fitter.outside,
                 fitter.flatness(hazard),
             )
-            posterior = fit_posterior(departures, arrivals, found, BINS, 3, 3_200.0, LINKED)
+            posterior = fit_posterior(problem)
             results.append((*joint, *posterior.fit[:5], *posterior[1:-1]))
     whole, parts = results
     assert all(np.array_equal(one, other) for one, other in zip(whole, parts, strict=True))

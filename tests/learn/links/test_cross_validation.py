@@ -8,6 +8,7 @@ import pytest
 from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import fit_jointly
+from camtopod.learn.association.problem import Problem
 from camtopod.learn.links import cross_validation
 from camtopod.learn.links.cross_validation import BETS, PARTS, WindowParts, cross_evidence
 from camtopod.learn.traffic.events import Arrivals, Departures
@@ -38,16 +39,14 @@ def test_every_part_but_the_first_is_bet_on_once() -> None:
 @pytest.mark.parametrize("seconds", [300.0, 20_000.0])
 def test_parts_together_see_what_the_whole_sees(seconds: float) -> None:
     """Except for arrivals before the first departure."""
-    departures, arrivals = crowd(1, 4, 50, seconds)
-    found = find_candidates(departures, arrivals, BINS, 4)
-    fit = fit_jointly(departures, arrivals, found, BINS, 4, seconds)
-    parts = WindowParts(departures, arrivals, fit, BINS, 4, 0.0, seconds)
+    crowded = crowd(1, 4, 50, seconds)
+    problem = Problem(*crowded, BINS, 4, seconds)
+    fit = fit_jointly(problem, find_candidates(problem))
+    parts = WindowParts(problem, fit, 0.0)
     taken = [parts.take(np.array([k])) for k in range(PARTS)]
-    assert sum(part.exposure for part in taken) == pytest.approx(
-        exposures(departures, BINS, 4, seconds)
-    )
+    assert sum(part.exposure for part in taken) == pytest.approx(exposures(problem))
     assert sum(len(part.candidates.lag) for part in taken) == len(fit.candidates.lag)
-    assert sum(len(part.arrivals.t) for part in taken) == len(arrivals.t)
+    assert sum(len(part.problem.arrivals.t) for part in taken) == len(problem.arrivals.t)
 
 
 def test_chance_rarely_wins_where_it_is_dense_and_short() -> None:
@@ -57,24 +56,24 @@ def test_chance_rarely_wins_where_it_is_dense_and_short() -> None:
     """
     won, pairs = 0, 0
     for seed in range(4):
-        departures, arrivals = crowd(seed, 8, 60, 600.0)
-        found = find_candidates(departures, arrivals, BINS, 8)
-        fit = fit_jointly(departures, arrivals, found, BINS, 8, 600.0)
-        ratio = cross_evidence(departures, arrivals, fit, BINS, 8, 0.0, 600.0)
+        crowded = crowd(seed, 8, 60, 600.0)
+        problem = Problem(*crowded, BINS, 8, 600.0)
+        fit = fit_jointly(problem, find_candidates(problem))
+        ratio = cross_evidence(problem, fit, 0.0)
         won, pairs = won + int((ratio > 4.0).sum()), pairs + 64
         assert ratio.max(initial=0.0) < 7.0
     assert won <= pairs * np.exp(-4.0)
 
 
 def test_bets_that_are_spread_over_all_lags_are_averaged_with_those_that_are_not() -> None:
-    departures, arrivals = crowd(2, 3, 80, 2_000.0)
-    found = find_candidates(departures, arrivals, BINS, 3)
-    fit = fit_jointly(departures, arrivals, found, BINS, 3, 2_000.0)
+    crowded = crowd(2, 3, 80, 2_000.0)
+    problem = Problem(*crowded, BINS, 3, 2_000.0)
+    fit = fit_jointly(problem, find_candidates(problem))
     each = []
     for shares in ((0.0,), (0.3,), (0.0, 0.3)):
         with pytest.MonkeyPatch.context() as chosen:
             chosen.setattr(cross_validation, "EVEN_SHARES", shares)
-            each.append(cross_evidence(departures, arrivals, fit, BINS, 3, 0.0, 2_000.0))
+            each.append(cross_evidence(problem, fit, 0.0))
     alone, spread, both = each
     assert (alone != spread).any()
     assert both == pytest.approx(np.logaddexp(alone, spread) - np.log(2.0))

@@ -101,16 +101,11 @@ def test_who_may_still_be_on_the_way_does_not_lower_the_share() -> None:
     views = Views([0, 1])
     for k in range(40):
         views.through(3.0 * k, 3.0 * k + 1.0, 0, 0)
-    departures, _ = views.columns()
+    exposed = exposed_departures(views.problem(BINS)._replace(until=121.0))
     arrived = transitions(*repeated(0, 1, 60.0, 20))
-    table = tabulate(arrived, exposed_departures(departures, BINS, 2, until=121.0), BINS, 2)
+    table = tabulate(arrived, exposed, BINS, 2)
     assert table.probability[0] == pytest.approx(1.0, abs=0.1)
-    ahead = tabulate(
-        transitions(*repeated(0, 1, -3.0, 20)),
-        exposed_departures(departures, BINS, 2, until=121.0),
-        BINS,
-        2,
-    )
+    ahead = tabulate(transitions(*repeated(0, 1, -3.0, 20)), exposed, BINS, 2)
     assert ahead.probability[0] == pytest.approx(
         0.5, abs=0.01
     )  # what comes before the exit is over by then

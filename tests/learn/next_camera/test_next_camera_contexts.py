@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from synthetic_events import Views
 
 from camtopod.learn.association.candidates import Candidates, find_candidates
+from camtopod.learn.association.problem import Problem
 from camtopod.learn.next_camera import contexts as module
 from camtopod.learn.next_camera.contexts import LEVELS, ContextLevel, Contexts, multipliers
 from camtopod.learn.traffic.events import Arrivals, Departures
@@ -24,7 +25,7 @@ be far smaller.
 """
 
 
-def anything(seed: int, n: int) -> tuple[Departures, Arrivals, Candidates]:
+def anything(seed: int, n: int) -> Problem:
     """Return random passages, some without a known entry or block."""
     rng = np.random.default_rng(seed)
     t = np.sort(rng.uniform(0, 40, n))
@@ -45,7 +46,7 @@ def anything(seed: int, n: int) -> tuple[Departures, Arrivals, Candidates]:
         own[order],
         block[order],
     )
-    return departures, arrivals, find_candidates(departures, arrivals, SHORT, 4)
+    return Problem(departures, arrivals, SHORT, 4, 60.0)
 
 
 def surely(level: ContextLevel, context: int) -> dict[int, float]:
@@ -57,20 +58,20 @@ def surely(level: ContextLevel, context: int) -> dict[int, float]:
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 14))
 def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
-    departures, arrivals, found = anything(seed, n)
+    problem = anything(seed, n)
+    found = find_candidates(problem)
     rng = np.random.default_rng(seed)
     m = len(found.lag)
     responsibility, share = rng.random(m) ** 3, rng.random(len(found.source))
     gone, leave = rng.random((2, n))
-    contexts = Contexts(departures, arrivals, 4, 3)
+    contexts = Contexts(problem, 3)
     counted, leaving = contexts.count(found, responsibility, gone, leave)
     after, levels = (
         contexts.judged(found, responsibility, share, counted),
         contexts.published_levels(found, counted),
     )
     slow = naive.contexts(
-        departures,
-        arrivals,
+        *problem[:2],
         list(zip(found.departure.tolist(), found.arrival.tolist(), strict=True)),
         responsibility,
         share[found.pair],
@@ -115,7 +116,8 @@ def told(
     """
     departures, arrivals = views.columns()
     zones = len(views.camera)
-    found = find_candidates(departures, arrivals, LagBins(-20.0, 120.0), zones)
+    problem = views.problem(LagBins(-20.0, 120.0))
+    found = find_candidates(problem)
     right = np.array(
         [true.get(departures.t[d]) == arrivals.t[a] for d, a in zip(*found[:2], strict=True)], float
     )
@@ -123,7 +125,7 @@ def told(
     left = np.maximum(np.bincount(departures.zone, minlength=zones), 1)
     share = np.bincount(found.pair, right, minlength=len(found.source)) / left[found.source]
     leave = (np.bincount(departures.zone, gone, minlength=zones) / left)[departures.zone]
-    contexts = Contexts(departures, arrivals, zones, int(max(views.camera)) + 1)
+    contexts = Contexts(problem, int(max(views.camera)) + 1)
     counted, _ = contexts.count(found, right, gone, leave)
     return (
         contexts.published_levels(found, counted),

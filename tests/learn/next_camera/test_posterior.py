@@ -7,32 +7,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic_events import LINKED, Views, fit_posterior
+from synthetic_events import Views, fit_posterior
 
 from camtopod.learn.association.candidates import Candidates, find_candidates
 from camtopod.learn.association.joint_fit import fit_jointly
+from camtopod.learn.association.problem import Problem
 from camtopod.learn.next_camera import fit as module
 from camtopod.learn.next_camera.fit import Posterior, PosteriorFitter
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
 BINS = LagBins(-120.0, 120.0)
-
-Problem = tuple[Departures, Arrivals, Candidates, LagBins, int, float]
-
-
-def problem(views: Views, bins: LagBins = BINS) -> Problem:
-    departures, arrivals = views.columns()
-    zones = len(views.camera)
-    until = float(max(departures.t[-1], arrivals.t[-1]))
-    return (
-        departures,
-        arrivals,
-        find_candidates(departures, arrivals, bins, zones),
-        bins,
-        zones,
-        until,
-    )
 
 
 def share(found: Posterior, source: int, target: int) -> float:
@@ -54,13 +39,19 @@ def one_way(seed: int, objects: int, span: float, goes: float = 0.6, clutter: in
     return views
 
 
+def scout_of(problem: Problem) -> PosteriorFitter:
+    scout = PosteriorFitter(problem, find_candidates(problem))
+    scout.scout()
+    return scout
+
+
 UNRELATED = [(0, 0), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)]
 
 # --- what it finds ---
 
 
 def test_finds_the_share_the_time_and_who_leaves() -> None:
-    found = fit_posterior(*problem(one_way(2, 1600, 32_000.0, clutter=800)), LINKED)
+    found = fit_posterior(one_way(2, 1600, 32_000.0, clutter=800).problem(BINS))
     assert share(found, 0, 1) == pytest.approx(0.6, abs=0.04)
     assert max(share(found, *pair) for pair in UNRELATED) < 0.08
     c = found.fit.candidates
@@ -73,7 +64,7 @@ def test_few_events_leave_much_open() -> None:
     """Weak evidence of nothing fades as events come."""
     few, many = (
         [
-            fit_posterior(*problem(one_way(seed, 100 * n, 2000.0 * n, clutter=50 * n)), LINKED)
+            fit_posterior(one_way(seed, 100 * n, 2000.0 * n, clutter=50 * n).problem(BINS))
             for seed in range(4)
         ]
         for n in (1, 16)
@@ -85,7 +76,7 @@ def test_few_events_leave_much_open() -> None:
 
 
 def test_what_comes_at_any_lag_is_doubted() -> None:
-    found = fit_posterior(*problem(one_way(1, 400, 2000.0, clutter=300)), LINKED)
+    found = fit_posterior(one_way(1, 400, 2000.0, clutter=300).problem(BINS))
     c = found.fit.candidates
     doubt = dict(
         zip(
@@ -100,11 +91,8 @@ def test_what_comes_at_any_lag_is_doubted() -> None:
 
 
 def test_what_becomes_of_the_departures_adds_up() -> None:
-    departures, arrivals, *rest = problem(one_way(2, 200, 1500.0, clutter=100))
-    found = fit_posterior(departures, arrivals, *rest, LINKED)
-    came = np.bincount(
-        found.fit.candidates.arrival, found.fit.responsibility, minlength=len(arrivals.t)
-    )
+    found = fit_posterior(one_way(2, 200, 1500.0, clutter=100).problem(BINS))
+    came = np.bincount(found.fit.candidates.arrival, found.fit.responsibility)
     assert (came <= 1 + 1e-9).all()
     seen_again = np.bincount(found.fit.candidates.source, found.share, minlength=3)
     assert seen_again + found.leave == pytest.approx(np.ones(3), abs=0.05)
@@ -148,8 +136,8 @@ def test_entry_kernels_know_when_the_exit_says_little() -> None:
     spread over 72 s.
     """
     views, true = under_one_roof(3, 500, 5000.0)
-    asked = problem(views)
-    found, plain = fit_posterior(*asked, LINKED), fit_jointly(*asked)
+    asked = views.problem(BINS)
+    found, plain = fit_posterior(asked), fit_jointly(asked, find_candidates(asked))
     (row,) = np.flatnonzero((found.entry_source == 0) & (found.entry_target == 1))
     mass = found.entry_hazard[row] * BINS.widths
     assert BINS.centres[np.argmax(found.entry_hazard[row])] == pytest.approx(5.0, abs=0.5)
@@ -163,30 +151,29 @@ def test_entry_kernels_know_when_the_exit_says_little() -> None:
 
 def test_views_that_do_not_overlap_take_nothing_ahead_of_the_exit() -> None:
     """Coincidences ahead of the exit are dropped, but kept where views overlap."""
-    apart = fit_posterior(*problem(one_way(4, 300, 4000.0, clutter=300)), LINKED)
+    apart = fit_posterior(one_way(4, 300, 4000.0, clutter=300).problem(BINS))
     assert (apart.fit.candidates.lag > 0).all()
     assert len(apart.entry_source) == 0
-    together = fit_posterior(*problem(under_one_roof(4, 200, 4000.0)[0]), LINKED)
+    together = fit_posterior(under_one_roof(4, 200, 4000.0)[0].problem(BINS))
     assert (together.fit.candidates.lag < 0).any()
 
 
 @pytest.mark.parametrize("known", [(0, 1), (1, 0)])
 def test_views_that_are_known_to_overlap_are_not_asked_again(known: tuple[int, int]) -> None:
-    scout = PosteriorFitter(*problem(one_way(4, 300, 4000.0, clutter=300)))
-    scout.scout()
+    scout = scout_of(one_way(4, 300, 4000.0, clutter=300).problem(BINS))
     overlapping = np.zeros((scout.contexts.cameras, scout.contexts.cameras), np.bool_)
     ahead = (scout.em.candidates.lag < 0) & (scout.em.responsibility > module.NEGLIGIBLE)
     assert not scout.worth_following(overlapping)[ahead].any()
     overlapping[known] = True
-    c, d, a = scout.em.candidates, scout.em.departures, scout.em.arrivals
+    c, d, a = scout.em.candidates, scout.problem.departures, scout.problem.arrivals
     between = {0, 1} == set(known) and (d.camera[c.departure] + a.camera[c.arrival] == 1)
     assert scout.worth_following(overlapping)[ahead & between].all()
     assert (ahead & between).any()
 
 
 def test_the_same_every_time() -> None:
-    asked = problem(one_way(7, 100, 600.0, clutter=50))
-    one, again = fit_posterior(*asked, LINKED), fit_posterior(*asked, LINKED)
+    asked = one_way(7, 100, 600.0, clutter=50).problem(BINS)
+    one, again = fit_posterior(asked), fit_posterior(asked)
     assert (one.share == again.share).all()
     assert (one.fit.responsibility == again.fit.responsibility).all()
 
@@ -195,10 +182,9 @@ def test_the_same_every_time() -> None:
 
 
 def test_only_what_is_negligible_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = problem(one_way(8, 400, 8000.0, clutter=100))
-    found = fit_posterior(*asked, LINKED)
-    scout = PosteriorFitter(*asked)
-    scout.scout()
+    asked = one_way(8, 400, 8000.0, clutter=100).problem(BINS)
+    found = fit_posterior(asked)
+    scout = scout_of(asked)
     apart = np.zeros((scout.contexts.cameras, scout.contexts.cameras), np.bool_)
     kept = scout.em.candidates.take(scout.worth_following(apart))
     ahead = scout.em.candidates.lag < 0
@@ -222,10 +208,10 @@ def test_only_what_is_negligible_is_left_out(monkeypatch: pytest.MonkeyPatch) ->
         )
         if r > module.NEGLIGIBLE and not before
     }
-    assert kept.source[kept.pair].tolist() == asked[0].zone[kept.departure].tolist()
-    assert kept.target[kept.pair].tolist() == asked[1].zone[kept.arrival].tolist()
+    assert kept.source[kept.pair].tolist() == asked.departures.zone[kept.departure].tolist()
+    assert kept.target[kept.pair].tolist() == asked.arrivals.zone[kept.arrival].tolist()
     monkeypatch.setattr(module, "NEGLIGIBLE", 0.0)
-    everything = fit_posterior(*asked, LINKED)
+    everything = fit_posterior(asked)
     assert len(everything.fit.candidates.lag) > len(found.fit.candidates.lag)
     for pair in ((0, 1), (0, 2), (2, 1), (1, 2)):
         assert share(found, *pair) == pytest.approx(share(everything, *pair), abs=0.02)
@@ -233,14 +219,16 @@ def test_only_what_is_negligible_is_left_out(monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.mark.parametrize("gap", [500.0, -500.0])
 def test_without_a_candidate(gap: float) -> None:
-    departures, arrivals, _, bins, zones, until = problem(one_way(9, 20, 200.0))
-    arrivals = arrivals._replace(t=arrivals.t + gap)
-    departures = departures._replace(own=np.full_like(departures.own, -1))
-    nothing = find_candidates(departures, arrivals, bins, zones)
-    assert len(nothing.lag) == 0
-    found = fit_posterior(departures, arrivals, nothing, bins, zones, until + 500.0, LINKED)
+    problem = one_way(9, 20, 200.0).problem(BINS)
+    departures, arrivals, *_ = problem
+    apart = problem._replace(
+        departures=departures._replace(own=np.full_like(departures.own, -1)),
+        arrivals=arrivals._replace(t=arrivals.t + gap),
+        until=problem.until + 500.0,
+    )
+    found = fit_posterior(apart)
     assert found.share.shape == (0,)
-    assert found.fit.hazard.shape == (0, bins.size)
+    assert found.fit.hazard.shape == (0, BINS.size)
     assert (found.leave == 1)[:2].all()
 
 
@@ -256,14 +244,16 @@ def test_entry_kernels_count_as_by_hand(seed: int, n: int) -> None:
         zone, way_out = rng.choice([(0, 0), (0, 1), (1, 0), (2, 2), (3, 3)])
         views.through(t, t + rng.exponential(6.0), zone, way_out)
     bins = LagBins(-20.0, 30.0)
-    departures, arrivals, found, *rest = problem(views, bins)
+    problem = views.problem(bins)
+    departures, arrivals, *_ = problem
     unknown = rng.random(n) < 0.3
     departures = departures._replace(
         own=np.where(unknown, -1, departures.own).astype(np.int32),
         since=np.where(unknown, -np.inf, departures.since),
     )
-    found = find_candidates(departures, arrivals, bins, 4)
-    fitter = PosteriorFitter(departures, arrivals, found, *rest)
+    problem = problem._replace(departures=departures)
+    found = find_candidates(problem)
+    fitter = PosteriorFitter(problem, found)
     exposed, early = naive.entry_kernels(departures, arrivals, found, bins, 4)
     assert fitter.entering.exposure.tolist() == exposed.tolist()
     pairs = list(zip(fitter.entering.source.tolist(), fitter.entering.target.tolist(), strict=True))

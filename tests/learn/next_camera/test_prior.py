@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic_events import LINKED, Views, fit_posterior
+from synthetic_events import Views, fit_posterior
 
 from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.next_camera.fit import PosteriorFitter
@@ -26,16 +26,15 @@ def unrelated(seed: int, camera: list[int]) -> PosteriorFitter:
     ):
         out = rng.choice(np.flatnonzero(of == of[zone]))
         views.through(t, t + rng.exponential(4.0), zone, int(out))
-    departures, arrivals = views.columns()
-    candidates = find_candidates(departures, arrivals, SHORT, len(camera))
-    return PosteriorFitter(departures, arrivals, candidates, SHORT, len(camera), 60.0)
+    problem = views.problem(SHORT)._replace(until=60.0)
+    return PosteriorFitter(problem, find_candidates(problem))
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
 def test_it_equals_its_slow_twins(seed: int) -> None:
     fitter = unrelated(seed, camera := [0, 0, 1, 3])
-    came = [max(int((fitter.em.arrivals.zone == zone).sum()), 1) for zone in range(4)]
+    came = [max(int((fitter.problem.arrivals.zone == zone).sum()), 1) for zone in range(4)]
     prior = Prior(fitter.em.candidates, np.array(camera), fitter.em.exposure, np.array(came, float))
     named = list(
         zip(fitter.em.candidates.source.tolist(), fitter.em.candidates.target.tolist(), strict=True)
@@ -73,9 +72,7 @@ def test_what_comes_back_tells_what_goes_there() -> None:
                 rng.uniform(0, 40_000.0, 1600), rng.integers(0, 2, 1600).tolist(), strict=True
             ):
                 views.through(t, t + rng.uniform(3, 5), zone, zone)
-            departures, arrivals = views.columns()
-            candidates = find_candidates(departures, arrivals, bins, 2)
-            found = fit_posterior(departures, arrivals, candidates, bins, 2, 40_060.0, LINKED)
+            found = fit_posterior(views.problem(bins)._replace(until=40_060.0))
             c = found.fit.candidates
             there = (c.source[c.pair] == 0) & (c.target[c.pair] == 1)
             shares.append(float(found.fit.responsibility[there].sum()))

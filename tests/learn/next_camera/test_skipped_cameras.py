@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from prediction_quality import prediction_quality
-from synthetic_events import LINKED, Views, fit_posterior
+from synthetic_events import Views, fit_posterior
 
 from bench.regimes import REGIMES
 from camtopod.learn.association.candidates import Candidates, find_candidates, number_pairs
@@ -50,18 +50,14 @@ def walks(seed: int, objects: int, missed: float, span: float = 30_000.0) -> Vie
 
 
 def learned(views: Views) -> Posterior:
-    departures, arrivals = views.columns()
-    zones = len(views.camera)
-    until = float(max(departures.t[-1], arrivals.t[-1]))
-    candidates = find_candidates(departures, arrivals, BINS, zones)
-    return fit_posterior(departures, arrivals, candidates, BINS, zones, until, LINKED)
+    return fit_posterior(views.problem(BINS))
 
 
 def screened(views: Views, pairs: set[tuple[int, int]]) -> tuple[Posterior, Posterior]:
     """Learn the candidates of these pairs of zones only, without and with the paths beside them."""
-    departures, arrivals = views.columns()
-    zones = len(views.camera)
-    every = find_candidates(departures, arrivals, BINS, zones)
+    problem = views.problem(BINS)
+    departures, arrivals, _, zones, _ = problem
+    every = find_candidates(problem)
     named = list(
         zip(
             departures.zone[every.departure].tolist(),
@@ -76,10 +72,7 @@ def screened(views: Views, pairs: set[tuple[int, int]]) -> tuple[Posterior, Post
     few = Candidates(
         every.departure[kept], every.arrival[kept], pair, every.lag[kept], source, target
     )
-    until = float(max(departures.t[-1], arrivals.t[-1]))
-    asked = departures, arrivals, few, BINS, zones, until, LINKED
-    without, beside = (fit_posterior(*asked, told) for told in (False, True))
-    return without, beside
+    return fit_posterior(problem, few), fit_posterior(problem, few, screened=True)
 
 
 def share(found: Posterior, source: int, target: int) -> float:
