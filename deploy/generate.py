@@ -4,8 +4,7 @@ changing one of them.
     .venv/bin/python deploy/generate.py
 
 Needs the extra [test]. What is written by hand, the manual page, is so because argparse-manpage
-repeats the common options below each command and knows no exit statuses; the completions are
-shtab's.
+repeats the common options below each command and knows no exit statuses.
 """
 
 from __future__ import annotations
@@ -14,28 +13,12 @@ import argparse
 import textwrap
 from pathlib import Path
 
-import shtab
-
 from camtopod import __version__
-from camtopod.cli.commands.completion import SHELLS
 from camtopod.cli.generated.config_schema import text as schema
 from camtopod.cli.generated.example_config import example
 from camtopod.cli.main import COMMANDS, parser_of
 
 ROOT = Path(__file__).parent.parent
-_FILES = (
-    "FILE",
-    "CONFIG",
-    "SOURCE",
-    "[NAME=]SOURCE",
-    "EVENTS",
-    "TOPOLOGY.json",
-    "OUT.json",
-    "OUT.jsonl",
-    "E.jsonl",
-    "T.json",
-)
-_FOLDERS = ("DIR", "DIRECTORY", "FOLDER")
 _DATE = "2026-11-22"
 """Of the manual page; another one would make every day's page another."""
 _STATUSES = {
@@ -51,39 +34,12 @@ _STATUSES = {
 
 def files() -> dict[Path, str]:
     """Every file with what belongs into it."""
-    deploy, completions = ROOT / "deploy", ROOT / "camtopod" / "cli" / "completions"
+    deploy = ROOT / "deploy"
     return {
         deploy / "camtopod.toml": example(),
         deploy / "camtopod.schema.json": schema(),
         deploy / "camtopod.1": manual(),
-        **{completions / f"camtopod.{shell}": completion(shell) for shell in SHELLS},
     }
-
-
-def completion(shell: str) -> str:
-    """What ``shell`` reads, for every command; files and folders by the names of the values."""
-    parser, _ = parser_of(COMMANDS)
-    _prepare(parser)
-    text = shtab.complete(parser, shell)
-    # shtab writes what zsh takes for "the first argument, and no others beside it" where it means
-    # "each argument".
-    return text.replace('\n  "(*):', '\n  "*:') if shell == "zsh" else text
-
-
-def _prepare(parser: argparse.ArgumentParser) -> None:
-    """Say which values are files, and of commands what the help of the command above says of
-    them.
-    """
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            for listed in action._choices_actions:
-                action.choices[listed.dest].description = listed.help
-            for inner in action.choices.values():
-                _prepare(inner)
-        elif action.metavar in _FILES:
-            action.complete = shtab.FILE
-        elif action.metavar in _FOLDERS:
-            action.complete = shtab.DIRECTORY
 
 
 def manual() -> str:

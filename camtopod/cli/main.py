@@ -32,7 +32,7 @@ from collections.abc import Collection, Sequence
 from typing import Any, NoReturn, TextIO, cast
 
 from camtopod import __version__
-from camtopod.cli import exits, implicit_config
+from camtopod.cli import completion, exits, implicit_config
 from camtopod.cli.terminal import standard_streams
 from camtopod.redact import redact
 from camtopod.visible import visible, visible_lines
@@ -104,10 +104,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "camtopod.cli.commands.doctor",
         "collect diagnostics for a bug report, without secrets",
     ),
-    "completion": (
-        "camtopod.cli.commands.completion",
-        "print a script that completes commands and options in a shell",
-    ),
 }
 """Command -> (module, one-line summary for --help)."""
 
@@ -124,7 +120,14 @@ _KEEP_ON = ("run", "grab")
 """Commands that reload their configuration on SIGHUP and never end by it."""
 _UNTIL_TOLD = (*_KEEP_ON, "web", "bridge", "watch", "ingest")
 """Commands that run until a signal ends them, even if nothing reads their standard error."""
-_WITH_VALUE = ("--config", "--site", "--connect", "--log-format", "--log-level")
+_WITH_VALUE = (
+    "--config",
+    "--site",
+    "--connect",
+    "--log-format",
+    "--log-level",
+    "--print-completion",
+)
 """Common options that take a value."""
 
 
@@ -222,6 +225,16 @@ class _Parser(argparse.ArgumentParser):
         super().error(visible(redact(message)))
 
 
+class _PrintCompletion(argparse.Action):
+    """Action of ``--print-completion``: print the script and end."""
+
+    def __call__(self, parser: object, namespace: object, shell: object, *_: object) -> NoReturn:
+        """Print the script for ``shell``."""
+        everything, _modules = parser_of(COMMANDS)
+        print(completion.script(everything, str(shell)))
+        raise SystemExit(exits.DONE)
+
+
 def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
     """Return the parsed arguments and the command's `run`."""
     if not arguments:
@@ -247,6 +260,14 @@ def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str
     """
     parser = _Parser(prog="camtopod", description=_DESCRIPTION)
     parser.add_argument("--version", action="version", version=f"camtopod {__version__}")
+    parser.add_argument(
+        "--print-completion",
+        metavar="SHELL",
+        choices=completion.SHELLS,
+        action=_PrintCompletion,
+        help="print a script that completes commands and options in SHELL "
+        f"({', '.join(completion.SHELLS)}), and end",
+    )
     _add_common(parser, top=True)
     subparsers = parser.add_subparsers(
         dest="command", metavar="COMMAND", title="commands", required=True

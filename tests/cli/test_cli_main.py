@@ -68,6 +68,27 @@ def test_help_names_every_command_and_is_quick_to_load(capsys: pytest.CaptureFix
     )
 
 
+def test_completion_by_shtab(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main.main(["--print-completion", "bash"])
+    assert caught.value.code == 0
+    script = capsys.readouterr().out
+    complete = "COMP_WORDS=(camtopod grab --sp); COMP_CWORD=2; _shtab_camtopod camtopod --sp grab"
+    offered = subprocess.run(
+        ["bash", "-c", f'{script}\n{complete}; echo "${{COMPREPLY[@]}}"'],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert offered.stdout.split() == ["--speed"]
+
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert main.main(["--print-completion", "zsh"]) == exits.FAILED
+    assert "--print-completion needs the package 'shtab'" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", list(main.COMMANDS))
 def test_every_command_has_its_own_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:

@@ -32,7 +32,6 @@ README = TEXTS["README.md"]
 ALL = "\n".join(TEXTS.values())
 PLACEHOLDERS = {
     "camtopod COMMAND --help": "camtopod learn events.jsonl",
-    "camtopod completion SHELL": "camtopod completion zsh",
     "camtopod schema NAME": "camtopod schema event",
     "--format F": "--format dot",
     "camtopod ingest FORMAT [FILE]": "camtopod ingest jsonl FILE",

@@ -3,5 +3,5 @@
 `camtopod.cli.main` imports only the module of the command that is run. `run`, `grab` and `learn`
 are the core; `demo` and `simulate` need no cameras; `watch`, `web`, `report`, `export` and
 `predict` show or use results; `ingest` and `bridge` connect other programs; `init`, `check`,
-`keys`, `doctor` and `completion` help with the installation.
+`keys` and `doctor` help with the installation.
 """
