@@ -20,7 +20,6 @@ import msgspec
 
 from camtopod.cli import exits, implicit_config
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.cli.terminal import standard_streams
 from camtopod.config import DEFAULT_ENDPOINT, is_endpoint, secret_files, settings
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
@@ -287,7 +286,6 @@ def ends_within(
                 "not everything closed within %g s; the process ends anyway, stored data is safe",
                 seconds,
             )
-            standard_streams.settle()
             os._exit(given.status)
 
     threading.Thread(target=watch, name="leaving", daemon=True).start()

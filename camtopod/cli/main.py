@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import errno
 import importlib
 import json
 import logging
@@ -29,11 +28,10 @@ import threading
 import traceback
 import types
 from collections.abc import Collection, Sequence
-from typing import Any, NoReturn, TextIO, cast
+from typing import Any, NoReturn
 
 from camtopod import __version__
 from camtopod.cli import completion, exits, implicit_config
-from camtopod.cli.terminal import standard_streams
 from camtopod.redact import redact
 from camtopod.visible import visible, visible_lines
 
@@ -118,8 +116,6 @@ With another number of threads the same events give results that differ in the l
 """
 _KEEP_ON = ("run", "grab")
 """Commands that reload their configuration on SIGHUP and never end by it."""
-_UNTIL_TOLD = (*_KEEP_ON, "web", "bridge", "watch", "ingest")
-"""Commands that run until a signal ends them, even if nothing reads their standard error."""
 _WITH_VALUE = (
     "--config",
     "--site",
@@ -173,9 +169,6 @@ def console() -> NoReturn:
     rethrown") if a thread of zenoh or OpenCV re-enters it meanwhile. By then everything that
     matters is closed or on disk.
     """
-    standard_streams.open_missing()
-    if _command_in(sys.argv[1:]) in _UNTIL_TOLD:
-        sys.stderr = cast(TextIO, standard_streams.NonBlockingStream(2))
     sys.excepthook = _crash
     threading.excepthook = _crash_of_a_thread
     try:
@@ -188,7 +181,6 @@ def console() -> NoReturn:
 def _end(status: int) -> NoReturn:
     """Flush the log and the standard streams, and end the process with ``status``."""
     logging.shutdown()
-    standard_streams.settle()
     with contextlib.suppress(OSError):  # no reader is left
         sys.stdout.flush()
         sys.stderr.flush()
@@ -356,8 +348,6 @@ def _os_error(error: OSError) -> tuple[str, int]:
     """
     if error.filename is not None:
         return f"cannot read {error.filename}: {error.strerror}", exits.INPUT
-    if error.errno == errno.EBADF:
-        return "standard input or output is closed", exits.FAILED
     status = exits.INPUT if type(error).__module__.startswith("camtopod.vision") else exits.FAILED
     return str(error), status
 

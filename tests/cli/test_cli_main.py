@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import re
+import resource
 import subprocess
 import sys
 import types
@@ -20,6 +21,7 @@ from serving import camtopod
 
 from camtopod.cli import exits, main
 from camtopod.cli.common import configuration, start_logging
+from camtopod.cli.descriptors import raise_limit
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import settings
 from camtopod.serve.bus.session import BusError
@@ -416,6 +418,17 @@ def test_run_says_why_it_cannot(tmp_path: Path, capsys: pytest.CaptureFixture[st
     away = tmp_path / "away.toml"
     away.write_text('[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.2\n')
     assert main.main(["--config", str(away), "run", "--state", str(tmp_path / "s")]) == 69
+
+
+def test_a_low_limit_of_open_files_is_raised_or_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits, raised = [(40, 500_000), (32, 32)], []
+    monkeypatch.setattr(resource, "getrlimit", lambda number: limits.pop(0))
+    monkeypatch.setattr(resource, "setrlimit", lambda number, limit: raised.append(limit))
+
+    raise_limit()
+    assert raised == [(65_536, 500_000)]
+    with pytest.raises(CommandError, match="may have 32 files open at a time, but needs 64"):
+        raise_limit()
 
 
 # --- no password in what is said -----------------------------------------------------------------

@@ -85,7 +85,7 @@ HOMES = {
     "prometheus_client": ("serve.monitoring.metrics",),
     "starlette": ("web.app", "web.api", "web.guards", "web.login"),
     "uvicorn": ("web.app", "web.connections"),
-    "rich": ("cli.terminal.screen",),
+    "rich": ("cli.commands.watch",),
     "cv2": ("vision", "sim", "export"),
     "sqlite3": (
         "serve.storage",

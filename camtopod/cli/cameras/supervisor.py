@@ -18,7 +18,6 @@ from camtopod.cli.cameras.daemon_reach import DaemonReachLog
 from camtopod.cli.cameras.status_reporter import StatusReporter
 from camtopod.cli.common import SignalRequests, configuration_and_text
 from camtopod.cli.exits import CommandError
-from camtopod.cli.terminal import standard_streams
 from camtopod.config import CameraSettings, Config, without_source
 from camtopod.serve.runtime import systemd
 
@@ -56,7 +55,6 @@ def supervise(args: argparse.Namespace, config: Config, text: bytes, told: Signa
         closed = site.end()
     status = exits.DONE if told.stop.is_set() else site.status
     if not closed:  # a bus that was not closed would keep the process from ending
-        standard_streams.settle()
         os._exit(status)
     return status
 

@@ -1,10 +1,13 @@
-"""`camtopod watch`: show cameras, topology and predictions live in the terminal."""
+"""`camtopod watch`: show cameras, topology and predictions live in the terminal.
+
+With rich, an extra (``[terminal]``), they fill the screen of a terminal; else they are printed as
+lines, again and again.
+"""
 
 from __future__ import annotations
 
 import argparse
-import contextlib
-import shutil
+import logging
 import sys
 import threading
 import time
@@ -16,32 +19,24 @@ from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.exits import CommandError
 from camtopod.cli.site_choice import dial_as_reader
 from camtopod.cli.terminal import (
+    LINKS_SHOWN,
     SiteState,
-    SiteView,
-    alarm_line,
+    alarm_lines,
     busiest_links,
-    daemon_line,
-    newest_alarms,
-    prediction_line,
     topology_lines,
     transit,
 )
+from camtopod.records import Topology
 from camtopod.serve.bus import BusError, TopologySubscriber
 from camtopod.serve.runtime import clock
 from camtopod.visible import visible
 
 REFRESH_SECONDS = 0.5
-"""Interval between two drawings of the plain view."""
-FOLLOW_SECONDS = 0.25
-"""Interval at which new versions are fetched."""
+"""Interval between two views."""
 ONCE_SECONDS = 3.0
 """Time that --once waits for a first status."""
-PREDICTIONS_SHOWN = 8
-"""Newest predictions in the plain view."""
-LINKS_SHOWN = 20
-"""Busiest links in the plain view."""
-_CLEAR = "\x1b[H\x1b[J"
-"""Control sequence that empties the terminal."""
+PART_ROWS_MIN = 4
+"""Least rows of the cameras and of the links on a screen."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -62,135 +57,122 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw until SIGTERM or SIGINT."""
+    """Show the site until SIGTERM or SIGINT."""
     start_logging(args)
     config = configuration(args)
-    board = SiteState()
     try:
         bus, config = dial_as_reader(args, config)
     except BusError as error:
         raise CommandError(str(error), exits.BUS) from None
+    site = SiteState(config.site.name)
     with bus, until_signal() as stop:
         # Subscribe first, then ask for the newest statuses.
-        bus.subscribe("status/*", board.on_status)
-        bus.subscribe("prediction/*", board.on_prediction)
-        topology = TopologySubscriber(bus)
+        bus.subscribe("status/*", site.on_status)
+        bus.subscribe("prediction/*", site.on_prediction)
+        subscriber = TopologySubscriber(bus)
         for key, payload in bus.query("status/*"):
-            board.on_status(key, payload)
+            site.on_status(key, payload)
 
-        def look() -> SiteView:
-            return board.view(topology.topology, config.site.name, clock.wall())
+        def view(rows: int | None = None) -> list[str]:
+            subscriber.update()
+            return lines(site, subscriber.topology, clock.wall(), rows)
 
         if args.once:
-            _once(board, topology, look, stop)
-            return exits.DONE
-        with _following(topology, stop):
-            if args.plain or not _on_screen(look, stop):
-                while not stop.is_set():
-                    _show(look())
-                    stop.wait(REFRESH_SECONDS)
+            until = time.monotonic() + ONCE_SECONDS
+            while site.empty and time.monotonic() < until and not stop.wait(REFRESH_SECONDS / 2):
+                pass
+            print("\n".join(view()), flush=True)
+        elif args.plain or not (sys.stdout.isatty() and on_screen(view, stop)):
+            while not stop.is_set():
+                print("\n".join(view()), flush=True)
+                stop.wait(REFRESH_SECONDS)
     return exits.DONE
 
 
-def _once(
-    board: SiteState,
-    topology: TopologySubscriber,
-    look: Callable[[], SiteView],
-    stop: threading.Event,
-) -> None:
-    """Print the state once, as soon as a status has arrived."""
-    until = time.monotonic() + ONCE_SECONDS
-    topology.update()
-    while board.empty and time.monotonic() < until and not stop.wait(FOLLOW_SECONDS):
-        topology.update()
-    print("\n".join(lines(look())), flush=True)
+def on_screen(view: Callable[[int], list[str]], stop: threading.Event) -> bool:
+    """Draw with rich until ``stop``; return False at once if rich is missing or cannot draw here.
 
-
-@contextlib.contextmanager
-def _following(topology: TopologySubscriber, stop: threading.Event) -> Any:
-    """Fetch new versions while the block runs, in a thread: an absent daemon takes time."""
-
-    def follow() -> None:
-        while not stop.wait(FOLLOW_SECONDS):
-            topology.update()
-
-    topology.update()
-    thread = threading.Thread(target=follow, name="follow", daemon=True)
-    thread.start()
+    view: returns the lines of a screen with that many rows.
+    """
     try:
-        yield
+        from rich.console import Console
+        from rich.live import Live
+        from rich.text import Text
+    except ModuleNotFoundError:
+        return False
+    console = Console()
+    if console.is_dumb_terminal:
+        return False
+
+    logging.disable()  # messages would disturb the screen
+    try:
+        with Live(console=console, screen=True, auto_refresh=False) as live:
+            while not stop.is_set():
+                text = Text(no_wrap=True, overflow="ellipsis")
+                for line in view(console.height):
+                    text.append(line + "\n", style="bold yellow" if line.startswith("!") else "")
+                live.update(text, refresh=True)
+                stop.wait(REFRESH_SECONDS)
     finally:
-        stop.set()
-        thread.join(REFRESH_SECONDS)
+        logging.disable(logging.NOTSET)
+    return True
 
 
-def _on_screen(look: Callable[[], SiteView], stop: threading.Event) -> bool:
-    """Draw with rich until ``stop``; return False at once if rich or a terminal is missing."""
-    if not sys.stdout.isatty():
-        return False
-    try:
-        from camtopod.cli.terminal import show
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] != "rich":
-            raise
-        return False
-    return show(look, stop)
+def lines(site: SiteState, topology: Topology | None, now: float, rows: int | None) -> list[str]:
+    """Return the whole view as lines; control sequences in others' texts are made visible.
 
-
-def _show(view: SiteView) -> None:
-    """Print the plain view, over the last one if this is a terminal."""
-    width, height = shutil.get_terminal_size()
-    text = lines(view)
-    if sys.stdout.isatty():
-        sys.stdout.write(_CLEAR + "\n".join(line[:width] for line in text[: height - 1]) + "\n")
-    else:
-        sys.stdout.write("\n".join(text) + "\n")
-    sys.stdout.flush()
-
-
-def lines(view: SiteView) -> list[str]:
-    """Return the whole view as lines; control sequences in others' texts are made visible."""
+    now: Unix seconds.
+    rows: of the screen; then cameras without problems and the least used links are left out so
+    that every part has some of them. None: all cameras.
+    """
+    alarms = alarm_lines(topology, now)
+    if alarms:
+        alarms = ["ALARMS", *alarms, ""]
+    head = [site.daemon_line(), *topology_lines(topology), "", *alarms]
+    part = None
+    if rows is not None:
+        part = max(PART_ROWS_MIN, (rows - len(head) - 3) // 3)
     text = [
-        daemon_line(view),
-        *topology_lines(view.topology),
+        *head,
+        *_cut(_cameras(site, topology, now), part),
         "",
-        *_cameras(view),
+        *_cut(_links(topology), part),
         "",
-        *_links(view),
-        "",
-        *_alarms(view),
         "PREDICTIONS",
-        *(prediction_line(prediction) for prediction in view.predictions[:PREDICTIONS_SHOWN]),
+        *site.prediction_lines(),
     ]
     return [visible(line) for line in text]
 
 
-def _cameras(view: SiteView) -> list[str]:
-    """Return the table of cameras."""
-    rows = [f"{'CAMERA':<20} {'STATE':<11} {'EVENTS':>8} {'LAST':>9}  REASON"]
-    for camera in view.cameras:
+def _cut(table: list[str], rows: int | None) -> list[str]:
+    """Return at most ``rows`` rows of a table; the last one says how many are left out."""
+    if rows is None or len(table) <= rows:
+        return table
+    return [*table[: rows - 1], f"... and {len(table) - rows + 1} more"]
+
+
+def _cameras(site: SiteState, topology: Topology | None, now: float) -> list[str]:
+    """Return the table of cameras; those with problems come first, with an exclamation mark."""
+    rows = [f"  {'CAMERA':<20} {'STATE':<11} {'EVENTS':>8} {'LAST':>9}  REASON"]
+    for camera in site.cameras(topology, now):
+        mark = "!" if camera.wrong else " "
         last = "" if camera.last is None else f"{camera.last:.0f} s"
         rows.append(
-            f"{camera.name:<20} {camera.state:<11} {camera.events:>8} {last:>9}  {camera.reason}"
+            f"{mark} {camera.name:<20} {camera.state:<11} {camera.events:>8} {last:>9}"
+            f"  {camera.reason}"
         )
     return rows
 
 
-def _links(view: SiteView) -> list[str]:
+def _links(topology: Topology | None) -> list[str]:
     """Return the table of links."""
-    rows = [f"{'FROM':<20} {'TO':<20} {'RELATION':<10} {'SHARE':>6} {'TRANSIT (q10 to q90)':>23}"]
-    links = busiest_links(view.topology)
-    rows += [
-        f"{link.from_:<20} {link.to:<20} {link.relation:<10} "
-        f"{link.probability:>6.2f} {transit(link):>23}"
-        for link in links[:LINKS_SHOWN]
+    links = busiest_links(topology)
+    rows = [
+        f"  {'FROM':<20} {'TO':<20} {'RELATION':<10} {'SHARE':>6} {'TRANSIT (q10 to q90)':>23}",
+        *(
+            f"  {link.from_:<20} {link.to:<20} {link.relation:<10} "
+            f"{link.probability:>6.2f} {transit(link):>23}"
+            for link in links
+        ),
     ]
-    if len(links) > LINKS_SHOWN:
-        rows.append(f"... and {len(links) - LINKS_SHOWN} more")
-    return rows
-
-
-def _alarms(view: SiteView) -> list[str]:
-    """Return the newest alarms, with a heading."""
-    alarms = newest_alarms(view.topology)
-    return ["ALARMS", *(alarm_line(alarm, view.now) for alarm in alarms), ""] if alarms else []
+    return _cut(rows, LINKS_SHOWN + 1)

@@ -14,13 +14,15 @@ from msgspec import Struct
 from camtopod import codec
 from camtopod.predict import seen_now
 from camtopod.publishers import is_gone
-from camtopod.records import CAMERA_PATTERN, Alarm, Link, NextCamera, Prediction, Topology
+from camtopod.records import CAMERA_PATTERN, Link, NextCamera, Prediction, Topology
 from camtopod.topology import links_between_views, links_in_words, waiting_for_links
 
-PREDICTIONS_KEPT = 30
-"""Newest predictions that are kept."""
+PREDICTIONS_SHOWN = 8
+"""Newest predictions that are kept and shown."""
 ALARMS_SHOWN = 5
 """Newest alarms that are shown."""
+LINKS_SHOWN = 20
+"""Busiest links that are shown."""
 NEXT_SHOWN = 3
 """Likeliest next zones that are shown of a prediction."""
 SILENT_SECONDS = 5.0
@@ -33,14 +35,14 @@ _FINE = ("running", "ended", "no grabber", "unknown", "gone")
 """
 
 
-class _Said(Struct, frozen=True):
+class _CameraStatus(Struct, frozen=True):
     """Status that a camera's process publishes."""
 
     state: str = ""
     reason: str = ""
 
 
-class _Counted(Struct, frozen=True):
+class _CameraCounters(Struct, frozen=True):
     """Counters of one camera in the daemon's status."""
 
     events: int = 0
@@ -48,7 +50,7 @@ class _Counted(Struct, frozen=True):
     alive: bool = False
 
 
-class _Events(Struct, frozen=True):
+class _EventCounters(Struct, frozen=True):
     """Counters of all events in the daemon's status."""
 
     stored: int = 0
@@ -68,13 +70,13 @@ class _Names(Struct, frozen=True):
     renamed: dict[str, str] = {}
 
 
-class _DaemonSaid(_Said, frozen=True):
+class _DaemonStatus(_CameraStatus, frozen=True):
     """Status that the daemon publishes."""
 
-    events: _Events = _Events()
+    events: _EventCounters = _EventCounters()
     rejects: dict[str, int] = {}
     catching_up: _CatchingUp | None = None
-    cameras: dict[str, _Counted] = {}
+    cameras: dict[str, _CameraCounters] = {}
     names: _Names = _Names()
 
 
@@ -93,36 +95,21 @@ class CameraLine(NamedTuple):
         return self.state not in _FINE
 
 
-class SiteView(NamedTuple):
-    """State of the site at one moment.
-
-    ``state`` and ``reason`` are the daemon's; ``now`` is in seconds since the epoch.
-    """
-
-    site: str
-    now: float
-    state: str
-    reason: str
-    counts: str
-    cameras: list[CameraLine]
-    topology: Topology | None
-    predictions: list[Prediction]
-    """Newest first."""
-
-
 class SiteState:
     """Collects statuses and predictions as they arrive; thread-safe.
 
+    site: its name.
     steady: monotonic clock in seconds, to notice senders that are silent.
     """
 
-    def __init__(self, steady: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, site: str, steady: Callable[[], float] = time.monotonic) -> None:
+        self._site = site
         self._steady = steady
         self._mutex = threading.Lock()
-        self._daemon: tuple[float, _DaemonSaid] | None = None
-        self._status: dict[str, tuple[float, _Said]] = {}
+        self._daemon: tuple[float, _DaemonStatus] | None = None
+        self._cameras: dict[str, tuple[float, _CameraStatus]] = {}
         """Camera -> (time of arrival, status)."""
-        self._predictions: deque[Prediction] = deque(maxlen=PREDICTIONS_KEPT)
+        self._predictions: deque[Prediction] = deque(maxlen=PREDICTIONS_SHOWN)
 
     def on_status(self, key: str, payload: bytes) -> None:
         """Store a status published on ``status/...``; a malformed one is ignored."""
@@ -131,13 +118,13 @@ class SiteState:
             return
         try:
             if name == "daemon":
-                daemon = codec.read(_DaemonSaid, payload, pack=True)
+                daemon = codec.read(_DaemonStatus, payload, pack=True)
                 with self._mutex:
                     self._daemon = self._steady(), daemon
             else:
-                said = codec.read(_Said, payload, pack=True)
+                camera = codec.read(_CameraStatus, payload, pack=True)
                 with self._mutex:
-                    self._status[name] = self._steady(), said
+                    self._cameras[name] = self._steady(), camera
         except codec.Rejected:
             return
 
@@ -154,102 +141,80 @@ class SiteState:
     def empty(self) -> bool:
         """Return True if no status has arrived yet."""
         with self._mutex:
-            return self._daemon is None and not self._status
+            return self._daemon is None and not self._cameras
 
-    def view(self, topology: Topology | None, site: str, now: float) -> SiteView:
-        """Return the state at ``now`` (seconds since the epoch)."""
+    def daemon_line(self) -> str:
+        """Return one line with site, state and counters of the daemon."""
         with self._mutex:
-            status, said, predictions = dict(self._status), self._daemon, list(self._predictions)
-
-        # State of the daemon.
-        steady = self._steady()
-        heard, daemon = said or (steady, _DaemonSaid())
+            heard, daemon = self._daemon or (0.0, None)
+        if daemon is None:
+            return f"site {self._site}: no status of a daemon received yet"
         state, reason = daemon.state, daemon.reason
-        if steady - heard > SILENT_SECONDS:
-            state, reason = (
-                "silent",
-                f"no status for {steady - heard:.0f} s; what is shown below may be outdated",
-            )
+        if (silence := self._steady() - heard) > SILENT_SECONDS:
+            state = "silent"
+            reason = f"no status for {silence:.0f} s; what is shown below may be outdated"
 
-        # State of the cameras: those learned of, those with a status and those that are counted.
+        words = f"site {self._site}: daemon {state}"
+        if reason:
+            words += f" ({reason})"
+        if behind := daemon.catching_up:
+            minutes = behind.seconds / 60
+            words += f", catching up, {behind.share:.0%} ({minutes:.0f} minutes behind)"
+        rejected = sum(daemon.rejects.values())
+        return f"{words}, {daemon.events.stored} events stored, {rejected} rejected since its start"
+
+    def cameras(self, topology: Topology | None, now: float) -> list[CameraLine]:
+        """Return the cameras at ``now`` (Unix seconds): those with problems first, then by name.
+
+        They are those learned of, those with a status and those that the daemon counts.
+        """
+        with self._mutex:
+            statuses = dict(self._cameras)
+            daemon = self._daemon[1] if self._daemon else _DaemonStatus()
         known = {**_learned(topology), **daemon.cameras}
-        cameras = [
-            _camera(name, status.get(name), known.get(name, _Counted()), now, steady)
-            for name in {*status, *known}
-        ]
         newest = max((one.newest or 0.0 for one in known.values()), default=0.0)
-        cameras = [
-            _as_named(_or_gone(one, known.get(one.name), newest), daemon.names) for one in cameras
-        ]
-        return SiteView(
-            site, now, state, reason, _counts(daemon), sorted(cameras), topology, predictions[::-1]
-        )
+        lines = []
+        for name in {*statuses, *known}:
+            counters = known.get(name, _CameraCounters())
+            state, reason = self._camera_state(statuses.get(name), counters)
+            if is_gone(state, counters.newest, newest):
+                state, reason = "gone", ""
+            if name in daemon.names.forgotten:
+                state = "forgotten"
+                reason = f"its events are refused until camtopod forget --take-back {name}"
+            elif name in daemon.names.renamed and state in _FINE:
+                reason = f"counts as {daemon.names.renamed[name]}"
+            last = None
+            if counters.newest is not None and 0 <= now - counters.newest < 1e6:
+                last = now - counters.newest
+            lines.append(CameraLine(name, state, reason, counters.events, last))
+        return sorted(lines, key=lambda line: (not line.wrong, line.name))
+
+    def _camera_state(
+        self, status: tuple[float, _CameraStatus] | None, counters: _CameraCounters
+    ) -> tuple[str, str]:
+        """Return (state, reason) of a camera by its status and the daemon's counters."""
+        if status is None or not status[1].state:
+            return "unknown" if counters.alive else "no grabber", ""
+        silence = self._steady() - status[0]
+        if silence > SILENT_SECONDS and status[1].state != "ended":
+            return "silent", f"no status for {silence:.0f} s"
+        return status[1].state, status[1].reason
+
+    def prediction_lines(self) -> list[str]:
+        """Return the predictions in words, newest first."""
+        with self._mutex:
+            predictions = list(self._predictions)
+        return [prediction_line(prediction) for prediction in reversed(predictions)]
 
 
-def _camera(
-    name: str, status: tuple[float, _Said] | None, known: _Counted, now: float, steady: float
-) -> CameraLine:
-    """Return the line of one camera.
-
-    status: (time of arrival, status) from its own process, or None.
-    known: the daemon's counters of the camera.
-    """
-    heard, said = status or (steady, _Said())
-    state, reason = said.state, said.reason
-    if not state:
-        state = "unknown" if known.alive else "no grabber"
-    elif state != "ended" and steady - heard > SILENT_SECONDS:
-        state, reason = "silent", f"no status for {steady - heard:.0f} s"
-    last = None if known.newest is None or not 0 <= now - known.newest < 1e6 else now - known.newest
-    return CameraLine(name, state, reason, known.events, last)
-
-
-def _learned(topology: Topology | None) -> dict[str, _Counted]:
+def _learned(topology: Topology | None) -> dict[str, _CameraCounters]:
     """Return the time of the last event of each camera of a topology."""
     if topology is None:
         return {}
-    last = (
-        {} if topology.model is None else {m.camera: m.last_event for m in topology.model.cameras}
-    )
-    return {camera.id: _Counted(newest=last.get(camera.id)) for camera in topology.cameras}
-
-
-def _or_gone(camera: CameraLine, known: _Counted | None, newest: float) -> CameraLine:
-    """Return the line of a camera, with the state "gone" if it is.
-
-    newest: time of the newest event of all cameras.
-    """
-    last = None if known is None else known.newest
-    gone = is_gone(camera.state, last, newest)
-    return camera._replace(state="gone", reason="") if gone else camera
-
-
-def _as_named(camera: CameraLine, names: _Names) -> CameraLine:
-    """Return the line of a camera, with a note if its name was forgotten or renamed."""
-    if camera.name in names.forgotten:
-        cure = f"its events are refused until camtopod forget --take-back {camera.name}"
-        return camera._replace(state="forgotten", reason=cure)
-    if (present := names.renamed.get(camera.name)) is not None and not camera.wrong:
-        return camera._replace(reason=f"counts as {present}")
-    return camera
-
-
-def _counts(daemon: _DaemonSaid) -> str:
-    """Return the daemon's counters of events, and how far the learner is behind, in words."""
-    events = daemon.events
-    rejected = sum(daemon.rejects.values())
-    stored = f"{events.stored} events stored, {rejected} rejected since its start"
-    if (behind := daemon.catching_up) is None:
-        return stored
-    return f"catching up, {behind.share:.0%} ({behind.seconds / 60:.0f} minutes behind), {stored}"
-
-
-def daemon_line(view: SiteView) -> str:
-    """Return one line with site, state and counters of the daemon."""
-    if not view.state:
-        return f"site {view.site}: no status of a daemon received yet"
-    because = f" ({view.reason})" if view.reason else ""
-    return f"site {view.site}: daemon {view.state}{because}, {view.counts}"
+    models = [] if topology.model is None else topology.model.cameras
+    last = {model.camera: model.last_event for model in models}
+    return {camera.id: _CameraCounters(newest=last.get(camera.id)) for camera in topology.cameras}
 
 
 def topology_lines(topology: Topology | None) -> list[str]:
@@ -274,19 +239,14 @@ def topology_lines(topology: Topology | None) -> list[str]:
     return lines
 
 
-def newest_alarms(topology: Topology | None) -> list[Alarm]:
-    """Return at most `ALARMS_SHOWN` alarms, newest first."""
-    return list(
-        reversed(((topology.alarms if topology is not None else None) or [])[-ALARMS_SHOWN:])
-    )
-
-
-def alarm_line(alarm: Alarm, now: float) -> str:
-    """Return one alarm in words; ``now`` in seconds since the epoch."""
-    return (
+def alarm_lines(topology: Topology | None, now: float) -> list[str]:
+    """Return the newest alarms in words, newest first; ``now`` in Unix seconds."""
+    alarms = [] if topology is None else topology.alarms or []
+    return [
         f"{(now - alarm.t) / 60:.0f} min ago, version {alarm.version}: "
         f"{alarm.kind} {alarm.subject}, {alarm.detail}"
-    )
+        for alarm in reversed(alarms[-ALARMS_SHOWN:])
+    ]
 
 
 def busiest_links(topology: Topology | None) -> list[Link]:
@@ -298,33 +258,30 @@ def busiest_links(topology: Topology | None) -> list[Link]:
 def transit(link: Link) -> str:
     """Return a link's transit time in words: median, and the range of four in five.
 
-    Where views overlap, an object appears in the second before it leaves the first. An operator's
-    word on the link follows.
+    Where views overlap, an object appears in the second before it leaves the first.
     """
-    word = f", said to be {link.operator}" if link.operator else ""
     if link.transit.q50 < 0:
-        return f"overlap, {-link.transit.q50:.1f} s before{word}"
-    return f"{link.transit.q50:.1f} ({link.transit.q10:.1f} to {link.transit.q90:.1f}) s{word}"
+        return f"overlap, {-link.transit.q50:.1f} s before"
+    return f"{link.transit.q50:.1f} ({link.transit.q10:.1f} to {link.transit.q90:.1f}) s"
 
 
 def prediction_line(prediction: Prediction) -> str:
     """Return one prediction in words: departure zone, views that see the object now, and next
     zones.
     """
-    seen = [
-        f"now in view of {one.camera} {one.probability:.2f}"
-        for one in seen_now(prediction.in_view or [])
+    places = [
+        f"now in view of {view.camera} {view.probability:.2f}"
+        for view in seen_now(prediction.in_view or [])
     ]
-    following = ", ".join(
-        f"{_place(prediction, following)} {following.probability:.2f} {_when(following)}"
-        for following in prediction.next_[:NEXT_SHOWN]
-    )
-    if not seen and not following:
-        return f"{prediction.zone or prediction.camera} -> next camera unknown"
-    return (
-        f"{prediction.zone or prediction.camera} -> "
-        f"{'; '.join([*seen, following] if following else seen)}"
-    )
+    if prediction.next_:
+        places.append(
+            ", ".join(
+                f"{_place(prediction, following)} {following.probability:.2f} {_when(following)}"
+                for following in prediction.next_[:NEXT_SHOWN]
+            )
+        )
+    left = prediction.zone or prediction.camera
+    return f"{left} -> {'; '.join(places) or 'next camera unknown'}"
 
 
 def _when(following: NextCamera) -> str:
