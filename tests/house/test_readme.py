@@ -113,8 +113,9 @@ def test_every_command_exists() -> None:
             for arguments in invocations(meant):
                 try:
                     seen.add(parser.parse_args(arguments).command)
-                except SystemExit:
-                    pytest.fail(f"{page}: {line}")
+                except SystemExit as end:  # 0: an option that prints and ends
+                    if end.code != 0:
+                        pytest.fail(f"{page}: {line}")
     assert replaced == set(PLACEHOLDERS)
     assert seen == set(COMMANDS)
 
