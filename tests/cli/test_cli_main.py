@@ -407,7 +407,7 @@ def test_run_says_why_it_cannot(tmp_path: Path, capsys: pytest.CaptureFixture[st
         journal.set_meta("format", "99")
     assert main.main(["--config", str(listen), "run", "--state", str(newer)]) == 74
     err = capsys.readouterr().err
-    assert "the journal has format 99" in err
+    assert "journal.db has format 99" in err
     assert "Traceback" not in err
 
     wrong = tmp_path / "wrong.toml"
