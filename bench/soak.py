@@ -38,7 +38,6 @@ from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
-from camtopod.serve.runtime import memory
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 
@@ -203,7 +202,6 @@ class WorkerProcess:
 
 def run_daemons(pipe: Connection, config: Config, now: Any) -> None:
     """Run the daemons, one after the other, on the same state and by the clock ``now``."""
-    memory.tune()
     daemon: Daemon | None = None
     with contextlib.suppress(EOFError):
         while True:

@@ -41,7 +41,6 @@ from camtopod.serve.bus import (
     Bus,
     OtherDaemons,
     QueryError,
-    SelfCheck,
     certificate_by_camera,
     open_daemon_session,
 )
@@ -185,13 +184,6 @@ class Daemon:
             limits.pull_seconds + stall,
         )
         self._start_thread("status", self._publish_status, limits.status_seconds + stall)
-        if self._given_bus is None and config.listens:
-            self_check = SelfCheck(config, self._bus.endpoint, self._rivals.name)
-            self._start_thread(
-                "bus",
-                lambda mark: self_check.work(self._stopping, mark),
-                self_check.look_seconds_max + stall,
-            )
         self.progress.unwatch("start")
         self.started = True
         log.info(
@@ -301,7 +293,6 @@ class Daemon:
                 "merging": receiver.merge.waiting,
             },
             "rejects": dict(receiver.rejects.counts),
-            "refused": {} if self._bus is None else self._bus.refused,
             "reject_samples": receiver.rejects.samples(),
             "dropped": receiver.dropped,
             "learner": learning.statistics,

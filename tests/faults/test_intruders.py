@@ -346,13 +346,6 @@ def test_a_stolen_box_can_publish_its_own_events_and_nothing_else(
     assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
     effects = attack(thief, observer)
     assert effects == OWN | {f"thief heard put {HQ}/ack/cam1"}
-    refused = status(observer)["refused"]
-    assert refused["denied"] >= len(STOLEN)
-    assert refused.get("too-large", 0) == 0
-    wait_for(
-        lambda: any("certificate of cam1 does not allow" in line for line in guarded.said),
-        "it to be said",
-    )
 
 
 def test_a_stolen_box_that_poses_as_a_router_gains_and_breaks_nothing(
@@ -491,7 +484,6 @@ def test_a_box_whose_certificate_was_withdrawn_has_no_rights(
 ) -> None:
     thief, observer = puppet(cleanup), puppet(cleanup)
     assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
-    before = status(observer)["refused"]["no-rights"]
     assert thief.open(**client(guarded.endpoint), **keys.tls("camera/gone")), (
         "it is still the authority's"
     )
@@ -501,7 +493,6 @@ def test_a_box_whose_certificate_was_withdrawn_has_no_rights(
         thief.do("ask", key=f"{HQ}/status/daemon") == []
     )  # and with it the put has been dealt with
     assert observer.do("heard") == []
-    assert status(observer)["refused"]["no-rights"] == before + 1
     wait_for(
         lambda: any(
             "'gone' from" in line and "can do nothing here" in line for line in guarded.said
@@ -534,17 +525,7 @@ def test_who_is_not_let_in(keys: Keys, guarded: RealDaemon, cleanup: contextlib.
         ("expired", _own(keys.tls("old/camera/cam1"))),
         ("not-tls", plain),
     ):
-        before = status(observer)["refused"].get(reason, 0)
         assert not intruder.open(**good | wrong), reason
-        assert status(observer)["refused"].get(reason, 0) > before, (
-            reason,
-            status(observer)["refused"],
-        )
-        wanted = f"connection to the bus was refused: {reason}"
-        wait_for(
-            lambda wanted=wanted: any(wanted in line for line in guarded.said),
-            f"it to be said: {reason}",
-        )
     assert intruder.open(**good), "the control: the same with a good certificate"
 
 
@@ -603,62 +584,6 @@ def test_what_is_too_large_neither_arrives_nor_takes_memory(
         lambda: status(observer)["rejects"].get("too-long") == 1,
         "what the bus lets pass to be counted",
     )
-    wait_for(
-        lambda: status(observer)["refused"].get("too-large", 0) >= 200,
-        "what the bus drops to be counted",
-    )
-
-
-@pytest.mark.parametrize("guarded", [False, True], ids=["open", "guarded"])
-def test_what_is_dropped_for_its_size_is_named_and_a_late_answer_is_not(
-    guarded: bool, keys: Keys, tmp_path: Path, cleanup: contextlib.ExitStack
-) -> None:
-    """A box whose answer is late makes zenoh log a message without a key."""
-    access = keys.folder / "daemon" / "access.json"
-    daemon = RealDaemon(
-        tmp_path / "d",
-        tls_table(keys, access) if guarded else '[bus]\nlisten = ["tcp/127.0.0.1:0"]\n',
-    )
-    cleanup.callback(daemon.stop)
-    box, observer = puppet(cleanup), puppet(cleanup)
-    assert box.open(**client(daemon.endpoint), **(keys.tls("camera/cam1") if guarded else {}))
-    assert observer.open(**client(daemon.endpoint), **(keys.tls("daemon") if guarded else {}))
-    box.do("hold", key=f"{HQ}/status/cam1")
-    wait_for(
-        lambda: observer.do("ask", key=f"{HQ}/status/cam1") == ["Timeout"],
-        "a question that is not answered",
-    )
-    observer.do(
-        "ask", key=f"{HQ}/status/cam1"
-    )  # by its end the daemon has heard of the first one from the box
-
-    box.do("put", key=f"{HQ}/event/cam1", payload="x", repeat=rules.EVENT_BYTES_MAX + 1)
-    wait_for(
-        lambda: status(observer)["refused"].get("too-large", 0) > 0,
-        "what is too large to be counted",
-    )
-    assert status(observer)["refused"]["too-large"] == 1
-    whose = f"cam1 on {HQ}/event/cam1" if guarded else r"tcp/127\.0\.0\.1:\d+ on event/\*"
-    named = rf"a put from {whose} was dropped at \S+Z: it has more than {rules.EVENT_BYTES_MAX} bytes \(1 so far\)"
-    wait_for(lambda: re.search(named, "".join(daemon.said)) is not None, "it to be named")
-
-
-def test_what_a_stolen_box_makes_too_large_is_counted_whatever_its_size(
-    keys: Keys, guarded: RealDaemon, cleanup: contextlib.ExitStack
-) -> None:
-    box, observer = puppet(cleanup), puppet(cleanup)
-    assert box.open(**client(guarded.endpoint), **keys.tls("camera/cam1"))
-    assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
-    before = status(observer)
-    for size, count in ((rules.EVENT_BYTES_MAX + 1, 3), (BIG_BYTES, 2), (16 * BIG_BYTES, 1)):
-        box.do("put", key=f"{HQ}/event/cam1", payload="x", repeat=size, count=count)
-    wanted = before["refused"].get("too-large", 0) + 6
-    wait_for(
-        lambda: status(observer)["refused"].get("too-large", 0) >= wanted, "each to be counted"
-    )
-    after = status(observer)
-    assert after["refused"]["too-large"] == wanted
-    assert after["events"]["received"] == before["events"]["received"]
 
 
 def test_no_message_of_any_kind_may_be_that_large(

@@ -80,7 +80,7 @@ NOT_PURE = {
     "os",
 }
 HOMES = {
-    "zenoh": ("serve.bus.session", "serve.bus.refusals"),
+    "zenoh": ("serve.bus.session",),
     "paho": ("mqtt",),
     "prometheus_client": ("serve.monitoring.metrics",),
     "starlette": ("web.app", "web.api", "web.guards", "web.login"),

@@ -118,7 +118,6 @@ def test_the_figures_are_those_of_the_status(daemon: Daemon, tmp_path: Path) -> 
         "healthy": 1,
         "ready": 1,
         "degraded": 0,
-        "connections_refused_total": 0,
     }
     assert {name: samples[f"camtopod_{name}", ""] for name in expected} == pytest.approx(expected)
     for camera, counters in status["cameras"].items():
@@ -237,7 +236,6 @@ def test_what_found_no_room_is_counted_by_camera(
     said = daemon.status()
     said["cameras"] = {"lobby": {"events": 4, "newest": 1.0, "ahead": None, "alive": True}}
     said["dropped"] = {"lobby": 7, "gone": 2, "": 1}
-    said["refused"] = {"expired": 2, "no-rights": 1, "denied": 5, "too-large": 6}
     monkeypatch.setattr(daemon, "status", lambda: msgspec.json.decode(msgspec.json.encode(said)))
     samples = scraped(daemon)
     dropped = {
@@ -246,8 +244,6 @@ def test_what_found_no_room_is_counted_by_camera(
         if name == "camtopod_events_dropped_total"
     }
     assert dropped == {"lobby": 7, "": 3}
-    refused = ("connections_refused", "messages_denied", "messages_oversized")
-    assert [samples[f"camtopod_{name}_total", ""] for name in refused] == [3, 5, 6]
 
 
 def test_before_the_start_and_after_the_end(tmp_path: Path) -> None:

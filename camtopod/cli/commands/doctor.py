@@ -42,7 +42,7 @@ _SECRET_NAME = re.compile(r"(?i)pass|pwd|secret|token|credential")
 """Names of environment variables whose values are secrets."""
 _SECRET_CHARACTERS_MIN = 6
 """Least length of a secret in an environment variable; 'true' and 'false' are none."""
-_REFUSALS = ("rejects", "refused", "reject_samples")
+_REFUSALS = ("rejects", "reject_samples")
 """Keys of a status that say what was refused."""
 _QUOTED = re.compile(r""": ['"].*""", re.DOTALL)
 """The quoted part of a refused message, which is not reported."""

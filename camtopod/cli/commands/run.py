@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import faulthandler
+import gc
 import logging
 import sys
 from typing import Any
@@ -13,9 +14,9 @@ from camtopod.cli.common import SignalRequests, configuration, ends_within, sign
 from camtopod.cli.exits import CommandError
 from camtopod.config import Config
 from camtopod.serve import Daemon
-from camtopod.serve.bus import BusError, counting_refusals
+from camtopod.serve.bus import BusError, log_to_standard_output
 from camtopod.serve.monitoring import health, metrics
-from camtopod.serve.runtime import memory, systemd
+from camtopod.serve.runtime import systemd
 from camtopod.serve.storage import StateError
 
 log = logging.getLogger(__name__)
@@ -51,8 +52,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the daemon until SIGTERM or SIGINT."""
-    # Tune memory and thread switching before any work.
-    memory.tune()
+    gc.freeze()  # what was imported is never garbage
     sys.setswitchinterval(SWITCH_SECONDS)
     start_logging(args)
     faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
@@ -62,10 +62,10 @@ def run(args: argparse.Namespace) -> int:
     with signals() as told, ends_within(told.stop, LEAVE_SECONDS):
         config = configuration(args)
         daemon = Daemon(config)
+        log_to_standard_output()
         pages = {"/metrics": lambda: metrics.page(daemon, config.limits.cameras_max)}
         try:
             with (
-                counting_refusals(config),
                 health.serving(
                     config.health.listen, daemon.failing, daemon.unready, pages
                 ) as listening,

@@ -148,7 +148,7 @@ def is_local(endpoint: str) -> bool:
 
 
 class ConnectionWatch:
-    """Count the connections of certificates without rights, and log each such certificate once."""
+    """Log each certificate without rights that connects, once."""
 
     def __init__(self, access: rules.Access | None) -> None:
         self._known = (
@@ -156,15 +156,12 @@ class ConnectionWatch:
         )
         self._mutex = threading.Lock()
         self._said: set[str | None] = set()
-        self.strangers = 0
-        """Connections whose certificate is of the site's authority, but not on the access list."""
 
     def on_connection(self, name: str | None, address: str) -> None:
         """Take note of a new connection. Called from a thread of the bus."""
         if self._known is None or name in self._known:
             return
         with self._mutex:
-            self.strangers += 1
             first = name not in self._said and len(self._said) < UNLISTED_NAMED_MAX
             if first:
                 self._said.add(name)

@@ -1,4 +1,4 @@
-"""A program's session on the bus. Only this module and `refusals` use zenoh.
+"""A program's session on the bus. Only this module uses zenoh.
 
 All keys are below ``camtopo/{site}/``. Clients connect to explicit endpoints; the daemon may itself
 be the endpoint they connect to (zenoh's mode ``router``). Multicast scouting and shared memory are
@@ -17,7 +17,7 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import zenoh
@@ -27,7 +27,7 @@ from camtopod.config import BusSettings, Config
 from camtopod.keys import PREFIX
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
-from camtopod.serve.bus import access, refusals, sockets
+from camtopod.serve.bus import access, sockets
 from camtopod.serve.runtime import clock
 
 log = logging.getLogger(__name__)
@@ -155,7 +155,6 @@ class Bus:
         self._declared: list[Any] = []
         self._subscriptions: list[Subscription] = []
         self._closed = threading.Event()
-        self._doorkeeper: access.ConnectionWatch | None = None
         # By thread: (since when on the monotonic clock, key) of its publication under way.
         self._putting: dict[int, tuple[float, str]] = {}
 
@@ -413,26 +412,16 @@ class Bus:
             self._session.liveliness().declare_subscriber(key, change, history=True)
         )
 
-    def watch_connections(self, doorkeeper: access.ConnectionWatch) -> None:
-        """Report new connections to ``doorkeeper``, and keep closing ones from blocking the bus."""
+    def watch_connections(self, connections: access.ConnectionWatch) -> None:
+        """Report new links to ``connections``, and keep closing ones from blocking the bus."""
 
         def change(event: zenoh.LinkEvent) -> None:
             if event.kind == zenoh.SampleKind.PUT:
                 sockets.close_without_waiting()
                 link = event.link
-                refusals.refusals.on_session(str(link.zid), link.auth_identifier, link.dst)
-                doorkeeper.on_connection(link.auth_identifier, link.dst)
+                connections.on_connection(link.auth_identifier, link.dst)
 
-        self._doorkeeper = doorkeeper
         self._declared.append(self._session.info.declare_link_events_listener(change, history=True))
-
-    @property
-    def refused(self) -> dict[str, int]:
-        """Number of refusals by reason; outside of `counting_refusals` only "no-rights" is
-        counted.
-        """
-        strangers = 0 if self._doorkeeper is None else self._doorkeeper.strangers
-        return {**refusals.refusals.counts, "no-rights": strangers}
 
     @property
     def connected(self) -> bool:
@@ -539,17 +528,12 @@ def open_daemon_session(config: Config) -> Bus:
     return bus
 
 
-@contextlib.contextmanager
-def counting_refusals(config: Config) -> Iterator[None]:
-    """Count and log who is refused while the block runs.
+def log_to_standard_output() -> None:
+    """Have zenoh write its own log: errors, and who was refused a TLS connection, and why.
 
-    Once in a process, which must not write to standard output meanwhile.
+    The environment variable RUST_LOG can ask for more. Once in a process.
     """
-    with refusals.capture_standard_output():
-        zenoh.init_log_from_env_or(
-            refusals.FILTER_WITH_SIZES if config.bus.tls.ca else refusals.FILTER
-        )
-        yield
+    zenoh.init_log_from_env_or("error,zenoh_link_tls=warn")
 
 
 def _open(

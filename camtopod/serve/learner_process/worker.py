@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import faulthandler
+import gc
 import os
 import queue
 import sys
@@ -51,7 +52,6 @@ from camtopod.serve.learner_process.messages import (
     Unusable,
     VersionMismatch,
 )
-from camtopod.serve.runtime import memory
 from camtopod.serve.storage import Rewind
 from camtopod.topology import alarms_follow, make_delta
 
@@ -275,9 +275,9 @@ class Worker:
 
 def main(learner: type[Learner] = Learner) -> None:
     """Learn until the daemon ends; never returns."""
-    # Limit memory, and keep stray prints out of the answers.
+    # Keep stray prints out of the answers.
     faulthandler.enable()
-    memory.tune()
+    gc.freeze()  # what was imported is never garbage
     out = os.dup(1)
     os.dup2(2, 1)
     asked: queue.SimpleQueue[Question] = queue.SimpleQueue()

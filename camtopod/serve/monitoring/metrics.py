@@ -98,13 +98,6 @@ SITE = (
         "learner.watermark",
         "Event time up to which everything is learned",
     ),
-    Metric(
-        "connections_refused_total",
-        "refused.connections",
-        "Connections to the bus that were refused",
-    ),
-    Metric("messages_denied_total", "refused.denied", "Messages that a certificate does not allow"),
-    Metric("messages_oversized_total", "refused.too-large", "Messages dropped for their size"),
     Metric("predictions_total", "predictions", "Predictions published"),
     Metric(
         "predictions_skipped_total",
@@ -265,11 +258,6 @@ def site_status(daemon: Daemon) -> dict[str, Any]:
     status["degraded"] = status["state"] != "running"
     status["journal"]["damaged_files"] = len(status["journal"].get("damaged_files", ()))
     status["learner"]["watermark"] = status["learner"]["watermark"] or None
-
-    # Tell refused connections from refused messages.
-    refused = {"denied": 0, "too-large": 0, **status["refused"]}
-    refused["connections"] = sum(refused.values()) - refused["denied"] - refused["too-large"]
-    status["refused"] = refused
 
     # Add the newest topology.
     if daemon.newest is not None:

@@ -1,13 +1,13 @@
-"""Building blocks of a running program: clocks, liveness, counters, memory, systemd.
+"""Building blocks of a running program: clocks, liveness, counters, systemd.
 
 Read `clock` (wall clock, steady clock, ULIDs) and `progress` (watch whether loops make progress)
-first. `systemd` reports both to the service manager. `rejects` counts malformed input, `reload`
-compares configurations, and `memory` tunes the allocator and the garbage collector.
+first. `systemd` reports both to the service manager. `rejects` counts malformed input, and `reload`
+compares configurations.
 """
 
 from __future__ import annotations
 
-from camtopod.serve.runtime import clock, memory, systemd
+from camtopod.serve.runtime import clock, systemd
 from camtopod.serve.runtime.clock import Clock, steady_clock_for, ulid, wall
 from camtopod.serve.runtime.progress import Beat, Heartbeat, Progress, no_beat
 from camtopod.serve.runtime.rejects import Rejects
@@ -23,7 +23,6 @@ __all__ = [
     "Rejects",
     "changed_settings",
     "clock",
-    "memory",
     "no_beat",
     "steady_clock_for",
     "systemd",
