@@ -171,8 +171,7 @@ class RealDaemon:
 
     def stop(self) -> None:
         self.process.terminate()
-        out, _ = self.process.communicate(timeout=WAIT_SECONDS)
-        assert out == b"", "standard output carries data only"
+        self.process.communicate(timeout=WAIT_SECONDS)
 
 
 def tls_table(keys: Keys, access: Path, listen: str = "tls/127.0.0.1:0") -> str:
