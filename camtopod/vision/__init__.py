@@ -6,7 +6,7 @@ events. Reading order:
 - `settings`: all settings of a grabber, with units;
 - `source`: files, streams and devices -> frames with capture times;
 - `detect`: noise filter, background model, moving pixels -> blobs;
-- `detector`: optional; says who is there and how many, before the blobs are tracked;
+- `detector`: optional; counts the people in moving regions before the blobs are tracked;
 - `track`: blobs -> tracks -> crossings of the edge of the view;
 - `pipeline`: frames -> events, without source, clock or waiting;
 - `analysis`: what the pipeline made of one frame, for its observer;

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from camtopod.records import Event
 from camtopod.vision.detect import Luma
-from camtopod.vision.detector import Seen
+from camtopod.vision.detector import DetectorResult
 from camtopod.vision.track import Decision, Track
 
 
@@ -20,12 +20,12 @@ class Analysis(NamedTuple):
     t: float
     """Capture time, seconds."""
     frame: Luma
-    """The working picture (H, W), filtered if it was noisy."""
+    """The working image (H, W), filtered if it was noisy."""
     moving: Luma | None
-    """Mask (H, W) of the foreground; None while most of the picture differs from the background."""
+    """Mask (H, W) of the foreground; None while most of the image differs from the background."""
     tracks: Sequence[Track]
     """Tracks that are followed, tentative ones included."""
-    broken: Sequence[Track]
+    lost: Sequence[Track]
     """Tracks lost in mid-view that may still be found again."""
     learned_doors: Sequence[tuple[float, float]]
     """Foot points of learned doors, pixels."""
@@ -33,8 +33,8 @@ class Analysis(NamedTuple):
     """Events that have become certain in this frame."""
     decisions: Sequence[Decision]
     """Beginnings and ends of tracks that were decided in this frame."""
-    looked: Seen | None = None
-    """What the detector saw; None if there is none."""
+    detector: DetectorResult | None = None
+    """What the detector found; None if there is none."""
 
 
 Observer = Callable[[Analysis], None]

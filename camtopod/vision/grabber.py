@@ -30,7 +30,7 @@ class Grabber:
     wall_clock: current time in seconds since the epoch. Frames of a stream or device have capture
         times on this clock.
     observer: called with every analysed frame, within `events`; the events do not depend on it.
-    detector: says who is there and how many; None: motion alone.
+    detector: counts the people in moving regions; None: motion alone.
 
     Use one grabber per process for network streams: OpenCV serialises opening within a process, and
     its FFmpeg options are process-wide. Not thread-safe.
@@ -49,7 +49,7 @@ class Grabber:
         speed: float = 1.0,
         wall_clock: Callable[[], float],
         settings: VisionSettings | None = None,
-        complaints: FfmpegLog | None = None,
+        ffmpeg_log: FfmpegLog | None = None,
         observer: Observer | None = None,
         detector: Detector | None = None,
     ) -> None:
@@ -63,9 +63,9 @@ class Grabber:
             )
         else:
             self._source = LiveSource(
-                source, settings, wall_clock, complaints, detector is not None
+                source, settings, wall_clock, ffmpeg_log, detector is not None
             )
-        self._watcher = ViewPipeline(camera, settings, observer, detector)
+        self._pipeline = ViewPipeline(camera, settings, observer, detector)
         self._analysis_seconds = 0.0
         self._last_t: float | None = None
 
@@ -80,13 +80,13 @@ class Grabber:
         Ends after the last frame of a file; for a stream or device, only after `close`. Raises
         `SourceError` if a *file* turns out to hold no frame.
         """
-        heard = time.monotonic()
+        yielded_at = time.monotonic()
         for frame in self._source.frames():
             events: list[Event] = []
 
             if frame is not None:
                 began = time.thread_time()
-                events = self._watcher.process(frame.t, frame.luma, frame.picture)
+                events = self._pipeline.process(frame.t, frame.luma, frame.image)
                 self._analysis_seconds += time.thread_time() - began
                 self._last_t = frame.t
 
@@ -94,13 +94,13 @@ class Grabber:
             yield from events
             now = time.monotonic()
             if events:
-                heard = now
-            elif frame is None or now - heard >= HEARTBEAT_SECONDS:
-                heard = now
+                yielded_at = now
+            elif frame is None or now - yielded_at >= HEARTBEAT_SECONDS:
+                yielded_at = now
                 yield None
 
         # The source has ended.
-        yield from self._watcher.finish()
+        yield from self._pipeline.finish()
 
     @property
     def state(self) -> State:
@@ -136,7 +136,7 @@ class Grabber:
             "failures": source.failures,
             "untrusted_stamps": source.untrusted_stamps,
             "analysis_cpu_seconds": round(self._analysis_seconds, 3),
-            **self._watcher.statistics(),
+            **self._pipeline.statistics(),
         }
         if self._last_t is not None:
             figures["last_frame_t"] = self._last_t

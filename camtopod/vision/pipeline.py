@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from camtopod.records import Event
 from camtopod.vision.analysis import Analysis, Observer
 from camtopod.vision.detect import Luma, MotionDetector, find_blobs, shrunk
-from camtopod.vision.detector import Detector, Known
+from camtopod.vision.detector import Detector, TrackedBox
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track import Crossings, Decision, IgnoredAreas, Recorder, Track, Tracker
 
@@ -39,7 +39,7 @@ class ViewPipeline:
         """Prepare for the first frame.
 
         observer: called with every analysed frame; the events do not depend on it.
-        detector: says who is there and how many; None: motion alone.
+        detector: counts the people in moving regions; None: motion alone.
         """
         self._camera = camera
         self._settings = settings
@@ -55,18 +55,18 @@ class ViewPipeline:
         self.analysed = 0
         self.ghosts = 0
 
-    def process(self, t: float, frame: Luma, picture: Luma | None = None) -> list[Event]:
+    def process(self, t: float, frame: Luma, image: Luma | None = None) -> list[Event]:
         """Process the frame (H, W) captured at ``t`` (seconds) and return the events now certain.
 
         Times must increase. The frames of the first seconds wait until there is a background, then
         all of them are analysed.
 
-        picture (H, W, 3): the same frame in colour and at full size, for the detector.
+        image (H, W, 3): the same frame in colour and at full size, for the detector.
         """
         self.analysed += 1
         small = self._motion.filter_noise(shrunk(frame, self._settings.working_width))
         if self._tracker is not None and self._motion.ready:
-            return self._step(t, small, picture)
+            return self._step(t, small, image)
         self._waiting.append((t, small))
         enough = t - self._waiting[0][0] >= self._settings.bootstrap_seconds
         if enough or len(self._waiting) >= BOOTSTRAP_FRAMES_KEPT:
@@ -75,11 +75,12 @@ class ViewPipeline:
 
     def _bootstrap(self) -> list[Event]:
         """Initialise the background from the waiting frames, then analyse them."""
-        waiting, self._waiting = self._waiting, []
+        waiting = self._waiting
+        self._waiting = []
         self._motion.bootstrap([frame for _, frame in waiting])
         height, width = waiting[0][1].shape
 
-        # The size of the picture is known from here on. After a relearned scene, tracking restarts.
+        # The size of the image is known from here on. After a relearned scene, tracking restarts.
         if self._crossings is None or self._tracker is None:
             watched = self._motion.watched
             ignored = None if watched is None else IgnoredAreas(watched)
@@ -101,7 +102,7 @@ class ViewPipeline:
                 events += self._step(t, frame)
         return events
 
-    def _step(self, t: float, frame: Luma, picture: Luma | None = None) -> list[Event]:
+    def _step(self, t: float, frame: Luma, image: Luma | None = None) -> list[Event]:
         """Analyse one frame."""
         assert self._tracker is not None
         assert self._crossings is not None
@@ -118,14 +119,14 @@ class ViewPipeline:
 
         # Blobs, tracks, events.
         blobs = find_blobs(motion, self._tracker.stature.height)
-        if self._detector is not None and picture is not None:
-            blobs = self._detector.step(t, picture, motion.moving, blobs, self._known(dt))
+        if self._detector is not None and image is not None:
+            blobs = self._detector.step(t, image, motion.moving, blobs, self._tracked_boxes(dt))
         changes = self._tracker.step(t, blobs)
         events = self._crossings.report(changes, self._tracker.active)
 
         # Drop ghosts.
         for track in self._tracker.active:
-            if self._detector is not None and self._detector.holds(track.last.box):
+            if self._detector is not None and self._detector.detected_recently(track.last.box):
                 continue
             if self._is_still(track, t) and self._motion.is_ghost(motion, track.last.box):
                 self._tracker.drop(track)
@@ -156,23 +157,23 @@ class ViewPipeline:
             self._crossings.doors.learned(self._tracker.stature.height),
             events,
             self._decisions.copy(),
-            None if self._detector is None else self._detector.seen,
+            None if self._detector is None else self._detector.result,
         )
         self._decisions.clear()
         self._observer(self._latest)
 
-    def _known(self, dt: float) -> list[Known]:
+    def _tracked_boxes(self, dt: float) -> list[TrackedBox]:
         """Return where the tracks are expected, ``dt`` seconds after the last frame."""
         assert self._tracker is not None
-        known = []
+        tracked = []
         for track in self._tracker.active:
             head_x, head_y, foot_x, foot_y = track.kalman.velocity
             x, y = dt * (head_x + foot_x) / 2, dt * (head_y + foot_y) / 2
             left, top, right, bottom = track.box
             box = (left + x, top + y, right + x, bottom + y)
             still = track.confirmed and self._is_still(track, track.last.t)
-            known.append(Known(box, track.confirmed, still))
-        return known
+            tracked.append(TrackedBox(box, track.confirmed, still))
+        return tracked
 
     def _is_still(self, track: Track, t: float) -> bool:
         """Return True if the track is seen now and has stayed in place for `GHOST_SECONDS`.

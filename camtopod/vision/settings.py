@@ -41,9 +41,9 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     confirm_seconds: float = 0.5
     """Minimum time something must be tracked, and move, before it counts as an object."""
     patience_seconds: Positive = 1.5
-    """Time an object may be out of sight before its track ends."""
+    """Time an object may go undetected before its track ends."""
     stitch_seconds: float = 10.0
-    """Time within which a track that broke in mid-view may be found and continue its passage."""
+    """Time within which a track lost in mid-view may be found again and continue its passage."""
     tracks_max: Annotated[int, Meta(ge=1)] = 200
     """Maximum number of tracks at a time; further objects are not tracked."""
     open_timeout_seconds: Positive = 5.0
@@ -55,7 +55,7 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     backoff_max_seconds: Positive = 15.0
     """Maximum delay before a lost stream is reopened."""
     ignore: Areas = ()
-    """Areas in which motion is not looked at (a tree, a street behind the fence, a clock in the
+    """Areas in which motion is ignored (a tree, a street behind the fence, a clock in the
     picture): polygons of [x, y] points in fractions of the picture, such as [[[0.0, 0.0],
     [0.3, 0.0], [0.3, 0.1], [0.0, 0.1]]], or texts as Frigate's "0,0,0.3,0,0.3,0.1,0,0.1".
     """
@@ -95,8 +95,8 @@ class DetectorSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Least score of a detection, 0 to 1; 0.6 of it is enough where something is tracked already.
     """
     looks_per_second_max: Annotated[float, Meta(gt=0)] = 7.0
-    """Maximum number of looks per second of a camera: each takes the model's time, and only motion
-    and people who stand are looked at.
+    """Maximum number of inferences per second and camera; only regions with motion or standing
+    people are examined.
     """
     layout: Annotated[
         str,

@@ -195,9 +195,9 @@ def test_probe_looks_once_and_prints_layout_milliseconds_and_boxes(
     a, b = sorted(each.removeprefix(start) for each in said.splitlines() if start in each)[::-1]
     if "camera a" not in a:
         a, b = b, a
-    assert " ms a look; in the whole picture: person " in a
+    assert " ms an inference; in the whole image: person " in a
     assert a.endswith("(camera a)")
-    assert b.endswith("in an empty picture: nothing (camera b)"), "it has no source here"
+    assert b.endswith("in an empty image: nothing (camera b)"), "it has no source here"
 
 
 # --- grab -----------------------------------------------------------------------------------------

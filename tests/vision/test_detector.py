@@ -17,11 +17,11 @@ from camtopod.records import Event
 from camtopod.vision.analysis import Analysis
 from camtopod.vision.boxes import Box
 from camtopod.vision.detect import Blob
-from camtopod.vision.detector import Detection, Detector, Known, Model
+from camtopod.vision.detector import Detection, Detector, Model, TrackedBox
 from camtopod.vision.detector.agreement import Agreement
 from camtopod.vision.detector.crops import Crops
 from camtopod.vision.detector.fusion import fuse
-from camtopod.vision.detector.model import Picture
+from camtopod.vision.detector.model import Image as Picture
 from camtopod.vision.grabber import Grabber
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import DetectorSettings, VisionSettings
@@ -50,7 +50,7 @@ class Drawn:
         self.times: list[float] = []
         self.parts: list[Box] = []
 
-    def look(self, picture: Picture, part: Box) -> list[Detection]:
+    def infer(self, picture: Picture, part: Box) -> list[Detection]:
         self.times.append(self.t)
         self.parts.append(part)
         found = []
@@ -77,7 +77,7 @@ class Timed(Detector):
         picture: Picture,
         moving: Picture,
         blobs: list[Blob],
-        known: list[Known],  # type: ignore[override]
+        known: list[TrackedBox],  # type: ignore[override]
     ) -> list[Blob]:
         self.drawn.t = t
         return super().step(t, picture, moving, blobs, known)
@@ -171,7 +171,7 @@ def test_a_blind_detector_changes_nothing(detector: Callable[..., Detector]) -> 
         blind = detector(blind=True)
         events = ColouredScene(people, others).events(20, blind)
         assert lines(events) == lines(ColouredScene(people, others).events(20, None))
-        assert not blind.seen.trusted
+        assert not blind.result.trusted
         assert blind.statistics()["detector_agreement"] < 0.1
 
 
@@ -184,7 +184,7 @@ def test_where_agreement_falls_motion_alone_counts_again(
         for k in range(8)
     ]
     both = detector()
-    view = ViewPipeline("cam", SETTINGS, lambda seen: trusted.append(both.seen.trusted), both)
+    view = ViewPipeline("cam", SETTINGS, lambda seen: trusted.append(both.result.trusted), both)
     events = ColouredScene(ALONE, later).events(50, both, pipeline=view)
     assert any(trusted)
     assert not trusted[-1]
@@ -319,7 +319,7 @@ def test_what_is_not_detected_stays_and_says_whether_it_was_looked_at() -> None:
 def test_a_detection_without_motion_counts_where_something_is_tracked() -> None:
     box = (50.0, 20.0, 64.0, 60.0)
     assert fuse([], [box], WHOLE, [], mask()) == []
-    [one] = fuse([], [box], WHOLE, [Known((51, 21, 63, 60), True, True)], mask())
+    [one] = fuse([], [box], WHOLE, [TrackedBox((51, 21, 63, 60), True, True)], mask())
     assert one.box == box
 
 
@@ -336,7 +336,7 @@ def test_motion_of_the_detection_s_outline_keeps_its_own() -> None:
 
 
 def test_a_tracked_neighbour_that_is_not_detected_is_kept_by_its_motion() -> None:
-    group, known = blob(50, 20, 80, 60), Known((66, 20, 80, 60), True, False)
+    group, known = blob(50, 20, 80, 60), TrackedBox((66, 20, 80, 60), True, False)
     found = fuse([group], [(50, 20, 64, 60)], WHOLE, [known], mask(group.box))
     assert sorted((one.box, one.detected) for one in found) == [
         ((50, 20, 64, 60), True),
@@ -347,7 +347,7 @@ def test_a_tracked_neighbour_that_is_not_detected_is_kept_by_its_motion() -> Non
 
 
 def test_who_leaves_beside_another_is_kept_by_what_is_still_in_view() -> None:
-    group, leaving = blob(0, 20, 24, 60), Known((-9, 20, 5, 60), True, False)
+    group, leaving = blob(0, 20, 24, 60), TrackedBox((-9, 20, 5, 60), True, False)
     found = fuse([group], [(10, 20, 24, 60)], WHOLE, [leaving], mask(group.box))
     assert sorted((one.box, one.detected) for one in found) == [
         ((0, 20, 5, 60), False),
@@ -366,8 +366,8 @@ def test_detections_are_drawn_and_whether_they_are_trusted() -> None:
 
     def observe(seen: Analysis) -> None:
         overlay.remember(seen)
-        assert seen.looked is not None
-        if seen.looked.detections:
+        assert seen.detector is not None
+        if seen.detector.detections:
             picture = overlay.draw(seen)
             violet.append(bool((picture == (220, 120, 220)).all(axis=2).any()))
 
@@ -391,9 +391,9 @@ def test_frames_of_a_file_come_in_colour_for_the_detector(tmp_path: Path) -> Non
     shapes = set()
 
     class Shown(Drawn):
-        def look(self, picture: Picture, part: Box) -> list[Detection]:
+        def infer(self, picture: Picture, part: Box) -> list[Detection]:
             shapes.add(picture.shape)
-            return super().look(picture, part)
+            return super().infer(picture, part)
 
     looking = Timed(Shown(scene), DetectorSettings("m.onnx"))
     found = []

@@ -43,7 +43,7 @@ def settings(path: Path, **given: Any) -> DetectorSettings:
 
 
 def found(model: Model) -> list[Detection]:
-    return sorted(model.look(picture(), whole((300, 200), model.size)))
+    return sorted(model.infer(picture(), whole((300, 200), model.size)))
 
 
 def assert_near(box: Box, expected: tuple[int, int, int, int], pixels: float) -> None:
@@ -76,7 +76,7 @@ def test_an_input_need_not_be_square(tmp_path: Path, layout: Layout) -> None:
 
 def test_a_part_of_the_picture_is_looked_at_in_pixels_of_the_whole(tmp_path: Path) -> None:
     model = Model(settings(write_model(tmp_path / "m.onnx", "yolov8")))
-    [one] = model.look(picture(), (140.0, 55.0, 260.0, 175.0))
+    [one] = model.infer(picture(), (140.0, 55.0, 260.0, 175.0))
     assert_near(one.box, PEOPLE[1], 2.0)
 
 
@@ -212,8 +212,8 @@ def test_an_operation_that_opencv_does_not_have_is_named(tmp_path: Path) -> None
     [
         ([[1, 3, 100, 160]], "160 x 100 pixels: multiples of 32"),
         ([[1, 3, 4096, 4096]], "up to 2048"),
-        ([[1, 1, 160, 160]], "does not take one picture"),
-        ([[4, 3, 160, 160]], "does not take one picture"),
+        ([[1, 1, 160, 160]], "does not take one image"),
+        ([[4, 3, 160, 160]], "does not take one image"),
         ([[1, 3, 160, 160], [1, 2]], r"its inputs: \(1, 3, 160, 160\) and \(1, 2\)"),
     ],
 )
@@ -241,7 +241,7 @@ def test_a_report_has_layout_size_time_and_boxes(tmp_path: Path) -> None:
     given = settings(write_model(tmp_path / "person.onnx", "yolox"))
     text = try_model(given, picture()).text
     assert text.startswith("person.onnx: layout yolox, 160x160, 80 classes, ")
-    assert " ms a look; in the whole picture: person 1.00 at (" in text
+    assert " ms an inference; in the whole image: person 1.00 at (" in text
     assert text.count("person 1.00") == 2
-    assert try_model(given).text.endswith("in an empty picture: nothing")
+    assert try_model(given).text.endswith("in an empty image: nothing")
     assert try_model(settings(tmp_path)).problem

@@ -16,9 +16,9 @@ from camtopod.vision.source.ffmpeg_log import captured_log
 
 libc = ctypes.CDLL(None)
 libc.printf(b"before\\n")
-with captured_log() as complaints:
+with captured_log() as ffmpeg_log:
     libc.printf(b"[tcp] Connection to tcp://127.0.0.1 failed: Connection refused\\n")
-    print(complaints.newest_reason(), file=sys.stderr)
+    print(ffmpeg_log.newest_reason(), file=sys.stderr)
     libc.printf(b"said when nobody asks any more\\n")
 print("data")
 """
@@ -31,9 +31,9 @@ def said(text: str) -> None:
 def test_a_reason_is_heard_and_standard_output_is_itself_again(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    with captured_log() as complaints:
+    with captured_log() as ffmpeg_log:
         said("[rtsp] method DESCRIBE failed: 401 Unauthorized\n")
-        assert "user name or password" in complaints.newest_reason()
+        assert "user name or password" in ffmpeg_log.newest_reason()
     said("data\n")
     assert capfd.readouterr().out == "data\n"
 

@@ -39,8 +39,8 @@ _TENTATIVE: dict[Reason, str] = {
     "{least:g} are needed",
     "low": "no event: lower than min_height at {place}, reaches it in {value:.0f} of {least:.0f} "
     "sightings that are needed",
-    "undetected": "no event: at {place} the detector saw it in {value:.0%} of its looks, at least "
-    "{least:.0%} are needed",
+    "undetected": "no event: at {place} the detector found it in {value:.0%} of its inferences, at "
+    "least {least:.0%} are needed",
     "paused": "no event: too short at {place}, the pictures paused after {seen}",
 }
 """Words by the reason why a track was not an object."""

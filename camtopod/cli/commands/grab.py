@@ -37,7 +37,7 @@ from camtopod.cli.exits import CommandError
 from camtopod.config import RESERVED, CameraSettings, Config, detector_line
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.runtime import clock, systemd
-from camtopod.vision.source import RETRY_SEPARATOR, ffmpeg_log, kind_of
+from camtopod.vision.source import RETRY_SEPARATOR, captured_log, kind_of
 
 if TYPE_CHECKING:
     from camtopod.serve.bus import Bus
@@ -186,7 +186,7 @@ def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> in
     with contextlib.ExitStack() as stack:
         # Save standard output: from here on FFmpeg's messages arrive on it.
         output = stack.enter_context(os.fdopen(os.dup(1), "wb")) if args.out == "-" else None
-        heard = stack.enter_context(ffmpeg_log.captured_log())
+        ffmpeg_log = stack.enter_context(captured_log())
         from camtopod.vision import Grabber
 
         detector = _detector(args, settings)
@@ -203,7 +203,7 @@ def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> in
             speed=settings.speed,
             wall_clock=clock.wall,
             settings=settings.vision,
-            complaints=heard,
+            ffmpeg_log=ffmpeg_log,
             observer=_observer(args, preview),
             detector=detector,
         )

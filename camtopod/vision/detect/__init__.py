@@ -2,7 +2,7 @@
 
 In the order of use: `shrink` (working size), `watched` (pixels that are not ignored), `wiener`
 (noise filter, thesis 4.1), `background` (model of the settled scene), `shake` (shift of the
-picture), `swaying` (scenery that moves in place), `motion` (moving pixels), `blobs` (boxes with a
+image), `swaying` (scenery that moves in place), `motion` (moving pixels), `blobs` (boxes with a
 foot point), `heads` (how many people a blob shows).
 """
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 Luma = cv2.typing.MatLike
-"""Grey-level picture or mask: (H, W), uint8. (OpenCV's types are no stricter.)"""
+"""Grey-level image or mask: (H, W), uint8. (OpenCV's types are no stricter.)"""
 
 TONE_BINS = 16
 """Bins of grey levels in which the tone curve is estimated."""
@@ -39,12 +39,12 @@ class Background:
         self._seconds = seconds
         stack = np.sort(np.stack(frames), axis=0)
         self._model = stack[len(frames) // 2].astype(np.float32)
-        self._picture: Luma = stack[len(frames) // 2].copy()
+        self._image: Luma = stack[len(frames) // 2].copy()
 
     @property
-    def picture(self) -> Luma:
-        """The model as a picture."""
-        return self._picture
+    def image(self) -> Luma:
+        """The model as an image."""
+        return self._image
 
     def expected(self, frame: Luma, settled: Luma, noise: float = 0.0) -> Luma:
         """Return the model under the light of ``frame``.
@@ -56,10 +56,10 @@ class Background:
         shift = self._tone_shift(frame, settled)
         doubt = SHIFT_MIN + SHIFT_NOISE_FACTOR * noise
         if np.abs(shift).max() <= doubt:
-            return self._picture
+            return self._image
         shift -= np.clip(shift, -doubt, doubt)
         curve = np.clip(_LEVELS + shift, 0, 255).astype(np.uint8)
-        return np.asarray(cv2.LUT(self._picture, curve), dtype=np.uint8)
+        return np.asarray(cv2.LUT(self._image, curve), dtype=np.uint8)
 
     def _tone_shift(self, frame: Luma, settled: Luma) -> npt.NDArray[np.float32]:
         """Return grey levels to add to each of the model's 256 levels, interpolated from the bins.
@@ -68,7 +68,7 @@ class Background:
         """
         sample = settled[::4, ::4] != 0
 
-        model = self._picture[::4, ::4][sample].astype(np.uint16)
+        model = self._image[::4, ::4][sample].astype(np.uint16)
         change = frame[::4, ::4][sample] + (256 - model)  # plus 256, so that it is not negative
         levels = model // (256 // TONE_BINS)
 
@@ -93,7 +93,7 @@ class Background:
         """
         rate = 1.0 - float(np.exp(-dt / self._seconds))
         cv2.accumulateWeighted(cv2.copyTo(frame, settled, expected.copy()), self._model, rate)
-        self._picture = cv2.convertScaleAbs(self._model)
+        self._image = cv2.convertScaleAbs(self._model)
 
     def adopt(self, frame: Luma, where: Luma) -> None:
         """Replace the model by ``frame`` where ``where`` (H, W) is not 0.
@@ -101,4 +101,4 @@ class Background:
         For objects that were moved, or that stood there at first.
         """
         cv2.copyTo(frame.astype(np.float32), where, self._model)
-        self._picture = cv2.convertScaleAbs(self._model)
+        self._image = cv2.convertScaleAbs(self._model)

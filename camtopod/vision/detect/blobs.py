@@ -17,7 +17,7 @@ from camtopod.vision.detect.motion import Motion
 FRAGMENT_PIXELS_MIN = 6
 """Smallest fragment, pixels."""
 AREA_SHARE_MIN = 0.0004
-"""Smallest blob as a share of the picture's area."""
+"""Smallest blob as a share of the image's area."""
 AREA_PIXELS_MIN = 14
 """Smallest blob, pixels."""
 EDGE_SHARE_MIN = 0.2
@@ -38,7 +38,7 @@ ExpectedHeight = Callable[[float], float | None]
 
 @dataclass(frozen=True, slots=True)
 class Blob:
-    """A moving region. In pixels of the working picture; right and bottom are exclusive."""
+    """A moving region. In pixels of the working image; right and bottom are exclusive."""
 
     left: float
     top: float
@@ -47,7 +47,7 @@ class Blob:
     foot_x: float
     area: float
     detected: bool | None = None
-    """Whether a detector sees an object in it; None: it has not looked, or is not trusted."""
+    """Whether a detector finds an object in it; None: no inference here, or it is not trusted."""
     part_of: int = 0
     """Number of the moving region that a detector has split into several blobs; 0 if it has not."""
     heads: tuple[float, ...] = ()

@@ -11,7 +11,7 @@ import numpy as np
 from camtopod.arrays import Bools
 
 HEIGHT_MIN_PIXELS = 16
-"""Least height of a blob in which heads are looked for, pixels."""
+"""Least height of a blob in which heads are searched, pixels."""
 APART_HEIGHTS = 0.18
 """Least distance between two heads (heights of the blob)."""
 TOP_HEIGHTS = 0.3

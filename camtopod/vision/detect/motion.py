@@ -2,12 +2,12 @@
 
 Three rules make this work on real video: the background must not learn what stands under a
 confirmed track; light must not count as motion (tone curve in `background`, gradients here); and no
-pixel may stay frozen for ever: a picture that has changed as a whole is learned anew, and
+pixel may stay frozen for ever: an image that has changed as a whole is learned anew, and
 differences that no track claims are adopted after some seconds. Dynamic background, such as
 branches in the wind, is no motion either (`swaying`).
 
 Ignored pixels (setting `ignore`) are never moving and never settled: they have no say in the noise,
-the tone curve, the shake, the share of the picture that has changed and the background model.
+the tone curve, the shake, the share of the image that has changed and the background model.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiene
 from camtopod.vision.settings import VisionSettings
 
 DIFFERENCE_MIN = 15.0
-"""Smallest difference (grey levels) of a moving pixel, in a picture without noise."""
+"""Smallest difference (grey levels) of a moving pixel, in an image without noise."""
 NOISE_FACTOR = 4.0
 """Smallest difference of a moving pixel in sigmas of the noise."""
 EDGE_MIN = 18.0
@@ -37,16 +37,16 @@ In hundredths of e-folds: 100 is a factor of e.
 """
 STRONG_MIN = 75.0
 """Smallest logarithmic difference that no shadow causes (100: a factor of e)."""
-WHOLE_PICTURE_SHARE = 0.5
-"""Share of differing pixels above which the whole picture counts as changed."""
-WHOLE_PICTURE_SECONDS = 1.5
-"""Time for which the whole picture must have changed before it is learned anew."""
+WHOLE_IMAGE_SHARE = 0.5
+"""Share of differing pixels above which the whole image counts as changed."""
+WHOLE_IMAGE_SECONDS = 1.5
+"""Time for which the whole image must have changed before it is learned anew."""
 ADOPT_SECONDS = 6.0
 """Time after which a difference that belongs to no object becomes part of the scene."""
 BOOTSTRAP_FRAMES_MAX = 24
 """Largest number of frames in the median of the first background."""
 GHOST_RATIO = 1.5
-"""Gradient of the model over that of the picture, along the outline, above which it is a ghost.
+"""Gradient of the model over that of the image, along the outline, above which it is a ghost.
 
 The model then still contains the object that has left.
 """
@@ -82,7 +82,7 @@ class Motion:
     differs: Luma
     """Pixels that differ from the scene, with it."""
     expected: Luma
-    """Picture of the scene in the frame's light."""
+    """Image of the scene in the frame's light."""
 
 
 class MotionDetector:
@@ -93,7 +93,7 @@ class MotionDetector:
         self._background: Background | None = None
         self._last: Luma | None = None
         self.watched: Luma | None = None
-        """Mask (H, W): 0 where motion is not looked at; None if it is everywhere, or before the
+        """Mask (H, W): 0 where motion does not count; None if it does everywhere, or before the
         first frame.
         """
         self._noise = 0.0
@@ -108,17 +108,17 @@ class MotionDetector:
 
     @property
     def disturbed(self) -> bool:
-        """True if most of the latest picture differs from the scene, so that objects are hidden."""
+        """True if most of the latest image differs from the scene, so that objects are hidden."""
         return self._changed_seconds > 0.0
 
     @property
     def shake(self) -> float:
-        """Running mean of the shift between pictures and scene, pixels."""
+        """Running mean of the shift between images and scene, pixels."""
         return self._shake
 
     @property
     def noise(self) -> float:
-        """One-sigma temporal noise of the working picture, grey levels."""
+        """One-sigma temporal noise of the working image, grey levels."""
         return self._noise
 
     def filter_noise(self, frame: Luma) -> Luma:
@@ -145,13 +145,13 @@ class MotionDetector:
     def detect(self, frame: Luma, dt: float) -> Motion | None:
         """Return the motion in ``frame``, ``dt`` seconds after the last.
 
-        Returns None if the whole picture has changed; the caller then forgets its objects and
+        Returns None if the whole image has changed; the caller then forgets its objects and
         bootstraps again.
         """
         assert self._background is not None, "bootstrap first"
         expected = self._background.expected(frame, self._settled, self._noise)
 
-        # Difference to the expected picture. If the camera shakes, the frame is aligned with the
+        # Difference to the expected image. If the camera shakes, the frame is aligned with the
         # scene, and an error of one pixel is tolerated.
         x, y = shift(frame, expected, self._settled)
         self._shake += _NOISE_RATE * (min(abs(x) + abs(y), SHAKE_PIXELS_MAX) - self._shake)
@@ -161,13 +161,13 @@ class MotionDetector:
         else:
             difference = cv2.absdiff(frame, expected)
 
-        # Moving pixels; a picture that has changed as a whole for long ends this scene.
+        # Moving pixels; an image that has changed as a whole for long ends this scene.
         least = self._difference_min()
         differs = self._without_ignored(cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1])
         moving = self._swaying.without(differs, frame, expected, least)
         share = cv2.countNonZero(moving) / self._watched_count(moving)
-        self._changed_seconds = self._changed_seconds + dt if share > WHOLE_PICTURE_SHARE else 0.0
-        if self._changed_seconds > WHOLE_PICTURE_SECONDS:
+        self._changed_seconds = self._changed_seconds + dt if share > WHOLE_IMAGE_SHARE else 0.0
+        if self._changed_seconds > WHOLE_IMAGE_SECONDS:
             self._background = None
             self.relearned += 1
             return None
@@ -197,7 +197,7 @@ class MotionDetector:
         return mask.size if self.watched is None else max(1, cv2.countNonZero(self.watched))
 
     def _own_texture(self, frame: Luma, expected: Luma) -> tuple[Luma, Luma]:
-        """Return the picture's own edges, and the pixels that differ by more than a shadow can.
+        """Return the image's own edges, and the pixels that differ by more than a shadow can.
 
         A shadow or a reflection multiplies the scene by a factor that varies slowly. In logarithms
         it adds a flat patch, whatever the texture below.
@@ -248,7 +248,7 @@ class MotionDetector:
     def is_ghost(self, motion: Motion, box: Box) -> bool:
         """Return True if ``box`` holds a ghost: motion where an object *was*.
 
-        The scene then adopts the current picture there.
+        The scene then adopts the current image there.
         """
         assert self._background is not None, "bootstrap first"
         left, top, right, bottom = (max(0, int(value)) for value in box)
@@ -263,13 +263,13 @@ class MotionDetector:
         # Compare the gradients along the outline.
         frame = motion.frame
         now = cv2.morphologyEx(frame[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
-        model = cv2.morphologyEx(
-            self._background.picture[rows, columns], cv2.MORPH_GRADIENT, _CROSS
-        )[outline].mean()
+        model = cv2.morphologyEx(self._background.image[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[
+            outline
+        ].mean()
         if float(model) < GHOST_RATIO * max(1.0, float(now)):
             return False
 
-        # Adopt the picture.
+        # Adopt the image.
         where = np.zeros(frame.shape, np.uint8)
         where[rows, columns] = cv2.dilate(mask, _SQUARE)
         self._adopt(frame, where)

@@ -1,4 +1,4 @@
-"""Shift of a picture against the scene: least-squares steps of Lucas and Kanade (IJCAI 1981)."""
+"""Shift of an image against the scene: least-squares steps of Lucas and Kanade (IJCAI 1981)."""
 
 from __future__ import annotations
 

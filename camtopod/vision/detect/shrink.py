@@ -1,4 +1,4 @@
-"""Scale pictures down to the working size by area means: halvings first, the rest in one step.
+"""Scale images down to the working size by area means: halvings first, the rest in one step.
 
 Means of 2 x 2 pixels are fast because processors vectorise them; a single step for everything costs
 up to six times as much. Interpolating the rest instead would be cheaper still, but loses people.
@@ -11,11 +11,11 @@ import cv2
 from camtopod.vision.detect.background import Luma
 
 
-def shrunk(picture: Luma, width_max: int) -> Luma:
-    """Return ``picture`` (H, W) scaled to at most ``width_max`` pixels of width, as a copy."""
-    height, width = picture.shape
+def shrunk(image: Luma, width_max: int) -> Luma:
+    """Return ``image`` (H, W) scaled to at most ``width_max`` pixels of width, as a copy."""
+    height, width = image.shape
     if width <= width_max:
-        return picture.copy()
+        return image.copy()
     size = (width_max, round(height * width_max / width))
 
     # Halve as long as possible.
@@ -25,13 +25,11 @@ def shrunk(picture: Luma, width_max: int) -> Luma:
         and (width, height) != (3 * size[0], 3 * size[1])
     ):
         height, width = height // 2, width // 2
-        picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+        image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
     # Scale by the rest. By 3 (1080p to 320), every third running mean is the area mean.
     if (width, height) == (3 * size[0], 3 * size[1]):
-        return cv2.blur(picture, (3, 3))[1::3, 1::3].copy()
+        return cv2.blur(image, (3, 3))[1::3, 1::3].copy()
     return (
-        picture
-        if (width, height) == size
-        else cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        image if (width, height) == size else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     )

@@ -37,7 +37,7 @@ class Swaying:
     def without(self, moving: Luma, frame: Luma, expected: Luma, difference_min: float) -> Luma:
         """Return the mask ``moving`` (H, W) without dynamic background.
 
-        expected (H, W): picture of the scene.
+        expected (H, W): image of the scene.
         difference_min (grey levels): smallest difference of a moving pixel.
         """
         if cv2.norm(self._share, cv2.NORM_INF) <= 255 * SWAY_SHARE:

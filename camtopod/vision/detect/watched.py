@@ -1,4 +1,4 @@
-"""Pixels of the picture in which motion is looked at: all but those of the `ignore` polygons."""
+"""Pixels of the image in which motion counts: all but those of the `ignore` polygons."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from camtopod.vision.detect.background import Luma
 from camtopod.vision.settings import Polygon
 
 _SHARE_PIXELS = 500
-"""Width and height (pixels) of the picture in which `ignored_share` counts."""
+"""Width and height (pixels) of the image in which `ignored_share` counts."""
 
 
 def watched_pixels(ignore: Sequence[Polygon], height: int, width: int) -> Luma | None:
-    """Return a mask (H, W): 255 where motion is looked at, 0 in ``ignore``; None if that is empty.
+    """Return a mask (H, W): 255 where motion counts, 0 in ``ignore``; None if that is empty.
 
     A pixel is ignored if the polygon covers its middle or passes through it.
     """
@@ -29,6 +29,6 @@ def watched_pixels(ignore: Sequence[Polygon], height: int, width: int) -> Luma |
 
 
 def ignored_share(ignore: Sequence[Polygon]) -> float:
-    """Return the share of the picture's area in the polygons ``ignore``, 0 to 1."""
+    """Return the share of the image's area in the polygons ``ignore``, 0 to 1."""
     mask = watched_pixels(ignore, _SHARE_PIXELS, _SHARE_PIXELS)
     return 0.0 if mask is None else 1.0 - cv2.countNonZero(mask) / mask.size

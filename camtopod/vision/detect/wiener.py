@@ -61,9 +61,7 @@ def temporal_noise(
 
     watched (H, W): pixels that are 0 do not count; by default all do.
     """
-    change = cv2.absdiff(
-        *(np.ascontiguousarray(picture[::4, ::4]) for picture in (frame, previous))
-    )
+    change = cv2.absdiff(*(np.ascontiguousarray(image[::4, ::4]) for image in (frame, previous)))
     if watched is not None:
         change = change[watched[::4, ::4] != 0]
     kept = max(1, int(change.size * _TRIM))

@@ -1,15 +1,15 @@
 """The optional detector of people, a model that the operator has put on this machine.
 
-Motion chooses the parts of the picture to look at and dates entries and exits; the detector counts
-the people in them. Reading order:
+Motion chooses the crops for inference and dates entries and exits; the detector counts the people
+in them. Reading order:
 
-- `looker`: the step of the pipeline; decides when to look;
-- `crops`: the parts of the picture to look at;
+- `detector`: the step of the pipeline; decides when to run inference;
+- `crops`: the parts of the image that are given to the model;
 - `model`: the model on OpenCV's DNN, with `onnx_header` (size of its input), `layouts` (its outputs
   -> boxes) and `coco` (names of its classes);
 - `agreement`: whether the detector is trusted at this camera;
 - `fusion`: motion and detections -> the blobs that are tracked;
-- `once`: describes a model for people (`camtopod check --probe`).
+- `model_report`: describes a model for people (`camtopod check --probe`).
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from camtopod.vision.detector.coco import LABELS
-    from camtopod.vision.detector.fusion import Known
-    from camtopod.vision.detector.looker import Detector, Looks, Seen
+    from camtopod.vision.detector.detector import Detector, DetectorResult, InferenceModel
+    from camtopod.vision.detector.fusion import TrackedBox
     from camtopod.vision.detector.model import Detection, DetectorError, Model
-    from camtopod.vision.detector.once import ModelReport, try_model
+    from camtopod.vision.detector.model_report import ModelReport, try_model
     from camtopod.vision.detector.onnx_header import HeaderError, input_size
 
 __all__ = [
@@ -31,12 +31,12 @@ __all__ = [
     "Detection",
     "Detector",
     "DetectorError",
+    "DetectorResult",
     "HeaderError",
-    "Known",
-    "Looks",
+    "InferenceModel",
     "Model",
     "ModelReport",
-    "Seen",
+    "TrackedBox",
     "input_size",
     "try_model",
 ]
@@ -46,15 +46,15 @@ __getattr__ = lazy_getattr(
     {
         "LABELS": "coco",
         "Detection": "model",
-        "Detector": "looker",
+        "Detector": "detector",
         "DetectorError": "model",
         "HeaderError": "onnx_header",
-        "Known": "fusion",
-        "Looks": "looker",
+        "TrackedBox": "fusion",
+        "InferenceModel": "detector",
         "Model": "model",
-        "ModelReport": "once",
-        "Seen": "looker",
+        "ModelReport": "model_report",
+        "DetectorResult": "detector",
         "input_size": "onnx_header",
-        "try_model": "once",
+        "try_model": "model_report",
     },
 )

@@ -39,56 +39,56 @@ SAME_IOU = 0.5
 """IoU above which two boxes are of one object."""
 
 
-class Known(NamedTuple):
-    """Something that is tracked already."""
+class TrackedBox(NamedTuple):
+    """Expected box of a track."""
 
     box: Box
-    """Where it is expected, pixels of the working picture."""
+    """Pixels of the working image."""
     confirmed: bool
     still: bool
-    """It stands."""
+    """It has not moved for some seconds."""
 
 
 def fuse(
     blobs: Sequence[Blob],
     detections: Sequence[Box],
-    looked: Sequence[Box],
-    known: Sequence[Known],
+    crops: Sequence[Box],
+    tracked: Sequence[TrackedBox],
     moving: Luma,
 ) -> list[Blob]:
     """Return the blobs of a frame as the detector sees them.
 
     detections: boxes of objects.
-    looked: parts of the picture that were looked at.
-    known: the tracks.
+    crops: parts of the image that were examined.
+    tracked: the tracks.
     moving (H, W): mask of moving pixels.
 
-    All in pixels of the working picture.
+    All in pixels of the working image.
     """
     height, width = moving.shape
-    picture = (0.0, 0.0, float(width), float(height))
-    shown = [(one, box) for one in known if (box := intersection(one.box, picture)) is not None]
+    image = (0.0, 0.0, float(width), float(height))
+    shown = [(one, box) for one in tracked if (box := intersection(one.box, image)) is not None]
     links = [[d for d, box in enumerate(detections) if _linked(blob.box, box)] for blob in blobs]
     fused = []
 
     # Blobs without a detection.
     for blob, own in zip(blobs, links, strict=True):
         if not own:
-            seen = any(_inside(blob.box, part) for part in looked)
+            seen = any(_inside(blob.box, crop) for crop in crops)
             fused.append(replace(blob, detected=False) if seen else blob)
 
     # Detections: one blob each, with the number of the blob that several share.
     found = []
     for d, box in enumerate(detections):
         own_blobs = [b for b, own in enumerate(links) if d in own]
-        if not own_blobs and not any(same(track, box) for _, track in shown):
+        if not own_blobs and not any(same_object(track, box) for _, track in shown):
             continue
         alone = own_blobs[0] if len(own_blobs) == 1 and len(links[own_blobs[0]]) == 1 else None
-        others = [track for one, track in shown if one.confirmed and not same(track, box)]
+        others = [track for one, track in shown if one.confirmed and not same_object(track, box)]
         if (
             alone is not None
-            and same_box(blobs[alone].box, box)
-            and not any(same(track, blobs[alone].box) for track in others)
+            and same_outline(blobs[alone].box, box)
+            and not any(same_object(track, blobs[alone].box) for track in others)
         ):
             found.append(replace(blobs[alone], detected=True, heads=()))  # it is one, as detected
             continue
@@ -99,7 +99,7 @@ def fuse(
     # Tracked objects that move within a blob of others and are not detected in this frame.
     boxes = [blob.box for blob in found]
     for one, track in shown:
-        if not one.confirmed or any(same(track, box) for box in boxes):
+        if not one.confirmed or any(same_object(track, box) for box in boxes):
             continue
         for b, blob in enumerate(blobs):
             rest = intersection(track, blob.box)
@@ -109,23 +109,23 @@ def fuse(
     return fused + found
 
 
-def same(track: Box, detection: Box) -> bool:
+def same_object(track: Box, detection: Box) -> bool:
     """Return True if a track and a detection are of one object."""
     common = intersection(track, detection)
     return common is not None and area(common) >= SAME_SHARE * min(area(track), area(detection))
 
 
-def same_box(a: Box, b: Box) -> bool:
+def same_outline(a: Box, b: Box) -> bool:
     """Return True if two boxes have the same outline, nearly."""
     return iou(a, b) > SAME_IOU
 
 
-def share_inside(moving: Luma, part: Box, boxes: Sequence[Box]) -> tuple[int, int]:
-    """Return how many moving pixels a part of the picture has, and how many are inside of boxes.
+def share_inside(moving: Luma, crop: Box, boxes: Sequence[Box]) -> tuple[int, int]:
+    """Return how many moving pixels a crop has, and how many are inside of boxes.
 
-    moving (H, W): mask of moving pixels; part and boxes in its pixels.
+    moving (H, W): mask of moving pixels; crop and boxes in its pixels.
     """
-    rows, columns = _slices(part, moving)
+    rows, columns = _slices(crop, moving)
     mask = moving[rows, columns] != 0
     inside = np.zeros(moving.shape, bool)
     for box in boxes:
@@ -156,7 +156,7 @@ def _to_border(box: Box, blobs: Sequence[Box], size: Size) -> Box:
 def _moves_beside(rest: Box, track: Box, others: Sequence[Box], moving: Luma) -> bool:
     """Return True if enough of a track's box moves outside of the boxes of others.
 
-    rest: the part of it that is in a blob; track: the part that is in the picture.
+    rest: the part of it that is in a blob; track: the part that is in the image.
     """
     if area(rest) < SAME_SHARE * area(track):
         return False
@@ -169,15 +169,15 @@ def _blob(box: Box, detected: bool, part_of: int) -> Blob:
     return Blob(*box, centre(box)[0], area(box), detected, part_of)
 
 
-def _inside(box: Box, part: Box) -> bool:
-    """Return True if most of a box is inside of a part."""
-    common = intersection(box, part)
+def _inside(box: Box, crop: Box) -> bool:
+    """Return True if most of a box is inside of a crop."""
+    common = intersection(box, crop)
     return common is not None and area(common) >= 0.8 * area(box)
 
 
-def _slices(box: Box, picture: Luma) -> tuple[slice, slice]:
-    """Return the rows and columns of a box that are in the picture."""
-    height, width = picture.shape
+def _slices(box: Box, image: Luma) -> tuple[slice, slice]:
+    """Return the rows and columns of a box that are in the image."""
+    height, width = image.shape
     left, right = (min(max(round(x), 0), width) for x in (box[0], box[2]))
     top, bottom = (min(max(round(y), 0), height) for y in (box[1], box[3]))
     return slice(top, bottom), slice(left, right)

@@ -7,11 +7,11 @@ G = sum of (W / s) * (H / s) over the strides s = 8, 16, 32:
   and in strides, sizes as logarithms (raw grid), or pixels (decoded). BGR, 0 to 255.
 - ``yolov5``: (1, 3 G, 5 + C), decoded: pixels. RGB, 0 to 1. YOLOv6 and YOLOv7 alike, with G or 3 G.
 - ``yolov8``: (1, 4 + C, G): x, y, width, height, classes; pixels. RGB, 0 to 1. Also YOLO 9 and 11.
-- ``end-to-end``: (1, N, 6): left, top, right, bottom, score, class; pixels. RGB, 0 to 1. Nothing is
-  to be suppressed: YOLOv10, YOLO26, exports with suppression of non-maxima inside.
+- ``end-to-end``: (1, N, 6): left, top, right, bottom, score, class; pixels. RGB, 0 to 1. Without
+  NMS: YOLOv10, YOLO26, exports with built-in NMS.
 - ``ssd``: (1, 1, N, 7): image, class, score, left, top, right, bottom; fractions. BGR, 0 to 255.
 - ``rt-detr``: (1, Q, 4) and (1, Q, C), or both in one (1, Q, 4 + C): middle, size (fractions) and
-  scores or their logits. RGB, 0 to 1. Nothing is to be suppressed.
+  scores or their logits. RGB, 0 to 1. Without NMS.
 
 Pure NumPy.
 """
@@ -34,9 +34,9 @@ LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 STRIDES = (8, 16, 32)
 """Pixels of the input a cell of each of the three grids."""
 IOU_MAX = 0.5
-"""Largest overlap (area of the intersection over that of the union) of two boxes of a class."""
+"""Largest IoU of two boxes of a class."""
 CANDIDATES_MAX = 300
-"""Boxes that take part in the suppression of non-maxima, those of the highest scores."""
+"""Boxes that take part in NMS, those of the highest scores."""
 DECODED_PIXELS = 8.0
 """Median of the absolute positions above which a grid is decoded.
 
@@ -87,7 +87,7 @@ class Found(NamedTuple):
 def recognise(outputs: Sequence[Array], size: Size, asked: Layout | None) -> Form:
     """Return the form of a model's outputs.
 
-    outputs: those for any picture; their values tell what the shapes leave open.
+    outputs: those for any image; their values tell what the shapes leave open.
     size (width, height): the model's input, pixels.
     asked: the layout that the settings name; None to recognise it.
 
@@ -263,9 +263,9 @@ def _above(boxes: Array, scores: Array, classes: npt.NDArray[np.int64], score_mi
 
 
 def nms(found: Found) -> Found:
-    """Return the boxes without those that a better one of the same class overlaps.
+    """Return the boxes without those that a better one of the same class overlaps (greedy NMS).
 
-    found: best first. This is the usual greedy suppression of non-maxima.
+    found: best first.
     """
     kept: list[int] = []
     for index in range(len(found.scores)):

@@ -1,4 +1,4 @@
-"""A detector's model on OpenCV's DNN: part of a picture -> boxes of the wanted labels."""
+"""A detector's model on OpenCV's DNN: crop of an image -> boxes of the wanted labels."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Literal, NamedTuple, cast
 import cv2
 import numpy as np
 
-from camtopod.vision.boxes import Box
+from camtopod.vision.boxes import Box, Size
 from camtopod.vision.detector import layouts, onnx_header
 from camtopod.vision.detector.coco import class_number, label_name
 from camtopod.vision.settings import DetectorSettings, Layout
 
-Picture = cv2.typing.MatLike
-"""Colour picture (H, W, 3), uint8: blue, green, red."""
+Image = cv2.typing.MatLike
+"""Colour image (H, W, 3), uint8: blue, green, red."""
 
 PADDING = 114
-"""Grey level beside a picture that does not fill the model's input, as in training."""
+"""Grey level beside an image that does not fill the model's input, as in training."""
 KNOWN_SCORE_SHARE = 0.6
 """Share of the setting `score` that is enough where something is tracked already."""
 
@@ -53,7 +53,7 @@ class Model:
     """
 
     def __init__(self, settings: DetectorSettings) -> None:
-        """Load the model and look at an empty picture. Raises `DetectorError`."""
+        """Load the model and run it on an empty image. Raises `DetectorError`."""
         self.name = Path(settings.model).name
         try:
             self.size = onnx_header.input_size(settings.model)
@@ -65,7 +65,7 @@ class Model:
         except cv2.error as error:
             raise DetectorError("model", f"OpenCV cannot load it: {_reason(error)}") from None
 
-        # Look once: the outputs tell the layout.
+        # Run it once: the outputs tell the layout.
         empty = np.full((self.size[1], self.size[0], 3), PADDING, np.uint8)
         try:
             outputs = self._forward(empty, 1.0, swap=False)
@@ -87,26 +87,26 @@ class Model:
             raise DetectorError("labels", str(error)) from None
         self._score_min = KNOWN_SCORE_SHARE * settings.score
 
-    def look(self, picture: Picture, part: Box) -> list[Detection]:
-        """Return what is in a part of the picture (H, W, 3), boxes in pixels of the picture.
+    def infer(self, image: Image, crop: Box) -> list[Detection]:
+        """Return the detections in a crop of an image (H, W, 3), boxes in pixels of the image.
 
-        part: of the shape of the input; what of it is outside of the picture is filled with grey.
+        crop: of the shape of the input; what of it is outside of the image is filled with grey.
 
         Scores are from `KNOWN_SCORE_SHARE` of the setting `score` on.
         """
         width, height = self.size
-        factor = width / (part[2] - part[0])
-        filled = _cut(picture, part, self.size)
+        factor = width / (crop[2] - crop[0])
+        filled = _cropped(image, crop, self.size)
         if self.form.bgr:
             outputs = self._forward(filled, 1.0, swap=False)
         else:
             outputs = self._forward(filled, 1.0 / 255.0, swap=True)
         found = layouts.decode(outputs, self.form, self.size, self._wanted, self._score_min)
 
-        # From pixels of the input to pixels of the picture.
+        # From pixels of the input to pixels of the image.
         inside = np.clip(found.boxes, 0.0, (width, height, width, height))
-        boxes = inside / factor + (part[0], part[1], part[0], part[1])
-        rows, columns = picture.shape[:2]
+        boxes = inside / factor + (crop[0], crop[1], crop[0], crop[1])
+        rows, columns = image.shape[:2]
         boxes = np.clip(boxes, 0.0, (columns, rows, columns, rows))
         return [
             Detection(
@@ -118,24 +118,24 @@ class Model:
             if box[2] - box[0] >= 1.0 and box[3] - box[1] >= 1.0
         ]
 
-    def _forward(self, filled: Picture, scale: float, swap: bool) -> Sequence[layouts.Array]:
-        """Return the outputs for a picture of the input's size."""
+    def _forward(self, filled: Image, scale: float, swap: bool) -> Sequence[layouts.Array]:
+        """Return the outputs for an image of the input's size."""
         blob = cv2.dnn.blobFromImage(filled, scale, swapRB=swap)
         self._net.setInput(blob)
         return [np.asarray(output, np.float32) for output in self._net.forward(self._outputs)]
 
 
-def _cut(picture: Picture, part: Box, size: tuple[int, int]) -> Picture:
-    """Return a part of the picture at ``size`` (width, height), grey where it is outside."""
-    rows, columns = picture.shape[:2]
-    left, top = max(0, round(part[0])), max(0, round(part[1]))
-    right, bottom = min(columns, round(part[2])), min(rows, round(part[3]))
-    factor = size[0] / (part[2] - part[0])
+def _cropped(image: Image, crop: Box, size: Size) -> Image:
+    """Return a crop at ``size`` (width, height), grey where it is outside."""
+    rows, columns = image.shape[:2]
+    left, top = max(0, round(crop[0])), max(0, round(crop[1]))
+    right, bottom = min(columns, round(crop[2])), min(rows, round(crop[3]))
+    factor = size[0] / (crop[2] - crop[0])
 
-    # Scale what is inside of the picture.
-    inside = picture[top:bottom, left:right]
-    x = min(max(0, round((left - part[0]) * factor)), size[0] - 1)
-    y = min(max(0, round((top - part[1]) * factor)), size[1] - 1)
+    # Scale what is inside of the image.
+    inside = image[top:bottom, left:right]
+    x = min(max(0, round((left - crop[0]) * factor)), size[0] - 1)
+    y = min(max(0, round((top - crop[1]) * factor)), size[1] - 1)
     width = max(1, min(size[0] - x, round((right - left) * factor)))
     height = max(1, min(size[1] - y, round((bottom - top) * factor)))
     way = cv2.INTER_AREA if factor < 0.6 else cv2.INTER_LINEAR

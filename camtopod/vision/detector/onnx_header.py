@@ -1,4 +1,4 @@
-"""Size of the picture that an ONNX model takes, read from its file.
+"""Size of the image that an ONNX model takes, read from its file.
 
 OpenCV does not say it. An ONNX file is a message of Protocol Buffers; this reads the few fields
 that are needed and steps over the others. The numbers of the fields are those of `onnx.proto`.
@@ -35,11 +35,11 @@ Field = tuple[int, memoryview | int]
 
 
 class HeaderError(ValueError):
-    """The file is not an ONNX model that takes a picture; ``str()`` says why."""
+    """The file is not an ONNX model that takes an image; ``str()`` says why."""
 
 
 def input_size(path: str) -> tuple[int, int]:
-    """Return width and height (pixels) of the picture that the model of a file takes.
+    """Return width and height (pixels) of the image that the model of a file takes.
 
     Raises `HeaderError`.
     """
@@ -49,13 +49,13 @@ def input_size(path: str) -> tuple[int, int]:
         raise HeaderError(f"cannot read {path}: {error.strerror}") from None
     except HeaderError as error:
         raise HeaderError(f"{path} is not an ONNX model: {error}") from None
-    pictures = [shape for shape in shapes if len(shape) == 4 and shape[1] in (0, 3)]
-    if len(shapes) != 1 or len(pictures) != 1 or pictures[0][0] > 1:
+    images = [shape for shape in shapes if len(shape) == 4 and shape[1] in (0, 3)]
+    if len(shapes) != 1 or len(images) != 1 or images[0][0] > 1:
         said = " and ".join(str(tuple(shape)) for shape in shapes) or "none"
         raise HeaderError(
-            f"{path} does not take one picture (1, 3, height, width); its inputs: {said}"
+            f"{path} does not take one image (1, 3, height, width); its inputs: {said}"
         )
-    height, width = (length or SIZE_UNKNOWN for length in pictures[0][2:])
+    height, width = (length or SIZE_UNKNOWN for length in images[0][2:])
     if max(width, height) > SIZE_MAX or width % 32 or height % 32:
         raise HeaderError(
             f"{path} takes {width} x {height} pixels: multiples of 32 are needed, up to {SIZE_MAX}"

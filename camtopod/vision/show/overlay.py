@@ -18,7 +18,7 @@ import numpy as np
 from camtopod.records import Event
 from camtopod.vision.analysis import Analysis
 from camtopod.vision.detect import Luma
-from camtopod.vision.detector import Seen
+from camtopod.vision.detector import DetectorResult
 from camtopod.vision.settings import Polygon, VisionSettings
 from camtopod.vision.show.shown_file import Picture
 from camtopod.vision.track import Decision, Track
@@ -71,58 +71,58 @@ class Overlay:
         """Time (seconds) from which an event is drawn, and the event."""
         self._lines: deque[tuple[Colour, str]] = deque(maxlen=LINES)
 
-    def remember(self, seen: Analysis) -> None:
+    def remember(self, analysis: Analysis) -> None:
         """Take in the paths, events and decisions of a frame. Costs little."""
         # Paths of the last seconds.
-        for track in seen.tracks:
-            if track.last.t == seen.t:
+        for track in analysis.tracks:
+            if track.last.t == analysis.t:
                 path = self._paths.setdefault(track.number, deque())
-                path.append((seen.t, *track.last.foot))
+                path.append((analysis.t, *track.last.foot))
         for number, path in list(self._paths.items()):
-            while path and path[0][0] < seen.t - PATH_SECONDS:
+            while path and path[0][0] < analysis.t - PATH_SECONDS:
                 path.popleft()
             if not path:
                 del self._paths[number]
 
         # Events and decisions.
-        self._events += ((seen.t, event) for event in seen.events)
-        while self._events and self._events[0][0] < seen.t - EVENT_SECONDS:
+        self._events += ((analysis.t, event) for event in analysis.events)
+        while self._events and self._events[0][0] < analysis.t - EVENT_SECONDS:
             self._events.popleft()
-        for one in seen.decisions:
+        for one in analysis.decisions:
             text = f"{self._words.time(one.t)} track {one.track}: {self._words.decision(one)}"
             self._lines.append((_colour(one), text))
 
-    def draw(self, seen: Analysis) -> Picture:
+    def draw(self, analysis: Analysis) -> Picture:
         """Return the drawn picture of a frame that was remembered last."""
-        height, width = seen.frame.shape
+        height, width = analysis.frame.shape
         factor = WIDTH / width
         size = (WIDTH, 2 * round(height * factor / 2))  # video needs even numbers
         picture = cv2.cvtColor(
-            cv2.resize(seen.frame, size, interpolation=cv2.INTER_LINEAR), cv2.COLOR_GRAY2BGR
+            cv2.resize(analysis.frame, size, interpolation=cv2.INTER_LINEAR), cv2.COLOR_GRAY2BGR
         )
 
         # The view: areas, doors, foreground.
         _draw_areas(picture, self._settings.ignore)
-        _draw_doors(picture, self._settings.doors, seen.learned_doors, factor)
-        if seen.moving is not None:
-            _draw_outline(picture, seen.moving)
+        _draw_doors(picture, self._settings.doors, analysis.learned_doors, factor)
+        if analysis.moving is not None:
+            _draw_outline(picture, analysis.moving)
 
         # Detections, tracks, events.
-        if seen.looked is not None:
-            _draw_detections(picture, seen.looked, factor)
-        for track in seen.broken:
+        if analysis.detector is not None:
+            _draw_detections(picture, analysis.detector, factor)
+        for track in analysis.lost:
             self._draw_track(picture, track, factor, lost=True)
-        for track in seen.tracks:
-            self._draw_track(picture, track, factor, lost=track.last.t < seen.t)
+        for track in analysis.tracks:
+            self._draw_track(picture, track, factor, lost=track.last.t < analysis.t)
         for _, event in self._events:
             _draw_event(picture, event)
 
         # Words.
-        state = "" if seen.moving is not None else "  most of the picture has changed"
-        if seen.looked is not None:
-            state += f"  detector {'' if seen.looked.trusted else 'not '}trusted, "
-            state += f"agreement {seen.looked.agreement:.2f}"
-        _write(picture, (6, 16), f"{self._camera}  {self._words.time(seen.t)}{state}", _WORDS)
+        state = "" if analysis.moving is not None else "  most of the picture has changed"
+        if analysis.detector is not None:
+            state += f"  detector {'' if analysis.detector.trusted else 'not '}trusted, "
+            state += f"agreement {analysis.detector.agreement:.2f}"
+        _write(picture, (6, 16), f"{self._camera}  {self._words.time(analysis.t)}{state}", _WORDS)
         return cv2.vconcat([picture, self._strip()])
 
     def _draw_track(self, picture: Picture, track: Track, factor: float, lost: bool) -> None:
@@ -130,10 +130,10 @@ class Overlay:
 
         lost: it is not seen in this frame.
         """
-        seen = track.confirmed and not lost
-        colour = _OBJECT if seen else _TENTATIVE
+        followed = track.confirmed and not lost
+        colour = _OBJECT if followed else _TENTATIVE
         left, top, right, bottom = (round(factor * value) for value in track.last.box)
-        cv2.rectangle(picture, (left, top), (right, bottom), colour, 2 if seen else 1)
+        cv2.rectangle(picture, (left, top), (right, bottom), colour, 2 if followed else 1)
         label = f"{track.number}{'' if track.confirmed else '?'}{' lost' if lost else ''}"
         _write(picture, (max(left, 0), max(top - 4, 32)), label, colour)
 
@@ -192,9 +192,9 @@ def _draw_outline(picture: Picture, moving: Luma) -> None:
     cv2.drawContours(picture, outlines, -1, _FOREGROUND, 1)
 
 
-def _draw_detections(picture: Picture, looked: Seen, factor: float) -> None:
+def _draw_detections(picture: Picture, result: DetectorResult, factor: float) -> None:
     """Draw what the detector has found in this frame, with scores."""
-    for one in looked.detections:
+    for one in result.detections:
         left, top, right, bottom = (round(factor * value) for value in one.box)
         cv2.rectangle(picture, (left, top), (right, bottom), _DETECTION, 1)
         _write(picture, (left, bottom + 12), f"{one.label} {one.score:.2f}", _DETECTION)

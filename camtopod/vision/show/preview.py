@@ -33,16 +33,16 @@ class Preview:
         self._latest: Analysis | None = None
         self._failed = False
 
-    def __call__(self, seen: Analysis) -> None:
+    def __call__(self, analysis: Analysis) -> None:
         """Take in a frame, and draw it if the file wants it."""
         if self._failed:
             return
-        self._overlay.remember(seen)
-        self._latest = seen
+        self._overlay.remember(analysis)
+        self._latest = analysis
         now = time.monotonic()
         try:
-            if self._file.wants(seen.t, now):
-                self._file.write(seen.t, now, self._overlay.draw(seen))
+            if self._file.wants(analysis.t, now):
+                self._file.write(analysis.t, now, self._overlay.draw(analysis))
         except ShowError as error:
             self._fail(error)
 

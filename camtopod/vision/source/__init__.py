@@ -10,8 +10,7 @@ smaller one is; `probe` describes a source for people, with a picture from `sett
 
 from __future__ import annotations
 
-from camtopod.vision.source import ffmpeg_log
-from camtopod.vision.source.ffmpeg_log import FfmpegLog
+from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
 from camtopod.vision.source.live import LiveSource
 from camtopod.vision.source.makers import streams_by_maker
 from camtopod.vision.source.probe import PROBE_SECONDS, Probe, ProbeRequest, decoders
@@ -31,8 +30,8 @@ __all__ = [
     "Probe",
     "ProbeRequest",
     "RecordedSource",
+    "captured_log",
     "decoders",
-    "ffmpeg_log",
     "kind_of",
     "percent_encoded",
     "smaller_stream",

@@ -35,10 +35,10 @@ _DECODER_OPTION = "video_codec"
 """FFmpeg option that names a decoder."""
 LUMA_FORMATS = frozenset({"I420", "YV12", "Y42B", "444P", "NV12", "NV21", "Y800"})
 """FFmpeg's names of pixel formats that begin with a plane of 8-bit luma."""
-PICTURE_WIDTH_MAX = 1920
-"""Largest width (pixels) of a picture in colour, which a detector looks at."""
+IMAGE_WIDTH_MAX = 1920
+"""Largest width (pixels) of an image in colour, which a detector examines."""
 _VIDEO_RANGE = (16 + np.arange(256) * 219 / 255).round().astype(np.uint8)
-"""Luma as video has it, 16 to 235, by the grey level of the picture in colour."""
+"""Luma as video has it, 16 to 235, by the grey level of the image in colour."""
 _STEP_RATE = 0.1
 """Weight of the newest interval in the running mean of frame intervals."""
 
@@ -54,7 +54,7 @@ class Frame(NamedTuple):
 
     t: float
     luma: Luma
-    picture: Luma | None = None
+    image: Luma | None = None
     """The same in colour and at full size (H, W, 3), if it was asked for."""
 
 
@@ -64,11 +64,11 @@ class Capture:
     def __init__(self, source: str, settings: VisionSettings, colour: bool = False) -> None:
         """Open ``source``; `is_open` tells if that worked. Blocks for at most the open timeout.
 
-        colour: convert frames to colour, as `picture` requires. The luma then differs from that of
+        colour: convert frames to colour, as `image` requires. The luma then differs from that of
             the video by its rounding.
         """
         cv2.utils.logging.setLogLevel(0)  # its messages contain URLs with passwords
-        # Pictures are so small that waking more threads costs more than it gains.
+        # Images are so small that waking more threads costs more than it gains.
         cv2.setNumThreads(1)
 
         # Open with timeouts (streams) and one decoder thread.
@@ -81,7 +81,7 @@ class Capture:
 
         # Request the luma plane if the pixel format has one.
         self._width_max = settings.working_width
-        self._picture: Luma | None = None
+        self._image: Luma | None = None
         """Buffer of the latest frame; allocating a new one costs more than filling it."""
         pixels = ""
         if kind != "device" and _DEVICES_OPTION not in options and _DECODER_OPTION not in options:
@@ -104,7 +104,7 @@ class Capture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the source's pictures, pixels."""
+        """Width and height of the source's images, pixels."""
         get = self._capture.get
         return int(get(cv2.CAP_PROP_FRAME_WIDTH)), int(get(cv2.CAP_PROP_FRAME_HEIGHT))
 
@@ -121,10 +121,10 @@ class Capture:
 
     def retrieve(self) -> Luma | None:
         """Return the grabbed frame's luma (H, W) at working size; None if it cannot be decoded."""
-        good, self._picture = self._capture.retrieve(self._picture)
-        if not good or self._picture is None:
+        good, self._image = self._capture.retrieve(self._image)
+        if not good or self._image is None:
             return None
-        luma = shrunk(_grey(self._picture), self._width_max)
+        luma = shrunk(_grey(self._image), self._width_max)
         return cv2.LUT(luma, _VIDEO_RANGE) if self._from_colour else luma
 
     def frame(self) -> Frame | None:
@@ -135,24 +135,24 @@ class Capture:
         luma = self.retrieve()
         if luma is None:
             return None
-        return Frame(0.0, luma, self.picture(PICTURE_WIDTH_MAX) if self._colour else None)
+        return Frame(0.0, luma, self.image(IMAGE_WIDTH_MAX) if self._colour else None)
 
     @property
-    def has_picture(self) -> bool:
+    def has_image(self) -> bool:
         """True if a frame has been retrieved."""
-        return self._picture is not None
+        return self._image is not None
 
-    def picture(self, width_max: int) -> Luma:
+    def image(self, width_max: int) -> Luma:
         """Return a copy of the latest retrieved frame, at most ``width_max`` pixels wide.
 
         It has colours, (H, W, 3), if they were asked for.
         """
-        assert self._picture is not None, "retrieve first"
-        height, width = self._picture.shape[:2]
+        assert self._image is not None, "retrieve first"
+        height, width = self._image.shape[:2]
         if width <= width_max:
-            return self._picture.copy()
+            return self._image.copy()
         size = (width_max, round(height * width_max / width))
-        return cv2.resize(self._picture, size, interpolation=cv2.INTER_AREA)
+        return cv2.resize(self._image, size, interpolation=cv2.INTER_AREA)
 
     def release(self) -> None:
         """Close the capture. Call it from the thread that reads."""
@@ -224,9 +224,9 @@ def _four_characters(capture: cv2.VideoCapture, of: int) -> str:
     return code.to_bytes(4, "little").decode("latin-1") if 0 <= code < 1 << 32 else ""
 
 
-def _grey(picture: Luma) -> Luma:
-    if picture.ndim == 2:
-        return picture
-    if picture.shape[2] == 1:
-        return picture[:, :, 0]
-    return np.asarray(cv2.cvtColor(picture[:, :, :3], cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+def _grey(image: Luma) -> Luma:
+    if image.ndim == 2:
+        return image
+    if image.shape[2] == 1:
+        return image[:, :, 0]
+    return np.asarray(cv2.cvtColor(image[:, :, :3], cv2.COLOR_BGR2GRAY), dtype=np.uint8)

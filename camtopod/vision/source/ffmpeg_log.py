@@ -43,9 +43,9 @@ _PHRASES = {
 """Reason by phrase in FFmpeg's log."""
 
 
-def reason_in(said: bytes) -> str:
+def reason_in(output: bytes) -> str:
     """Return the last recognised reason in FFmpeg's output; "" if there is none."""
-    for line in reversed(said.splitlines()):
+    for line in reversed(output.splitlines()):
         refused = _REFUSED.search(line)
         if refused is not None:
             status = int(refused.group(1))
@@ -66,16 +66,16 @@ class FfmpegLog:
         """Return the newest reason, or "". Never blocks."""
         if self._fd is not None:
             _flush()
-        said = b""
+        output = b""
         while self._fd is not None:
             try:
-                heard = os.read(self._fd, _READ_BYTES)
+                chunk = os.read(self._fd, _READ_BYTES)
             except BlockingIOError:
                 break
-            if not heard:  # the pipe has been closed
+            if not chunk:  # the pipe has been closed
                 break
-            said = (said + heard)[-_READ_BYTES:]
-        return reason_in(said)
+            output = (output + chunk)[-_READ_BYTES:]
+        return reason_in(output)
 
 
 def _flush() -> None:
@@ -108,19 +108,19 @@ def captured_log() -> Iterator[FfmpegLog]:
     """
     sys.stdout.flush()
     _flush()
-    heard, written = os.pipe()
-    for fd in (heard, written):
+    reader, writer = os.pipe()
+    for fd in (reader, writer):
         os.set_blocking(fd, False)  # a full pipe loses output instead of blocking
 
     # Redirect standard output; the descriptor is restored at the end.
     before = os.dup(_STANDARD_OUTPUT)
-    os.dup2(written, _STANDARD_OUTPUT, inheritable=False)
-    os.close(written)
+    os.dup2(writer, _STANDARD_OUTPUT, inheritable=False)
+    os.close(writer)
     try:
         with _log_level(LEVEL_WARNINGS):
-            yield FfmpegLog(heard)
+            yield FfmpegLog(reader)
     finally:
         _flush()  # or its output would mix with what is printed next
         os.dup2(before, _STANDARD_OUTPUT)
         os.close(before)
-        os.close(heard)
+        os.close(reader)

@@ -45,18 +45,18 @@ class LiveSource:
         source: str,
         settings: VisionSettings,
         wall_clock: Callable[[], float],
-        complaints: FfmpegLog | None = None,
+        ffmpeg_log: FfmpegLog | None = None,
         colour: bool = False,
     ) -> None:
         """Prepare to connect.
 
-        colour: frames have a picture in colour.
+        colour: frames have an image in colour.
         """
         self._colour = colour
         self._source = source
         self._settings = settings
         self._wall_clock = wall_clock
-        self._complaints = complaints or FfmpegLog()
+        self._ffmpeg_log = ffmpeg_log or FfmpegLog()
         self._queue: queue.Queue[Frame] = queue.Queue(QUEUE_FRAMES)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
@@ -124,7 +124,7 @@ class LiveSource:
         """Connect, read, and reconnect after a delay, until stopped."""
         wait = self._settings.backoff_min_seconds
         while not self._stop.is_set():
-            self._complaints.newest_reason()  # discard those of an earlier connection
+            self._ffmpeg_log.newest_reason()  # discard those of an earlier connection
 
             # Open and read. `_called` marks the begin of each call that may block.
             self._called = time.monotonic()
@@ -134,7 +134,7 @@ class LiveSource:
                 self.connections += 1
                 reason = self._read(capture)
             else:
-                why = self._complaints.newest_reason()
+                why = self._ffmpeg_log.newest_reason()
                 reason = f"the source cannot be opened{why and ': '}{why}"
 
             # Release.
@@ -154,7 +154,8 @@ class LiveSource:
 
     def _read(self, capture: Capture) -> str:
         """Pass frames on until the source dies; return the reason."""
-        clock, cadence = StampClock(), FrameSelector(self._settings.analysed_fps)
+        clock = StampClock()
+        selector = FrameSelector(self._settings.analysed_fps)
         held: list[tuple[float, float, Frame]] = []
         first: float | None = None
         while not self._stop.is_set():
@@ -175,11 +176,12 @@ class LiveSource:
                 continue
             first = arrival if first is None else first
             self.grabbed += 1
-            self.state, self.reason = "running", ""
+            self.state = "running"
+            self.reason = ""
 
             # Decode it if it is to be analysed.
             clock.record(grab.stamp, arrival)
-            if not cadence.wants(grab.stamp if grab.stamp > 0.0 else arrival):
+            if not selector.wants(grab.stamp if grab.stamp > 0.0 else arrival):
                 continue
             retrieved = capture.frame()
             if retrieved is None:

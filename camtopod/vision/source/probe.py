@@ -66,7 +66,7 @@ class ProbeRequest(Struct):
     picture: bool = False
     """Return a picture of the scene without people, too."""
     detector: DetectorSettings = DetectorSettings()
-    """Use the detector once, too, if it has a model; a source need not be given then."""
+    """Run the detector once, too, if it has a model; a source need not be given then."""
 
 
 class Probe(Struct):
@@ -98,11 +98,11 @@ class Probe(Struct):
 def probe(
     source: str,
     settings: VisionSettings,
-    complaints: FfmpegLog,
+    ffmpeg_log: FfmpegLog,
     picture: bool = False,
     detector: DetectorSettings = _NO_DETECTOR,
 ) -> Probe:
-    """Open the source, count its frames, and look once with the detector.
+    """Open the source, count its frames, and run the detector once.
 
     Takes at most the timeouts plus `PROBE_SECONDS`, with a picture plus `SETTLE_SECONDS_MAX`. Never
     raises for a source that does not work.
@@ -118,12 +118,12 @@ def probe(
     capture = Capture(path, settings, colour=picture or bool(detector.model))
     try:
         if not capture.is_open:
-            why = _of_device(source) if kind == "device" else complaints.newest_reason()
+            why = _of_device(source) if kind == "device" else ffmpeg_log.newest_reason()
             return Probe(f"cannot be opened{why and ': '}{why}")
         settled = SettledPicture() if picture else None
         seen = _watched(capture, kind != "file", settled)
         if detector.model and not seen.problem:
-            latest = capture.picture(capture.size[0]) if capture.has_picture else None
+            latest = capture.image(capture.size[0]) if capture.has_image else None
             seen.detector = try_model(detector, latest)
         return seen if settled is None else _with_picture(seen, settled)
     finally:
@@ -149,7 +149,7 @@ def _watched(capture: Capture, live: bool, settled: SettledPicture | None) -> Pr
         arrivals.append(time.monotonic())
         t = arrivals[-1] - arrivals[0] if live else len(arrivals) / (capture.fps or FPS_UNKNOWN)
 
-        # Decode it if it is looked at.
+        # Decode it if it is needed.
         wanted = settled is not None and settled.wants(t)
         if counted and not wanted:
             continue
@@ -157,7 +157,7 @@ def _watched(capture: Capture, live: bool, settled: SettledPicture | None) -> Pr
         if luma is not None:
             contrast = max(contrast, float(luma.std()))
             if wanted and settled is not None:
-                settled.add(t, capture.picture(PICTURE_WIDTH_MAX))
+                settled.add(t, capture.image(PICTURE_WIDTH_MAX))
 
     # Frame rate: of a live source as measured, of a file as declared.
     if not arrivals:
@@ -225,13 +225,18 @@ def decoders() -> list[str]:
     ]
 
 
-if __name__ == "__main__":
-    asked = msgspec.json.decode(sys.stdin.buffer.read(), type=ProbeRequest)
-    with captured_log() as heard:
-        if asked.source:
-            answer = probe(asked.source, asked.settings, heard, asked.picture, asked.detector)
-        else:
-            answer = Probe("no source")
-        if asked.detector.model and answer.detector == ModelReport():
-            answer.detector = try_model(asked.detector)
+def main() -> None:
+    """Answer the request on standard input."""
+    request = msgspec.json.decode(sys.stdin.buffer.read(), type=ProbeRequest)
+    detector = request.detector
+    answer = Probe("no source")
+    with captured_log() as ffmpeg_log:
+        if request.source:
+            answer = probe(request.source, request.settings, ffmpeg_log, request.picture, detector)
+        if detector.model and answer.detector == ModelReport():
+            answer.detector = try_model(detector)
     sys.stdout.buffer.write(msgspec.json.encode(answer))
+
+
+if __name__ == "__main__":
+    main()

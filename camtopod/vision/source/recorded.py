@@ -31,7 +31,7 @@ class RecordedSource:
         """Open the file.
 
         speed: multiple of the file's own pace; None to read as fast as it decodes.
-        colour: frames have a picture in colour.
+        colour: frames have an image in colour.
 
         Raises `OSError`, `SourceError`.
         """
@@ -61,7 +61,7 @@ class RecordedSource:
 
         Raises `SourceError` if the file holds no frame.
         """
-        cadence = FrameSelector(self._settings.analysed_fps)
+        selector = FrameSelector(self._settings.analysed_fps)
         began = time.monotonic()
         position = 0.0
         while self._capture is not None:
@@ -70,8 +70,9 @@ class RecordedSource:
                 break
             position = self._position(grab.stamp, position)
             self.grabbed += 1
-            self.state, self.reason = "running", ""
-            if not cadence.wants(position):
+            self.state = "running"
+            self.reason = ""
+            if not selector.wants(position):
                 continue
 
             frame = self._capture.frame()
@@ -85,7 +86,8 @@ class RecordedSource:
         self.close()
         if not self.grabbed:
             raise SourceError(f"{self._path}: no frame in it can be decoded")
-        self.state, self.reason = "ended", "the file is at its end"
+        self.state = "ended"
+        self.reason = "the file is at its end"
 
     def _position(self, stamp: float, last: float) -> float:
         """Return the position in seconds, by the frame rate where stamps do not increase."""

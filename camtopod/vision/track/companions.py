@@ -1,7 +1,7 @@
-"""People who entered side by side: one moving region, one track, and several heads.
+"""People who entered side by side, merged into one blob: one track, and several heads.
 
 Two people who walk together from the border on are one blob, and so one track. If most of the
-pictures of it show more heads than there are tracks, and it is as wide as that many people, the
+images of it show more heads than there are tracks, and it is as wide as that many people, the
 people without a track get one (`missing_track`). It has the beginning of the track that they were
 taken for, so whoever entered together is told to have entered together.
 """
@@ -21,7 +21,7 @@ CROWDED_SIGHTINGS_MIN = 4
 CROWDED_SHARE_MIN = 0.5
 """Least share of these among all sightings of the whole blob."""
 OCCLUDED_WIDTHS_MAX = 0.65
-"""Widths of one person by which people side by side may cover each other."""
+"""Widths of one person by which people side by side may occlude each other."""
 ABREAST_HEIGHTS_MAX = 0.7
 """Largest width for each head (heights); wider objects are vehicles, not people."""
 TALLER_MAX = 1.3
@@ -72,8 +72,10 @@ def missing_track(t: float, blob: Blob, held: list[Track], number: int) -> Track
     if len(held) == 1:
         own = blob.heads[-1] if free == blob.heads[0] else blob.heads[0]
         moved = _at(t, own, width, nearest)
-        nearest.last, nearest.history = moved.last, moved.history
-        nearest.kalman, nearest.width = moved.kalman, width
+        nearest.last = moved.last
+        nearest.history = moved.history
+        nearest.kalman = moved.kalman
+        nearest.width = width
     return added
 
 

@@ -1,6 +1,6 @@
 """Entry and exit events from tracks: which object crossed the edge of the view, when and where.
 
-An edge is the border of the picture, an ignored area that reaches to it (`ignored_areas`), or a
+An edge is the border of the image, an ignored area that reaches to it (`ignored_areas`), or a
 door in mid-view, named or learned (`doors`). An entry has the time of the first sighting, although
 it is reported only when the object is confirmed; an exit has the time of the last sighting.
 """
@@ -21,17 +21,17 @@ from camtopod.vision.track.recorder import Recorder
 from camtopod.vision.track.track import Changes, Sighting, Track
 
 BORDER_SHARE = 0.025
-"""Distance from the border within which a box is at it (share of the picture's diagonal)."""
+"""Distance from the border within which a box is at it (share of the image's diagonal)."""
 REACH_SECONDS = 0.6
 """Time within which a box that reaches the border at its speed counts as being at it."""
 CUT_SHARE = 0.7
-"""Visible share of a person below which the top of the picture counts as border."""
+"""Visible share of a person below which the top of the image counts as border."""
 BORDER_SECONDS_MAX = 1.5
 """Longest time between a sighting and the crossing of the border that it is moved to."""
 DATED_SECONDS_MAX = 0.7
 """Longest time that it is dated back or forward; an exit is known no sooner after the sighting."""
 FOOT_SIGHTINGS = 5
-"""Sightings whose median gives the foot row of a person cut by the side of the picture."""
+"""Sightings whose median gives the foot row of a person cut by the side of the image."""
 WHOLE_SHARE = 0.6
 """Least height of these sightings, as a share of the tallest one."""
 SPLIT_SECONDS_MAX = 3.0
@@ -60,9 +60,9 @@ class Crossings:
         ignored: IgnoredAreas | None = None,
         recorder: Recorder | None = None,
     ) -> None:
-        """Prepare for a working picture of ``width`` x ``height`` pixels.
+        """Prepare for a working image of ``width`` x ``height`` pixels.
 
-        doors: named doors, in fractions of the picture.
+        doors: named doors, in fractions of the image.
         recorder: takes the decisions about entries and exits.
         """
         self._camera = camera
@@ -80,7 +80,7 @@ class Crossings:
     # -- where ------------------------------
 
     def touches(self, box: Box) -> bool:
-        """Return True if the border of the picture or an ignored area cuts the box."""
+        """Return True if the border of the image or an ignored area cuts the box."""
         ignored = self._ignored
         return touches_border(box, self.size) or (ignored is not None and ignored.cut(box))
 
@@ -238,7 +238,7 @@ class Crossings:
     ) -> Event:
         """Return an event at a sighting.
 
-        The foot row of a person cut by the side of the picture is estimated from the sightings
+        The foot row of a person cut by the side of the image is estimated from the sightings
         that are kept.
         """
         kind: Kind = "entry" if reason in ("entered", "split") else "exit"
@@ -263,7 +263,7 @@ class Crossings:
     def _at_border(self, track: Track, at: Sighting, edge: Edge | None, sense: float) -> Sighting:
         """Return a sighting moved along the way of the track to where it crosses the border.
 
-        Objects are first seen some pictures after they have entered, above all beside others, and
+        Objects are first seen some images after they have entered, above all beside others, and
         last seen before they have left.
         sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
         """
@@ -288,7 +288,7 @@ def _has_walked(track: Track) -> bool:
 
 
 def _foot_row(sightings: list[Sighting], latest: bool) -> float:
-    """Return the foot row of a person cut by the side of the picture.
+    """Return the foot row of a person cut by the side of the image.
 
     The piece of a person that is seen last need not include a foot.
     """

@@ -26,7 +26,7 @@ brief: followed for `value` seconds.
 patchy: seen in the share `value` of the frames.
 still: moved by `value` heights.
 low: as tall as the setting `min_height` in `value` sightings.
-undetected: the detector, which is trusted here, saw it in the share `value` of its looks.
+undetected: the detector, which is trusted here, detected it in the share `value` of its inferences.
 """
 
 Beginning = Literal["entered", "split", "from start", "beside others", "in mid-view", "continues"]
@@ -63,7 +63,7 @@ occluded: the same, but last seen occluded by others, which says nothing of a do
 interrupted: the same, but the frames had paused.
 paused: tentative when the frames paused.
 ghost: not an object, but the hole that one has left in the background model.
-scene changed: the whole picture has changed, and all tracks are forgotten.
+scene changed: the whole image has changed, and all tracks are forgotten.
 in view: still there at the end of the recording.
 """
 
@@ -78,7 +78,7 @@ class Decision(NamedTuple):
     t: float
     """Capture time (seconds) of the first sighting for a beginning, of the last one for an end."""
     place: tuple[float, float]
-    """Foot point of that sighting, as fractions of the picture."""
+    """Foot point of that sighting, as fractions of the image."""
     began: float
     """Capture time of the first sighting, seconds."""
     edge: Edge | None = None

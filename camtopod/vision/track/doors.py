@@ -29,17 +29,17 @@ DOOR_EVENTS_MIN = 2
 DOOR_HEIGHTS = 0.6
 """Radius around a foot point in which they count (heights of the person)."""
 DOOR_SHARE_MIN = 0.04
-"""Least radius of a learned door, as a share of the picture's diagonal, for objects far away."""
+"""Least radius of a learned door, as a share of the image's diagonal, for objects far away."""
 REMEMBERED_MAX = 200
 """Unexplained beginnings and ends that are kept, the newest."""
 GRID_ROWS, GRID_COLUMNS = 24, 32
-"""Cells of the picture in which passing objects are counted."""
+"""Cells of the image in which passing objects are counted."""
 
 
 class Doors:
-    """Doors of one view, named and learned; positions in pixels of the working picture.
+    """Doors of one view, named and learned; positions in pixels of the working image.
 
-    named: doors of the settings, in fractions of the picture.
+    named: doors of the settings, in fractions of the image.
     """
 
     def __init__(self, width: int, height: int, named: Sequence[Polygon] = ()) -> None:

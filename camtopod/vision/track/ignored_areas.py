@@ -1,6 +1,6 @@
 """Ignored areas, as the tracker meets them: an object that walks into one is lost at its edge.
 
-Whether it has left the view depends on its way. If the area reaches to the border of the picture
+Whether it has left the view depends on its way. If the area reaches to the border of the image
 straight on, as a street along the top or a clock in a corner does, the area's edge is an edge of
 the view. If the area ends within the view, as a tree does, the object is expected on the other
 side, as behind a lamp post.
@@ -18,11 +18,11 @@ from camtopod.vision.boxes import TOUCH_PIXELS, Box
 from camtopod.vision.detect import Luma
 
 Beyond = Literal["border", "view"]
-"""What lies behind an ignored area: the border of the picture, or more of the view."""
+"""What lies behind an ignored area: the border of the image, or more of the view."""
 
 
 class IgnoredAreas:
-    """Ignored areas of one view; positions in pixels of the working picture.
+    """Ignored areas of one view; positions in pixels of the working image.
 
     watched (H, W): 0 at ignored pixels.
     """
@@ -48,14 +48,14 @@ class IgnoredAreas:
         None if there is no area within ``lead`` pixels.
 
         heading: direction of the way (x, y), of any length.
-        margin: pixels that may be left between an area and the border of the picture.
+        margin: pixels that may be left between an area and the border of the image.
         """
         height, width = self._ignored.shape
         length = hypot(*heading)
         if length == 0.0:
             return None
 
-        # Pixels along the way, up to the border of the picture.
+        # Pixels along the way, up to the border of the image.
         steps = np.arange(width + height)
         start = min(max(foot[0], 0.0), width - 1.0), min(max(foot[1], 0.0), height - 1.0)
         columns = np.floor(start[0] + steps * heading[0] / length).astype(int)

@@ -29,11 +29,9 @@ class Kalman:
         """Start at rest at ``measured``; ``height`` of the person in pixels."""
         self.position = measured
         self.velocity: Vector = (0.0, 0.0, 0.0, 0.0)
-        self._pp, self._pv, self._vv = (
-            (MEASUREMENT * height) ** 2,
-            0.0,
-            (SPEED_SIGMA * height) ** 2,
-        )
+        self._pp = (MEASUREMENT * height) ** 2
+        self._pv = 0.0
+        self._vv = (SPEED_SIGMA * height) ** 2
 
     def predict(self, dt: float, height: float, coasting: bool) -> None:
         """Advance by ``dt`` seconds; ``coasting`` if the object is out of sight."""
@@ -53,12 +51,14 @@ class Kalman:
     def update(self, measured: Vector, height: float) -> None:
         """Correct the state by a measurement."""
         spread = self._pp + (MEASUREMENT * height) ** 2
-        gain_p, gain_v = self._pp / spread, self._pv / spread
+        gain_p = self._pp / spread
+        gain_v = self._pv / spread
         residual = _moved(measured, -1.0, self.position)
         self.position = _moved(self.position, gain_p, residual)
         self.velocity = _moved(self.velocity, gain_v, residual)
         self._vv -= gain_v * self._pv
-        self._pp, self._pv = (1 - gain_p) * self._pp, (1 - gain_p) * self._pv
+        self._pp *= 1 - gain_p
+        self._pv *= 1 - gain_p
 
     @property
     def uncertainty(self) -> float:

@@ -14,7 +14,7 @@ class Recorder:
     def __init__(
         self, size: tuple[int, int] = (1, 1), take: Callable[[Decision], None] | None = None
     ) -> None:
-        """Prepare for a working picture of ``size`` (width, height), pixels."""
+        """Prepare for a working image of ``size`` (width, height), pixels."""
         self._size = size
         self._take = take
 

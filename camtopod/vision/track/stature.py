@@ -1,4 +1,4 @@
-"""Expected height of a person by row of the picture: a line fitted to people seen so far."""
+"""Expected height of a person by row of the image: a line fitted to people seen so far."""
 
 from __future__ import annotations
 

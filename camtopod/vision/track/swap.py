@@ -29,7 +29,7 @@ LEFT_SHARE = 1.0
 def find_swap(history: Sequence[Sighting], size: Size, width: float, height: float) -> int | None:
     """Return the index of the sighting at which one person replaced another at the border, or None.
 
-    size: width and height of the picture, pixels.
+    size: width and height of the image, pixels.
     width, height: those of a person, pixels.
     """
     for side in range(4):

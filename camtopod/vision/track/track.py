@@ -30,14 +30,14 @@ class Track:
     from_start: bool
     """In view when tracking began, so without an entry."""
     beside_others: bool
-    """Born next to another object: more likely half of a group than a new person."""
+    """Began next to another object: more likely half of a group than a new person."""
     history: deque[Sighting] = field(default_factory=lambda: deque(maxlen=HISTORY_SIGHTINGS))
     sightings: int = 1
     frames: int = 1
     """Frames since the first sighting."""
     confirmed: bool = False
     occluded: bool = False
-    """Hidden behind others in the latest frame."""
+    """Occluded by others in the latest frame."""
     entered: bool = False
     """An entry was reported for it."""
     began_in_view: bool = False
@@ -57,13 +57,13 @@ class Track:
     crowded_sightings: int = 0
     """Those of them with more heads than tracks: see `companions`."""
     unmet: Unmet | None = None
-    """What a tentative track lacked in the latest frame that showed it."""
+    """Condition that a tentative track did not meet in the latest frame that showed it."""
     edge: Edge | None = None
     """Edge by which it left; None while it has not."""
-    looks: int = 0
-    """Sightings at which a detector has looked that is trusted at this camera."""
+    inferences: int = 0
+    """Sightings with an inference, of a detector that is trusted at this camera."""
     detections: int = 0
-    """Those of them in which it saw an object."""
+    """Those of them in which it detected an object."""
     part_of: int = 0
     """Moving region that it shares with others, in the latest sighting: see `Blob.part_of`."""
     split_from: Track | None = None
@@ -110,13 +110,13 @@ class Changes:
     appeared: list[Track]
     """Tracks that became objects."""
     left: list[Track]
-    """Objects out of sight at an edge of the view."""
+    """Objects that left at an edge of the view."""
     vanished: list[Track]
-    """Objects out of sight in mid-view that were not found again."""
+    """Objects lost in mid-view that were not found again."""
 
 
 class Unmet(NamedTuple):
-    """What a tentative track lacks to be an object."""
+    """Condition of a confirmed track that a tentative one does not meet."""
 
     reason: Shortfall
     value: float
@@ -126,7 +126,7 @@ class Unmet(NamedTuple):
 
 
 class Sighting(NamedTuple):
-    """Time (seconds), foot point and box (pixels of the working picture)."""
+    """Time (seconds), foot point and box (pixels of the working image)."""
 
     t: float
     foot: tuple[float, float]

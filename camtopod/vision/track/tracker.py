@@ -5,12 +5,12 @@ then it is *confirmed*. In each frame, blobs that cover several confirmed tracks
 group (people crossing or walking side by side). The other blobs are assigned one to one (Kalman
 prediction, Hungarian method, gate in heights of the person).
 
-A blob that shows more heads than tracks, picture after picture, gets tracks for the others
+A blob that shows more heads than tracks, image after image, gets tracks for the others
 (`companions`).
 
-A confirmed track that is out of sight for longer than the patience has *ended* if it was at an edge
-of the view. In mid-view it is *broken*: it is kept for some seconds, and a track confirmed nearby
-continues it. A passage that breaks behind a lamp post thus stays one passage. Behind an ignored
+A confirmed track that is not detected for longer than the patience has *ended* if it was at an edge
+of the view. In mid-view it is *lost*: it is kept for some seconds, and a track confirmed nearby
+continues it. A passage that is lost behind a lamp post thus stays one passage. Behind an ignored
 area in mid-view it may continue as far away as a person walks meanwhile.
 """
 
@@ -46,17 +46,17 @@ TENTATIVE_PATIENCE_SECONDS = 0.45
 GONE_PATIENCE_SECONDS = 0.7
 """Patience with an object that the border cut when it was last seen."""
 OCCLUDED_PATIENCE_FACTOR = 2.0
-"""Factor of the patience with an object hidden behind others."""
+"""Factor of the patience with an object occluded by others."""
 STITCH_HEIGHTS = 1.0
-"""Distance (heights) within which a broken passage may continue, for a gap of no time."""
+"""Distance (heights) within which a lost track may continue, for a gap of no time."""
 STITCH_HEIGHTS_PER_SECOND = 0.4
 """Growth of this distance with the gap, heights per second."""
 STITCH_HEIGHTS_MAX = 2.5
 """Upper limit of this distance, heights."""
 STITCH_AT_EDGE_SECONDS = 1.5
-"""Longest gap after which a track that begins at an edge may continue a broken one."""
+"""Longest gap after which a track that begins at an edge may continue a lost one."""
 STITCH_AT_EDGE_HEIGHTS = 0.5
-"""Largest distance (heights) at which a track that begins at an edge may continue a broken one."""
+"""Largest distance (heights) at which a track that begins at an edge may continue a lost one."""
 BEHIND_HEIGHTS_PER_SECOND = 1.5
 """Growth of the distance for a passage behind an ignored area in mid-view, heights per second.
 
@@ -77,9 +77,9 @@ TALL_SIGHTINGS_MIN = 3
 A single one may be two small animals in one blob.
 """
 INFERENCES_MIN = 3
-"""Looks of a detector at a track after which it says whether there is an object."""
+"""Inferences on a track after which the detector says whether there is an object."""
 DETECTED_SHARE_MIN = 0.2
-"""Least share of these looks in which it sees one, for the track to be confirmed."""
+"""Least share of these in which it detects one, for the track to be confirmed."""
 SPLIT_HEIGHTS_MAX = 1.5
 """Distance (heights) within which two blobs of one moving region are of people side by side."""
 _SIZE_RATE = 0.2
@@ -92,10 +92,10 @@ class Edges(Protocol):
     """Where objects enter and leave the view."""
 
     size: tuple[int, int]
-    """Width and height of the working picture, pixels."""
+    """Width and height of the working image, pixels."""
 
     def touches(self, box: Box) -> bool:
-        """Return True if the border of the picture or an ignored area cuts the box."""
+        """Return True if the border of the image or an ignored area cuts the box."""
 
     def at_edge(self, track: Track) -> Edge | None:
         """Return the edge at which the track was last seen, if objects leave there."""
@@ -149,7 +149,7 @@ class Tracker:
             track.frames += 1
             track.occluded = False
 
-        # Assign blobs, to groups first, and begin tracks with the others.
+        # Assign blobs, to groups first, and start tracks with the others.
         free = self._update_groups(t, blobs)
         free = self._assign(t, free)
         self._mark_occluded(t, blobs)
@@ -258,7 +258,8 @@ class Tracker:
         measured = (*blob.head, *blob.foot)
         if self._touches(blob.box) or self._touches(track.last.box) or not track.confirmed:
             # Entering or leaving the view: its size may only grow.
-            track.height, track.width = max(track.height, blob.height), max(track.width, blob.width)
+            track.height = max(track.height, blob.height)
+            track.width = max(track.width, blob.width)
         else:
             track.height += _SIZE_RATE * (blob.height - track.height)
             track.width += _SIZE_RATE * (blob.width - track.width)
@@ -293,16 +294,16 @@ class Tracker:
         track.reach = max(track.reach, head, foot)
 
     def _mark_occluded(self, t: float, blobs: list[Blob]) -> None:
-        """Mark confirmed tracks that are hidden behind a blob."""
+        """Mark confirmed tracks that are occluded by a blob."""
         for track in self.active:
             if track.last.t < t and track.confirmed:
                 box = track.box
                 track.occluded = any(contains_centre(blob.box, box) for blob in blobs)
 
-    # -- births and deaths ------------------------------
+    # -- initiation and end ------------------------------
 
     def _start_track(self, t: float, blob: Blob) -> None:
-        """Begin a tentative track, unless the blob is too small or a fragment of an object."""
+        """Start a tentative track, unless the blob is too small or a fragment of an object."""
         if len(self.active) >= self._settings.tracks_max:
             return
         expected = self.stature.height(blob.bottom)
@@ -353,7 +354,7 @@ class Tracker:
         )
 
     def _confirm(self, t: float) -> list[Track]:
-        """Confirm tracks that have become objects; return those that continue no broken track."""
+        """Confirm tracks that have become objects; return those that continue no lost track."""
         appeared = []
         for track in self.active:
             if track.confirmed or track.last.t < t:
@@ -375,8 +376,8 @@ class Tracker:
             return Unmet("patchy", track.sightings / track.frames, CONFIRM_SIGHTINGS_SHARE)
         if track.reach < CONFIRM_HEIGHTS * track.height:
             return Unmet("still", track.reach / track.height, CONFIRM_HEIGHTS)
-        if track.looks >= INFERENCES_MIN:
-            share = track.detections / track.looks
+        if track.inferences >= INFERENCES_MIN:
+            share = track.detections / track.inferences
             if share < DETECTED_SHARE_MIN:
                 return Unmet("undetected", share, DETECTED_SHARE_MIN)
 
@@ -390,14 +391,15 @@ class Tracker:
         return None
 
     def _stitch(self, t: float, track: Track) -> bool:
-        """Continue the nearest passage that broke in mid-view; False if none is within reach."""
+        """Continue the nearest track that was lost in mid-view; False if none is within reach."""
         from_behind = self._edges.comes_from_behind(track)
         missing = [
             other for other in self.active if other.confirmed and other.last.t < track.first.t
         ]
 
         # Nearest by distance over reach.
-        best, best_score = None, 1.0
+        best = None
+        best_score = 1.0
         for other in [*self.lost, *missing]:
             if other is track or (other.last.t < t and self._at_edge(other)):
                 continue
@@ -411,12 +413,14 @@ class Tracker:
                 dx, dy = other.velocity
                 x += seconds * dx
                 y += seconds * dy
-            height, other_height = box_height(track.first.box), box_height(other.last.box)
+            height = box_height(track.first.box)
+            other_height = box_height(other.last.box)
             reach *= max(height, other_height)
             distance = hypot(track.first.foot[0] - x, track.first.foot[1] - y)
             ratio = height / other_height
             if distance < reach * best_score and 0.4 < ratio < 2.5:
-                best, best_score = other, distance / reach
+                best = other
+                best_score = distance / reach
 
         if best is None:
             return False
@@ -428,8 +432,11 @@ class Tracker:
         self.stitched += 1
         seconds = max(0.0, track.first.t - earlier.last.t)
         self._note("continues", track, track.first, value=seconds, other=earlier.number)
-        track.number, track.first, track.entered = earlier.number, earlier.first, earlier.entered
-        track.from_start, track.beside_others = earlier.from_start, earlier.beside_others
+        track.number = earlier.number
+        track.first = earlier.first
+        track.entered = earlier.entered
+        track.from_start = earlier.from_start
+        track.beside_others = earlier.beside_others
         self.lost = [other for other in self.lost if other is not earlier]
         self.active = [other for other in self.active if other is not earlier]
 
@@ -451,7 +458,7 @@ class Tracker:
         return left
 
     def _add_companions(self, t: float, blobs: list[Blob]) -> list[Track]:
-        """Begin the tracks of people who were taken for one object; return those that appeared."""
+        """Start tracks for people merged into one blob; return the confirmed ones."""
         appeared = []
         for blob in blobs:
             if self._touches(blob.box):
@@ -463,7 +470,8 @@ class Tracker:
                 and track.last.t == t
                 and contains_centre(blob.box, track.last.box)
             ]
-            width, height = self.stature.width(blob.height), self.stature.height(blob.bottom)
+            width = self.stature.width(blob.height)
+            height = self.stature.height(blob.bottom)
             if not held or not count_heads(blob, held, width, height):
                 continue
             added = missing_track(t, blob, held, self._next)
@@ -487,8 +495,10 @@ class Tracker:
             successor=self._next,
         )
         earlier.edge = self._at_edge(earlier)
-        track.number, self._next = self._next, self._next + 1
-        track.first, track.history = past[turn], deque(past[turn:], maxlen=HISTORY_SIGHTINGS)
+        track.number = self._next
+        self._next += 1
+        track.first = past[turn]
+        track.history = deque(past[turn:], maxlen=HISTORY_SIGHTINGS)
         track.from_start = track.beside_others = track.entered = False
         left, top, right, _ = track.first.box
         track.origin = ((left + right) / 2, top, *track.first.foot)
@@ -496,7 +506,7 @@ class Tracker:
         return earlier
 
     def _retire(self, t: float, appeared: list[Track], left: list[Track]) -> Changes:
-        """End tracks that are out of sight for longer than the patience."""
+        """End tracks that were not detected for longer than the patience."""
         kept = []
 
         # Patience depends on how the object was last seen.
@@ -519,7 +529,7 @@ class Tracker:
                 self.lost.append(track)
         self.active = kept
 
-        # Broken tracks that were not continued have vanished.
+        # Lost tracks that were not continued have vanished.
         deadline = t - self._settings.stitch_seconds
         vanished = [track for track in self.lost if track.last.t < deadline]
         self.lost = [track for track in self.lost if track.last.t >= deadline]
@@ -527,7 +537,7 @@ class Tracker:
 
     def _note_unmet(self, track: Track) -> None:
         """Record why a tentative track that has ended was not an object."""
-        assert track.unmet is not None, "it was looked at in the frame in which it began"
+        assert track.unmet is not None, "set in the frame in which it began"
         reason, value, least = track.unmet
         self._note(reason, track, track.last, value=value, least=least)
 
@@ -537,12 +547,13 @@ class Tracker:
         self.active = [other for other in self.active if other is not track]
 
     def _interrupt(self, t: float) -> list[Track]:
-        """End or break all tracks after a pause in the frames; return those that were at an edge.
+        """End or lose all tracks after a pause in the frames; return those that were at an edge.
 
         Objects that are in view now count as having been there all along.
         """
         self._start = t
-        tracks, self.active = self.active, []
+        tracks = self.active
+        self.active = []
         for track in [*tracks, *self.lost]:
             track.interrupted = True
 
@@ -559,13 +570,14 @@ class Tracker:
         return left
 
     def restart(self) -> None:
-        """Forget all tracks, because the whole picture has changed.
+        """Forget all tracks, because the whole image has changed.
 
         Objects seen next count as having been there from the start.
         """
         for track in [*self.active, *self.lost]:
             self._note("scene changed", track, track.last)
-        self.active, self.lost = [], []
+        self.active = []
+        self.lost = []
         self._t = self._start = None
 
     def finish(self, t: float) -> list[Track]:
@@ -585,13 +597,14 @@ class Tracker:
                 self._note_unmet(track)
         for track in self.lost:
             self._note("lost", track, track.last)
-        self.active, self.lost = [], []
+        self.active = []
+        self.lost = []
         return left
 
 
 def _count_inference(track: Track, blob: Blob) -> None:
-    """Count what a detector has seen of the blob that shows a track."""
+    """Count the inference on the blob that shows a track."""
     track.part_of = blob.part_of
     if blob.detected is not None:
-        track.looks += 1
+        track.inferences += 1
         track.detections += blob.detected

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.vision.detector.crops import whole
-from camtopod.vision.detector.model import PADDING, DetectorError, Model, Picture
+from camtopod.vision.detector.model import PADDING, DetectorError, Image, Model
 from camtopod.vision.settings import DetectorSettings
 
 BOXES_MAX = 10
@@ -26,23 +26,23 @@ class ModelReport(Struct, frozen=True):
     """Layout, size, milliseconds and boxes, in words."""
 
 
-def try_model(settings: DetectorSettings, picture: Picture | None = None) -> ModelReport:
-    """Load the model of the settings, look once at a picture, and describe it.
+def try_model(settings: DetectorSettings, image: Image | None = None) -> ModelReport:
+    """Load the model of the settings, run it on an image, and describe it.
 
-    picture (H, W, 3): blue, green, red; None for an empty one.
+    image (H, W, 3): blue, green, red; None for an empty one.
     """
     try:
         model = Model(settings)
     except DetectorError as error:
         return ModelReport(str(error), error.key)
     width, height = model.size
-    seen: Picture = picture if picture is not None else np.full((height, width, 3), PADDING, "u1")
+    shown: Image = np.full((height, width, 3), PADDING, np.uint8) if image is None else image
 
-    # Look at the whole picture. The first time takes longer.
-    part = whole((seen.shape[1], seen.shape[0]), model.size)
-    model.look(seen, part)
+    # The whole image. The first time takes longer.
+    crop = whole((shown.shape[1], shown.shape[0]), model.size)
+    model.infer(shown, crop)
     began = time.perf_counter()
-    found = model.look(seen, part)
+    found = model.infer(shown, crop)
     milliseconds = 1e3 * (time.perf_counter() - began)
     found = [one for one in found if one.score >= settings.score]
 
@@ -50,14 +50,14 @@ def try_model(settings: DetectorSettings, picture: Picture | None = None) -> Mod
     classes = model.form.classes
     kinds = "" if classes is None else ", 1 class" if classes == 1 else f", {classes} classes"
     boxes = [
-        f"{one.label} {one.score:.2f} at ({one.box[0] / seen.shape[1]:.2f}, "
-        f"{one.box[1] / seen.shape[0]:.2f}) to ({one.box[2] / seen.shape[1]:.2f}, "
-        f"{one.box[3] / seen.shape[0]:.2f})"
+        f"{one.label} {one.score:.2f} at ({one.box[0] / shown.shape[1]:.2f}, "
+        f"{one.box[1] / shown.shape[0]:.2f}) to ({one.box[2] / shown.shape[1]:.2f}, "
+        f"{one.box[3] / shown.shape[0]:.2f})"
         for one in found[:BOXES_MAX]
     ]
     more = f" and {len(found) - BOXES_MAX} more" if len(found) > BOXES_MAX else ""
-    where = "the whole picture" if picture is not None else "an empty picture"
+    where = "an empty image" if image is None else "the whole image"
     return ModelReport(
         text=f"{model.name}: layout {model.form.layout}, {width}x{height}{kinds}, "
-        f"{milliseconds:.0f} ms a look; in {where}: {', '.join(boxes) or 'nothing'}{more}"
+        f"{milliseconds:.0f} ms an inference; in {where}: {', '.join(boxes) or 'nothing'}{more}"
     )
