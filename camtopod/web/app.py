@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import math
 import os
 import re
@@ -31,10 +30,9 @@ from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import Beat, Clock, Progress
 from camtopod.web.api import Api
 from camtopod.web.configured import Configured
-from camtopod.web.connections import Connection, Seldom
 from camtopod.web.feed import Feed
-from camtopod.web.guards import Named, Strict
-from camtopod.web.login import Login, LoginRequired
+from camtopod.web.guards import Guard
+from camtopod.web.login import Login
 from camtopod.web.outbox import PageQueues
 from camtopod.web.pictures import picture_of, pictured
 
@@ -45,8 +43,6 @@ CONNECTIONS_MAX = 1_024
 CLOSE_SECONDS = 2
 """Time that open responses have to end when the server stops."""
 _TICK_SECONDS = 0.2
-_LOGGERS = ("camtopod.web.connections", "camtopod.web.login", "uvicorn.error")
-"""Loggers of messages about clients."""
 _NOTHING = Configured()
 STATIC = resources.files("camtopod.web") / "static"
 
@@ -177,12 +173,12 @@ def application(
     site: Routes,
     api: Api,
     names: Collection[str],
-    any_address: bool,
     login: Login | None,
     beat: Beat,
 ) -> Starlette:
-    """Return the web application, which accepts only ``names``, and addresses if ``any_address``.
+    """Return the web application.
 
+    names: accepted host names, besides IP addresses.
     login: asked for every request; None for a page without a password.
     beat: called regularly as long as the application's event loop makes progress.
     """
@@ -214,13 +210,13 @@ def application(
         Route("/picture/{camera}", site.picture),
         Route("/live", site.live),
         *api.routes(),
-        *([] if login is None else _login_routes(login)),
     ]
+    if login is not None:
+        routes.append(Route("/login", login.page, methods=["GET", "POST"]))
+        routes.append(Route("/logout", login.logout, methods=["POST"]))
 
     middleware = [
-        Middleware(Strict),
-        Middleware(Named, names=names, any_address=any_address),
-        *([] if login is None else [Middleware(LoginRequired, login=login)]),
+        Middleware(Guard, names=names, login=login),
         Middleware(GZipMiddleware, minimum_size=1000, compresslevel=5),
     ]
     app = Starlette(routes=routes, middleware=middleware, lifespan=living)
@@ -236,7 +232,7 @@ def serving(
     pictures: Path | None,
     clock: Clock,
     status_seconds: float,
-    any_address: bool = False,
+    is_public: bool = False,
     progress: Progress | None = None,
     stall_seconds: float = math.inf,
     login: Login | None = None,
@@ -246,7 +242,8 @@ def serving(
 
     Yields a function that returns True if all threads are alive.
 
-    names, any_address: accepted host names, and whether every IP address is accepted.
+    names: accepted host names, besides IP addresses.
+    is_public: whether other machines can connect; then the API needs a login.
     progress: receives the progress of the threads.
     stall_seconds: time after which a thread without progress counts as stalled.
     login: None for a page without a password.
@@ -260,18 +257,18 @@ def serving(
     stop = threading.Event()
     page_queues = PageQueues()
     feed = Feed(bus, page_queues, clock, status_seconds)
-    api = Api(bus, feed, is_open=login is not None or not any_address)
+    api = Api(bus, feed, is_open=login is not None or not is_public)
     site = Routes(feed, page_queues, pictures, configured, login is not None)
     config = uvicorn.Config(
-        application(site, api, names, any_address, login, page.beat),
+        application(site, api, names, login, page.beat),
         log_config=None,
-        log_level="warning",
+        log_level="error",  # not each invalid request
         access_log=False,
         lifespan="on",
         server_header=False,
         limit_concurrency=CONNECTIONS_MAX,
         timeout_graceful_shutdown=CLOSE_SECONDS,
-        http=Connection,
+        http="h11",
     )
     server = uvicorn.Server(config)
 
@@ -286,10 +283,6 @@ def serving(
         ),
     ]
 
-    # Limit repeated log messages.
-    seldom, loggers = Seldom(), [logging.getLogger(name) for name in _LOGGERS]
-    for logger in loggers:
-        logger.addFilter(seldom)
     for thread in threads:
         thread.start()
     try:
@@ -301,15 +294,6 @@ def serving(
         server.should_exit = True
         for thread in threads:
             thread.join(CLOSE_SECONDS + 1)
-        for logger in loggers:
-            logger.removeFilter(seldom)
-
-
-def _login_routes(login: Login) -> list[Route]:
-    return [
-        Route("/login", login.page, methods=["GET", "POST"]),
-        Route("/logout", login.logout, methods=["POST"]),
-    ]
 
 
 def _json(content: Any, status: int = 200) -> Response:

@@ -1,4 +1,4 @@
-"""Middleware of every request: response headers and accepted host names."""
+"""Middleware of every request: accepted host names, login, response headers."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from collections.abc import Collection
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from camtopod.web.login import Login
 
 HEADERS = {
     "cache-control": "no-cache",
@@ -26,18 +28,28 @@ REFUSED = (
     "camtopod web --name NAME\n"
 )
 """Body of the response to a request for an unknown host name."""
-_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+)(?::[0-9]{1,5})?")
+_HOST = re.compile(r"\[?([0-9A-Za-z:._-]+?)\]?(?::[0-9]{1,5})?")
 """Host header: address or name, and optionally a port."""
 
 
-class Strict:
-    """Middleware that adds `HEADERS` to every response, as far as it does not have its own."""
+class Guard:
+    """Middleware that answers logged-in users, and only under known host names.
 
-    def __init__(self, app: ASGIApp) -> None:
+    Any IP address is a known name. Otherwise any web page could read this one by making its own
+    name resolve to this server (DNS rebinding). Every response gets `HEADERS`, as far as it does
+    not have its own.
+
+    names: accepted host names.
+    login: None for a page without a password.
+    """
+
+    def __init__(self, app: ASGIApp, names: Collection[str], login: Login | None) -> None:
         self._app = app
+        self._names = {name.lower() for name in names}
+        self._login = login
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def strict(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 given = {name for name, _ in message["headers"]}
                 added = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
@@ -45,34 +57,18 @@ class Strict:
                 message = {**message, "headers": [*message["headers"], *missing]}
             await send(message)
 
-        await self._app(scope, receive, strict)
+        app = self._app
+        if scope["type"] == "http":
+            request = Request(scope)
+            if not self._knows(request.headers.get("host", "")):
+                app = PlainTextResponse(REFUSED, 421)
+            elif self._login is not None and not self._login.lets_in(request):
+                app = self._login.refusal(request)
+        await app(scope, receive, send_with_headers)
 
-
-class Named:
-    """Middleware that refuses requests for host names other than ``names``.
-
-    With ``any_address`` every IP address is accepted, too. Otherwise any web page could read this
-    one by making its own name resolve to this server (DNS rebinding).
-    """
-
-    def __init__(self, app: ASGIApp, names: Collection[str], any_address: bool) -> None:
-        self._app = app
-        self._names, self._any_address = {name.lower() for name in names}, any_address
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        app = (
-            self._app
-            if scope["type"] != "http" or self._is_ours(Request(scope))
-            else PlainTextResponse(REFUSED, 421)
-        )
-        await app(scope, receive, send)
-
-    def _is_ours(self, request: Request) -> bool:
-        match = _HOST.fullmatch(request.headers.get("host", ""))
-        if match is None:
-            return False
-        asked = match[1].lower()
-        return asked in self._names or (self._any_address and _is_address(asked.strip("[]")))
+    def _knows(self, host: str) -> bool:
+        match = _HOST.fullmatch(host)
+        return match is not None and (match[1].lower() in self._names or _is_address(match[1]))
 
 
 def _is_address(text: str) -> bool:

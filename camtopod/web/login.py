@@ -1,41 +1,30 @@
 """Login of the page: one password for people, one token for programs.
 
-A browser that gives the password gets a session: a random name in a cookie, which the server keeps
-until it ends. Programs send the token with each request. Both are read from files that only their
-owner may read, as the cameras' passwords are. They are kept in memory as digests; as guesses are
-limited, digests that take long to compute would protect nothing more.
+A browser that gives the password gets a cookie that says until when it is logged in, signed with a
+key that ends with this process. Programs send the token with each request.
 """
 
 from __future__ import annotations
 
 import hashlib
 import hmac
-import ipaddress
 import logging
 import secrets
-import threading
-import time
-from collections import OrderedDict
-from collections.abc import Callable
+from collections import Counter
 from importlib import resources
 from urllib.parse import parse_qs
 
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
-from starlette.types import ASGIApp, Receive, Scope, Send
+
+from camtopod.serve.runtime import Clock, clock
 
 log = logging.getLogger(__name__)
 
-SESSION_SECONDS = 7 * 86_400.0
-"""Lifetime of a session."""
-SESSIONS_MAX = 1_000
-"""Sessions that are kept; beyond it the oldest ends."""
-TRIES_MAX = 5
-"""Wrong passwords from one address within `TRIES_SECONDS`; further ones are not looked at."""
-TRIES_SECONDS = 60.0
-"""Time for which a wrong password counts."""
-ADDRESSES_MAX = 1_000
-"""Addresses of which wrong passwords are remembered; beyond it the oldest is forgotten."""
+SESSION_SECONDS = 7 * 86_400
+"""Time for which a login is valid."""
+TRIES_PER_MINUTE_MAX = 5
+"""Wrong passwords from one address within a minute; further ones are not compared."""
 PASSWORD_CHARACTERS_MIN = 8
 """Shortest password."""
 TOKEN_CHARACTERS_MIN = 20
@@ -57,94 +46,73 @@ _PAGE = (resources.files("camtopod.web") / "static" / "login.html").read_text("u
 
 
 class Login:
-    """Password, token and sessions. Thread-safe. Raises `ValueError` for a secret that is short.
+    """Password and token. Raises `ValueError` for a secret that is short.
 
-    token: None if programs have to use a session, too.
-    steady: monotonic clock, in seconds.
+    token: None if programs have to log in with the password, too.
+    clock: Unix seconds.
     """
 
-    def __init__(
-        self, password: str, token: str | None = None, steady: Callable[[], float] = time.monotonic
-    ) -> None:
-        for name, secret, least in (
-            ("password", password, PASSWORD_CHARACTERS_MIN),
-            ("token", token, TOKEN_CHARACTERS_MIN),
-        ):
-            if secret is not None and len(secret) < least:
-                raise ValueError(f"the {name} has fewer than {least} characters")
-        self._password = _digest(password)
-        self._token = None if token is None else _digest(token)
-        self._steady = steady
-        self._mutex = threading.Lock()
-        self._sessions: OrderedDict[bytes, float] = OrderedDict()
-        """By the digest of a session's name: when it ends."""
-        self._wrong: OrderedDict[str, list[float]] = OrderedDict()
-        """By address: times of wrong passwords."""
+    def __init__(self, password: str, token: str | None = None, clock: Clock = clock.wall) -> None:
+        if len(password) < PASSWORD_CHARACTERS_MIN:
+            raise ValueError(f"the password has fewer than {PASSWORD_CHARACTERS_MIN} characters")
+        if token is not None and len(token) < TOKEN_CHARACTERS_MIN:
+            raise ValueError(f"the token has fewer than {TOKEN_CHARACTERS_MIN} characters")
+        self._password = password
+        self._token = token
+        self._clock = clock
+        self._key = secrets.token_bytes(32)
+        self._minute = 0
+        self._wrong: Counter[str] = Counter()
+        """By address: wrong passwords in this minute."""
 
-    def authorised(self, request: Request) -> bool:
-        """Return True if a request has the token or belongs to a session."""
-        kind, _, given = request.headers.get("authorization", "").partition(" ")
+    def lets_in(self, request: Request) -> bool:
+        """Return True if a request has the token or the cookie, or asks for the login page."""
+        if request.scope["path"] in OPEN_PATHS:
+            return True
+        kind, _, token = request.headers.get("authorization", "").partition(" ")
         if self._token is not None and kind.lower() == "bearer":
-            return hmac.compare_digest(self._token, _digest(given.strip()))
-        session = request.cookies.get(cookie_name(request))
-        if session is None:
-            return False
-        with self._mutex:
-            return self._sessions.get(_digest(session), -1.0) > self._steady()
+            return _same(token.strip(), self._token)
+        return self._is_session(request.cookies.get(cookie_name(request), ""))
 
-    def open_session(self, password: str, address: str) -> str:
-        """Return the name of a new session. Raises `LoginRefused`.
-
-        address: from where the password was sent.
-        """
-        now = self._steady()
-        with self._mutex:
-            # Refuse addresses with too many wrong passwords.
-            wrong = [t for t in self._wrong.pop(address, []) if now - t < TRIES_SECONDS]
-            if len(wrong) >= TRIES_MAX:
-                self._wrong[address] = wrong
-                raise LoginRefused(TOO_MANY, 429)
-            if not hmac.compare_digest(self._password, _digest(password)):
-                self._wrong[address] = [*wrong, now]
-                _limit(self._wrong, ADDRESSES_MAX)
-                raise LoginRefused(WRONG, 403)
-
-            # Open a session.
-            session = secrets.token_urlsafe(32)
-            self._sessions[_digest(session)] = now + SESSION_SECONDS
-            _limit(self._sessions, SESSIONS_MAX)
-            return session
-
-    def end_session(self, session: str) -> None:
-        """End a session, if there is one of this name."""
-        with self._mutex:
-            self._sessions.pop(_digest(session), None)
+    def refusal(self, request: Request) -> Response:
+        """Return the response to a request without a login: the page leads to it, data is 401."""
+        if request.scope["path"] == "/":
+            return RedirectResponse("login", 303)
+        error = {"error": "this needs a login or a token"}
+        return JSONResponse(error, 401, {"www-authenticate": "Bearer"})
 
     async def page(self, request: Request) -> Response:
         """Show the login page, or take the password that it sends."""
         if request.method != "POST":
-            return RedirectResponse("./", 303) if self.authorised(request) else _shown("", 200)
-
-        # The form.
+            is_open = self._is_session(request.cookies.get(cookie_name(request), ""))
+            return RedirectResponse("./", 303) if is_open else _login_page("", 200)
         content = b""
         async for part in request.stream():
             content += part
             if len(content) > FORM_BYTES_MAX:
-                return _shown(WRONG, 413)
-        given = parse_qs(content.decode("utf-8", "replace")).get("password", [""])[0]
+                return _login_page(WRONG, 413)
+        password = parse_qs(content.decode("utf-8", "replace")).get("password", [""])[0]
 
-        # The answer: a session, or an error message.
-        address = _address_of(request)
-        try:
-            session = self.open_session(given, address)
-        except LoginRefused as refused:
-            log.warning("a login from %s was refused: %s", address, refused)
-            return _shown(str(refused), refused.status)
+        # Count wrong passwords by the minute.
+        minute = int(self._clock() // 60)
+        if minute != self._minute:
+            self._minute = minute
+            self._wrong.clear()
+        address = request.client.host if request.client is not None else ""
+        if self._wrong[address] >= TRIES_PER_MINUTE_MAX:
+            return _login_page(TOO_MANY, 429)
+        if not _same(password, self._password):
+            self._wrong[address] += 1
+            log.warning("a login from %s was refused: %s", address, WRONG)
+            return _login_page(WRONG, 403)
+
+        # The password is right.
+        ends = str(int(self._clock()) + SESSION_SECONDS)
         answer = RedirectResponse("./", 303)
         answer.set_cookie(
             cookie_name(request),
-            session,
-            max_age=int(SESSION_SECONDS),
+            f"{ends}.{self._signature(ends)}",
+            max_age=SESSION_SECONDS,
             secure=request.url.scheme == "https",
             httponly=True,
             samesite="strict",
@@ -152,73 +120,29 @@ class Login:
         return answer
 
     def logout(self, request: Request) -> Response:
-        """End the session of a request."""
-        name = cookie_name(request)
-        self.end_session(request.cookies.get(name, ""))
+        """Take the cookie away."""
         answer = JSONResponse({})
-        answer.delete_cookie(name)
+        answer.delete_cookie(cookie_name(request))
         return answer
 
+    def _is_session(self, cookie: str) -> bool:
+        ends, _, signature = cookie.partition(".")
+        return _same(signature, self._signature(ends)) and int(ends) > self._clock()
 
-class LoginRefused(Exception):
-    """A password was refused; ``status`` is that of the HTTP response."""
-
-    def __init__(self, what: str, status: int) -> None:
-        super().__init__(what)
-        self.status = status
-
-
-class LoginRequired:
-    """Middleware for requests without a login: the page leads to the login, data is 401."""
-
-    def __init__(self, app: ASGIApp, login: Login) -> None:
-        self._app, self._login = app, login
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        app: ASGIApp = self._app
-        if scope["type"] == "http" and scope["path"] not in OPEN_PATHS:
-            request = Request(scope)
-            if not self._login.authorised(request):
-                app = (
-                    RedirectResponse("login", 303)
-                    if scope["path"] == "/"
-                    else JSONResponse(
-                        {"error": "this needs a login or a token"},
-                        401,
-                        {"www-authenticate": "Bearer"},
-                    )
-                )
-        await app(scope, receive, send)
+    def _signature(self, text: str) -> str:
+        return hmac.new(self._key, text.encode(), hashlib.sha256).hexdigest()
 
 
 def cookie_name(request: Request) -> str:
-    """Return the name of the session's cookie on this server."""
+    """Return the name of the cookie on this server."""
     return f"{COOKIE}_{request.url.port or request.url.scheme}"
 
 
-def _address_of(request: Request) -> str:
-    """Return the address of a client; of IPv6 the network, in which a client chooses freely."""
-    host = request.client.host if request.client is not None else ""
-    try:
-        address = ipaddress.ip_address(host.partition("%")[0])
-    except ValueError:
-        return host
-    if address.version == 6:
-        return str(ipaddress.ip_network((address, 64), strict=False))
-    return host
+def _same(given: str, expected: str) -> bool:
+    """Compare in a time that does not depend on the content."""
+    return hmac.compare_digest(given.encode(), expected.encode())
 
 
-def _shown(message: str, status: int) -> Response:
-    return HTMLResponse(
-        _PAGE.replace("{message}", message), status, {"content-security-policy": PAGE_POLICY}
-    )
-
-
-def _digest(secret: str) -> bytes:
-    return hashlib.sha256(secret.encode()).digest()
-
-
-def _limit(held: OrderedDict[str, list[float]] | OrderedDict[bytes, float], most: int) -> None:
-    """Remove the oldest items beyond ``most``."""
-    while len(held) > most:
-        held.popitem(last=False)
+def _login_page(message: str, status: int) -> Response:
+    policy = {"content-security-policy": PAGE_POLICY}
+    return HTMLResponse(_PAGE.replace("{message}", message), status, policy)

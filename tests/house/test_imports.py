@@ -84,7 +84,7 @@ HOMES = {
     "paho": ("mqtt",),
     "prometheus_client": ("serve.monitoring.metrics",),
     "starlette": ("web.app", "web.api", "web.guards", "web.login"),
-    "uvicorn": ("web.app", "web.connections"),
+    "uvicorn": ("web.app",),
     "rich": ("cli.commands.watch",),
     "cv2": ("vision", "sim", "export"),
     "sqlite3": (

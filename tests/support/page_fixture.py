@@ -1,12 +1,14 @@
-"""The web page on a fake bus, in a browser."""
+"""The web page on a fake bus, asked by HTTP or shown in a browser."""
 
 from __future__ import annotations
 
 import contextlib
+import http.client
+import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from chromium import Browser
 from fake_bus import OneBus
@@ -14,7 +16,21 @@ from fake_bus import OneBus
 from camtopod.cli.commands.web import listening, names
 from camtopod.records import Topology
 from camtopod.serve.bus.session import Bus
-from camtopod.web import Configured, Login, app
+from camtopod.web import app
+from camtopod.web.configured import Configured
+from camtopod.web.login import Login
+
+
+class Answer(NamedTuple):
+    """A response; names of headers in lower case."""
+
+    status: int
+    headers: dict[str, str]
+    content: bytes
+
+    @property
+    def text(self) -> str:
+        return self.content.decode()
 
 
 class Shown:
@@ -32,20 +48,25 @@ class Shown:
     ) -> None:
         self.bus = OneBus()
         self.bus.kept = {one.version: one for one in versions}
-        self.pictures, self.login = pictures, login
+        self.pictures = pictures
+        self.login = login
         self.configured = configured or Configured()
-        self.address = ""
+        self.port = 0
+
+    @property
+    def address(self) -> str:
+        """Address of the page while it is served."""
+        return f"http://127.0.0.1:{self.port}/"
 
     @contextlib.contextmanager
-    def serving(self, port: int = 0) -> Iterator[int]:
+    def serving(self, port: int = 0, further_names: tuple[str, ...] = ()) -> Iterator[int]:
         """Serve the page; yield the port."""
-        bus = cast(Bus, self.bus)
         with (
             listening("127.0.0.1", port) as listener,
             app.serving(
-                bus,
+                cast(Bus, self.bus),
                 listener,
-                names("127.0.0.1"),
+                names("127.0.0.1", further_names),
                 self.pictures,
                 time.time,
                 3600.0,
@@ -53,9 +74,8 @@ class Shown:
                 configured=self.configured,
             ),
         ):
-            port = listener.getsockname()[1]
-            self.address = f"http://127.0.0.1:{port}/"
-            yield port
+            self.port = listener.getsockname()[1]
+            yield self.port
 
     def publish(self, topology: Topology) -> None:
         """Publish a new version; the page's server fetches it as a whole."""
@@ -65,6 +85,21 @@ class Shown:
     def status(self, **cameras: dict[str, Any]) -> None:
         """Publish the status of the daemon and its cameras."""
         self.bus.publish("status/daemon", {"state": "running", "reason": "", "cameras": cameras})
+
+    def ask(self, path: str, method: str = "GET", body: str = "", **headers: str) -> Answer:
+        """Return the answer to a request; ``_`` in the names of headers stands for ``-``."""
+        given = {name.replace("_", "-"): value for name, value in headers.items()}
+        with contextlib.closing(http.client.HTTPConnection("127.0.0.1", self.port, 20)) as client:
+            client.request(method, path, body or None, given)
+            answer = client.getresponse()
+            received = {name.lower(): value for name, value in answer.getheaders()}
+            return Answer(answer.status, received, answer.read())
+
+    def json(self, path: str) -> Any:
+        """Return the data that the server answers with."""
+        answer = self.ask(path)
+        assert answer.status == 200, answer
+        return json.loads(answer.content)
 
 
 def opened(browser: Browser, shown: Shown, place: str = "#/map") -> None:

@@ -10,7 +10,7 @@ from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
 from camtopod.records import InView, Look, Prediction
-from camtopod.web import Configured
+from camtopod.web.configured import Configured
 
 DAY = 86_400.0
 SITE = synthetic_topology(4, as_of=time.time())

@@ -14,7 +14,7 @@ from synthetic_topology import synthetic_topology
 from camtopod import redact
 from camtopod.config import Config
 from camtopod.config.settings import ConfigError, load, parse
-from camtopod.web import Configured
+from camtopod.web.configured import Configured
 
 SITE = synthetic_topology(4)
 NAMES = [camera.id for camera in SITE.cameras]

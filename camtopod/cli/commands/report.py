@@ -14,7 +14,7 @@ from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import Rejected, decode_topology
 from camtopod.records import Topology
-from camtopod.web import gather, page
+from camtopod.web import report, single_file
 
 OLDER_MAX = 200
 """Most earlier versions on the time line; each takes as much memory as the topology."""
@@ -59,8 +59,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--pictures {args.pictures}: no such directory")
     older = [] if args.updates is None else _older(args.updates, topology)
     with Progress() as progress:
-        text = page(
-            gather(
+        text = single_file.page(
+            report.gather(
                 topology,
                 older,
                 args.pictures,

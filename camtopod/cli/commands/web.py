@@ -29,7 +29,7 @@ from camtopod.serve.bus import BusError
 from camtopod.serve.runtime import Progress, clock
 
 if TYPE_CHECKING:
-    from camtopod.web import Login
+    from camtopod.web import login as logins
 
 log = logging.getLogger(__name__)
 
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
     descriptors.raise_limit()
     try:
-        from camtopod.web import Configured, app
+        from camtopod.web import app, configured
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn"):
             raise
@@ -96,8 +96,9 @@ def run(args: argparse.Namespace) -> int:
         why = "no permission to read it" if args.pictures.exists() else "no such directory"
         log.warning("--pictures %s: %s; cameras are shown without pictures", args.pictures, why)
 
-    login, configured = _login(config), Configured.of(config)
-    if (plan := configured.plan) is not None:
+    login = _login(config)
+    settings = configured.Configured.of(config)
+    if (plan := settings.plan) is not None:
         if plan.suffix not in PLAN_ENDINGS:
             raise CommandError(
                 f"[map] plan {plan}: write a file that ends in {', '.join(PLAN_ENDINGS)}",
@@ -114,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
             stack.enter_context(bus)
         except BusError as error:
             raise CommandError(str(error), exits.BUS) from None
-        every, progress = config.limits.status_seconds, Progress()
+        progress = Progress()
         running = stack.enter_context(
             app.serving(
                 bus,
@@ -122,12 +123,12 @@ def run(args: argparse.Namespace) -> int:
                 names(host, args.name),
                 args.pictures,
                 clock.wall,
-                every,
+                config.limits.status_seconds,
                 not is_loopback(host),
                 progress,
                 config.health.stall_seconds,
                 login,
-                configured,
+                settings,
             )
         )
         stack.enter_context(
@@ -149,19 +150,19 @@ def run(args: argparse.Namespace) -> int:
     return exits.DONE
 
 
-def _login(config: Config) -> Login | None:
+def _login(config: Config) -> logins.Login | None:
     """Return the login of the configured password and token, if any. Raises `CommandError`."""
-    from camtopod.web import Login
+    from camtopod.web import login as logins
 
-    files = config.web.password_file, config.web.token_file
-    if not files[0]:
+    if not config.web.password_file:
         return None
+    files = (config.web.password_file, config.web.token_file)
     paths = [Path(file) for file in files if file]
     if exposed := secret_files.find_exposed(paths):
         raise CommandError(f"[web]: {exposed[0]}", exits.CONFIG)
     try:
         password, *token = [secret_files.read(path) for path in paths]
-        return Login(password, token[0] if token else None)
+        return logins.Login(password, token[0] if token else None)
     except OSError as error:
         raise InputError(f"cannot read {error.filename}: {error.strerror}") from None
     except ValueError as error:
@@ -179,17 +180,13 @@ def address(text: str) -> tuple[str, int]:
 
 
 def names(host: str, further: Sequence[str] = ()) -> list[str]:
-    """Return the host names to answer to.
+    """Return the host names to answer to, besides IP addresses.
 
     Others are refused: through a name that resolves to this machine, the page of another site could
     read this one (DNS rebinding).
     """
-    ours = ["localhost", "127.0.0.1", "[::1]", host, *further]
-    return (
-        ours
-        if is_loopback(host)
-        else [*ours, socket.gethostname(), f"{socket.gethostname()}.local"]
-    )
+    own = socket.gethostname()
+    return ["localhost", own, f"{own}.local", host, *further]
 
 
 def is_loopback(host: str) -> bool:
