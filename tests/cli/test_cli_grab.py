@@ -66,22 +66,18 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> type[FakeGrabber]:
     return FakeGrabber
 
 
+def grab_to(endpoint: str, folder: Path) -> list[str]:
+    """Return the arguments for the camera's events onto a bus."""
+    grab = ["grab", "--camera", "lobby", "x.mp4", "--state", str(folder)]
+    return ["--connect", endpoint, *grab]
+
+
 def test_lines_to_a_file_and_to_standard_output(
     tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
 ) -> None:
     out = tmp_path / "e.jsonl"
-    arguments = [
-        "grab",
-        "--camera",
-        "lobby",
-        "x.mp4",
-        "--start",
-        "5",
-        "--realtime",
-        "--speed",
-        "2",
-        "--out",
-    ]
+    arguments = ["grab", "--camera", "lobby", "x.mp4"]
+    arguments += ["--start", "5", "--realtime", "--speed", "2", "--out"]
     assert main([*arguments, str(out)]) == 0
     assert [event_from_json(line) for line in out.read_bytes().splitlines()] == EVENTS
     made = FakeGrabber.made[0]
@@ -184,16 +180,7 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> 
         client = buses.dial(small_config(tmp_path, daemon.endpoint))
         said: list[dict[str, Any]] = []
         client.subscribe("status/lobby", lambda key, raw: said.append(msgspec.msgpack.decode(raw)))
-        arguments = [
-            "--connect",
-            daemon.endpoint,
-            "grab",
-            "--camera",
-            "lobby",
-            "x.mp4",
-            "--state",
-            str(tmp_path),
-        ]
+        arguments = grab_to(daemon.endpoint, tmp_path)
         assert main(arguments) == 0
         assert daemon.status()["events"]["stored"] == len(EVENTS)
         wait_for(lambda: bool(said) and said[-1]["state"] == "ended", "the last status")
@@ -214,44 +201,23 @@ def test_it_tells_the_one_above_that_it_gets_on(
     overdue: float, states: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Progress is reported unless a call of OpenCV does not return, even if the loop goes on."""
-    ear = HeartbeatReceiver()
+    receiver = HeartbeatReceiver()
     heard: list[str] = []
     monkeypatch.setattr(FakeGrabber, "overdue_seconds", overdue)
 
     def between() -> None:
-        said = ear.listen()
+        said = receiver.newest()
         heard.extend([] if said is None else [said.state])
 
     monkeypatch.setattr(FakeGrabber, "between", staticmethod(between))
     with Daemon(small_config(tmp_path / "daemon")) as daemon:
-        arguments = [
-            "--connect",
-            daemon.endpoint,
-            "grab",
-            "--camera",
-            "lobby",
-            "x.mp4",
-            "--state",
-            str(tmp_path),
-        ]
-        assert (
-            main(
-                [
-                    *arguments,
-                    "--beat-fd",
-                    str(ear.child_fd),
-                    "--restarts",
-                    "2",
-                    "--last-end",
-                    "failed",
-                ]
-            )
-            == 0
-        )
+        arguments = grab_to(daemon.endpoint, tmp_path)
+        given = ["--beat-fd", str(receiver.child_fd), "--restarts", "2", "--last-end", "failed"]
+        assert main([*arguments, *given]) == 0
     between()
     assert heard == states
-    os.close(ear.child_fd)
-    ear.close()
+    os.close(receiver.child_fd)
+    receiver.close()
 
 
 def test_without_a_daemon_events_wait_in_the_spool(
@@ -259,16 +225,7 @@ def test_without_a_daemon_events_wait_in_the_spool(
 ) -> None:
     monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", 0.1)
     meeting = buses.open_daemon_session(small_config(tmp_path))
-    arguments = [
-        "--connect",
-        meeting.endpoint,
-        "grab",
-        "--camera",
-        "lobby",
-        "x.mp4",
-        "--state",
-        str(tmp_path),
-    ]
+    arguments = grab_to(meeting.endpoint, tmp_path)
     assert main(arguments) == 1
     assert (
         "20 events are not acknowledged: is `camtopod run` running for site site?"
@@ -287,13 +244,13 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
 ) -> None:
     """If it ended as failed, it would be started again, and all events would be duplicated."""
     monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", 0.05)
-    ear, said, looks = HeartbeatReceiver(), [], 0
+    receiver, said, looks = HeartbeatReceiver(), [], 0
     really_drained = Publisher.wait_acknowledged
 
     def drained(publisher: Publisher, seconds: float, most: int = 0) -> bool:
         nonlocal looks
         looks += 1
-        said.append(ear.listen())
+        said.append(receiver.newest())
         if looks == 4:
             daemon.start()
         return really_drained(publisher, serving.WAIT_SECONDS if looks >= 4 else seconds, most)
@@ -303,18 +260,9 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
         meeting = stack.enter_context(buses.open_daemon_session(small_config(tmp_path)))
         daemon = Daemon(small_config(tmp_path / "daemon"), meeting)
         stack.callback(daemon.stop)
-        arguments = [
-            "--connect",
-            meeting.endpoint,
-            "grab",
-            "--camera",
-            "lobby",
-            "x.mp4",
-            "--state",
-            str(tmp_path),
-        ]
+        arguments = grab_to(meeting.endpoint, tmp_path)
         if above == "supervisor":
-            arguments += ["--beat-fd", str(ear.child_fd)]
+            arguments += ["--beat-fd", str(receiver.child_fd)]
         else:
             monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
         assert main(arguments) == 0
@@ -322,8 +270,8 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
     assert (Heartbeat("ended", "waiting for the daemon to acknowledge 20 events") in said) == (
         above == "supervisor"
     )
-    os.close(ear.child_fd)
-    ear.close()
+    os.close(receiver.child_fd)
+    receiver.close()
 
 
 def test_a_live_source_goes_on_while_the_bus_is_away(
@@ -375,20 +323,8 @@ def test_ingest_counts_bad_lines_with_file_and_line(
     ]
     path.write_text("\n".join(lines))
     with Daemon(small_config(tmp_path / "daemon")) as daemon:
-        assert (
-            main(
-                [
-                    "--connect",
-                    daemon.endpoint,
-                    "ingest",
-                    "jsonl",
-                    str(path),
-                    "--state",
-                    str(tmp_path),
-                ]
-            )
-            == 0
-        )
+        ingest = ["ingest", "jsonl", str(path), "--state", str(tmp_path)]
+        assert main(["--connect", daemon.endpoint, *ingest]) == 0
         assert daemon.status()["events"]["stored"] == 5
     err = capsys.readouterr().err
     assert f"{path}:2: " in err

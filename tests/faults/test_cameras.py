@@ -219,22 +219,30 @@ def test_no_beat_while_opencv_does_not_come_back(tmp_path: Path) -> None:
         f'[bus]\nconnect = ["tcp/127.0.0.1:1"]\n[state]\ndirectory = "{tmp_path}"\n'
         f'{QUICK}[cameras.lobby]\nsource = "rtsp://127.0.0.1:1/x"\n'
     )
-    ear = HeartbeatReceiver()
-    line = ["--config", str(config), "grab", "--camera", "lobby", "--beat-fd", str(ear.child_fd)]
+    receiver = HeartbeatReceiver()
+    line = [
+        "--config",
+        str(config),
+        "grab",
+        "--camera",
+        "lobby",
+        "--beat-fd",
+        str(receiver.child_fd),
+    ]
     root = str(Path(__file__).parent.parent.parent)
     process = subprocess.Popen(
         [sys.executable, "-c", BLOCKED, *line],
-        pass_fds=(ear.child_fd,),
+        pass_fds=(receiver.child_fd,),
         stderr=subprocess.DEVNULL,
         env={**os.environ, "PYTHONPATH": root},
     )
-    os.close(ear.child_fd)
+    os.close(receiver.child_fd)
     try:
-        wait_for(lambda: ear.listen() is not None, "the first beat")
+        wait_for(lambda: receiver.newest() is not None, "the first beat")
         time.sleep(0.7 + 0.7 + live.MARGIN_SECONDS + 1.0)
-        ear.listen()
+        receiver.newest()
         time.sleep(1.5)
-        assert ear.listen() is None
+        assert receiver.newest() is None
         assert process.poll() is None
         began = time.monotonic()
         process.terminate()
@@ -243,7 +251,7 @@ def test_no_beat_while_opencv_does_not_come_back(tmp_path: Path) -> None:
     finally:
         process.kill()
         process.wait()
-        ear.close()
+        receiver.close()
 
 
 def test_a_call_of_opencv_that_takes_too_long_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -208,7 +208,7 @@ def test_a_hangup_in_the_first_moment_of_a_camera_s_process(under: Under) -> Non
 
     def look() -> None:
         child.look_after(
-            time.monotonic(), lambda camera, restarts, last_end, beat_fd: [*line, str(beat_fd)], fd
+            time.monotonic(), lambda process, heartbeat_fd: [*line, str(heartbeat_fd)], fd
         )
 
     look()

@@ -1,8 +1,8 @@
 """Supervision of camera processes: `camtopod grab` runs one process per camera.
 
 Read `supervisor` first (all cameras of a configuration), then `camera_process` (start, watchdog and
-restart of one process), `heartbeat` (the pipe between the two), `status_reporter` (status of
-cameras whose process cannot publish it) and `daemon_reach` (log lines about a lost daemon). `probe`
+restart of one process), `heartbeat` (the pipe between the two) and `status_reporter` (status of
+cameras whose process cannot publish it). `probe`
 opens cameras once, for `camtopod init` and `check --probe`; `discovery`, `onvif` and `finding` find
 cameras and their streams for `init`, `naming` gives them ids. `decision_words` says why a track
 became an event or not.

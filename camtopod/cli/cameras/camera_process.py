@@ -1,19 +1,17 @@
 """Process of one camera: started, watched by heartbeats, killed if it hangs, and restarted later.
 
-A watchdog kills the whole process, as releasing a capture from another thread crashes anyway. No
+A hung process is killed as a whole, as releasing a capture from another thread crashes anyway. No
 function here waits, so no camera delays another; the time is an argument (monotonic, seconds).
 """
 
 from __future__ import annotations
 
 import logging
-import math
 import os
 import random
 import signal
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from camtopod.cli import exits
@@ -24,18 +22,8 @@ from camtopod.vision.source import kind_of
 
 log = logging.getLogger(__name__)
 
-TRACE_SECONDS = 0.3
-"""Time that a hung process has to log where it hangs (SIGUSR1) before it is killed."""
 STOP_SECONDS = 4.5
-"""Time after which a process that was asked to end is killed."""
-START_FACTOR_MAX = 16
-"""Upper bound of the factor on the start timeout.
-
-Each slow start doubles the timeout of the next one; otherwise many cameras that start at once on a
-small machine would be killed forever.
-"""
-LOOK_SECONDS_MAX = 2.0
-"""After a longer gap between two looks, silence says nothing about the watched process."""
+"""Time after which a process that was asked to end, or to log where it hangs, is killed."""
 _HOPELESS = (exits.USAGE, exits.CONFIG)
 """Exit statuses after which a restart would not help."""
 _WORDS = {
@@ -48,102 +36,81 @@ _WORDS = {
 }
 """Exit status -> its meaning in words."""
 
-Command = Callable[[str, int, str, int], Sequence[str]]
-"""Function (camera, restarts, why it ended last, file descriptor for heartbeats) -> command line.
-"""
-
-
-def backoff_after(
-    backoff: float, ran: float, health: HealthSettings, chance: Callable[[], float] = random.random
-) -> tuple[float, float]:
-    """Return (seconds to wait now, next backoff) after a process that ran for ``ran`` seconds."""
-    if ran >= health.restart_seconds_max:
-        backoff = health.restart_seconds_min
-    return backoff * (0.5 + chance()), min(2 * backoff, health.restart_seconds_max)
+Command = Callable[["CameraProcess", int], Sequence[str]]
+"""Function (camera process, file descriptor for heartbeats) -> command line."""
 
 
 def exit_reason(status: int) -> str:
     """Return why a process ended, from its exit status as `subprocess` gives it."""
     if status >= 0:
         return f"{_WORDS.get(status, 'failed')} (status {status})"
-    known = {number.value: number.name for number in signal.Signals}
-    return f"killed by {known.get(-status, f'signal {-status}')}"
+    names = {number.value: number.name for number in signal.Signals}
+    return f"killed by {names.get(-status, f'signal {-status}')}"
 
 
 def with_restarts(times: int, why: str, reason: str = "") -> str:
     """Return ``reason`` followed by the number of restarts and the cause of the last one."""
     if not times:
         return reason
-    said = f"restarted {'once' if times == 1 else f'{times} times'}, last: {why}"
-    return f"{reason}; {said}" if reason and reason != why else said
-
-
-@contextmanager
-def _without_hangup() -> Iterator[None]:
-    """Block SIGHUP in processes started in this block, until they unblock it themselves."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    count = "once" if times == 1 else f"{times} times"
+    restarted = f"restarted {count}, last: {why}"
+    return f"{reason}; {restarted}" if reason and reason != why else restarted
 
 
 class CameraProcess:
     """Process of one camera, running or waiting to be started."""
 
     def __init__(self, camera: str, settings: CameraSettings, health: HealthSettings) -> None:
-        self.camera, self.settings, self._health = camera, settings, health
+        self.camera = camera
+        self.settings = settings
+        self.health = health
         self.process: subprocess.Popen[bytes] | None = None
-        self.state, self.reason = "connecting", ""
-        self.daemon: str | None = None
-        """Reason why the process does not reach the daemon; "" if it does, None if unknown."""
+        self.state = "connecting"
+        self.reason = ""
         self.restarts = 0
         self.last_end = ""
         """Reason why the last process ended."""
         self.status = 0
         """Last exit status; 1 after a signal."""
-        self.again_at: float | None = 0.0
+        self.start_at: float | None = 0.0
         """Time of the next start, monotonic clock.
 
         None if the process is running, has ended, or must not be restarted.
         """
         self._backoff = health.restart_seconds_min
-        self._started = self._heard = self._looked = 0.0
-        self._spoke = False
-        self._slow_starts = 0
-        self._ear: HeartbeatReceiver | None = None
+        self._started_at = 0.0
+        self._heartbeat_at: float | None = None
+        """Time of the last heartbeat; None before the first."""
+        self._receiver: HeartbeatReceiver | None = None
         self._kill_at: float | None = None
         self._hung = ""
-        self._told = False
+        """How long the process was silent, in words, if it is being killed for that."""
+        self._asked_to_end = False
 
     @property
     def over(self) -> bool:
         """Return True if there is no process and none is to be started."""
-        return self.process is None and self.again_at is None
+        return self.process is None and self.start_at is None
 
     @property
     def silent(self) -> bool:
         """Return True if no process publishes the camera's status."""
-        return self.process is None or not self._spoke
+        return self.process is None or self._heartbeat_at is None
 
     def look_after(self, now: float, command: Command, config_fd: int) -> None:
         """Start the process, read its heartbeats, or kill it, as needed; never waits."""
         if self.process is None:
-            if self.again_at is not None and now >= self.again_at:
+            if self.start_at is not None and now >= self.start_at:
                 self._start(now, command, config_fd)
             return
-        assert self._ear is not None
-        if now - self._looked > LOOK_SECONDS_MAX:
-            self._heard = now  # this process was suspended, too, and may have missed heartbeats
-        self._looked = now
 
         # Read the last heartbeat.
+        assert self._receiver is not None
         status = self.process.poll()  # before reading, so that its last heartbeat counts
-        said = self._ear.listen()
-        if said is not None:
-            self._heard, self._spoke, self._slow_starts = now, True, 0
-            self.state, self.reason = said.state, said.reason
-            self.daemon = said.daemon
+        if (heartbeat := self._receiver.newest()) is not None:
+            self._heartbeat_at = now
+            self.state = heartbeat.state
+            self.reason = heartbeat.reason
 
         # Handle its end, or kill it when its time is over.
         if status is not None:
@@ -151,35 +118,29 @@ class CameraProcess:
         elif self._kill_at is not None:
             if now >= self._kill_at:
                 self.process.kill()  # if it survives, wait for it: it holds the spool
-        elif now - self._heard > self._allowed():
-            self._hung = f"hung for {now - self._heard:.0f} s while {self.state}"
+        elif (silence := self._silence(now)) > 0.0:
+            self._hung = f"hung for {silence:.0f} s while {self.state}"
             log.error("camera %s: the process %s; killing it", self.camera, self._hung)
-            self._slow_starts += not self._spoke
-            self.process.send_signal(signal.SIGUSR1)
-            self._kill_at = now + TRACE_SECONDS
+            self._signal(signal.SIGABRT, now)  # it logs where it hangs
 
-    def request_end(self, now: float, then_at: float | None = None) -> None:
-        """Ask the process to end, and start it again after ``then_at`` (None: not again)."""
-        self.again_at = then_at
-        if self.process is not None and not self._told:
-            self._told = True
-            self.process.terminate()
-            self._kill_at = min(self._kill_at or math.inf, now + STOP_SECONDS)
+    def request_end(self, now: float, start_at: float | None = None) -> None:
+        """Ask the process to end, and start it again at ``start_at`` (None: not again)."""
+        self.start_at = start_at
+        if self.process is not None and not self._asked_to_end:
+            self._asked_to_end = True
+            self._signal(signal.SIGTERM, now)
 
-    def renew(
-        self, settings: CameraSettings, health: HealthSettings, now: float, restart: bool
-    ) -> None:
-        """Apply a new configuration; with ``restart`` the process restarts at once."""
-        self.settings, self._health = settings, health
-        if restart:
-            self._backoff = health.restart_seconds_min
-            self.request_end(now, then_at=now)
+    def restart(self, settings: CameraSettings, now: float) -> None:
+        """Start the process anew with other settings."""
+        self.settings = settings
+        self._backoff = self.health.restart_seconds_min
+        self.request_end(now, start_at=now)
 
     def summary(self, now: float) -> dict[str, Any]:
         """Return the status for ``status/{camera}`` while no process publishes it."""
         reason = with_restarts(self.restarts, self.last_end, self.reason)
-        if self.process is None and self.again_at is not None:
-            reason = f"restarting in {max(0.0, self.again_at - now):.0f} s; {reason}"
+        if self.process is None and self.start_at is not None:
+            reason = f"restarting in {max(0.0, self.start_at - now):.0f} s; {reason}"
         return {
             "camera": self.camera,
             "state": self.state,
@@ -188,82 +149,91 @@ class CameraProcess:
             "last_end": self.last_end,
         }
 
-    def _allowed(self) -> float:
-        """Return how long the process may be silent, seconds."""
-        if self._spoke:
-            return self._health.hung_seconds
-        return self._health.start_seconds * min(1 << self._slow_starts, START_FACTOR_MAX)
+    def _silence(self, now: float) -> float:
+        """Return how long the process has been silent, seconds; 0 if it may be."""
+        allowed = self.health.hung_seconds
+        since = self._heartbeat_at
+        if since is None:
+            allowed = self.health.start_seconds
+            since = self._started_at
+        return now - since if now - since > allowed else 0.0
+
+    def _signal(self, number: signal.Signals, now: float) -> None:
+        """Send a signal that should end the process; it is killed if it does not."""
+        assert self.process is not None
+        self.process.send_signal(number)
+        if self._kill_at is None:
+            self._kill_at = now + STOP_SECONDS
 
     def _start(self, now: float, command: Command, config_fd: int) -> None:
         """Start the process with a pipe for its heartbeats."""
-        try:
-            self._ear = ear = HeartbeatReceiver()
-        except OSError as error:
-            self._again(now, 0.0, f"cannot be started: {error.strerror}")
-            return
-
+        self._receiver = HeartbeatReceiver()
         # The child reports to this process, not to systemd.
-        environment = {
-            k: v for k, v in os.environ.items() if k not in (SOCKET_VARIABLE, "WATCHDOG_USEC")
-        }
-        line = command(self.camera, self.restarts, self.last_end, ear.child_fd)
+        hidden = (SOCKET_VARIABLE, "WATCHDOG_USEC")
+        environment = {name: value for name, value in os.environ.items() if name not in hidden}
+        # SIGHUP stays blocked until the child ignores or handles it.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
         try:
-            with _without_hangup():
-                self.process = subprocess.Popen(
-                    line,
-                    stdin=subprocess.DEVNULL,
-                    env=environment,
-                    pass_fds=(ear.child_fd, config_fd),
-                )
+            self.process = subprocess.Popen(
+                command(self, self._receiver.child_fd),
+                stdin=subprocess.DEVNULL,
+                env=environment,
+                pass_fds=(self._receiver.child_fd, config_fd),
+            )
         except OSError as error:  # no memory or too many processes: try again later
-            ear.close()
-            self._again(now, 0.0, f"cannot be started: {error.strerror}")
+            self._receiver.close()
+            self._restart_later(now, 0.0, f"cannot be started: {error.strerror}")
         else:
-            self._started = self._heard = self._looked = now
-            self._spoke = self._told = False
-            self._kill_at, self._hung, self.again_at = None, "", None
-            self.state, self.reason = "connecting", "the process is starting"
+            self._started_at = now
+            self._heartbeat_at = None
+            self._asked_to_end = False
+            self._kill_at = None
+            self._hung = ""
+            self.start_at = None
+            self.state = "connecting"
+            self.reason = "the process is starting"
         finally:
-            os.close(ear.child_fd)
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            os.close(self._receiver.child_fd)
 
     def _ended(self, status: int, now: float) -> None:
         """Handle the end of the process: finished, failed for good, or to be restarted."""
-        assert self._ear is not None
-        self._ear.close()
-        self.daemon = None
-        self.process, self.status = None, status if status >= 0 else exits.FAILED
+        assert self._receiver is not None
+        self._receiver.close()
+        self.process = None
+        self.status = status if status >= 0 else exits.FAILED
 
-        # Asked to end, finished, failed for good, or to be restarted.
-        if self._told:
+        if self._asked_to_end:
             self.status = 0
-            self.state, self.reason = "ended", ""
+            self.state = "ended"
+            self.reason = ""
         elif status == exits.DONE and self.state == "ended":  # a file; a stream never ends
             log.info("camera %s has ended", self.camera)
         elif status in _HOPELESS:
-            self.state, self.reason = "failed", f"{exit_reason(status)}; it is not restarted"
-            log.error("camera %s %s", self.camera, self.reason)
+            self._give_up(f"{exit_reason(status)}; it is not restarted")
         else:
-            why = self._hung or ("ended by itself" if status == exits.DONE else exit_reason(status))
+            why = "ended by itself" if status == exits.DONE else exit_reason(status)
+            why = self._hung or why
             if self.state in ("running", "ended") and kind_of(self.settings.source) == "file":
-                self.state, self.reason = (
-                    "failed",
-                    f"{why}; not restarted, as the events of a file would count twice",
-                )
-                log.error("camera %s: %s", self.camera, self.reason)
+                self._give_up(f"{why}; not restarted, as the events of a file would count twice")
             else:
-                self._again(now, now - self._started, why)
+                self._restart_later(now, now - self._started_at, why)
 
-    def _again(self, now: float, ran: float, why: str) -> None:
-        """Schedule a restart."""
-        wait, self._backoff = backoff_after(self._backoff, ran, self._health)
-        self.again_at = now + wait
+    def _give_up(self, reason: str) -> None:
+        """Note and log why the process is not started again."""
+        self.state = "failed"
+        self.reason = reason
+        log.error("camera %s: %s", self.camera, reason)
+
+    def _restart_later(self, now: float, ran: float, why: str) -> None:
+        """Schedule a restart; the wait doubles unless the process ran for a while."""
+        if ran >= self.health.restart_seconds_max:
+            self._backoff = self.health.restart_seconds_min
+        wait = self._backoff * (0.5 + random.random())
+        self._backoff = min(2 * self._backoff, self.health.restart_seconds_max)
+        self.start_at = now + wait
         self.restarts += 1
         self.last_end = why
-        self.state, self.reason = "restarting", why
-        log.warning(
-            "camera %s: %s; restarting in %.1f s (restart %d)",
-            self.camera,
-            why,
-            wait,
-            self.restarts,
-        )
+        self.state = "restarting"
+        self.reason = why
+        log.warning("camera %s: %s; restarting in %.1f s", self.camera, why, wait)

@@ -17,7 +17,7 @@ from camtopod.serve.runtime import systemd
 REASON_CHARACTERS_MAX = 300
 """Longest reason in a heartbeat."""
 _READ_BYTES = 65536
-"""Most bytes read at a time, and most of an unfinished line."""
+"""Most bytes read at a time: all that a pipe holds."""
 
 
 class Heartbeat(Struct, frozen=True):
@@ -25,8 +25,6 @@ class Heartbeat(Struct, frozen=True):
 
     state: str
     reason: str
-    daemon: str | None = None
-    """Reason why the daemon is not reached; "" if it is reached, None while that is not known."""
 
 
 class HeartbeatSender:
@@ -35,29 +33,30 @@ class HeartbeatSender:
     def __init__(self, fd: int | None) -> None:
         """fd: write end of the supervisor's pipe; None if there is only systemd."""
         self._fd = fd
-        self._said = Heartbeat("", "")
-        self._next = 0.0
+        self._last = Heartbeat("", "")
+        self._next_at = 0.0
         if fd is not None:
             os.set_blocking(fd, False)
             os.set_inheritable(fd, False)
 
-    def beat(self, state: str, reason: str, daemon: str | None = None) -> None:
+    def beat(self, state: str, reason: str) -> None:
         """Send a heartbeat unless nothing changed and the last one is recent; never blocks."""
         now = time.monotonic()
-        reached = None if daemon is None else redact(daemon)[:REASON_CHARACTERS_MAX]
-        said = Heartbeat(state, redact(reason)[:REASON_CHARACTERS_MAX], reached)
-        if now < self._next and said == self._said:
+        heartbeat = Heartbeat(state, redact(reason)[:REASON_CHARACTERS_MAX])
+        if now < self._next_at and heartbeat == self._last:
             return
-        first, self._said, self._next = not self._said.state, said, now + systemd.feed_seconds()
+        first = not self._last.state
+        self._last = heartbeat
+        self._next_at = now + systemd.feed_seconds()
         if self._fd is None:
-            text = systemd.status(f"{said.state}: {said.reason}" if said.reason else said.state)
+            text = systemd.status(f"{state}: {heartbeat.reason}" if reason else state)
             systemd.notify("WATCHDOG=1", text, *(["READY=1"] if first else []))
             return
         try:
-            os.write(self._fd, msgspec.json.encode(said) + b"\n")
+            os.write(self._fd, msgspec.json.encode(heartbeat) + b"\n")
         except BlockingIOError:  # the supervisor is not reading at the moment
             pass
-        except BrokenPipeError:  # the supervisor has gone; `leaving` ends this process
+        except BrokenPipeError:  # the supervisor has gone; `ends_within` ends this process
             self._fd = None
 
 
@@ -68,23 +67,14 @@ class HeartbeatReceiver:
         self._fd, self.child_fd = os.pipe()
         """Descriptor for the child; close it here once the child has it."""
         os.set_blocking(self._fd, False)
-        self._rest = b""
 
-    def listen(self) -> Heartbeat | None:
+    def newest(self) -> Heartbeat | None:
         """Return the newest heartbeat since the last call; None if there was none. Never blocks."""
         try:
-            heard = os.read(self._fd, _READ_BYTES)
+            lines = os.read(self._fd, _READ_BYTES).splitlines()
         except BlockingIOError:
             return None
-        *lines, self._rest = (self._rest + heard).split(b"\n")
-        if len(self._rest) > _READ_BYTES:
-            self._rest = b""
-        for line in reversed(lines):
-            try:
-                return msgspec.json.decode(line, type=Heartbeat)
-            except (msgspec.MsgspecError, UnicodeDecodeError):
-                continue
-        return None
+        return msgspec.json.decode(lines[-1], type=Heartbeat) if lines else None
 
     def close(self) -> None:
         """Close the pipe once the child has ended."""

@@ -6,10 +6,13 @@ from __future__ import annotations
 
 import logging
 import threading
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from camtopod.config import Config
 from camtopod.serve.runtime import clock
+
+if TYPE_CHECKING:
+    from camtopod.serve.bus import Bus
 
 log = logging.getLogger(__name__)
 
@@ -26,54 +29,47 @@ class StatusReporter:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._statuses: dict[str, dict[str, Any]] = {}
-        self._something = threading.Event()
+        self._buses: dict[str, Bus] = {}
+        """One per camera, which may have a certificate of its own."""
         self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._speak, name="speaker", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="statuses", daemon=True)
         self._thread.start()
 
-    def say(self, statuses: dict[str, dict[str, Any]]) -> None:
+    def publish(self, statuses: dict[str, dict[str, Any]]) -> None:
         """Publish these statuses from now on, and no others; never blocks."""
         self._statuses = statuses
-        if statuses:
-            self._something.set()
 
     def close(self) -> bool:
         """Stop publishing; return False if the bus blocks and is left open."""
         self._closed.set()
-        self._something.set()
         self._thread.join(CLOSE_SECONDS)
         return not self._thread.is_alive()
 
-    def _speak(self) -> None:
-        """Connect for each camera, and publish its status until the end."""
-        self._something.wait()
-        if self._closed.is_set():
-            return
-        from camtopod.serve.bus import Bus, dial
-
-        buses: dict[str, Bus] = {}  # one per camera, which may have a certificate of its own
-        while not self._closed.is_set():
+    def _run(self) -> None:
+        while not self._closed.wait(self._config.limits.status_seconds):
             statuses = self._statuses
-            for camera in buses.keys() - statuses.keys():
-                buses.pop(camera).close()
+            for camera in self._buses.keys() - statuses.keys():
+                self._buses.pop(camera).close()
             for camera in statuses:
                 try:
-                    if camera not in buses:
-                        buses[camera] = bus = dial(self._config.certified(camera))
-                        bus.answer_queries(
-                            f"status/{camera}", lambda key, _: self._of(key), "status"
-                        )
-                    buses[camera].publish(
-                        f"status/{camera}", self._of(f"status/{camera}"), "status"
-                    )
+                    self._publish(camera)
                 except OSError as error:
                     # No bus, as the cameras' own processes report, or no readable key.
                     log.debug("the status of camera %s cannot be published: %s", camera, error)
-            self._closed.wait(self._config.limits.status_seconds)
-        for bus in buses.values():
+        for bus in self._buses.values():
             bus.close()
 
-    def _of(self, key: str) -> dict[str, Any] | None:
+    def _publish(self, camera: str) -> None:
+        """Publish the status of one camera. Raises `OSError` if there is no bus."""
+        from camtopod.serve.bus import dial
+
+        key = f"status/{camera}"
+        if camera not in self._buses:
+            self._buses[camera] = dial(self._config.certified(camera))
+            self._buses[camera].answer_queries(key, lambda key, _: self._status(key), "status")
+        self._buses[camera].publish(key, self._status(key), "status")
+
+    def _status(self, key: str) -> dict[str, Any] | None:
         """Return the status on ``key``; None, which sends no reply, if the camera's process answers
         itself.
         """

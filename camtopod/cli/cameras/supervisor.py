@@ -10,11 +10,9 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Sequence
 
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import STOP_SECONDS, CameraProcess
-from camtopod.cli.cameras.daemon_reach import DaemonReachLog
 from camtopod.cli.cameras.status_reporter import StatusReporter
 from camtopod.cli.common import SignalRequests, configuration_and_text
 from camtopod.cli.exits import CommandError
@@ -25,8 +23,10 @@ log = logging.getLogger(__name__)
 
 _LOOK_SECONDS = 0.1
 """Interval at which the processes are checked."""
-_SPEAK_SECONDS = 0.5
-"""Interval at which the statuses of silent cameras are updated."""
+_REPORT_SECONDS = 0.5
+"""Interval at which systemd is notified and the statuses of silent cameras are updated."""
+_NAMED_MAX = 10
+"""Most cameras named in `systemctl status`."""
 _OF_ALL = ("site", "bus", "state", "limits")
 """Tables that every camera's process reads: a change restarts all cameras.
 
@@ -34,7 +34,9 @@ A change of ``[vision]`` restarts those whose own table does not override it.
 """
 
 
-def supervise(args: argparse.Namespace, config: Config, text: bytes, told: SignalRequests) -> int:
+def supervise(
+    args: argparse.Namespace, config: Config, text: bytes, requests: SignalRequests
+) -> int:
     """Run `camtopod grab` for every camera until all have ended or a signal arrives.
 
     Returns the worst exit status. ``text`` is the content of the configuration; each process gets
@@ -42,77 +44,59 @@ def supervise(args: argparse.Namespace, config: Config, text: bytes, told: Signa
     `CommandError` if a camera has no source.
     """
     _require_sources(config, text, args)
-    site = _Cameras(args, config, text)
+    supervisor = _Supervisor(args, config, text)
     try:
-        while not told.stop.is_set() and not site.over:
-            if told.reload.is_set():
-                told.reload.clear()
+        while not requests.stop.is_set() and not supervisor.over:
+            if requests.reload.is_set():
+                requests.reload.clear()
                 systemd.reloading()
-                site.reload()
-            site.look_after()
-            told.stop.wait(_LOOK_SECONDS)
+                supervisor.reload()
+            supervisor.look_after()
+            requests.stop.wait(_LOOK_SECONDS)
     finally:
-        closed = site.end()
-    status = exits.DONE if told.stop.is_set() else site.status
+        closed = supervisor.end()
+    status = exits.DONE if requests.stop.is_set() else supervisor.status
     if not closed:  # a bus that was not closed would keep the process from ending
         os._exit(status)
     return status
 
 
-class _Cameras:
+class _Supervisor:
     """Processes of all cameras, and what is reported about them."""
 
     def __init__(self, args: argparse.Namespace, config: Config, text: bytes) -> None:
-        self._args, self._config = args, config
+        self._args = args
+        self._config = config
         self._config_fd = _in_memory(text)
-        self._children = {
+        self._processes = {
             name: CameraProcess(name, _filled(config, name), config.health)
             for name in config.cameras
         }
-        self._leaving: list[CameraProcess] = []
-        self._speaker = StatusReporter(config)
-        self._reach = DaemonReachLog()
-        self._next_word = self._next_feeding = 0.0
-        self._summary = ""
+        """Those of removed cameras are included until they have ended."""
+        self._reporter = StatusReporter(config)
+        self._report_at = 0.0
 
     @property
     def over(self) -> bool:
         """Return True if all processes have ended and none is to be restarted."""
-        return all(child.over for child in [*self._children.values(), *self._leaving])
+        return all(process.over for process in self._processes.values())
 
     @property
     def status(self) -> int:
         """Return the worst exit status."""
-        return max((child.status for child in self._children.values()), default=0)
+        return max((process.status for process in self._processes.values()), default=0)
 
     def look_after(self) -> None:
         """Check every process once; never waits for a camera."""
-        for child in [*self._leaving, *self._children.values()]:
-            child.look_after(time.monotonic(), self._command, self._config_fd)
-        self._leaving = [child for child in self._leaving if not child.over]
-
-        # Log whether the daemon is reached.
         now = time.monotonic()
-        known = {name: child.daemon for name, child in self._children.items()}
-        self._reach.tell({name: why for name, why in known.items() if why is not None}, now)
-
-        # Publish the status of cameras whose process cannot.
-        if now >= self._next_word:
-            self._next_word = now + _SPEAK_SECONDS
-            silent = [child for child in self._children.values() if child.silent]
-            self._speaker.say(
-                {
-                    child.camera: child.summary(now)
-                    for child in silent
-                    if child.restarts or child.over
-                }
-            )
-
-        # Report to systemd.
-        if now >= self._next_feeding:
-            self._next_feeding = now + systemd.feed_seconds()
-            systemd.notify("WATCHDOG=1")
-        self._tell_systemd(now)
+        for process in self._processes.values():
+            process.look_after(now, self._command, self._config_fd)
+        for name in self._processes.keys() - self._config.cameras.keys():
+            if self._processes[name].over:
+                del self._processes[name]
+        if now >= self._report_at:
+            self._report_at = now + min(_REPORT_SECONDS, systemd.feed_seconds())
+            self._report(now)
 
     def reload(self) -> None:
         """Reload the configuration.
@@ -124,49 +108,41 @@ class _Cameras:
             _require_sources(config, text, self._args)
         except CommandError as error:
             log.error("the old configuration stays in use: %s", " ".join(str(error).splitlines()))
-            self._summary = ""
             return
-
-        # Switch to the new configuration.
-        now = time.monotonic()
-        old, self._config = self._config, config
+        old = self._config
+        self._config = config
         os.close(self._config_fd)
         self._config_fd = _in_memory(text)
+
+        # Restart or start cameras.
+        now = time.monotonic()
         every = any(getattr(old, table) != getattr(config, table) for table in _OF_ALL)
-
-        # End the removed cameras.
-        for name in [name for name in self._children if name not in config.cameras]:
-            child = self._children.pop(name)
-            child.request_end(now)
-            self._leaving.append(child)
-
-        # Start new cameras, restart changed ones.
-        started: list[str] = []
-        anew: list[str] = []
-        ending = {child.camera: child for child in self._leaving}
+        started = []
+        restarted = []
         for name in config.cameras:
-            camera = _filled(config, name)
-            known = self._children.get(name)
-            child = known or ending.pop(name, None) or CameraProcess(name, camera, config.health)
-            changed = known is None or every or child.settings != camera
-            if changed:
-                (started if known is None else anew).append(name)
-            child.renew(camera, config.health, now, changed)
-            self._children[name] = child
-        self._leaving = list(ending.values())
+            settings = _filled(config, name)
+            process = self._processes.get(name)
+            if process is None:
+                self._processes[name] = CameraProcess(name, settings, config.health)
+                started.append(name)
+                continue
+            process.health = config.health
+            if every or name not in old.cameras or process.settings != settings:
+                process.restart(settings, now)
+                restarted.append(name)
 
-        # Publish statuses on the new bus.
+        # End removed cameras.
+        ended = sorted(self._processes.keys() - config.cameras.keys())
+        for name in ended:
+            self._processes[name].request_end(now)
+
         if (old.site, old.bus) != (config.site, config.bus):
-            self._speaker.close()
-            self._speaker = StatusReporter(config)
-
-        # Log what happens.
-        gone = [child.camera for child in self._leaving]
+            self._reporter.close()
+            self._reporter = StatusReporter(config)
         log.info(
             "the configuration is reloaded; cameras started: %s; restarted: %s; ended: %s",
-            *(", ".join(names) or "none" for names in (started, anew, gone)),
+            *(", ".join(names) or "none" for names in (started, restarted, ended)),
         )
-        self._summary = ""
 
     def end(self) -> bool:
         """End all processes, killing those that do not end in time.
@@ -174,65 +150,52 @@ class _Cameras:
         Returns False if the bus blocks and is left open.
         """
         systemd.notify("STOPPING=1")
-        everyone = [*self._children.values(), *self._leaving]
-        for child in everyone:
-            child.request_end(time.monotonic())
+        for process in self._processes.values():
+            process.request_end(time.monotonic())
         deadline = time.monotonic() + STOP_SECONDS + 1.0
-        while not all(child.over for child in everyone) and time.monotonic() < deadline:
-            for child in everyone:
-                child.look_after(time.monotonic(), self._command, self._config_fd)
+        while not self.over and time.monotonic() < deadline:
+            for process in self._processes.values():
+                process.look_after(time.monotonic(), self._command, self._config_fd)
             time.sleep(_LOOK_SECONDS / 5)
         os.close(self._config_fd)
-        return self._speaker.close()
+        return self._reporter.close()
 
-    def _tell_systemd(self, now: float) -> None:
-        """Report to `systemctl status` how many cameras run, and the state of the others."""
-        running = sum(child.state == "running" for child in self._children.values())
-        wrong = [
-            f"{child.camera}: {child.state}"
-            for child in self._children.values()
-            if child.state != "running"
-        ]
-        summary = f"{running} of {len(self._children)} cameras run" + "".join(
-            f"; {one}" for one in wrong[:10]
+    def _report(self, now: float) -> None:
+        """Publish the statuses of cameras whose processes cannot, and report to systemd."""
+        self._reporter.publish(
+            {
+                process.camera: process.summary(now)
+                for process in self._processes.values()
+                if process.silent and (process.restarts or process.over)
+            }
         )
-        if summary != self._summary:
-            self._summary = summary
-            systemd.notify("READY=1", systemd.status(summary))
+        others = [
+            f"; {process.camera}: {process.state}"
+            for process in self._processes.values()
+            if process.state != "running"
+        ]
+        running = len(self._processes) - len(others)
+        summary = f"{running} of {len(self._processes)} cameras run{''.join(others[:_NAMED_MAX])}"
+        systemd.notify("READY=1", "WATCHDOG=1", systemd.status(summary))
 
-    def _command(self, camera: str, restarts: int, last_end: str, beat_fd: int) -> Sequence[str]:
+    def _command(self, process: CameraProcess, heartbeat_fd: int) -> list[str]:
         """Return the command line of a camera's process."""
-        return command(camera, self._args, self._config_fd, restarts, last_end, beat_fd)
+        return command(process, self._args, self._config_fd, heartbeat_fd)
 
 
 def command(
-    camera: str,
-    args: argparse.Namespace,
-    config_fd: int,
-    restarts: int,
-    last_end: str,
-    beat_fd: int,
+    process: CameraProcess, args: argparse.Namespace, config_fd: int, heartbeat_fd: int
 ) -> list[str]:
     """Return the command line of a camera's process; it contains no source, so no password."""
-    line = [
-        sys.executable,
-        "-m",
-        "camtopod",
-        "--config",
-        str(args.config),
-        "--log-format",
-        args.log_format,
-    ]
-    if (level := getattr(args, "log_level", "info")) != "info":
-        line += ["--log-level", level]
+    line = [sys.executable, "-m", "camtopod", "--config", str(args.config)]
+    line += ["--log-format", args.log_format, "--log-level", getattr(args, "log_level", "info")]
     if args.site is not None:
         line += ["--site", args.site]
     for endpoint in args.connect:
         line += ["--connect", endpoint]
-    line += ["grab", "--camera", camera, "--with-parent", str(os.getpid())]
-    line += ["--config-fd", str(config_fd), "--beat-fd", str(beat_fd)]
-    if restarts:
-        line += ["--restarts", str(restarts), "--last-end", last_end]
+    line += ["grab", "--camera", process.camera, "--with-parent", str(os.getpid())]
+    line += ["--config-fd", str(config_fd), "--beat-fd", str(heartbeat_fd)]
+    line += ["--restarts", str(process.restarts), "--last-end", process.last_end]
     for option in ("state", "start", "speed"):
         if getattr(args, option) is not None:
             line += [f"--{option}", str(getattr(args, option))]

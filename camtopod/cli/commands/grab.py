@@ -12,7 +12,6 @@ import logging
 import math
 import os
 import re
-import signal
 import threading
 import time
 from pathlib import Path
@@ -132,13 +131,11 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Grab until the file ends or a signal arrives."""
     start_logging(args)
-    faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
+    faulthandler.enable(file=2)  # systemd and the supervisor end a hung process with SIGABRT
     descriptors.raise_limit()
     with signals() as told:
         if args.camera is None:
             return _all(args, told)
-        # The supervisor sends SIGUSR1 before it kills a hung process, to log where it hangs.
-        faulthandler.register(signal.SIGUSR1, file=2)
         with ends_within(told.stop, LEAVE_SECONDS, args.with_parent) as left:
             return _one(args, told, left)
 
@@ -402,11 +399,11 @@ def _publish_all(
 ) -> None:
     """Publish events and statuses until the source ends or a signal arrives."""
     said, next_status = _Said(grabber), 0.0
-    heart.beat(grabber.state, grabber.reason, connection.daemon)
+    heart.beat(grabber.state, grabber.reason)
     for event in grabber.events():
         if grabber.overdue_seconds == 0.0:  # otherwise the watchdog ends this process
             # Before the event: once a beat says "running", a file is not read again.
-            heart.beat(grabber.state, grabber.reason, connection.daemon)
+            heart.beat(grabber.state, grabber.reason)
         if event is not None:
             publisher.publish(event)
         else:
@@ -426,7 +423,7 @@ def _publish_all(
             return
     publisher.retry()
     connection.tell_status()
-    heart.beat(grabber.state, grabber.reason, connection.daemon)
+    heart.beat(grabber.state, grabber.reason)
 
 
 def _drain(
@@ -452,7 +449,6 @@ def _drain(
         heart.beat(
             grabber.state,
             f"waiting for the daemon to acknowledge {publisher.unacknowledged} events",
-            connection.daemon,
         )
 
 
@@ -466,12 +462,9 @@ class _Connection:
         self, config: Config, grabber: Grabber, publisher: Publisher, args: argparse.Namespace
     ) -> None:
         self._config, self._grabber, self._publisher = config, grabber, publisher
-        # With a heartbeat the supervisor logs a lost daemon, once for all cameras.
-        self._tells = args.beat_fd is None
         self._daemons: set[str] = set()
-        self.daemon: str | None = None
-        """Reason why the daemon is not reached; "" if it is reached, None while that is not known.
-        """
+        self._unreached = ""
+        """Reason why the daemon is not reached; "" if it is reached, or that is not known yet."""
         self._restarts, self._last_end = args.restarts or 0, args.last_end
         self._bus: Bus | None = None
         self._closed = threading.Event()
@@ -531,13 +524,13 @@ class _Connection:
 
     def _note(self, why: str) -> None:
         """Store why the daemon is not reached ("" if it is), and log a change."""
-        before, self.daemon = self.daemon, why
-        if not self._tells or bool(why) == bool(before):
-            return
-        if why:
-            log.warning("%s; events are kept in the spool", why)
-        elif before:
-            log.info("connected to the daemon again")
+        before = self._unreached
+        self._unreached = why
+        camera = self._grabber.camera
+        if why and not before:
+            log.warning("camera %s: %s; events are kept in the spool", camera, why)
+        elif before and not why:
+            log.info("camera %s: connected to the daemon again", camera)
 
     def other_site(self) -> str:
         """Return which site has a daemon if this one has none; see `camtopod.cli.site_choice`."""
