@@ -20,6 +20,24 @@ TOPOLOGY_SCHEMA = "camtopod/topology/1"
 DELTA_SCHEMA = "camtopod/topology-delta/1"
 """`Delta.schema` of the deltas that this program reads and writes."""
 
+LAG_BINS_MAX = 1_000
+"""Most lag bins that a model may have; learned topologies have about 90."""
+
+# Ranges of numbers, checked on decoding. They are those of any possible site, not of a likely one.
+Count = Annotated[int, Meta(ge=0, le=2**53)]
+Number = Annotated[float, Meta(ge=0, le=1e15)]
+"""Expected number, or a rate."""
+Share = Annotated[float, Meta(ge=0, le=1.001)]
+"""Share or probability; the upper end allows for rounding."""
+Seconds = Annotated[float, Meta(ge=-1e11, le=1e11)]
+"""Time since 1970, or a lag, which may be negative."""
+Duration = Annotated[float, Meta(ge=0, le=1e11)]
+"""Seconds, not negative."""
+Covariance = Annotated[
+    list[Annotated[list[Annotated[float, Meta(ge=-1, le=1)]], Meta(min_length=2, max_length=2)]],
+    Meta(min_length=2, max_length=2),
+]
+
 CameraId = Annotated[str, Meta(pattern=CAMERA_PATTERN)]
 Kind = Literal["entry", "exit"]
 Relation = Literal["visible", "overlapped", "unseen"]
@@ -40,7 +58,7 @@ class Event(Struct, frozen=True, omit_defaults=True, gc=False):
     """Id of the camera."""
     kind: Kind
     """``entry`` or ``exit``."""
-    t: Annotated[float, Meta(ge=-1e11, le=1e11)]
+    t: Seconds
     """Time of capture, seconds since the Unix epoch."""
     x: Annotated[float, Meta(ge=0, le=1)] | None = None
     """Foot point, as a fraction of the image's width from the left; with ``y`` or not at all."""
@@ -71,11 +89,11 @@ class Zone(Struct, frozen=True, omit_defaults=True):
 
     id: str
     camera: str
-    entries: int
-    exits: int
-    x: float | None = None
-    y: float | None = None
-    cov: list[list[float]] | None = None
+    entries: Count
+    exits: Count
+    x: Share | None = None
+    y: Share | None = None
+    cov: Covariance | None = None
 
 
 class Camera(Struct, frozen=True):
@@ -86,10 +104,10 @@ class Camera(Struct, frozen=True):
         None if unknown.
     """
 
-    id: str
+    id: CameraId
     zones: list[str]
-    clock_offset: float = 0.0
-    clock_offset_sd: float | None = None
+    clock_offset: Seconds = 0.0
+    clock_offset_sd: Duration | None = None
 
 
 class Transit(Struct, frozen=True, omit_defaults=True):
@@ -100,14 +118,14 @@ class Transit(Struct, frozen=True, omit_defaults=True):
     errors of the mean and of the median.
     """
 
-    mode: float
-    mean: float
-    sd: float
-    q10: float
-    q50: float
-    q90: float
-    mean_sd: float | None = None
-    q50_sd: float | None = None
+    mode: Seconds
+    mean: Seconds
+    sd: Duration
+    q10: Seconds
+    q50: Seconds
+    q90: Seconds
+    mean_sd: Duration | None = None
+    q50_sd: Duration | None = None
 
 
 class Histogram(Struct, frozen=True, omit_defaults=True):
@@ -120,9 +138,11 @@ class Histogram(Struct, frozen=True, omit_defaults=True):
     """
 
     first: int
-    mass: list[int | float]
-    unit: float = 1.0
-    delay: float = 0.0
+    mass: Annotated[
+        list[Annotated[int, Meta(ge=0, le=10**15)] | Number], Meta(max_length=LAG_BINS_MAX)
+    ]
+    unit: Number = 1.0
+    delay: Duration = 0.0
 
 
 class Lacks(Struct, frozen=True):
@@ -132,8 +152,8 @@ class Lacks(Struct, frozen=True):
     seconds: the time that these take at the present traffic.
     """
 
-    passages: float
-    seconds: float
+    passages: Number
+    seconds: Duration
 
 
 class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
@@ -152,11 +172,11 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     from_: str
     to: str
     relation: Relation
-    probability: float
-    transitions: float
+    probability: Share
+    transitions: Number
     transit: Transit
-    q_value: float
-    mahalanobis_variance: float
+    q_value: Share
+    mahalanobis_variance: Number
     histogram: Histogram | None = None
     lacks: Lacks | None = None
     operator: Literal["right", "wrong"] | None = None
@@ -182,11 +202,11 @@ class ZoneModel(Struct, frozen=True):
     """Parameters of a zone that prediction needs beyond its links."""
 
     zone: str
-    departures: int
+    departures: Count
     """Exits at this zone in the window from which the links were learned."""
-    arrival_rate: float
+    arrival_rate: Number
     """Rate of entries without a departure that explains them, per second."""
-    stay: list[float]
+    stay: list[Duration]
     """Deciles (11) of the dwell times, in seconds, of the passages that end here; empty if unknown.
     """
 
@@ -199,8 +219,8 @@ class CameraModel(Struct, frozen=True):
     """
 
     camera: str
-    share: float
-    last_event: float
+    share: Share
+    last_event: Seconds
 
 
 class Outcome(Struct, frozen=True):
@@ -212,9 +232,9 @@ class Outcome(Struct, frozen=True):
     """
 
     to: str
-    share: float
+    share: Share
     hazard: Histogram
-    doubt: float = 0.0
+    doubt: Share = 0.0
 
 
 class Onward(Struct, frozen=True):
@@ -225,7 +245,7 @@ class Onward(Struct, frozen=True):
     """
 
     zone: str
-    leave: float
+    leave: Share
     next_: list[Outcome]
 
 
@@ -251,10 +271,10 @@ class Context(Struct, frozen=True, omit_defaults=True):
     """
 
     zone: str
-    departures: float
-    to: dict[str, float]
+    departures: Number
+    to: dict[str, Number]
     entry: str | None = None
-    block: int | None = None
+    block: Count | None = None
     previous: str | None = None
 
 
@@ -266,7 +286,7 @@ class Way(Struct, frozen=True):
 
     entry: str
     exit: str
-    stay: float
+    stay: Annotated[float, Meta(ge=1e-6, le=1e11)]
 
 
 class Pace(Struct, frozen=True):
@@ -280,9 +300,9 @@ class Pace(Struct, frozen=True):
     sd: standard deviation of the slowness.
     """
 
-    scaling: float
-    correlation: float
-    sd: float
+    scaling: Annotated[float, Meta(ge=0, le=10)]
+    correlation: Annotated[float, Meta(ge=-1, le=1)]
+    sd: Annotated[float, Meta(ge=0, le=10)]
     ways: list[Way]
 
 
@@ -300,7 +320,7 @@ class Overlap(Struct, frozen=True):
 
     camera: str
     to: str
-    share: float
+    share: Share
     same: Histogram
     others: Histogram
 
@@ -311,10 +331,10 @@ class Model(Struct, frozen=True):
     Lag bin ``k`` starts at ``lag_scale * sinh(lag_step * k)`` seconds.
     """
 
-    lag_scale: float
-    lag_step: float
-    lag_min: float
-    lag_max: float
+    lag_scale: Annotated[float, Meta(ge=1e-3, le=1e6)]
+    lag_step: Annotated[float, Meta(ge=1e-4, le=10)]
+    lag_min: Annotated[float, Meta(ge=-1e6, le=1e6)]
+    lag_max: Annotated[float, Meta(ge=-1e6, le=1e6)]
     zones: list[ZoneModel]
     cameras: list[CameraModel]
     clocks_corrected: bool = False
@@ -339,7 +359,7 @@ class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
 
     from_: str
     to: str
-    probability: float
+    probability: Share
 
 
 class Alarm(Struct, frozen=True):
@@ -352,8 +372,8 @@ class Alarm(Struct, frozen=True):
     detail: a text for people.
     """
 
-    version: int
-    t: float
+    version: Count
+    t: Seconds
     kind: str
     subject: str
     detail: str
@@ -371,13 +391,13 @@ class SelfScore(Struct, frozen=True):
         next camera of a camera.
     """
 
-    exits: int
-    since_version: int
-    log_loss: float
-    top1: float
-    top3: float
-    baseline_log_loss: float
-    baseline_top1: float
+    exits: Count
+    since_version: Count
+    log_loss: Number
+    top1: Share
+    top3: Share
+    baseline_log_loss: Number
+    baseline_top1: Share
 
 
 class Topology(Struct, frozen=True, omit_defaults=True):
@@ -389,9 +409,9 @@ class Topology(Struct, frozen=True, omit_defaults=True):
     schema: str
     site: str
     epoch: str
-    version: int
-    as_of: float
-    events: int
+    version: Count
+    as_of: Seconds
+    events: Count
     digest: str
     cameras: list[Camera]
     zones: list[Zone]
@@ -419,9 +439,9 @@ class Delta(Struct, frozen=True, omit_defaults=True):
     schema: str
     site: str
     epoch: str
-    version: int
-    as_of: float
-    events: int
+    version: Count
+    as_of: Seconds
+    events: Count
     digest: str
     cameras: list[Camera] = field(default_factory=list)
     zones: list[Zone] = field(default_factory=list)

@@ -143,20 +143,25 @@ WRONG = {
 
 
 @pytest.mark.parametrize("why", WRONG)
-def test_what_cannot_be_is_refused_by_every_command(
-    why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_what_cannot_be_is_refused(why: str) -> None:
+    with pytest.raises(Rejected, match=" - at `"):
+        decode_topology(WRONG[why])
+
+
+def test_every_command_says_that_it_is_no_topology(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source, events = tmp_path / "topology.json", tmp_path / "events.jsonl"
-    source.write_bytes(WRONG[why])
+    source.write_bytes(WRONG["an escape in an id"])
     events.write_bytes(to_json(Event(FIRST, "exit", 1_700_000_000.0, 0.5, 0.5)) + b"\n")
-    with pytest.raises(Rejected):
-        decode_topology(WRONG[why])
+
     for command in (
         ["report", str(source), "--out", str(tmp_path / "out")],
         ["predict", str(source), str(events)],
         *(["export", str(source), "--format", form] for form in FORMATS),
     ):
         assert main(command) == 66, command
+
         out, err = capsys.readouterr()
         assert out == ""
         assert err.startswith(f"camtopod: {source} is not a topology: ")
@@ -224,12 +229,8 @@ def test_too_little_memory_is_said(
 @pytest.mark.parametrize(
     "settings",
     [
-        SimSettings(cameras=6, hours=0.4, seed=1, positions=False),
-        SimSettings(cameras=6, hours=0.4, seed=2, tracks=False, overlap_share=0.9),
-        SimSettings(
-            cameras=6, hours=0.4, seed=3, clock_max=20.0, clock_share=1.0, zone_stretch=4.0
-        ),
-        SimSettings(cameras=6, hours=0.4, seed=4, linked=False, loiterers=0.5, slow_share=0.5),
+        SimSettings(cameras=5, hours=0.2, seed=1, positions=False, tracks=False),
+        SimSettings(cameras=5, hours=0.2, seed=3, clock_max=20.0, clock_share=1.0),
     ],
 )
 def test_what_the_learner_makes_is_sound(settings: SimSettings) -> None:
@@ -293,7 +294,7 @@ def test_what_is_believed_can_be_used() -> None:
     plain: dict[str, Any] = json.loads(to_json(FEW))
     chance, sites, believed = random.Random(4), places(plain), 0
     assert sites == places(PLAIN), "nothing is left out"
-    for _ in range(400):
+    for _ in range(150):
         raw = changed(chance.choice(sites), chance.choice(ODD), plain)
         try:
             topology = decode_topology(raw)
@@ -304,7 +305,7 @@ def test_what_is_believed_can_be_used() -> None:
             use(topology)
         except Exception as error:  # noqa: BLE001
             pytest.fail(f"{type(error).__name__}: {error}")
-    assert believed > 20, "not everything is refused"
+    assert believed > 10, "not everything is refused"
 
 
 def test_where_nobody_goes_anywhere_they_leave() -> None:
@@ -318,9 +319,8 @@ def test_where_nobody_goes_anywhere_they_leave() -> None:
 
 
 @pytest.mark.parametrize("odd", ["\x1b[2J", "\x00", "\ufffe", "\u202e", "\ud800", "<&\"'>"])
-def test_pictures_of_any_names_are_well_formed(odd: str) -> None:
-    odd_name = json.dumps(f"{odd}{FIRST}")[:-1]
-    content = json.loads(json.dumps(PLAIN | {"site": odd}).replace(f'"{FIRST}', odd_name))
-    named = msgspec.convert(content, Topology)
+def test_pictures_of_any_site_are_well_formed(odd: str) -> None:
+    named = msgspec.structs.replace(SITE, site=odd)
+
     for form in ("svg", "graphml"):
         ElementTree.fromstring(FORMATS[form](named))

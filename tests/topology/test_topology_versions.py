@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
@@ -30,7 +30,7 @@ from camtopod.topology.versions import apply_delta, digest_of, make_delta, with_
 NUMBERS = st.floats(-1e3, 1e3)
 SHARES = st.floats(0, 1)
 NAMES = st.sampled_from(["a", "b", "c", "d"])
-TRANSITS = st.builds(Transit, *[NUMBERS] * 6)
+TRANSITS = st.builds(Transit, NUMBERS, NUMBERS, SHARES, NUMBERS, NUMBERS, NUMBERS)
 CAMERAS = st.builds(Camera, NAMES, st.lists(NAMES, max_size=2), NUMBERS)
 HISTOGRAMS = st.builds(Histogram, st.integers(-20, 20), st.lists(SHARES, max_size=3))
 LINKS = st.builds(
@@ -52,8 +52,8 @@ ZONES = st.builds(Zone, NAMES, NAMES, st.integers(0, 99), st.integers(0, 99)) | 
 PAIRS = st.builds(Pair, st.tuples(NAMES, NAMES), st.sampled_from(["overlapped", "unseen_path"]))
 MODELS = st.builds(
     Model,
-    NUMBERS,
-    NUMBERS,
+    st.floats(0.1, 9.0),
+    st.floats(0.1, 9.0),
     NUMBERS,
     NUMBERS,
     st.lists(st.builds(ZoneModel, NAMES, st.integers(0, 9), SHARES, st.just([0.5])), max_size=2),
@@ -69,7 +69,7 @@ def by_key(item: Camera | Zone | Link | Pair) -> object:
 
 def some(items: st.SearchStrategy[object]) -> st.SearchStrategy[list[object]]:
     """Draw the contents of a topology: each key once, in order."""
-    return st.lists(items, max_size=5, unique_by=by_key).map(
+    return st.lists(items, max_size=3, unique_by=by_key).map(
         lambda found: sorted(found, key=by_key)
     )  # type: ignore[arg-type]
 
@@ -97,6 +97,7 @@ def topologies(draw: st.DrawFn, version: int = 1) -> Topology:
     )  # type: ignore[arg-type]
 
 
+@settings(max_examples=40)
 @given(topologies(4), topologies(5))
 def test_old_and_delta_are_new(old: Topology, new: Topology) -> None:
     delta = make_delta(old, new)
@@ -107,6 +108,7 @@ def test_old_and_delta_are_new(old: Topology, new: Topology) -> None:
         assert apply_delta(read(Topology, encode(old), pack), received) == new
 
 
+@settings(max_examples=40)
 @given(topologies(4), st.data())
 def test_a_delta_holds_what_differs_and_no_more(old: Topology, data: st.DataObject) -> None:
     new = with_digest(replace(old, version=5))
@@ -132,6 +134,7 @@ def test_a_delta_holds_what_differs_and_no_more(old: Topology, data: st.DataObje
         assert getattr(back, f"gone_{name}") == []
 
 
+@settings(max_examples=40)
 @given(topologies(4), topologies(5), topologies(4))
 def test_a_delta_fits_only_its_own_past(old: Topology, new: Topology, other: Topology) -> None:
     """A wrong base is detected: the result is the right version or nothing."""
@@ -142,6 +145,7 @@ def test_a_delta_fits_only_its_own_past(old: Topology, new: Topology, other: Top
         assert "digest" in str(error)  # noqa: PT017
 
 
+@settings(max_examples=40)
 @given(topologies(4))
 def test_digest_is_of_the_content_alone(topology: Topology) -> None:
     assert topology.digest == digest_of(topology) == digest_of(replace(topology, digest=""))
