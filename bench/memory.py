@@ -16,12 +16,11 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-import time
 from pathlib import Path
 from typing import NamedTuple
 
 from bench.support import ratios
-from bench.support.clients import client, result, status_of, write_events
+from bench.support.clients import client, learned_status, result, write_events
 from bench.support.ratios import Row, Spread, Table
 from bench.support.site import (
     LEARNED_PER_SECOND_PER_CAMERA,
@@ -108,10 +107,6 @@ def measure(cameras: int, count: int) -> Taken:
                 "put_flood", folder, endpoint=endpoint, events=events, window=STRANGERS_WINDOW
             ) as sender:
                 result(sender)
-            deadline = time.monotonic() + LEARN_SECONDS_MAX
-            while (status := status_of(endpoint)).events.waiting:
-                if time.monotonic() > deadline:
-                    raise TimeoutError(f"the daemon has not learned all events in time: {status}")
-                time.sleep(1.0)
+            status = learned_status(endpoint, LEARN_SECONDS_MAX)
             settled, added = resident(pid) / 1e6, resident(pid, most=True) / 1e6
         return Taken(most[0] / 1e6, added, settled, status.events.stored, status.version)

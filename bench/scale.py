@@ -1,44 +1,52 @@
-"""Measure the cost of an event in `camtopod learn` on sites of growing size.
+"""Measure one daemon on large sites: an hour of events, then a fit beside live traffic.
 
-    python -m bench scale [--cameras 100,1000,10000] [--hours 0.5] [--rate 0.1] [--rounds 1]
+    python -m bench scale [--cameras 100,1000] [--hours 1] [--rate 0.1] [--seconds 20]
                           [--json FILE]
 
-Each site is simulated with the same traffic per camera (``--rate`` events a second and camera), its
-events are written to a file, and `camtopod learn` runs over it as a process of its own: processor
-time per event, peak memory, and accuracy of the links. The ratio is to the next smaller site;
-target: 1.3 a step.
+The real `camtopod run` starts without state, with the limits that `deploy/large.md` raises, and
+receives the events of a simulated network (``--rate`` events a second and camera) as fast as it
+takes them. Measured are the processor time of the daemon and its learner until all is learned, with
+every version on the way, and their peak memory. Then events come at the site's own pace for
+``--seconds``, and one camera after another is forgotten, as each makes a fit at once: its processor
+time, and the time from exits to their predictions beside it.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
-import sys
 import tempfile
+import time
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 
-from msgspec import Struct, to_builtins
+import msgspec
+from msgspec import Struct
 
+from bench.links import EVENTS_PER_OBJECT
 from bench.support import ratios
-from bench.support.ratios import Row, Table, spread
-from camtopod.cli.commands.export import load
-from camtopod.codec import to_json
-from camtopod.sim.scoring import Score, score
-from camtopod.sim.simulation import SimSettings, simulate
+from bench.support.clients import (
+    client,
+    learned_status,
+    result,
+    status_of,
+    write_events,
+)
+from bench.support.site import children, peak_memory, processor_seconds, running
+from camtopod.config.settings import BusSettings, Config
+from camtopod.records import Event
+from camtopod.serve.bus.session import dial
+from camtopod.sim.settings import SimSettings
+from camtopod.sim.simulation import simulate
 
-STEP_MAX = 1.3
-"""Target: largest ratio of an event's cost to that on the next smaller site."""
-MEMORY_MAX_MB = {100: 300.0, 1_000: 1_000.0, 10_000: 4_000.0}
-"""Targets of the peak memory by number of cameras, megabytes."""
-EVENTS_PER_OBJECT = 8.1
-"""Events of an object that enters a simulated site, about."""
-
-COLUMNS = "{:>8}{:>10}{:>10}{:>26}{:>8}{:>8}{:>11}{:>8}"
+LEARN_SECONDS_MAX = 7_200.0
+"""Longest wait for the learner, seconds."""
+IN_FLIGHT_MAX = 2_000
+"""Most events that are not acknowledged yet: new cameras share one queue of the inbox."""
+BUS = "message_bytes_max = 67108864"
+"""Limit that a large site raises: the size of its topology in one message."""
+COLUMNS = "{:>8}{:>9}{:>10}{:>13}{:>9}{:>8}{:>12}{:>10}"
 HEADER = COLUMNS.format(
-    "cameras", "events", "a second", "us an event", "step", "MB", "precision", "recall"
+    "cameras", "events", "versions", "processor s", "peak MB", "fit s", "median ms", "99 % ms"
 )
 
 
@@ -47,133 +55,130 @@ class Size(Struct):
 
     cameras: int
     events: int
-    rate: float
-    """Events a second and camera."""
-    each_microseconds: list[float]
-    """Processor time per event in each round, microseconds."""
+    versions: int
+    processor_seconds: float
+    """Processor time of daemon and learner for all events."""
     memory_mb: float
-    precision: float
-    recall: float
-    """Precision and recall are of the links between views."""
+    """Their peak memory, in 10^6 bytes."""
+    fit_seconds: float
+    """Processor time of a fit."""
+    median_ms: float
+    """Median time from an exit to its prediction beside a fit, milliseconds."""
+    tail_ms: float
+    """Its 99th percentile."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Measure, print the table, write the figures; return the exit status."""
-    arguments = _parse(argv)
+    given = _parse(argv)
     sizes: list[Size] = []
     print(HEADER)
-    with tempfile.TemporaryDirectory() as folder:
-        for cameras in map(int, arguments.cameras.split(",")):
-            sizes.append(
-                measure(Path(folder), cameras, arguments.hours, arguments.rate, arguments.rounds)
-            )
-            print(line(sizes), flush=True)
-    if arguments.json is not None:
-        ratios.write(arguments.json, "scale", tables(sizes), sizes=to_builtins(sizes))
+    for cameras in map(int, given.cameras.split(",")):
+        with tempfile.TemporaryDirectory() as folder:
+            sizes.append(measure(Path(folder), cameras, given.hours, given.rate, given.seconds))
+        print(line(sizes[-1]), flush=True)
+    if given.json is not None:
+        costs = {
+            f"{size.cameras} cameras": [1e3 * size.processor_seconds / size.events]
+            for size in sizes
+        }
+        table = ratios.compare("processor time of an event", "ms", costs, next(iter(costs)))
+        ratios.write(given.json, "scale", [table], sizes=msgspec.to_builtins(sizes))
     return 0
 
 
-def tables(sizes: Sequence[Size]) -> list[Table]:
-    """Compare each size with the one before, and its memory with the target."""
-    steps = [
-        ratios.compare(
-            f"cost of an event, {before.cameras} to {now.cameras} cameras",
-            "us",
-            {name(size): size.each_microseconds for size in (before, now)},
-            name(before),
-            at_most={name(now): STEP_MAX},
-        )
-        for before, now in pairwise(sizes)
-    ]
-    memory = []
-    for size in sizes:
-        allowed = MEMORY_MAX_MB.get(size.cameras)
-        share = size.memory_mb / (allowed or size.memory_mb)
-        memory.append(
-            Row(
-                name(size),
-                spread([size.memory_mb]),
-                spread([share]),
-                None if allowed is None else 1.0,
-            )
-        )
-    return [*steps, Table("most memory of camtopod learn", "MB", "what is allowed", memory)]
-
-
-def name(size: Size) -> str:
-    """Return the title of a row."""
-    return f"{size.cameras} cameras"
-
-
-def measure(folder: Path, cameras: int, hours: float, rate: float, rounds: int) -> Size:
-    """Simulate one site and learn it ``rounds`` times."""
+def measure(folder: Path, cameras: int, hours: float, rate: float, seconds: float) -> Size:
+    """Measure a daemon on a simulated site."""
     objects = rate * cameras / EVENTS_PER_OBJECT
-    events, truth = simulate(
-        SimSettings(cameras=cameras, hours=hours, seed=cameras, objects_per_second=objects)
+    events, _ = simulate(
+        SimSettings(cameras=cameras, hours=hours, seed=1, objects_per_second=objects, start=0.0)
     )
-    recorded, learned = folder / "events.jsonl", folder / "topology.json"
-    with recorded.open("wb") as out:
-        out.writelines(to_json(event) + b"\n" for event in events)
-    runs = [learn(recorded, learned) for _ in range(rounds)]
-    found: Score = score(load(str(learned)), truth)
+    recorded = write_events(folder / "recorded", events)
+    live = write_events(folder / "live", last_of(events, seconds))
+    names = sorted({event.camera for event in events})
+    limits = f"cameras_max = {cameras + 100}"
+    with running(folder, limits=limits, bus=BUS) as (endpoint, pid), peak_memory(pid) as most:
+        # The recorded events.
+        flood = {"endpoint": endpoint, "events": recorded, "window": IN_FLIGHT_MAX}
+        with client("put_flood", folder, **flood) as sender:
+            result(sender)
+        status = learned_status(endpoint, LEARN_SECONDS_MAX)
+        spent = processor_seconds(pid, *children(pid))
+
+        # Fits beside live events.
+        fits: list[float] = []
+        with (
+            client("hear", folder, endpoint=endpoint, bare=False) as ear,
+            client("put_paced", folder, endpoint=endpoint, events=live, bare=False) as sender,
+        ):
+            to_forget = iter(names[: len(names) // 2])
+            while sender.poll() is None and (camera := next(to_forget, None)) is not None:
+                fits.append(fit(endpoint, pid, camera))
+            result(sender)
+            delays = sorted(result(ear)["ms"])
+    if status.events.stored != len(events):
+        raise RuntimeError(f"{len(events)} events were published, {status.events.stored} stored")
     return Size(
         cameras,
         len(events),
-        len(events) / (3600.0 * hours * cameras),
-        [seconds / len(events) * 1e6 for seconds, _ in runs],
-        max(memory for _, memory in runs),
-        found.link_precision,
-        found.link_recall,
+        status.learner.version,
+        spent,
+        most[0] / 1e6,
+        sum(fits) / len(fits),
+        delays[len(delays) // 2],
+        delays[int(0.99 * len(delays))],
     )
 
 
-def learn(recorded: Path, learned: Path) -> tuple[float, float]:
-    """Return processor seconds and peak megabytes of one `camtopod learn`."""
-    command = [sys.executable, "-m", "camtopod", "learn", str(recorded), "--topology", str(learned)]
-    process = subprocess.Popen(
-        command, stderr=subprocess.DEVNULL, env={**os.environ, "OMP_NUM_THREADS": "1"}
-    )
-    _, status, used = os.wait4(process.pid, 0)
-    if status:
-        raise RuntimeError(f"camtopod learn failed with status {os.waitstatus_to_exitcode(status)}")
-    process.returncode = 0
-    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0
+def last_of(events: Sequence[Event], seconds: float) -> list[Event]:
+    """Return the events of the last seconds, with times from 0."""
+    first = events[-1].t - seconds
+    return [msgspec.structs.replace(one, t=one.t - first) for one in events if one.t >= first]
 
 
-def line(sizes: Sequence[Size]) -> str:
-    """Return the table's line of the newest size, with its ratio to the one before."""
-    now, cost = sizes[-1], spread(sizes[-1].each_microseconds)
-    step = (
-        "" if len(sizes) < 2 else f"{cost.median / spread(sizes[-2].each_microseconds).median:.2f}"
+def fit(endpoint: str, pid: int, camera: str) -> float:
+    """Forget a camera, and return the learner's processor seconds until the next version."""
+    before = status_of(endpoint).learner.version
+    spent = processor_seconds(*children(pid))
+    with dial(Config(bus=BusSettings(connect=(endpoint,)))) as bus:
+        bus.query("admin/forget", {"camera": camera}, one=True)
+    deadline = time.monotonic() + LEARN_SECONDS_MAX
+    while status_of(endpoint).learner.version == before:
+        if time.monotonic() > deadline:
+            raise TimeoutError("the fit has not ended in time")
+        time.sleep(0.05)
+    return processor_seconds(*children(pid)) - spent
+
+
+def line(size: Size) -> str:
+    """Return the table's line of a size."""
+    return COLUMNS.format(
+        size.cameras,
+        size.events,
+        size.versions,
+        f"{size.processor_seconds:.0f}",
+        f"{size.memory_mb:.0f}",
+        f"{size.fit_seconds:.1f}",
+        f"{size.median_ms:.1f}",
+        f"{size.tail_ms:.1f}",
     )
-    wanted = MEMORY_MAX_MB.get(now.cameras)
-    too_much = "" if wanted is None or now.memory_mb <= wanted else f" (more than {wanted:.0f} MB)"
-    dear = "" if not step or float(step) <= STEP_MAX else f" (more than {STEP_MAX})"
-    row = COLUMNS.format(
-        now.cameras,
-        now.events,
-        f"{now.rate:.3f}",
-        f"{cost.median:.0f} ({cost.low:.0f} .. {cost.high:.0f})",
-        step,
-        f"{now.memory_mb:.0f}",
-        f"{now.precision:.3f}",
-        f"{now.recall:.3f}",
-    )
-    return row + dear + too_much
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="python -m bench scale", description="Measure the cost of an event on larger sites."
+        prog="python -m bench scale", description="Measure one daemon on large sites."
     )
+    parser.add_argument("--cameras", default="100,1000", help="sizes of site, comma-separated")
     parser.add_argument(
-        "--cameras", default="100,1000,10000", help="sizes of site, comma-separated"
-    )
-    parser.add_argument(
-        "--hours", type=float, default=0.5, help="length of the recordings (default 0.5)"
+        "--hours", type=float, default=1.0, help="length of the recordings (default 1)"
     )
     parser.add_argument(
         "--rate", type=float, default=0.1, help="events a second and camera (default 0.1)"
     )
-    ratios.add_arguments(parser, rounds=1)
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, help="seconds of live events (default 20)"
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the figures, and a plot beside them"
+    )
     return parser.parse_args(argv)

@@ -208,9 +208,12 @@ def status_of(endpoint: str) -> Status:
         return msgspec.msgpack.decode(bus.query("status/daemon")[0][1], type=Status)
 
 
-def learned_status(endpoint: str) -> Status:
-    """Return the daemon's status once it has a version of its epoch and no event waits."""
-    deadline = time.monotonic() + START_SECONDS
+def learned_status(endpoint: str, seconds: float = START_SECONDS) -> Status:
+    """Return the daemon's status once it has a version of its epoch and no event waits.
+
+    Raises `TimeoutError` after ``seconds``.
+    """
+    deadline = time.monotonic() + seconds
     while (status := status_of(endpoint)).learner.version == 0 or status.events.waiting:
         if time.monotonic() > deadline:
             raise TimeoutError(f"the daemon has not learned all events in time: {status}")

@@ -142,15 +142,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @contextlib.contextmanager
-def running(folder: Path, learn: str = "", limits: str = "") -> Iterator[tuple[str, int]]:
+def running(
+    folder: Path, learn: str = "", limits: str = "", bus: str = ""
+) -> Iterator[tuple[str, int]]:
     """Run `camtopod run` on ``folder``/state in a process of its own; yield endpoint and process
     id.
 
-    ``learn`` and ``limits`` are lines of these tables of the configuration.
+    ``learn``, ``limits`` and ``bus`` are lines of these tables of the configuration.
     """
     config = folder / "camtopod.toml"
     config.write_text(
-        f'[bus]\nlisten = ["tcp/127.0.0.1:0"]\n[state]\ndirectory = "{folder}/state"\n'
+        f'[bus]\nlisten = ["tcp/127.0.0.1:0"]\n{bus}\n[state]\ndirectory = "{folder}/state"\n'
         f"[learn]\n{learn}\n[limits]\n{limits}\n"
     )
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
@@ -177,7 +179,7 @@ def _endpoint(process: subprocess.Popen[bytes], log: Path) -> str:
 def resident(pid: int, most: bool = False) -> int:
     """Return the resident bytes of a process and its children, or their added peaks (``most``)."""
     total = 0
-    for process in (pid, *_children(pid)):
+    for process in (pid, *children(pid)):
         with contextlib.suppress(OSError):
             lines = Path(f"/proc/{process}/status").read_text().splitlines()
             [kilobytes] = [
@@ -204,7 +206,7 @@ def peak_memory(pid: int) -> Iterator[list[int]]:
     looking.start()
     try:
         yield most
-        again = _counted_again((pid, *_children(pid)))
+        again = _counted_again((pid, *children(pid)))
     finally:
         ended.set()
         looking.join()
@@ -226,7 +228,13 @@ def _counted_again(processes: Sequence[int]) -> int:
     return sum(sum(each) - max(each) for mapping, each in sizes.items() if mapping[-1] != "0")
 
 
-def _children(pid: int) -> list[int]:
+def processor_seconds(*pids: int) -> float:
+    """Return the processor time of processes so far, in seconds."""
+    fields = [Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split() for pid in pids]
+    return sum(int(each[11]) + int(each[12]) for each in fields) / os.sysconf("SC_CLK_TCK")
+
+
+def children(pid: int) -> list[int]:
     """Return the process ids of the children."""
     found: list[int] = []
     for task in Path(f"/proc/{pid}/task").glob("*/children"):

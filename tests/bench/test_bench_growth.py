@@ -10,17 +10,19 @@ import pytest
 from bench import links, scale
 
 
-def test_scale_compares_each_size_with_the_one_before(
+def test_scale_measures_a_daemon_and_a_fit_beside_live_events(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     figures = tmp_path / "scale.json"
-    assert scale.main(["--cameras", "3,6", "--hours", "0.1", "--json", str(figures)]) == 0
-    written = json.loads(figures.read_text())
-    smaller, larger = written["sizes"]
-    assert [smaller["cameras"], larger["cameras"]] == [3, 6]
-    step = written["tables"][0]["rows"][1]["ratio"]["median"]
-    assert step == pytest.approx(larger["each_microseconds"][0] / smaller["each_microseconds"][0])
-    assert f"{step:.2f}" in capsys.readouterr().out
+    given = ["--cameras", "4", "--hours", "0.2", "--seconds", "20", "--json", str(figures)]
+
+    assert scale.main(given) == 0
+
+    [size] = json.loads(figures.read_text())["sizes"]
+    assert size["cameras"] == 4
+    assert size["processor_seconds"] > size["fit_seconds"] > 0.0
+    assert 0.0 < size["median_ms"] <= size["tail_ms"]
+    assert f"{size['processor_seconds']:.0f}" in capsys.readouterr().out
 
 
 def test_links_counts_a_version_a_minute_for_the_others(tmp_path: Path) -> None:
