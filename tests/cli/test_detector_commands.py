@@ -23,10 +23,10 @@ BUS = '[bus]\nconnect = ["tcp/127.0.0.1:9"]\nconnect_seconds = 0.1\n'
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Somebody in the models' colours, from the first picture on."""
     path = tmp_path_factory.mktemp("film") / "hall.mp4"
-    scene = ColouredScene([Person(line(0.0, (0.2, 0.9), (1.05, 0.9), 14.0), tall=0.6)])
+    scene = ColouredScene([Person(line(0.0, (0.2, 0.9), (1.05, 0.9), 5.0), tall=0.6)])
     size = (WIDTH * FACTOR, HEIGHT * FACTOR)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, size)
-    for k in range(round(16 * FPS)):
+    for k in range(round(5 * FPS)):
         writer.write(scene.picture(k / FPS))
     writer.release()
     return path
@@ -58,12 +58,6 @@ def test_a_camera_has_the_common_detector_one_of_its_own_or_none() -> None:
     assert Config().detector.model == ""
 
 
-def test_a_camera_alone_may_have_a_detector() -> None:
-    config = parse('[cameras.own.detector]\nmodel = "b.onnx"\n[cameras.other]\n')
-    assert config.cameras["own"].detector.model == "b.onnx"
-    assert config.cameras["other"].detector == DetectorSettings()
-
-
 def test_a_model_s_path_is_relative_to_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -84,7 +78,6 @@ def test_a_model_s_path_is_relative_to_the_file(
     [
         ("[detector]\nscore = 0.5\n", ":1: detector: model is missing"),
         ('[detector]\nmodel = "a"\nscore = 2\n', ":3: detector.score: expected a number <= 1.0"),
-        ('[detector]\nmodel = "a"\nscore = 0\n', ":3: detector.score: expected a number > 0.0"),
         (
             '[detector]\nmodel = "a"\nlabels = [\n"person",\n"persn"]\n',
             ":5: detector.labels: COCO has no 'persn'; did you mean 'person'?",
@@ -94,20 +87,11 @@ def test_a_model_s_path_is_relative_to_the_file(
             '[detector]\nmodel = "a"\nlayout = "yolo"\n',
             ":3: detector.layout: expected one of yolox, yolov5, ",
         ),
-        ('[detector]\nmodel = "a"\nmodle = "b"\n', ":3: detector.modle: no such key"),
-        (
-            '[detector]\nmodel = "a"\nlooks_per_second_max = 0\n',
-            ":3: detector.looks_per_second_max: expected a number > 0.0",
-        ),
         (
             "[cameras.a]\ndetector = true\n",
             ":2: cameras.a.detector: expected false, or a table [cameras.a.detector]",
         ),
         ("[cameras.a.detector]\nscore = 0.5\n", ":1: cameras.a.detector: model is missing"),
-        (
-            '[cameras.a.detector]\nmodel = "a"\nlabels = ["cow", "elefant"]\n',
-            ":3: cameras.a.detector.labels: COCO has no 'elefant'; did you mean 'elephant'?",
-        ),
     ],
 )
 def test_a_mistake_has_its_line(text: str, said: str) -> None:

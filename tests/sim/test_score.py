@@ -39,19 +39,6 @@ def test_calibration_error_by_hand() -> None:
     assert math.isnan(calibration_error([], []))
 
 
-def test_errors_of_medians_and_f1() -> None:
-    links = [
-        replace(link, transit=replace(link.transit, q50=1.1 * link.transit.q50))
-        for link in PERFECT.links
-        if abs(link.transit.q50) > 1
-    ]
-    result = score(replace(PERFECT, links=links), TRUTH)
-    assert result.median_error == pytest.approx(0.1)
-    fewer = score(replace(PERFECT, links=links[: len(links) // 2]), TRUTH)
-    assert fewer.link_precision == 1
-    assert fewer.link_f1 == pytest.approx(2 * fewer.link_recall / (1 + fewer.link_recall))
-
-
 def test_stated_uncertainty_covers_or_does_not() -> None:
     """Of four links one is 3 s off with a stated error of 1 s; another states none.
     Means are right.
@@ -185,19 +172,11 @@ def test_exits_of_nobody_count_in_the_calibration_over_all_exits() -> None:
     assert result.first_calibration_error_all == pytest.approx(0.0)
 
 
-def test_a_camera_that_is_not_named_has_no_window() -> None:
-    events, truth = two_passages()
-    none = [Prediction(e.camera, None, e.t, None, 1, 1.0, []) for e in events if e.kind == "exit"]
-    result = score_predictions(none, events, truth)
-    assert math.isnan(result.window_coverage)
-    assert result.top1 == 0
-
-
 def test_the_floor_is_what_right_probabilities_come_to() -> None:
     rng = np.random.default_rng(0)
     stated = rng.uniform(0.2, 1.0, 500)
     errors = [
-        calibration_error(stated.tolist(), (rng.random(500) < stated).tolist()) for _ in range(400)
+        calibration_error(stated.tolist(), (rng.random(500) < stated).tolist()) for _ in range(200)
     ]
     assert np.mean(errors) == pytest.approx(calibration_floor(stated.tolist()), rel=0.05)
     assert calibration_floor([1.0, 0.0]) == 0

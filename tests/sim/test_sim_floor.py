@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -22,7 +21,7 @@ from camtopod.sim.floor import (
     truth_of,
 )
 from camtopod.sim.picture import write_map
-from camtopod.sim.rendering import SUFFIX, busy_scene, render, scene
+from camtopod.sim.rendering import SUFFIX, render, scene
 from camtopod.sim.scoring import score
 
 PLAN = demo_plan()
@@ -31,7 +30,7 @@ SEEN = passages(PLAN, WALKS)
 TRUTH = truth_of(PLAN, SEEN)
 
 
-@pytest.mark.parametrize("heading", [0.0, 1.0, math.pi / 2, -2.5])
+@pytest.mark.parametrize("heading", [0.0, -2.5])
 def test_a_view_looks_at_its_target_and_sees_its_footprint(heading: float) -> None:
     view = View("c", (3.0, -2.0), heading)
     x, y, depth = view.feet(np.array([view.target]))[0]
@@ -82,17 +81,9 @@ def test_truth_is_what_was_walked() -> None:
     assert score(topology_of(TRUTH), TRUTH).link_recall == 1
 
 
-def test_passages_of_one_person_follow_one_another() -> None:
-    for before, after in pairwise(SEEN):
-        if before.walker == after.walker:
-            assert before.t_in <= before.t_out
-            assert before.t_in <= after.t_in
-            assert before.camera != after.camera
-
-
 def test_video_shows_people_where_the_truth_says(tmp_path: Path) -> None:
     view, path = PLAN.views[0], tmp_path / f"v{SUFFIX}"
-    render(PLAN, view, WALKS, 40.0, path, seed=0)
+    render(PLAN, view, WALKS, 20.0, path, seed=0)
     capture = cv2.VideoCapture(str(path))
     assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(FPS)
     empty = scene(PLAN, view).astype(np.int16)
@@ -101,7 +92,7 @@ def test_video_shows_people_where_the_truth_says(tmp_path: Path) -> None:
         assert frame[1].shape == (HEIGHT, WIDTH, 3)
         changed.append(int((np.abs(frame[1] - empty).max(axis=2) > 60).sum()))
     capture.release()
-    assert len(changed) == round(40 * FPS)
+    assert len(changed) == round(20 * FPS)
     inside = np.zeros(len(changed), dtype=bool)
     well_inside = inside.copy()
     for walk in WALKS:
@@ -135,8 +126,3 @@ def test_picture_is_drawn_even_when_little_or_nothing_was_learned(tmp_path: Path
         "the true map does not depend on what was learned"
     )
     assert (empty[:, left.shape[1] :][:500] != right[:500]).any()
-
-
-def test_busy_scene_has_people_in_it() -> None:
-    view = PLAN.views[0]
-    assert (busy_scene(PLAN, view, WALKS) != scene(PLAN, view)).any(axis=2).sum() > 100

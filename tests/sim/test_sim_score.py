@@ -33,17 +33,6 @@ def test_the_truth_is_perfect() -> None:
     assert "precision 1.00" in result.text()
 
 
-def test_a_lost_zone_costs_a_camera_and_its_links() -> None:
-    zone = next(link.to for link in PERFECT.links if link.relation == "unseen")
-    links = [link for link in PERFECT.links if zone not in (link.from_, link.to)]
-    broken = replace(PERFECT, zones=[z for z in PERFECT.zones if z.id != zone], links=links)
-    result = score(broken, TRUTH)
-    assert result.cameras_right == 5
-    assert result.zones_matched == result.zones_true - 1
-    assert result.link_recall < 1
-    assert result.link_precision == 1
-
-
 def test_a_zone_out_of_place_is_not_found_and_its_links_are_false() -> None:
     zone = next(link.to for link in PERFECT.links if link.relation == "unseen")
     zones = [replace(z, x=(z.x + 0.5) % 1) if z.id == zone else z for z in PERFECT.zones]
@@ -89,12 +78,6 @@ def test_transit_errors_are_relative() -> None:
     result = score(replace(PERFECT, links=links), TRUTH)
     assert result.mode_error == pytest.approx(0.5)
     assert result.mean_error == pytest.approx(0.2)
-
-
-def test_pairs() -> None:
-    assert score(replace(PERFECT, pairs=PERFECT.pairs[1:]), TRUTH).pair_recall < 1
-    false = replace(PERFECT.pairs[0], cameras=("cam01", "nowhere"))
-    assert score(replace(PERFECT, pairs=[*PERFECT.pairs, false]), TRUTH).pair_precision < 1
 
 
 def test_without_positions_a_camera_is_one_zone() -> None:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from typing import get_args
 
-import numpy as np
 import pytest
-from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Place, Scene, line
+from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Scene, line
 
-from camtopod.codec import to_json
 from camtopod.records import Event
 from camtopod.vision.analysis import Analysis
 from camtopod.vision.detect import Blob
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import Polygon, VisionSettings
-from camtopod.vision.track import Crossings, Decision, Recorder, Tracker
+from camtopod.vision.track import Crossings, Decision, Tracker
 from camtopod.vision.track.decisions import Beginning, Ending, Shortfall
 
 CROWD = [
@@ -30,9 +27,9 @@ CROWD = [
 
 
 def analysed(
-    scene: Scene, seconds: float, settings: VisionSettings | None = None, gap: float = 0.0
+    scene: Scene, seconds: float, settings: VisionSettings | None = None
 ) -> tuple[list[Event], list[Decision], set[int]]:
-    """Return events, decisions, and the numbers of all tracks. No frames after ``gap`` for 10 s."""
+    """Return events, decisions, and the numbers of all tracks."""
     decisions: list[Decision] = []
     numbers: set[int] = set()
 
@@ -42,9 +39,7 @@ def analysed(
 
     pipeline, events = ViewPipeline("cam", settings or VisionSettings(), observe), []
     for k in range(round(seconds * FPS)):
-        t = k / FPS
-        if not (gap and gap < t < gap + 10.0):
-            events += pipeline.process(t, scene.picture(t))
+        events += pipeline.process(k / FPS, scene.picture(k / FPS))
     return events + pipeline.finish(), decisions, numbers
 
 
@@ -57,15 +52,10 @@ def reasons(decisions: list[Decision]) -> list[str]:
     return [decision.reason for decision in decisions]
 
 
-def test_who_is_observed_has_the_same_events() -> None:
-    with_observer, _, _ = analysed(Scene(CROWD), 20)
-    without = Scene(CROWD).events(20)
-    assert len(without) > 4
-    assert list(map(to_json, with_observer)) == list(map(to_json, without))
-
-
 def test_every_track_ends_once_and_every_event_has_its_decision() -> None:
     events, decisions, numbers = analysed(Scene(CROWD), 20)
+    assert events == Scene(CROWD).events(20), "the events do not depend on who observes"
+
     ends = {*get_args(Shortfall), *get_args(Ending), "continues"}
     ended = Counter(one.track for one in decisions if one.reason in ends)
     assert set(ended) >= numbers
@@ -76,20 +66,6 @@ def test_every_track_ends_once_and_every_event_has_its_decision() -> None:
         (pytest.approx(e.x, abs=1e-4), pytest.approx(e.y, abs=1e-4)) for e in events
     ]
     assert {*get_args(Beginning)} & ends == {"continues"}
-
-
-@pytest.mark.parametrize(
-    ("a", "b", "edges"),
-    [
-        ((-0.05, 0.7), (1.05, 0.5), ["left border", "right border"]),
-        ((0.5, -0.01), (0.45, 1.25), ["top border", "bottom border"]),
-        ((0.5, 1.25), (0.5, -0.01), ["bottom border", "top border"]),
-    ],
-)
-def test_the_border_is_named(a: Place, b: Place, edges: list[str]) -> None:
-    _, decisions, _ = analysed(Scene([Person(line(5.0, a, b, 9.0))]), 18)
-    assert [one.edge for one in decisions if one.edge] == edges
-    assert reasons([one for one in decisions if one.edge]) == ["entered", "left"]
 
 
 STREET: Polygon = ((0.0, 0.0), (1.0, 0.0), (1.0, 0.25), (0.0, 0.25))
@@ -108,11 +84,11 @@ def test_other_edges_are_named() -> None:
 
 
 def test_a_learned_door_is_named() -> None:
-    walks = [Person(line(5.0 + 14 * k, (0.5, 0.55), (-0.05, 0.75), 5.0), seed=k) for k in range(5)]
+    walks = [Person(line(5.0 + 9 * k, (0.5, 0.55), (-0.05, 0.75), 5.0), seed=k) for k in range(5)]
     seen: list[Analysis] = []
     pipeline = ViewPipeline("cam", VisionSettings(), seen.append)
     scene = Scene(walks)
-    for k in range(round(75 * FPS)):
+    for k in range(round(50 * FPS)):
         pipeline.process(k / FPS, scene.picture(k / FPS))
     decisions = [one for analysis in seen for one in analysis.decisions]
     begun = [(one.reason, one.edge) for one in decisions if one.reason in get_args(Beginning)]
@@ -152,29 +128,6 @@ def test_what_never_becomes_an_object() -> None:
     assert {(one.value, one.least) for one in decisions if one.reason == "low"} == {(0, 3)}
 
 
-@pytest.mark.parametrize(
-    ("seen", "x", "reason", "value"),
-    [
-        (lambda k: True, lambda k: 0.0, "still", 0.0),
-        (lambda k: True, lambda k: 2.0 * (k % 2), "still", 0.1),
-        (lambda k: k % 3 == 0, lambda k: 1.0 * k, "patchy", 3 / 7),
-        (lambda k: k < 3, lambda k: 2.0 * k, "brief", 2 / FPS),
-    ],
-)
-def test_what_a_tentative_track_lacks(
-    seen: Callable[[int], bool], x: Callable[[int], float], reason: str, value: float
-) -> None:
-    decisions: list[Decision] = []
-    recorder = Recorder((200, 100), decisions.append)
-    tracker = Tracker(VisionSettings(), Crossings("cam", 200, 100), recorder)
-    for k in range(14):
-        left = 100.0 + x(k)
-        blob = Blob(left, 50.0, left + 8.0, 70.0, left + 4.0, 100.0)
-        tracker.step(k / FPS, [blob] if k < 7 and seen(k) else [])
-    assert [(one.reason, one.value) for one in decisions] == [(reason, pytest.approx(value))]
-    assert decisions[0].value < decisions[0].least
-
-
 def test_what_ends_without_an_exit() -> None:
     # Lost behind a tree in mid-view for ever.
     into = Person(line(5.0, (-0.05, 0.7), (0.5, 0.75), 5.0))
@@ -194,20 +147,3 @@ def test_what_ends_without_an_exit() -> None:
     _, decisions, _ = analysed(Scene([walks]), 11)
     assert "from start" in reasons(of_objects(decisions))
     assert reasons(of_objects(decisions))[-1] == "in view"
-
-
-def test_pauses_and_changes_of_the_whole_picture() -> None:
-    walks = Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 10.0))
-    _, decisions, _ = analysed(Scene([walks]), 40, gap=9.0)
-    assert reasons(of_objects(decisions)) == ["entered", "interrupted"]
-
-    rng = np.random.default_rng(5)
-    other = rng.integers(0, 255, (HEIGHT, WIDTH)).astype(np.uint8)
-    scene, seen = Scene([walks]), list[Analysis]()
-    pipeline = ViewPipeline("cam", VisionSettings(), seen.append)
-    for k in range(round(20 * FPS)):
-        t = k / FPS
-        pipeline.process(t, scene.picture(t) if t < 9 else other)
-    decisions = [one for each in seen for one in each.decisions]
-    assert reasons(of_objects(decisions)) == ["entered", "scene changed"]
-    assert any(analysis.moving is None for analysis in seen)

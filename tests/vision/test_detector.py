@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from coloured_scenes import FACTOR, SETTINGS, ColouredScene
 from onnx_models import write_model
-from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Place, line
+from rendered_scenes import HEIGHT, WIDTH, Person, Place, line
 
 from camtopod.codec import to_json
 from camtopod.records import Event
@@ -18,13 +17,11 @@ from camtopod.vision.analysis import Analysis
 from camtopod.vision.boxes import Box
 from camtopod.vision.detect import Blob
 from camtopod.vision.detector import Detection, Detector, Model, TrackedBox
-from camtopod.vision.detector.agreement import Agreement
 from camtopod.vision.detector.crops import Crops
 from camtopod.vision.detector.fusion import fuse
 from camtopod.vision.detector.model import Image as Picture
-from camtopod.vision.grabber import Grabber
 from camtopod.vision.pipeline import ViewPipeline
-from camtopod.vision.settings import DetectorSettings, VisionSettings
+from camtopod.vision.settings import DetectorSettings
 from camtopod.vision.show.overlay import Overlay, Words
 
 SIDE_BY_SIDE = (
@@ -108,15 +105,6 @@ def kinds(events: list[Event]) -> list[str]:
 # --- what it adds ---------------------------------------------------------------------------------
 
 
-def test_one_passage_is_the_same_with_a_detector(detector: Callable[..., Detector]) -> None:
-    events = ColouredScene(ALONE).events(18, detector())
-    assert kinds(events) == ["entry", "exit"]
-    entry, leaving = events
-    assert entry.track == leaving.track
-    assert entry.t == pytest.approx(5.2, abs=0.5)
-    assert leaving.t == pytest.approx(12.8, abs=0.5)
-
-
 def test_two_who_enter_side_by_side_are_two() -> None:
     scene = ColouredScene(SIDE_BY_SIDE)
     events = scene.events(20, drawn(scene))
@@ -141,19 +129,19 @@ def test_whoever_stands_is_held_while_others_pass() -> None:
     def where(t: float) -> Place | None:
         if t < 9:
             return line(5.0, (-0.05, 0.7), (0.5, 0.7), 4.0)(t)
-        return (0.5, 0.7) if t < 50 else line(50.0, (0.5, 0.7), (1.05, 0.7), 4.0)(t)
+        return (0.5, 0.7) if t < 30 else line(30.0, (0.5, 0.7), (1.05, 0.7), 4.0)(t)
 
     people = [
         Person(where),
-        Person(line(20.0, (-0.05, 0.75), (1.05, 0.75), 8.0), seed=1),
-        Person(line(30.0, (1.05, 0.72), (-0.05, 0.72), 8.0), seed=2),
+        Person(line(12.0, (-0.05, 0.75), (1.05, 0.75), 8.0), seed=1),
+        Person(line(21.0, (1.05, 0.72), (-0.05, 0.72), 8.0), seed=2),
     ]
     scene = ColouredScene(people)
-    events = scene.events(60, drawn(scene))
+    events = scene.events(38, drawn(scene))
     assert kinds(events) == ["entry", "entry", "exit", "entry", "exit", "exit"]
     first, last = events[0], events[-1]
     assert first.track == last.track
-    assert last.t == pytest.approx(54.0, abs=0.6)
+    assert last.t == pytest.approx(34.0, abs=0.6)
 
 
 def test_what_moves_and_is_no_person_is_no_event_where_the_detector_is_trusted() -> None:
@@ -169,8 +157,8 @@ def test_what_moves_and_is_no_person_is_no_event_where_the_detector_is_trusted()
 def test_a_blind_detector_changes_nothing(detector: Callable[..., Detector]) -> None:
     for people, others in ((SIDE_BY_SIDE, ()), ((), GREY)):
         blind = detector(blind=True)
-        events = ColouredScene(people, others).events(20, blind)
-        assert lines(events) == lines(ColouredScene(people, others).events(20, None))
+        events = ColouredScene(people, others).events(14, blind)
+        assert lines(events) == lines(ColouredScene(people, others).events(14, None))
         assert not blind.result.trusted
         assert blind.statistics()["detector_agreement"] < 0.1
 
@@ -191,61 +179,33 @@ def test_where_agreement_falls_motion_alone_counts_again(
     assert sum(event.t > 35 for event in events) >= 4, "people that it does not see"
 
 
-def test_agreement_has_a_memory_and_two_thresholds() -> None:
-    agreement = Agreement()
-    assert not agreement.trusted
-    for _ in range(10):
-        agreement.add(0.02, 0.016)
-    assert agreement.trusted
-    for _ in range(9):
-        agreement.add(0.02, 0.0)
-    assert 0.3 < agreement.share < 0.45
-    assert agreement.trusted, "it is between the thresholds"
-    for _ in range(60):
-        agreement.add(0.02, 0.0)
-    assert not agreement.trusted
-    assert agreement.useless
-
-
 # --- without one ----------------------------------------------------------------------------------
 
 
-def test_pictures_alone_change_nothing() -> None:
-    """Without a detector the pictures in colour have no say."""
-    scene, view = ColouredScene(SIDE_BY_SIDE), ViewPipeline("cam", SETTINGS)
-    events: list[Event] = []
-    for k in range(round(20 * FPS)):
-        picture = scene.picture(k / FPS)
-        events += view.process(k / FPS, cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), picture)
-    events = sorted(events + view.finish(), key=lambda event: event.t)
-    assert lines(events) == lines(ColouredScene(SIDE_BY_SIDE).events(20, None))
-    assert not any(key.startswith("detector") for key in view.statistics())
+# --- inferences ----------------------------------------------------------------------------------------
 
 
-# --- looks ----------------------------------------------------------------------------------------
-
-
-def test_it_looks_only_when_something_moves_and_not_too_often() -> None:
+def test_inference_runs_only_when_something_moves_and_not_too_often() -> None:
     scene = ColouredScene(ALONE)
     often = drawn(scene)
-    scene.events(30, often)
+    scene.events(18, often)
     assert 35 <= len(often.drawn.times) <= 70
     assert min(often.drawn.times) >= 4.9
     assert max(often.drawn.times) <= 15.5
 
     scene = ColouredScene(ALONE)
     rarely = drawn(scene, rate=2.0)
-    scene.events(30, rarely)
+    scene.events(18, rarely)
     assert len(rarely.drawn.times) <= 24
     assert rarely.statistics()["detector_looks"] == len(rarely.drawn.times)
 
 
 def test_a_detector_that_sees_nothing_is_hardly_asked() -> None:
-    crowd = [Person(line(4.0 + k, (-0.05, 0.7), (1.05, 0.7), 8.0), seed=k) for k in range(40)]
+    crowd = [Person(line(4.0 + k, (-0.05, 0.7), (1.05, 0.7), 8.0), seed=k) for k in range(24)]
     scene = ColouredScene(crowd)
     blind = drawn(scene, late=2.0)
-    scene.events(50, blind)
-    assert sum(t > 25 for t in blind.drawn.times) <= 26, "once a second"
+    scene.events(30, blind)
+    assert sum(t > 15 for t in blind.drawn.times) <= 16, "once a second"
 
 
 def test_parts_have_the_shape_of_the_input_and_hold_their_regions() -> None:
@@ -269,11 +229,6 @@ def test_parts_have_the_shape_of_the_input_and_hold_their_regions() -> None:
     low: Box = (3900.0, 500.0, 3930.0, 540.0)
     assert apart.plan(0.0, [near, low], 1)[0] != apart.plan(1.0, [near, low], 1)[0]
     assert crops.plan(2.0, [], 2) == crops.plan(2.0, [near], 0) == []
-
-
-def test_a_large_part_reaches_out_of_the_picture_evenly() -> None:
-    [part] = Crops((400, 100), (160, 160)).plan(0.0, [(5.0, 0.0, 395.0, 100.0)], 1)
-    assert part == pytest.approx((0.0, -150.0, 400.0, 250.0))
 
 
 # --- fusion ---------------------------------------------------------------------------------------
@@ -367,45 +322,12 @@ def test_detections_are_drawn_and_whether_they_are_trusted() -> None:
     def observe(seen: Analysis) -> None:
         overlay.remember(seen)
         assert seen.detector is not None
-        if seen.detector.detections:
+        if seen.detector.detections and len(violet) < 3:
             picture = overlay.draw(seen)
             violet.append(bool((picture == (220, 120, 220)).all(axis=2).any()))
 
-    scene.events(16, looking, pipeline=ViewPipeline("cam", SETTINGS, observe, looking))
-    assert len(violet) > 20
-    assert all(violet)
+    scene.events(8, looking, pipeline=ViewPipeline("cam", SETTINGS, observe, looking))
+    assert violet == [True, True, True]
 
 
 # --- files ----------------------------------------------------------------------------------------
-
-
-def test_frames_of_a_file_come_in_colour_for_the_detector(tmp_path: Path) -> None:
-    path = tmp_path / "film.mp4"
-    size = (WIDTH * FACTOR, HEIGHT * FACTOR)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, size)
-    scene = ColouredScene(ALONE)
-    for k in range(round(16 * FPS)):
-        writer.write(scene.picture(k / FPS))
-    writer.release()
-
-    shapes = set()
-
-    class Shown(Drawn):
-        def infer(self, picture: Picture, part: Box) -> list[Detection]:
-            shapes.add(picture.shape)
-            return super().infer(picture, part)
-
-    looking = Timed(Shown(scene), DetectorSettings("m.onnx"))
-    found = []
-    for one in (looking, None):
-        grabber = Grabber(
-            "cam",
-            str(path),
-            wall_clock=lambda: 0.0,
-            settings=VisionSettings(working_width=WIDTH),
-            detector=one,
-        )
-        found.append(kinds([event for event in grabber.events() if event is not None]))
-        assert ("detector_looks" in grabber.statistics()) == (one is not None)
-    assert found == [["entry", "exit"]] * 2
-    assert shapes == {(HEIGHT * FACTOR, WIDTH * FACTOR, 3)}

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Place, Scene, line
 
-from camtopod.codec import to_json
-from camtopod.config.settings import parse
 from camtopod.records import Event
-from camtopod.vision.detect.motion import MotionDetector
 from camtopod.vision.detect.watched import ignored_share, watched_pixels
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import Polygon, VisionSettings
@@ -26,16 +22,6 @@ def rectangle(left: float, top: float, right: float, bottom: float) -> Polygon:
 
 TREE = rectangle(0.35, 0.2, 0.65, 0.95)
 STREET = rectangle(0.0, 0.0, 1.0, 0.25)
-CLOCK = rectangle(0.0, 0.9, 1.0, 1.0)
-
-
-def summary(events: Sequence[Event]) -> list[tuple[str, str | None, float | None, float | None]]:
-    ordered = sorted(events, key=lambda event: event.t)
-    return [(event.kind, event.track, event.x, event.y) for event in ordered]
-
-
-def kinds(events: Sequence[Event]) -> list[tuple[str, str | None]]:
-    return [(kind, track) for kind, track, _, _ in summary(events)]
 
 
 def leaves(area: Polygon) -> Callable[[Picture], None]:
@@ -58,20 +44,6 @@ def watched(
     return events + pipeline.finish(), pipeline
 
 
-def test_without_the_settings_not_a_byte_of_the_events_is_another() -> None:
-    people = [
-        Person(line(5.0, (-0.05, 0.7), (1.05, 0.5), 8.0)),
-        Person(line(7.0, (0.5, 1.25), (1.05, 0.4), 8.0), shade=220, seed=2),
-    ]
-    text = "[cameras.cam]\nignore = []\ndoors = []\nmin_height = 0\nsensitivity = 1\n"
-    without, with_defaults = (
-        [to_json(event) for event in Scene(people, noise=0.0).events(18, settings)]
-        for settings in (VisionSettings(), parse(text).cameras["cam"].vision)
-    )
-    assert len(without) == 4
-    assert with_defaults == without
-
-
 # --- ignored areas --------------------------------------------------------------------------------
 
 
@@ -88,23 +60,6 @@ def test_the_mask_is_the_polygon() -> None:
     assert ignored_share([((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))]) == pytest.approx(0.5, abs=0.01)
 
 
-def test_nothing_moves_in_an_ignored_area() -> None:
-    settings = VisionSettings(ignore=(TREE,))
-    detector, rng = MotionDetector(settings), np.random.default_rng(3)
-    scene = Scene([])
-    detector.bootstrap([detector.filter_noise(scene.picture(k / FPS)) for k in range(20)])
-    ignored = watched_pixels([TREE], HEIGHT, WIDTH) == 0
-    for _ in range(10):
-        frame = scene.picture(0.0)
-        frame[::2] = np.where(rng.random((HEIGHT // 2, WIDTH)) < 0.4, 255, frame[::2])
-        motion = detector.detect(frame, 1 / FPS)
-        assert motion is not None
-        assert not motion.moving[ignored].any()
-        assert not motion.changed[ignored].any()
-        assert motion.changed[~ignored].any()
-        detector.learn(motion, 1 / FPS, [])
-
-
 def test_what_happens_in_an_ignored_area_changes_nothing() -> None:
     """Neither the events nor the estimates of noise, light and shake."""
     tree = rectangle(0.0, 0.0, 0.6, 0.4)
@@ -118,17 +73,7 @@ def test_what_happens_in_an_ignored_area_changes_nothing() -> None:
     assert other.statistics() == pipeline.statistics()
 
 
-def test_without_the_setting_they_do() -> None:
-    """Check of the harness."""
-    walker = Person(line(5.0, (-0.05, 0.9), (1.05, 0.9), 8.0))
-    tree = rectangle(0.0, 0.0, 0.6, 0.4)
-    events, pipeline = watched(Scene([walker], front=leaves(tree)), 18, VisionSettings())
-    _, quiet = watched(Scene([walker]), 18, VisionSettings())
-    assert pipeline.statistics() != quiet.statistics()
-    assert events != []
-
-
-@pytest.mark.parametrize(("sense", "seconds"), [(1, 9.0), (-1, 9.0), (1, 25.0)])
+@pytest.mark.parametrize(("sense", "seconds"), [(-1, 9.0), (1, 20.0)])
 def test_who_walks_through_an_ignored_area_is_one_passage(sense: int, seconds: float) -> None:
     ends = ((-0.05, 0.7), (1.05, 0.75))[::sense]
     scene = Scene([Person(line(5.0, *ends, seconds))])
@@ -150,17 +95,10 @@ def test_who_turns_round_in_an_ignored_area_is_one_passage() -> None:
     assert events[0].track == events[1].track
 
 
-def test_who_stays_in_an_ignored_area_is_lost_without_an_exit() -> None:
-    scene = Scene([Person(line(5.0, (-0.05, 0.7), (0.5, 0.75), 5.0))])
-    events = scene.events(30, VisionSettings(ignore=(TREE,)))
-    assert [event.kind for event in events] == ["entry"]
-
-
 @pytest.mark.parametrize(
     ("area", "a", "b"),
     [
         (STREET, (0.5, 0.15), (0.4, 1.25)),
-        (CLOCK, (0.5, 1.25), (1.05, 0.5)),
         (rectangle(0.0, 0.0, 0.2, 1.0), (-0.05, 0.7), (1.05, 0.7)),
     ],
 )
@@ -204,10 +142,10 @@ def test_what_lies_behind_an_ignored_area() -> None:
 @pytest.mark.parametrize("door", [((0.5, 0.55),), rectangle(0.4, 0.45, 0.6, 0.65)])
 def test_a_named_door_counts_from_the_first_time_on(door: Polygon) -> None:
     out = Person(line(6.0, (0.5, 0.55), (-0.05, 0.75), 6.0))
-    back = Person(line(20.0, (-0.05, 0.75), (0.5, 0.55), 6.0), seed=2)
+    back = Person(line(16.0, (-0.05, 0.75), (0.5, 0.55), 6.0), seed=2)
     scene = Scene([out, back])
-    assert [event.kind for event in scene.events(40)] == ["exit", "entry"]
-    events = scene.events(40, VisionSettings(doors=(door,)))
+    assert [event.kind for event in scene.events(34)] == ["exit", "entry"]
+    events = scene.events(34, VisionSettings(doors=(door,)))
     assert [event.kind for event in events] == ["entry", "exit", "entry", "exit"]
     inside = [events[0], events[3]]
     assert all((event.x or 0) == pytest.approx(0.5, abs=0.08) for event in inside)
@@ -235,29 +173,6 @@ def test_what_is_lower_than_the_least_height_makes_no_events() -> None:
     assert [event.kind for event in events] == ["entry", "exit"]
     assert events[0].t == pytest.approx(8.2, abs=0.5), "the time of the first sighting"
     assert scene.events(20, VisionSettings(min_height=0.5)) == []
-
-
-def test_who_comes_from_above_enters_once_seen_as_a_whole() -> None:
-    man = Person(line(5.0, (0.5, -0.01), (0.5, 1.25), 9.0))
-    whole = Scene([man]).events(18)
-    assert kinds(Scene([man]).events(18, VisionSettings(min_height=0.17))) == kinds(whole)
-
-
-def test_sensitivity_is_monotone() -> None:
-    """More sensitivity, more moving pixels: the same ones and others."""
-    faint = Person(lambda t: (0.5, 0.7) if t > 3 else None, shade=130)
-    scene, masks = Scene([faint], noise=2.0), []
-    pictures = [scene.picture(k / FPS) for k in range(21)] + [scene.picture(4.0)]
-    for sensitivity in (0.25, 0.5, 1.0, 1.5, 2.0, 4.0):
-        detector = MotionDetector(VisionSettings(sensitivity=sensitivity))
-        frames = [detector.filter_noise(picture) for picture in pictures]
-        detector.bootstrap(frames[:-1])
-        motion = detector.detect(frames[-1], 1 / FPS)
-        assert motion is not None
-        masks.append(motion.moving != 0)
-    for fewer, more in itertools.pairwise(masks):
-        assert not (fewer & ~more).any()
-    assert masks[-1].sum() > masks[2].sum() > masks[0].sum()
 
 
 def test_a_faint_person_needs_more_of_it() -> None:

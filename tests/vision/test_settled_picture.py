@@ -45,14 +45,6 @@ def test_who_walks_through_is_not_in_it() -> None:
     assert error(picture) < 10
 
 
-def test_the_first_picture_has_them() -> None:
-    """Check of the harness."""
-    picture = SettledPicture()
-    picture.add(0.0, Scene(WALKERS).picture(0.0))
-    assert not picture.settled
-    assert error(picture) > 30
-
-
 def test_who_leaves_after_a_while_is_waited_for() -> None:
     picture, seconds = settled(Scene([Person(lambda t: (0.5, 0.7) if t < 5.0 else None)]))
     assert picture.settled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Scene, line
+from rendered_scenes import FPS, Person, Scene, line
 
 from bench.support.clip_variants import Bush
 from camtopod.vision.detect.swaying import SWAY_SECONDS, SWAY_START_SECONDS, Swaying
@@ -38,11 +38,6 @@ def test_who_walks_past_it_is_seen() -> None:
     assert left == pytest.approx(37.7, abs=0.7)
 
 
-def test_without_it_the_bush_is_an_object(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("camtopod.vision.detect.swaying.SWAY_SHARE", 1.0)
-    assert windy([])
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_swaying_pixels_beside_a_slow_version(seed: int) -> None:
     """The mean of the changes, pixel by pixel, and the range of a neighbourhood."""
@@ -71,8 +66,3 @@ def test_swaying_pixels_beside_a_slow_version(seed: int) -> None:
 
 def mask(where: np.typing.NDArray[np.bool_]) -> np.typing.NDArray[np.uint8]:
     return np.where(where, np.uint8(255), np.uint8(0))
-
-
-def test_a_scene_at_rest_is_left_alone() -> None:
-    moving = np.full((HEIGHT, WIDTH), 255, np.uint8)
-    assert Swaying((HEIGHT, WIDTH)).without(moving, moving, moving, 15.0) is moving

@@ -8,6 +8,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -23,8 +24,9 @@ from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.errors import SourceError
 from camtopod.vision.source.recorded import RecordedSource
 
-SECONDS = 14.0
+SECONDS = 9.0
 QUICK = VisionSettings(
+    bootstrap_seconds=1.0,
     open_timeout_seconds=1.0,
     read_timeout_seconds=1.0,
     backoff_min_seconds=0.2,
@@ -37,10 +39,10 @@ needs_server = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a film of 14 s in which two people walk through."""
+    """Write a film in which two people walk through."""
     people = [
-        Person(line(3.5, (-0.05, 0.7), (1.05, 0.6), 5.0)),
-        Person(line(5.0, (1.05, 0.85), (-0.05, 0.9), 6.0), seed=4),
+        Person(line(2.0, (-0.05, 0.7), (1.05, 0.6), 5.0)),
+        Person(line(3.0, (1.05, 0.85), (-0.05, 0.9), 5.0), seed=4),
     ]
     return Scene(people).film(tmp_path_factory.mktemp("film") / "film.mp4", SECONDS)
 
@@ -55,7 +57,8 @@ def server(film: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[int
 
 
 def grab(source: Path | str, **arguments: object) -> Grabber:
-    return Grabber("cam", str(source), wall_clock=time.time, **arguments)  # type: ignore[arg-type]
+    options: dict[str, Any] = {"settings": QUICK, **arguments}
+    return Grabber("cam", str(source), wall_clock=time.time, **options)
 
 
 def events_of(grabber: Grabber) -> list[Event]:
@@ -96,7 +99,7 @@ def test_a_file_to_events(film: Path) -> None:
     assert grabber.state == "connecting"
     events = sorted(events_of(grabber), key=lambda event: event.t)
     assert [event.kind for event in events] == ["entry", "entry", "exit", "exit"]
-    assert all(1003.0 < event.t < 1012.0 for event in events)
+    assert all(1001.5 < event.t < 1008.5 for event in events)
     assert grabber.state == "ended"
     figures = grabber.statistics()
     assert (figures["entries"], figures["exits"]) == (2, 2)
@@ -105,8 +108,8 @@ def test_a_file_to_events(film: Path) -> None:
 
 def test_a_file_at_a_multiple_of_its_pace_has_the_same_events(film: Path) -> None:
     began = time.monotonic()
-    paced = events_of(grab(film, realtime=True, speed=10.0))
-    assert SECONDS / 10 - 0.2 < time.monotonic() - began < SECONDS / 10 + 2.0
+    paced = events_of(grab(film, realtime=True, speed=20.0))
+    assert SECONDS / 20 - 0.2 < time.monotonic() - began < SECONDS / 20 + 2.0
     assert paced == events_of(grab(film))
 
 
@@ -142,9 +145,6 @@ def test_luma_is_the_grey_picture_whatever_the_format(film: Path, tmp_path: Path
     ("encoder", "pixels", "plane"),
     [
         ("libx264", "yuv420p", True),
-        ("libx264", "yuvj420p", True),
-        ("libx264", "yuv422p", True),
-        ("libx264", "yuv444p", True),
         ("mjpeg", "yuvj422p", True),
         ("ffv1", "gray", True),
         ("ffv1", "bgr0", False),
@@ -227,7 +227,7 @@ def run_until(
 def test_a_stream_that_is_not_there_is_waited_for() -> None:
     with socket.socket() as reserved:
         reserved.bind(("127.0.0.1", 0))  # bound, not listening: refuses
-        grabber = grab(f"rtsp://user:pa@ss@127.0.0.1:{reserved.getsockname()[1]}/s", settings=QUICK)
+        grabber = grab(f"rtsp://user:pa@ss@127.0.0.1:{reserved.getsockname()[1]}/s")
         assert run_until(grabber.events(), lambda: grabber.statistics()["failures"] >= 2) == []
         assert grabber.state == "connecting"
         assert "trying again" in grabber.reason
@@ -237,7 +237,7 @@ def test_a_stream_that_is_not_there_is_waited_for() -> None:
 
 def test_a_host_that_says_nothing_is_given_up_and_tried_again() -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        grabber = grab(f"rtsp://127.0.0.1:{silent.getsockname()[1]}/s", settings=QUICK)
+        grabber = grab(f"rtsp://127.0.0.1:{silent.getsockname()[1]}/s")
         run_until(grabber.events(), lambda: grabber.statistics()["failures"] >= 1)
         assert grabber.state == "connecting"
         grabber.close()
@@ -246,7 +246,7 @@ def test_a_host_that_says_nothing_is_given_up_and_tried_again() -> None:
 @needs_server
 def test_a_stream_has_the_events_of_the_file(film: Path, server: int) -> None:
     recorded = events_of(grab(film))
-    grabber = grab(f"rtsp://127.0.0.1:{server}/camera", settings=QUICK)
+    grabber = grab(f"rtsp://127.0.0.1:{server}/camera")
     before = time.time()
     streamed = run_until(grabber.events(), lambda: grabber.statistics()["exits"] >= 2, SECONDS + 10)
     grabber.close()
@@ -263,7 +263,7 @@ def test_a_stream_has_the_events_of_the_file(film: Path, server: int) -> None:
 @needs_server
 def test_a_stream_that_stalls_closes_or_refuses_comes_back(server: int) -> None:
     proxy = FaultProxy(server)
-    grabber = grab(f"rtsp://127.0.0.1:{proxy.port}/camera", settings=QUICK)
+    grabber = grab(f"rtsp://127.0.0.1:{proxy.port}/camera")
     stream, analysed = grabber.events(), 0
 
     def more_frames() -> bool:

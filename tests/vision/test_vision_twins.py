@@ -7,14 +7,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from camtopod.vision.boxes import overlap, union
+from camtopod.vision.boxes import union
 from camtopod.vision.detect import background, blobs, motion, shake, shrink
 from camtopod.vision.detect.wiener import temporal_noise
-from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track import crossings, kalman, stature, tracker
+from camtopod.vision.track import kalman, stature
 
 Picture = npt.NDArray[np.uint8]
-seeds = pytest.mark.parametrize("seed", range(6))
+seeds = pytest.mark.parametrize("seed", range(3))
 
 
 def picture(rng: np.random.Generator, height: int, width: int, coarse: int = 4) -> Picture:
@@ -27,7 +26,7 @@ def picture(rng: np.random.Generator, height: int, width: int, coarse: int = 4) 
 
 @pytest.mark.parametrize(
     ("height", "width"),
-    [(1080, 1920), (720, 1280), (576, 768), (432, 768), (600, 800), (481, 643), (2160, 3840)],
+    [(1080, 1920), (576, 768), (481, 643)],
 )
 def test_shrunk_is_the_mean_over_the_area(height: int, width: int) -> None:
     large = picture(np.random.default_rng(1), height, width, coarse=width // 40)
@@ -38,13 +37,6 @@ def test_shrunk_is_the_mean_over_the_area(height: int, width: int) -> None:
     assert difference.mean() < 1.0
     if width % 320 == 0 and height * 320 % width == 0:
         assert difference.max() <= 2  # rounded once a step
-
-
-def test_what_is_small_enough_stays_but_elsewhere() -> None:
-    small = picture(np.random.default_rng(1), 120, 160)
-    same = shrink.shrunk(small, 320)
-    np.testing.assert_array_equal(same, small)
-    assert not np.shares_memory(same, small)
 
 
 @seeds
@@ -106,20 +98,12 @@ def test_a_picture_is_moved_back(x: float, y: float) -> None:
     assert np.abs(back[inner].astype(int) - scene[inner]).mean() < 0.5
 
 
-def test_a_camera_that_has_turned_is_not_moved_back() -> None:
-    frame = picture(np.random.default_rng(3), 180, 320)
-    settled = np.full(frame.shape, 255, np.uint8)
-    far = (shake.SHIFT_PIXELS_MAX + 1.0, 0.0)
-    flat = np.full_like(frame, 100)  # without texture, nothing is found
-    assert shake.shifted_back(frame, flat, settled, far) is frame
-
-
 @seeds
 def test_fragments(seed: int) -> None:
     rng = np.random.default_rng(seed)
     mask = np.zeros((180, 320), np.uint8)
     part = mask[60:130, 41:200]
-    part[:] = np.where(rng.uniform(size=part.shape) < 0.3 * seed / 5, np.uint8(255), np.uint8(0))
+    part[:] = np.where(rng.uniform(size=part.shape) < 0.3 * seed / 2, np.uint8(255), np.uint8(0))
     labels, stats = blobs._fragments(mask)
     _, twin, twin_stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     assert sorted(map(tuple, stats[1:].tolist())) == sorted(map(tuple, twin_stats[1:].tolist()))
@@ -168,56 +152,6 @@ def test_merged_are_all_that_belong(seed: int, known: bool) -> None:
     assert len(groups) < len(boxes)
 
 
-class _NoEdges:
-    size = (320, 180)
-
-    def touches(self, box: motion.Box) -> bool:
-        return False
-
-    def at_edge(self, track: tracker.Track) -> None:
-        return None
-
-    def goes_behind(self, track: tracker.Track) -> bool:
-        return False
-
-    begins_at_edge, comes_from_behind = at_edge, goes_behind
-
-
-@seeds
-def test_only_what_is_near_or_overlaps_can_be_a_track_s(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-
-    def made(many: int) -> list[blobs.Blob]:
-        spots = zip(
-            rng.uniform(0, [320, 180], (many, 2)),
-            10.0 ** rng.uniform(0, 1.8, (many, 2)),
-            strict=True,
-        )
-        return [blobs.Blob(x, y, x + w, y + h, x + 0.4 * w, w * h) for (x, y), (w, h) in spots]
-
-    followed = tracker.Tracker(VisionSettings(), _NoEdges())
-    followed.step(0.0, made(12))
-    seen = made(2000)
-    taken = 0
-    for track in followed.active:
-        gate = (
-            tracker.GATE_HEIGHTS * max(track.height, 0.7 * track.width)
-            + 2 * track.kalman.uncertainty
-        )
-        x, top, foot_x, bottom = track.kalman.position
-        for blob, cost in zip(seen, followed._costs(track, seen), strict=True):
-            head = np.hypot(blob.head[0] - x, blob.top - top)
-            foot = np.hypot(blob.foot_x - foot_x, blob.bottom - bottom)
-            near = min(head, foot) <= gate or overlap(track.last.box, blob.box) >= 0.3
-            assert (cost < tracker._NEVER) == near
-            if near:
-                assert cost == pytest.approx(
-                    (0.7 * min(head, foot) + 0.3 * max(head, foot)) / gate + 0.5
-                )
-            taken += near
-    assert 0 < taken < len(seen) * len(followed.active) / 2
-
-
 def test_kalman_is_the_textbook_s() -> None:
     rng = np.random.default_rng(2)
     height, dt = 50.0, 0.16
@@ -250,27 +184,3 @@ def test_stature_is_the_line_through_the_heights() -> None:
     learned.add(9, 100.0, 300.0, 10.0)  # no person
     for row in (60.0, 100.0, 160.0):
         assert learned.height(row) == pytest.approx(20.0 + 0.3 * row, abs=0.1)
-
-
-@seeds
-def test_a_box_is_at_a_border_as_the_rule_says(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    view = crossings.Crossings("cam", 320, 180)
-    margin = crossings.BORDER_SHARE * (320**2 + 180**2) ** 0.5
-    named = set()
-    for _ in range(500):
-        left, top = (float(value) for value in rng.uniform((0, -30), (310, 170)).round(1))
-        top = max(top, 0.0)
-        box = left, top, min(320.0, left + rng.integers(3, 60)), min(180.0, top + 40.0)
-        height, dx, dy = (float(value) for value in rng.uniform((10, -30, -30), (90, 30, 30)))
-        border = view._border(box, height, (dx, dy))
-        far = max(margin, crossings.CUT_SHARE * height) if top <= 1.5 else margin
-        near = {
-            "left border": left <= margin or left + dx <= 0,
-            "right border": 320 - box[2] <= margin or 320 - box[2] - dx <= 0,
-            "top border": box[3] <= far or box[3] + dy <= 0,
-            "bottom border": 180 - box[3] <= margin or 180 - box[3] - dy <= 0,
-        }
-        assert near[border] if border else not any(near.values()), (border, near)
-        named.add(border)
-    assert len(named) == 5
