@@ -6,19 +6,9 @@ carries it out at the same point. Structs without logic, as in `camtopod.records
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
-
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from camtopod.records import CameraId
-from camtopod.soundness import PLACE_PATTERN
-
-Verdict = Literal["right", "wrong"]
-"""An operator's word on a link."""
-Judgement = tuple[str, str, Verdict]
-"""Where objects leave, where they appear next (two zones or two cameras), and the word on it."""
-Place = Annotated[str, Meta(pattern=PLACE_PATTERN)]
-"""A camera, or a zone as ``camera/number``."""
 
 
 class Forget(Struct, frozen=True, tag="forget"):
@@ -40,20 +30,6 @@ class Rename(Struct, frozen=True, tag="rename"):
     new: CameraId
 
 
-class Judge(Struct, frozen=True, tag="judge"):
-    """Mark the links from ``source`` to ``target`` with the operator's word on them.
-
-    Visible links, which are passages through one view, are not marked.
-
-    source, target: two zones, or two cameras for all links between their views.
-    verdict: ``none`` takes the word back.
-    """
-
-    source: Place
-    target: Place
-    verdict: Literal["right", "wrong", "none"]
-
-
 class Reset(Struct, frozen=True, tag="reset"):
     """Begin the site anew: nothing is learned, no camera is known.
 
@@ -70,4 +46,4 @@ class Reset(Struct, frozen=True, tag="reset"):
     stored: dict[int, str] = {}
 
 
-Command = Forget | TakeBack | Rename | Judge | Reset
+Command = Forget | TakeBack | Rename | Reset

@@ -165,8 +165,6 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     mahalanobis_variance: Var(d) of the thesis (table 4.3).
     histogram: transit times on the lag bins of the topology's model.
     lacks: evidence that a weak link still needs; None if waiting does not help.
-    operator: an operator's word on the link, ``right`` or ``wrong``; it changes nothing that is
-        learned or predicted.
     """
 
     from_: str
@@ -179,7 +177,6 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     mahalanobis_variance: Number
     histogram: Histogram | None = None
     lacks: Lacks | None = None
-    operator: Literal["right", "wrong"] | None = None
 
 
 class Pair(Struct, frozen=True, omit_defaults=True):

@@ -25,8 +25,6 @@ from camtopod.records import (
 
 ZONE_PATTERN = rf"^[A-Za-z0-9_.-]{{1,{CAMERA_CHARACTERS_MAX}}}/[0-9]{{1,9}}\Z"
 """Regular expression of a zone id: CAMERA/NUMBER."""
-PLACE_PATTERN = rf"^[A-Za-z0-9_.-]{{1,{CAMERA_CHARACTERS_MAX}}}(/[0-9]{{1,9}})?\Z"
-"""Regular expression of a camera or a zone."""
 DECILES = 11
 """Number of deciles of the dwell times, minimum and maximum included."""
 

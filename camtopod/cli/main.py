@@ -84,7 +84,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "camtopod.cli.operator.rename",
         "rename a camera and keep everything learned about it",
     ),
-    "judge": ("camtopod.cli.operator.judge", "mark a link as right or wrong"),
     "reset": (
         "camtopod.cli.operator.reset",
         "begin the site anew: forget everything that was learned",

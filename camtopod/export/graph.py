@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from msgspec import Struct
 
 from camtopod.records import Link, PairRelation, Topology, Transit
@@ -25,8 +23,6 @@ class Edge(Struct, frozen=True):
     """Share of all objects leaving the view of ``from_`` that appear next in the view of ``to``."""
     transitions: float
     """Expected number of transitions of all its links."""
-    operator: Literal["right", "wrong"] | None = None
-    """An operator's word on its links; None without one, or if they differ."""
 
     @property
     def relation(self) -> PairRelation:
@@ -57,7 +53,6 @@ def edges(topology: Topology) -> list[Edge]:
     for (a, b), links in sorted(grouped.items()):
         transitions = sum(link.transitions for link in links)
         overlapping = [link for link in links if link.relation == "overlapped"]
-        words = {link.operator for link in links}
         chief = max(overlapping or links, key=lambda link: (link.transitions, link.from_, link.to))
         result.append(
             Edge(
@@ -67,7 +62,6 @@ def edges(topology: Topology) -> list[Edge]:
                 transit=chief.transit,
                 probability=min(1.0, transitions / exits[a]) if exits[a] else 0.0,
                 transitions=transitions,
-                operator=words.pop() if len(words) == 1 else None,
             )
         )
     return result

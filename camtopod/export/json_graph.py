@@ -38,8 +38,6 @@ def to_json_graph(topology: Topology) -> str:
             "probability": edge.probability,
             "transitions": edge.transitions,
         }
-        if edge.operator is not None:
-            link["operator"] = edge.operator
         links.append(link)
     graph = {
         "directed": True,

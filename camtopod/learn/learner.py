@@ -21,7 +21,7 @@ from collections.abc import Callable, Set
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.admin import Forget, Judge, Judgement
+from camtopod.admin import Forget
 from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
 from camtopod.learn import refit as refits
 from camtopod.learn.assemble import assemble, empty_topology, link_records, zone_id
@@ -45,7 +45,7 @@ from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
 from camtopod.predict import Predictor
 from camtopod.publishers import RETURNS_MIN, Publisher
 from camtopod.records import Event, Topology
-from camtopod.topology import judged, marked, with_digest, without_camera
+from camtopod.topology import with_digest
 
 REFIT_EVENTS_MIN = 10
 """Least new events for a new version, unless the last version is older than ``refit_hours``."""
@@ -137,7 +137,6 @@ class Learner:
         self._updates: list[Topology] = []
 
         # Operators' words on links.
-        self._judgements: list[Judgement] = []
 
     def receive(self, event: Event) -> str:
         """Receive one event, process the ticks that it completes, and return the verdict.
@@ -201,7 +200,6 @@ class Learner:
             self._publishers,
             self._doubled,
             self._retired,
-            self._judgements,
         )
 
     def load(self, state: LearnerState) -> None:
@@ -224,28 +222,22 @@ class Learner:
         self._learned, self._since_fit = state.learned, state.since_fit
         self._publishers, self._doubled = state.publishers, state.doubled
         self._followed, self._retired = state.followed, state.left
-        self._judgements = state.judgements
 
-    def administer(self, command: Forget | Judge) -> None:
+    def administer(self, command: Forget) -> None:
         """Apply an operator's command, and make a version at once if it changes anything.
 
         A camera is forgotten with its alarms and its events that wait for the watermark; what they
         have taught about other cameras is kept. `camtopod.learn.rename` renames a camera.
         """
-        if isinstance(command, Judge):
-            self._judge(command)
-            return
         if self.erase({command.camera}):
             self.make_version()
 
     def erase(self, names: Set[str]) -> bool:
-        """Forget cameras with their alarms, held events and judgements; return False if unknown."""
+        """Forget cameras with their alarms and held events; return False if unknown."""
         known = names & {*self._window.cameras, *self._intake.cameras, *self._retired}
         self._intake.drop_held(names)
         self.forget(names)
         self._alarms.erase(names)
-        for name in names:
-            self._judgements = without_camera(self._judgements, name)
         return bool(known)
 
     def make_version(self) -> None:
@@ -462,24 +454,6 @@ class Learner:
         self._scorer.use(version, self._events_for_version())
         self._updates.append(version)
 
-    def _judge(self, command: Judge) -> None:
-        """Keep an operator's word on a link, and make a version that differs only by it."""
-        self._judgements = judged(self._judgements, command)
-        if self.topology is not None:
-            newer = replace(self.topology, version=self.topology.version + 1)
-            self._publish(self._with_marks(newer))
-
-    def _with_marks(self, topology: Topology) -> Topology:
-        """Return a version with the operators' words on its links, and its digest."""
-        links, weak = topology.links, topology.weak_links
-        return with_digest(
-            replace(
-                topology,
-                links=marked(links, self._judgements),
-                weak_links=marked(weak, self._judgements),
-            )
-        )
-
     def _version_of(self, found: Refit, tick_us: int) -> Topology:
         """Return the version that follows from a refit, with site, number, alarms and score."""
         # The records of links and zones.
@@ -507,7 +481,7 @@ class Learner:
 
     def _completed(self, topology: Topology, tick_us: int) -> Topology:
         """Return a topology with the fields that only the learner knows."""
-        return self._with_marks(
+        return with_digest(
             replace(
                 topology,
                 site=self.site,

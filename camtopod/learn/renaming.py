@@ -10,7 +10,7 @@ from camtopod.learn.changes import AlarmState
 from camtopod.learn.self_score import ScoredPrediction, ScorerState
 from camtopod.learn.snapshot import LearnerState
 from camtopod.learn.window import ReorderBufferState
-from camtopod.topology import renamed, with_new_name
+from camtopod.topology import renamed
 
 _Value = TypeVar("_Value")
 
@@ -32,7 +32,6 @@ def rename(state: LearnerState, old: str, new: str) -> LearnerState:
         publishers=_with_new_key(state.publishers, old, new),
         doubled=[new if name == old else name for name in state.doubled],
         left=_with_new_key(state.left, old, new),
-        judgements=with_new_name(state.judgements, old, new),
     )
 
 

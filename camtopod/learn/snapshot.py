@@ -15,7 +15,6 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from camtopod.admin import Judgement
 from camtopod.learn.association import FollowedSources
 from camtopod.learn.changes import AlarmState, Move
 from camtopod.learn.clocks import ClockState
@@ -78,7 +77,6 @@ class LearnerState(Struct):
     publishers: programs that publish each camera.
     doubled: cameras found to have two publishers since the last version.
     left: retired cameras, the one retired last at the end.
-    judgements: operators' words on links.
     """
 
     settings: Settings
@@ -100,7 +98,6 @@ class LearnerState(Struct):
     publishers: dict[str, Publisher] = {}
     doubled: list[str] = []
     left: dict[str, RetiredCamera] = {}
-    judgements: list[Judgement] = []
 
 
 class _Snapshot(Struct):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import msgspec
 from msgspec import Struct
 
-from camtopod.admin import Command, Forget, Judge, Rename, Reset, TakeBack
+from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
 from camtopod.serve.bus import QueryError
 
-KEYS = ("forget", "rename", "reset", "judge")
+KEYS = ("forget", "rename", "reset")
 """Commands that may stand after ``admin/``."""
 
 
@@ -30,8 +30,6 @@ def parameters_of(command: Command) -> tuple[str, dict[str, str]]:
             return "admin/forget", {"camera": camera, "take_back": "true"}
         case Rename(old, new):
             return "admin/rename", {"old": old, "new": new}
-        case Judge(source, target, verdict):
-            return "admin/judge", {"from": source, "to": target, "verdict": verdict}
         case Reset():
             return "admin/reset", {}
 
@@ -55,9 +53,6 @@ def command_of(key: str, parameters: dict[str, str]) -> Command:
             return read(TakeBack if take_back else Forget, camera=given.get("camera"))
         case "rename":
             return read(Rename, old=given.get("old"), new=given.get("new"))
-        case "judge":
-            ends = {"source": given.get("from"), "target": given.get("to")}
-            return read(Judge, **ends, verdict=given.get("verdict"))
         case "reset":
             return Reset()
         case _:

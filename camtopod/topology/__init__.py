@@ -4,7 +4,7 @@ The records of a topology are in `camtopod.records`. Reading order: `lag_bins` (
 times), `histograms` (transit-time histograms as a version stores them), `grid` (image positions as
 integers, and blocks of the image) and `shared_constants`. `camera_pairs` (overlapped views or
 unseen paths) and `markov_chain` (the chain over cameras) are computed from links. `site_names` has
-cameras' names within ids, and operators' judgements of links. `versions` has digests of versions
+cameras' names within ids. `versions` has digests of versions
 and the deltas between them. `first_links` says what a site without links waits for.
 """
 
@@ -49,12 +49,8 @@ from camtopod.topology.shared_constants import (
 )
 from camtopod.topology.site_names import (
     camera_of,
-    judged,
-    marked,
     mentions,
     renamed,
-    with_new_name,
-    without_camera,
 )
 from camtopod.topology.versions import (
     ALARMS_KEPT_MAX,
@@ -92,7 +88,6 @@ __all__ = [
     "estimate_markov_chain",
     "find_camera_pairs",
     "joins_two_views",
-    "judged",
     "lacks_in_words",
     "lag_smoothing_matrix",
     "likely_links",
@@ -100,7 +95,6 @@ __all__ = [
     "links_between_views",
     "links_in_words",
     "make_delta",
-    "marked",
     "masses_on_bins",
     "mentions",
     "offset_bins",
@@ -111,6 +105,4 @@ __all__ = [
     "step_histogram",
     "waiting_for_links",
     "with_digest",
-    "with_new_name",
-    "without_camera",
 ]

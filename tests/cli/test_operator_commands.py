@@ -1,4 +1,4 @@
-"""`camtopod forget`, `rename`, `judge`, `reset`: by a daemon, and in a state directory."""
+"""`camtopod forget`, `rename`, `reset`: by a daemon, and in a state directory."""
 
 from __future__ import annotations
 
@@ -67,7 +67,6 @@ def test_the_commands_reach_the_daemon(daemon: Daemon, capsys: pytest.CaptureFix
     assert told(capsys, *hq, "forget", "b", "--take-back")[0] == 0
     assert told(capsys, *hq, "rename", "c", "yard")[0] == 0
     wait_for(lambda: "yard" in cameras(daemon), "the version")
-    assert told(capsys, *hq, "judge", "a", "yard", "right")[0] == 0
     epoch = daemon.epoch
     assert told(capsys, *hq, "reset", "--yes")[0] == 0
     wait_for(lambda: daemon.epoch > epoch and not cameras(daemon), "the reset")
@@ -99,8 +98,6 @@ def test_what_the_daemon_refuses_is_said(
         ["forget", "a/1"],
         ["rename", "a"],
         ["rename", "a", "b c"],
-        ["judge", "a", "b", "maybe"],
-        ["judge", "a/x", "b", "right"],
     ],
 )
 def test_wrong_usage(arguments: list[str]) -> None:
@@ -162,7 +159,6 @@ def restarted(state: Path) -> set[str]:
     [
         (["forget", "b"], {"a", "c"}),
         (["rename", "b", "yard"], {"a", "c", "yard"}),
-        (["judge", "a", "b", "wrong"], {"a", "b", "c"}),
         (["reset", "--yes"], set()),
     ],
 )
@@ -197,7 +193,7 @@ def test_commands_follow_each_other(state: Path, capsys: pytest.CaptureFixture[s
     assert "b was renamed to yard" in told(capsys, "rename", "b", "x", *there)[2]
     assert told(capsys, "forget", "yard", *there)[0] == 0
     assert told(capsys, "reset", "--yes", *there)[0] == 0
-    assert "none is known yet" in told(capsys, "judge", "a", "c", "right", *there)[2]
+    assert "there is no camera x; none is known yet" in told(capsys, "forget", "x", *there)[2]
     assert restarted(state) == set()
 
 

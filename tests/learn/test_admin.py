@@ -1,4 +1,4 @@
-"""An operator's commands in the learner: forget, rename, judge, and a new beginning."""
+"""An operator's commands in the learner: forget, rename, and a new beginning."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from msgspec.structs import replace
 from test_snapshot import SETTINGS, events_of, restored
 
 from camtopod import codec
-from camtopod.admin import Forget, Judge
+from camtopod.admin import Forget
 from camtopod.learn import Learner, pack, rename
 from camtopod.predict import Predictor
-from camtopod.records import Event, Link, Topology
-from camtopod.topology.versions import alarms_follow, apply_delta, digest_of, make_delta
+from camtopod.records import Event, Topology
+from camtopod.topology.versions import alarms_follow
 
 Change = Callable[[Learner], Learner]
 """Carry out a command; return the learner that goes on."""
@@ -36,14 +36,6 @@ def name(old: str, new: str) -> Change:
         renamed.load(rename(learner.save(), old, new))
         renamed.make_version()
         return renamed
-
-    return change
-
-
-def judge(source: str, target: str, verdict: str) -> Change:
-    def change(learner: Learner) -> Learner:
-        learner.administer(Judge(source, target, verdict))  # type: ignore[arg-type]
-        return learner
 
     return change
 
@@ -80,7 +72,7 @@ def known(learner: Learner, camera: str) -> bool:
         codec.to_json(newest(learner)),
         json.dumps([state.intake.cameras, state.intake.newest, state.window.cameras]),
         codec.to_json([state.intake.held, state.intake.seen, [*state.intake.behind]]),
-        codec.to_json([state.alarms, [*state.publishers], [*state.left], state.judgements]),
+        codec.to_json([state.alarms, [*state.publishers], [*state.left]]),
         codec.to_json([state.intake.leader or ""]),
     ]
     return any(
@@ -146,15 +138,13 @@ def test_a_renamed_camera_is_as_one_that_always_had_the_name(new: str) -> None:
     )
 
 
-def test_zones_links_and_judgements_go_on_under_the_new_name() -> None:
-    learner, [judged] = told([], judge("cam01", "cam02", "wrong"), restored(half()))
+def test_zones_go_on_under_the_new_name() -> None:
+    learner = restored(half())
+    before = newest(learner)
     learner, [after] = told([], name("cam01", "door"), learner)
     assert {zone.id.replace("door/", "cam01/") for zone in after.zones} == {
-        zone.id for zone in judged.zones
+        zone.id for zone in before.zones
     }
-    said = {(link.from_, link.to): link.operator for link in links_of(after) if link.operator}
-    assert said
-    assert {(a.partition("/")[0], b.partition("/")[0]) for a, b in said} == {("door", "cam02")}
     # Learning goes on as it was, and gives the same links.
     rest = events_of("hard")[HALF:]
     learner, made = told([other_name(event, "cam01", "door") for event in rest], None, learner)
@@ -164,60 +154,7 @@ def test_zones_links_and_judgements_go_on_under_the_new_name() -> None:
     }
 
 
-def links_of(topology: Topology) -> list[Link]:
-    return [*topology.links, *(topology.weak_links or [])]
-
-
-def test_a_judgement_marks_links_and_changes_nothing_else() -> None:
-    learner = restored(half())
-    before = newest(learner)
-    link = next(link for link in before.links if link.relation != "visible")
-    learner, [wrong] = told([], judge(link.from_, link.to, "wrong"), learner)
-    assert (wrong.version, wrong.as_of) == (before.version + 1, before.as_of)
-    marked = [one for one in links_of(wrong) if one.operator]
-    assert [(one.from_, one.to, one.operator) for one in marked] == [(link.from_, link.to, "wrong")]
-    bare = [replace(one, operator=None) for one in wrong.links]
-    assert (bare, wrong.model, wrong.chain) == (before.links, before.model, before.chain)
-    assert digest_of(wrong) == wrong.digest != before.digest
-    assert apply_delta(before, make_delta(before, wrong)) == wrong
-    # It lasts, and is taken back.
-    learner, made = told(events_of("hard")[HALF:], None, restored(pack(learner.save())))
-    _, others = told(events_of("hard")[HALF:], None, restored(half()))
-    for ours, theirs in zip(made, others, strict=True):
-        assert [replace(one, operator=None) for one in ours.links] == theirs.links
-    learner, [taken] = told([], judge(link.from_, link.to, "none"), learner)
-    assert not [one for one in links_of(taken) if one.operator]
-
-
-def test_a_weak_link_is_marked_right_and_stays_weak() -> None:
-    learner = restored(half())
-    before = newest(learner)
-    weak = (before.weak_links or [])[0]
-    _, [after] = told([], judge(weak.from_, weak.to, "right"), learner)
-    [marked] = [one for one in after.weak_links or [] if one.operator]
-    assert marked == replace(weak, operator="right")
-    assert after.links == before.links
-
-
-def test_two_zones_precede_their_cameras() -> None:
-    learner = restored(half())
-    link = next(link for link in newest(learner).links if link.relation != "visible")
-    cameras = [end.partition("/")[0] for end in (link.from_, link.to)]
-    told([], judge(link.from_, link.to, "right"), learner)
-    _, [after] = told([], judge(cameras[0], cameras[1], "wrong"), learner)
-    said = {one.operator for one in after.links if (one.from_, one.to) == (link.from_, link.to)}
-    assert said == {"right"}
-
-
-def test_a_forgotten_camera_loses_its_judgements() -> None:
-    learner, _ = told([], judge("cam01", "cam02", "wrong"), restored(half()))
-    learner, _ = told([], forget("cam02"), learner)
-    assert learner.save().judgements == []
-
-
-@pytest.mark.parametrize(
-    "change", [forget("cam02"), name("cam02", "yard"), judge("cam01", "cam02", "right")]
-)
+@pytest.mark.parametrize("change", [forget("cam02"), name("cam02", "yard")])
 def test_a_restored_learner_carries_out_the_same(change: Change) -> None:
     """With the same versions to the end, whether it is saved before or after the command."""
     rest = events_of("hard")[HALF:]

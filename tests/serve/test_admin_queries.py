@@ -1,4 +1,4 @@
-"""Operators' commands to a daemon on a real bus: forget, rename, judge, reset."""
+"""Operators' commands to a daemon on a real bus: forget, rename, reset."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ from serving import T0, all_out, closing_event, numbered, wait_for, walkers
 from test_daemon import NOW, Site, journal_of, put
 
 from camtopod import codec
-from camtopod.admin import Command, Forget, Judge, Rename, Reset, TakeBack
-from camtopod.records import Ack, Delta, Event
+from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
+from camtopod.records import Ack, Event
 from camtopod.serve import Done, parameters_of
 from camtopod.serve.admin_queries import command_of
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest import names as names_module
 from camtopod.serve.ingest import receiver as receiver_module
-from camtopod.topology import apply_delta
 
 
 @pytest.fixture
@@ -193,9 +192,6 @@ def test_a_renamed_camera_can_get_its_name_back(site: Site) -> None:
         (Rename("x", "y"), "there is no camera x"),
         (Rename("b", "b"), "b has this name already"),
         (Rename("b", "a"), "there is a camera a already"),
-        (Judge("a/1", "x/1", "right"), "there is no camera x"),
-        (Judge("a/1", "b/99", "right"), "there is no zone b/99; there are b/1"),
-        (Judge("a/1", "b", "right"), "not a zone and a camera"),
     ],
 )
 def test_a_command_that_makes_no_sense_is_refused_with_the_reason(
@@ -215,7 +211,6 @@ def test_a_command_that_makes_no_sense_is_refused_with_the_reason(
         ("admin/forget", {}, "needs the parameter camera"),
         ("admin/rename", {"old": "b"}, "needs the parameter new"),
         ("admin/rename", {"old": "b", "new": "a b"}, "new"),
-        ("admin/judge", {"from": "a", "to": "b", "verdict": "maybe"}, "verdict"),
     ],
 )
 def test_a_malformed_query_is_refused_with_the_reason(
@@ -230,7 +225,6 @@ def test_every_command_can_be_asked_for() -> None:
         Forget("b"),
         TakeBack("b"),
         Rename("a", "b"),
-        Judge("a/1", "b/2", "none"),
         Reset(),
     ):
         assert command_of(*parameters_of(command)) == command
@@ -257,32 +251,6 @@ def test_the_number_of_names_is_limited(site: Site, monkeypatch: pytest.MonkeyPa
     assert daemon.status()["names"]["forgotten"] == {"b": 0}
 
 
-# --- judge ----------------------------------------------------------------------------------------
-
-
-def test_a_word_on_a_link_is_followed_by_its_delta(site: Site) -> None:
-    daemon = site.daemon()
-    bus = site.client(daemon)
-    learned(daemon, bus)
-    before, deltas = daemon.topology, list[bytes]()
-    assert before is not None
-    bus.subscribe("topology/delta", lambda key, payload: deltas.append(payload))
-    said = ask(bus, Judge("a", "b", "wrong"))
-    assert said.startswith("a -> b is marked as wrong")
-    wait_for(lambda: len(deltas) > 0, "the delta")
-    after = apply_delta(before, codec.read(Delta, deltas[0], pack=True))
-    links = [*after.links, *(after.weak_links or [])]
-    marked = {(link.from_[0], link.to[0]) for link in links if link.operator == "wrong"}
-    assert (after, marked) == (daemon.topology, {("a", "b")})
-    assert daemon.status()["names"]["judged"] == 1
-
-
-def test_a_link_that_is_not_there_may_be_judged(taught: tuple[Daemon, Bus]) -> None:
-    said = ask(taught[1], Judge("c", "c", "right"))
-    assert "there is no such link now, it is marked if it appears" in said
-    assert "taken back" in ask(taught[1], Judge("c", "c", "none"))
-
-
 # --- reset ----------------------------------------------------------------------------------------
 
 
@@ -302,7 +270,7 @@ def test_a_reset_begins_anew_and_events_of_before_do_not_count(site: Site) -> No
     status = daemon.status()
     assert (status["names"]["forgotten"], status["names"]["reset"]) == ({}, NOW)
     with pytest.raises(QueryError, match="none is known yet"):
-        ask(bus, Judge("a", "b", "right"))
+        ask(bus, Forget("x"))
 
     # What was in a spool or under way is acknowledged and not learned.
     publisher, _ = site.publisher(site.client(daemon))

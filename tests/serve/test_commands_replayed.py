@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from test_recovery import EVENTS, Installation, Start, start
 
-from camtopod.admin import Command, Forget, Judge, Rename, Reset, TakeBack
+from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
 from camtopod.codec import read, to_msgpack
 from camtopod.records import Topology
 from camtopod.serve.ingest import Names, Received, known_site, read_names
@@ -20,7 +20,7 @@ __all__ = ["start"]
 AT = 120
 """Number of events before the command."""
 RESET = Reset(EVENTS[AT].t)
-COMMANDS = [Forget("b"), Rename("b", "yard"), Judge("a", "b", "wrong"), TakeBack("x"), RESET]
+COMMANDS = [Forget("b"), Rename("b", "yard"), TakeBack("x"), RESET]
 
 
 def give(one: Installation, command: Command, learn: bool = True) -> None:
@@ -34,8 +34,6 @@ def give(one: Installation, command: Command, learn: bool = True) -> None:
         one.journal.commit([received.entry], meta={NAMES_KEY: received.names or ""})
         one.learning.feed([received])
     names.state = read_names(one.journal.meta(NAMES_KEY))
-    if isinstance(command, Judge):
-        site = site._replace(zones={"a/1"})
     received = names.carry_out(command, site)[0]
     one.journal.commit([received.entry], meta={NAMES_KEY: received.names or ""})
     if learn:

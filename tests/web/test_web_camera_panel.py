@@ -75,16 +75,3 @@ def test_a_camera_that_is_gone_is_grey_and_not_counted(browser: Browser) -> None
         assert browser.text(".page table").count(f"gone since {day}") == 2
         browser.go(f"#/camera/{A}")
         browser.wait(lambda: f"gone since {day}" in browser.text(".panel .status"), "since when")
-
-
-def test_an_operators_word_on_a_link_is_shown(browser: Browser) -> None:
-    link = next(one for one in SITE.links if one.relation == "unseen")
-    rest = [one for one in SITE.links if one is not link]
-    shown = Shown(replace(SITE, links=[replace(link, operator="wrong"), *rest]))
-    place = "/".join(part.replace("/", "%2F") for part in (link.from_, link.to, link.relation))
-    with shown.serving():
-        opened(browser, shown, f"#/link/{place}")
-        browser.wait(lambda: "Operator: this link is wrong" in browser.text(".panel"), "the word")
-        a, b = link.from_.split("/")[0], link.to.split("/")[0]
-        browser.go(f"#/pair/{a}/{b}")
-        browser.wait(lambda: "operator: wrong" in browser.text(".panel .links"), "it in the list")

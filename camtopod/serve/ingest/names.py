@@ -20,18 +20,15 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from camtopod import codec
-from camtopod.admin import Command, Forget, Judge, Judgement, Rename, Reset, TakeBack
+from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
 from camtopod.records import Topology
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.storage import Entry, command_entry, reset_entry
-from camtopod.topology import camera_of, judged, renamed, with_new_name, without_camera
 
 log = logging.getLogger(__name__)
 
 NAMES_MAX = 1_000
 """Most forgotten and old names of a site."""
-JUDGEMENTS_MAX = 1_000
-"""Most links that an operator may have judged."""
 LISTED_MAX = 20
 """Most names that a sentence lists."""
 
@@ -45,29 +42,23 @@ class NamesState(Struct, frozen=True):
 
     forgotten: refused names, each with the time (Unix seconds) since which it is.
     aliases: old names of renamed cameras -> their present names.
-    judgements: operators' words on links.
     since (Unix seconds): when the site was reset; None if it never was.
     """
 
     forgotten: dict[str, float] = {}
     aliases: dict[str, str] = {}
-    judgements: list[Judgement] = []
     since: float | None = None
 
 
 class KnownSite(NamedTuple):
-    """Cameras, zones and links of a site when a command arrives.
+    """Cameras of a site when a command arrives.
 
     cameras: of which something was learned or received.
-    heard: cameras that have ever sent anything.
-    zones: ids of all zones.
-    links: (from, to) of the published and the weak links.
+    heard: that have ever sent anything.
     """
 
     cameras: set[str]
     heard: set[str]
-    zones: set[str]
-    links: set[tuple[str, str]]
 
 
 def known_site(
@@ -81,18 +72,8 @@ def known_site(
     since (Unix seconds): when the site was reset; an earlier topology does not count.
     """
     if topology is None or (since is not None and topology.as_of < since):
-        return KnownSite(set(received), set(heard), set(), set())
-    links = [
-        link
-        for link in (*topology.links, *(topology.weak_links or []))
-        if link.relation != "visible"
-    ]
-    return KnownSite(
-        {*received, *(camera.id for camera in topology.cameras)},
-        set(heard),
-        {zone.id for zone in topology.zones},
-        {(link.from_, link.to) for link in links},
-    )
+        return KnownSite(set(received), set(heard))
+    return KnownSite({*received, *(camera.id for camera in topology.cameras)}, set(heard))
 
 
 def read_names(stored: str | None) -> NamesState:
@@ -117,8 +98,6 @@ def carried_out(
             return _take_back(state, camera)
         case Rename(old, new):
             return _rename(state, old, new, site)
-        case Judge():
-            return _judge(state, command, site)
         case Reset():
             return (
                 NamesState(since=command.t),
@@ -129,17 +108,8 @@ def carried_out(
 
 def _present(site: KnownSite, state: NamesState) -> KnownSite:
     """Return the known site with the names in force, which may be newer."""
-
-    def present(place: str) -> str:
-        camera = camera_of(place)
-        return renamed(place, camera, state.aliases.get(camera, camera))
-
-    cameras = {present(camera) for camera in {*site.cameras, *state.aliases}}
-    return site._replace(
-        cameras=cameras - state.forgotten.keys(),
-        zones={present(zone) for zone in site.zones},
-        links={(present(a), present(b)) for a, b in site.links},
-    )
+    cameras = {state.aliases.get(camera, camera) for camera in {*site.cameras, *state.aliases}}
+    return site._replace(cameras=cameras - state.forgotten.keys())
 
 
 def _forget(state: NamesState, camera: str, site: KnownSite, now: float) -> tuple[NamesState, str]:
@@ -153,9 +123,8 @@ def _forget(state: NamesState, camera: str, site: KnownSite, now: float) -> tupl
         forgotten.setdefault(name, now)
         aliases.pop(name, None)
     _check_room(forgotten, aliases)
-    judgements = without_camera(state.judgements, camera)
     return (
-        replace(state, forgotten=forgotten, aliases=aliases, judgements=judgements),
+        replace(state, forgotten=forgotten, aliases=aliases),
         f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} forgotten: the next version is"
         " without it, and events under this name are refused until"
         f" `camtopod forget --take-back {camera}`",
@@ -199,40 +168,11 @@ def _rename(state: NamesState, old: str, new: str, site: KnownSite) -> tuple[Nam
     aliases[old] = new
     forgotten = {name: since for name, since in state.forgotten.items() if name != new}
     _check_room(forgotten, aliases)
-    judgements = with_new_name(state.judgements, old, new)
     return (
-        replace(state, forgotten=forgotten, aliases=aliases, judgements=judgements),
+        replace(state, forgotten=forgotten, aliases=aliases),
         f"{old} goes on as {new}: events that still come as {old} count for {new} until {new} sends"
         f" its own; from then on {old} is refused",
     )
-
-
-def _judge(state: NamesState, command: Judge, site: KnownSite) -> tuple[NamesState, str]:
-    ends = (command.source, command.target)
-    for place in ends:
-        if camera_of(place) not in site.cameras:
-            raise CommandRefused(f"there is no camera {camera_of(place)}; {_there(site)}")
-        if "/" in place and place not in site.zones:
-            zones = {zone for zone in site.zones if camera_of(zone) == camera_of(place)}
-            raise CommandRefused(f"there is no zone {place}; there are {_listed(zones) or 'none'}")
-    if len({"/" in place for place in ends}) > 1:
-        raise CommandRefused("name two zones or two cameras, not a zone and a camera")
-    judgements = judged(state.judgements, command)
-    if len(judgements) > JUDGEMENTS_MAX:
-        raise CommandRefused(
-            f"{JUDGEMENTS_MAX} links are judged, which is the most: take one back with none"
-        )
-
-    # Say whether there is such a link at the moment.
-    links = site.links | {(camera_of(a), camera_of(b)) for a, b in site.links}
-    absent = "" if ends in links else "; there is no such link now, it is marked if it appears"
-    link = " -> ".join(ends)
-    said = (
-        f"the word on {link} is taken back"
-        if command.verdict == "none"
-        else f"{link} is marked as {command.verdict}{absent}; what is learned does not change"
-    )
-    return replace(state, judgements=judgements), said
 
 
 def _check_room(forgotten: dict[str, float], aliases: dict[str, str]) -> None:
@@ -304,7 +244,6 @@ class Names:
         return {
             "forgotten": {name: refused[name] for name in sorted(state.forgotten)},
             "renamed": dict(sorted(state.aliases.items())),
-            "judged": len(state.judgements),
             "reset": state.since,
             "before_reset": refused[""],
         }
@@ -330,5 +269,5 @@ class Names:
         made = []
         for old in [alias for alias, name in self.state.aliases.items() if name == camera]:
             log.info("%s sends under its new name: %s is refused from now on", camera, old)
-            made.append(self.carry_out(Forget(old), KnownSite({old}, set(), set(), set()))[0])
+            made.append(self.carry_out(Forget(old), KnownSite({old}, set()))[0])
         return made

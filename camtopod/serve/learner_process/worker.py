@@ -19,7 +19,7 @@ import traceback
 from collections.abc import Callable
 
 from camtopod import codec
-from camtopod.admin import Command, Forget, Judge, Rename, Reset, TakeBack
+from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
 from camtopod.learn import (
     Learner,
     LearnerState,
@@ -171,7 +171,7 @@ class Worker:
                 self._learner.erase({new})
                 self._change(lambda state: rename(state, old, new))
                 self._learner.make_version()
-            case Forget() | Judge():
+            case Forget():
                 self._learner.administer(command)
             case TakeBack():
                 pass  # only the daemon refuses events

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from camtopod import codec
-from camtopod.admin import Forget, Judge, Rename, Reset, TakeBack
+from camtopod.admin import Forget, Rename, Reset, TakeBack
 from camtopod.serve.storage.journal import Entry, Journal
 
 log = logging.getLogger(__name__)
@@ -90,15 +90,15 @@ def read_reset(entry: Entry, stored: Callable[[str], dict[int, str]]) -> Reset:
     return Reset(content.to, content.before, content.epoch, stored(content.epoch))
 
 
-def command_entry(command: Forget | TakeBack | Rename | Judge) -> Entry:
+def command_entry(command: Forget | TakeBack | Rename) -> Entry:
     """Return the entry for an operator's command that begins no epoch."""
     return Entry("command", "", None, None, codec.to_json(command))
 
 
-def read_command(entry: Entry) -> Forget | TakeBack | Rename | Judge:
+def read_command(entry: Entry) -> Forget | TakeBack | Rename:
     """Return the command of an entry. Raises `codec.Rejected`."""
-    command: Forget | TakeBack | Rename | Judge = codec.read(
-        Forget | TakeBack | Rename | Judge,  # type: ignore[arg-type]
+    command: Forget | TakeBack | Rename = codec.read(
+        Forget | TakeBack | Rename,  # type: ignore[arg-type]
         entry.raw,
     )
     return command

@@ -122,8 +122,7 @@ export function linkList(links, other, none) {
           h(
             "span",
             { class: "quiet" },
-            (one.from === other(one) ? `to ${one.to}` : `from ${one.from}`) +
-              (one.operator ? `, operator: ${one.operator}` : ""),
+            one.from === other(one) ? `to ${one.to}` : `from ${one.from}`,
           ),
           h("span", { class: "bar", "aria-hidden": "true" }, bar(one.probability)),
           h("span", { class: "number" }, percent(one.probability)),

@@ -74,9 +74,6 @@ export async function linkPanel(app, from, to, relation) {
           ? [` are in both views: they appear at ${story.to} `, h("b", {}, transit(t.q50))]
           : [", in ", h("b", {}, seconds(t.q50))],
       ),
-      story.operator
-        ? h("p", { class: "provisional-note" }, h("b", {}, "Operator: "), `this link is ${story.operator}. It changes nothing that is learned.`)
-        : null,
       chart(story),
       h("h3", {}, story.weak ? "Evidence so far" : "Evidence"),
       h(
