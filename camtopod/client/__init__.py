@@ -14,25 +14,14 @@ Reading order: `site` (the public classes), `site_view` (their common part), `ga
 priors), `publisher`, `errors`, then `prediction_queue` and `wakeup` (queueing and notification).
 """
 
-from camtopod.adapt import TrackEvents
-from camtopod.client.errors import NothingLearned, UnknownPlace
-from camtopod.client.gate import Gate
-from camtopod.client.publisher import Publisher
-from camtopod.client.site import Predictions, Topology
-from camtopod.records import Event, Prediction
-from camtopod.serve.bus import BusError
-from camtopod.serve.storage import StateError
-
-__all__ = [
-    "BusError",
-    "Event",
-    "Gate",
-    "NothingLearned",
-    "Prediction",
-    "Predictions",
-    "Publisher",
-    "StateError",
-    "Topology",
-    "TrackEvents",
-    "UnknownPlace",
-]
+from camtopod.adapt import TrackEvents as TrackEvents
+from camtopod.client.errors import NothingLearned as NothingLearned
+from camtopod.client.errors import UnknownPlace as UnknownPlace
+from camtopod.client.gate import Gate as Gate
+from camtopod.client.publisher import Publisher as Publisher
+from camtopod.client.site import Predictions as Predictions
+from camtopod.client.site import Topology as Topology
+from camtopod.records import Event as Event
+from camtopod.records import Prediction as Prediction
+from camtopod.serve.bus import BusError as BusError
+from camtopod.serve.storage import StateError as StateError

@@ -117,7 +117,8 @@ async def _awaited(
     news: ChangeSignal, found: Callable[[], T | None], seconds: float | None
 ) -> T | None:
     """Do what `ChangeSignal.wait_for` does, in an event loop."""
-    loop, came = asyncio.get_running_loop(), asyncio.Event()
+    loop = asyncio.get_running_loop()
+    came = asyncio.Event()
 
     def tell() -> None:
         with contextlib.suppress(RuntimeError):  # raised if the loop has been closed meanwhile

@@ -54,11 +54,13 @@ def zone_at(topology: Topology, zone: str, camera: str | None = None) -> int:
 
     Raises `UnknownPlace`.
     """
-    among = range(len(topology.zones)) if camera is None else zones_of(topology, camera)
+    what = "zone"
+    among = list(range(len(topology.zones)))
+    if camera is not None:
+        what = f"zone of {camera} called"
+        among = zones_of(topology, camera)
     for k in among:
         if topology.zones[k].id == zone:
             return k
     known = [topology.zones[k].id for k in among]
-    raise UnknownPlace(
-        "zone" if camera is None else f"zone of {camera} called", zone, topology.version, known
-    )
+    raise UnknownPlace(what, zone, topology.version, known)

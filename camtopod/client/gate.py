@@ -48,10 +48,10 @@ class _Onward(NamedTuple):
     """(targets,) seconds to add to the lags of the bins, for long paths."""
     gone: float
     """Probability of not being seen again."""
-    began: _Began | None = None
+    early: NDArray[np.float64]
+    """(targets,) factor of the rates before the exit that follow from the entry."""
+    began: _Began | None
     """How the passage that ended with the exit began; None if unknown."""
-    early: NDArray[np.float64] | None = None
-    """(targets,) factor of the rates before the exit that follow from the entry, if known."""
 
 
 class _Began(NamedTuple):
@@ -208,11 +208,12 @@ class Gate:
                 for entry in by_track.get((event.camera, str(event.track)), [])
                 if entry.t <= event.t
             ]
-            newest = max(own, key=lambda entry: entry.t, default=None)
-            zone = None if newest is None else self._predictor.zone_of(newest)
-            began.append(
-                None if newest is None or zone is None else _Began(zone, event.t - newest.t)
-            )
+            began.append(None)
+            if own:
+                newest = max(own, key=lambda entry: entry.t)
+                zone = self._predictor.zone_of(newest)
+                if zone is not None:
+                    began[-1] = _Began(zone, event.t - newest.t)
         return began
 
     def _rates_from_outside(self) -> Floats:
@@ -226,7 +227,8 @@ class Gate:
         entries = np.array([float(zone.entries) for zone in self.topology.zones])
 
         # Arrivals explained by departures, with and without spurious transitions.
-        explained, surely = np.zeros(len(rate)), np.zeros(len(rate))
+        explained = np.zeros(len(rate))
+        surely = np.zeros(len(rate))
         for zone, outcomes in self._hazards.outcomes.items():
             departures = self._hazards.departures[zone]
             explained[outcomes.targets] += departures * outcomes.share
@@ -242,11 +244,9 @@ class Gate:
 
     def _zones(self, camera: str, zone: str | None) -> list[int]:
         """Return the zones (indices) of a camera, or the one zone given."""
-        return (
-            zones_of(self.topology, camera)
-            if zone is None
-            else [zone_at(self.topology, zone, camera)]
-        )
+        if zone is not None:
+            return [zone_at(self.topology, zone, camera)]
+        return zones_of(self.topology, camera)
 
     def _right(self, event: Event) -> float:
         """Return the corrected time of an event."""
@@ -257,38 +257,40 @@ class Gate:
 
         Equals the predictor's answer before anything has been seen since the exit.
         """
-        outcomes, bins = self._hazards.outcomes.get(zone), self._hazards.bins
+        bins = self._hazards.bins
+        outcomes = self._hazards.outcomes.get(zone)
         if outcomes is None:
-            return _Onward([], np.zeros((0, bins.size)), np.zeros(0), 1.0)
+            nothing = np.zeros(0)
+            return _Onward([], np.zeros((0, bins.size)), nothing, 1.0, nothing, None)
 
-        # Hazards and exposure, with and without a known entry.
-        entry = None if began is None else began.zone
-        likelier, leave = self._surroundings.multipliers(zone, outcomes, block, entry, None, 0.0)
-        exposure = (
-            outcomes.exposure if began is None else self._hazards.exposure_of_passage(began.stay)
-        )
-        odds = (
-            outcomes.hazard
-            * bins.widths
-            * outcomes.exposure_by_target(exposure)
-            * np.array(likelier)[:, None]
-        )
-        early = (
-            np.zeros(len(odds))
-            if began is None
-            else self._expected_early(outcomes.targets, began) * likelier
-        )
+        # Exposure, and arrivals before the exit; a known entry says more about both.
+        entry = None
+        exposure = outcomes.exposure
+        early = np.zeros(len(outcomes.targets))
+        if began is not None:
+            entry = began.zone
+            exposure = self._hazards.exposure_of_passage(began.stay)
+            early = self._expected_early(outcomes.targets, began)
+
+        # Odds against leaving the site.
+        multipliers, leave = self._surroundings.multipliers(zone, outcomes, block, entry, None, 0.0)
+        likelier = np.array(multipliers)
+        odds = outcomes.hazard * bins.widths * outcomes.exposure_by_target(exposure)
+        odds *= likelier[:, None]
 
         # Spurious mass counts as "left the site".
         sure = 1.0 - outcomes.doubt
-        every = odds.sum(axis=1) + early
+        every = odds.sum(axis=1) + early * likelier
         leave += float(outcomes.doubt @ every)
         total = leave + float(sure @ every)
-        chance = odds * sure[:, None] / total
-        if began is None:
-            return _Onward(outcomes.targets, chance, outcomes.delay, leave / total)
-        early_share = np.array(likelier) * sure / total
-        return _Onward(outcomes.targets, chance, outcomes.delay, leave / total, began, early_share)
+        return _Onward(
+            targets=outcomes.targets,
+            chance=odds * sure[:, None] / total,
+            delay=outcomes.delay,
+            gone=leave / total,
+            early=likelier * sure / total,
+            began=began,
+        )
 
     def _expected_early(self, targets: list[int], began: _Began) -> Floats:
         """Return the arrivals (targets,) expected before the exit, given the entry alone."""
@@ -322,7 +324,7 @@ class Gate:
         density[some] = onward.chance[row[some], at[some]] / self._hazards.bins.widths[at[some]]
 
         # Before the exit, the rates that follow from the entry are added.
-        if onward.began is not None and onward.early is not None:
+        if onward.began is not None:
             before = some[lag[some] <= 0]
             entered = self._hazards.rates_entered(
                 onward.began.zone, zones[before].astype(np.int32), onward.began.stay + lag[before]

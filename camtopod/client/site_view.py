@@ -46,7 +46,7 @@ LOOK_SECONDS = 0.5
 """Longest interval between two checks of the bus, even without a notification."""
 Settings = configs.Config | str | Path | None
 """A configuration, or the file that holds one."""
-InboxT = TypeVar("InboxT", bound=PredictionQueue)
+PredictionQueueT = TypeVar("PredictionQueueT", bound=PredictionQueue)
 
 
 class _Held(NamedTuple):
@@ -71,10 +71,11 @@ class SiteView:
         self._mutex = threading.Lock()  # predictors are not thread-safe
         self._held: _Held | None = None
         self._opening = threading.Lock()  # no subscription is opened once closing has begun
-        self._inboxes: list[PredictionQueue] = []
+        self._prediction_queues: list[PredictionQueue] = []
         self._daemons: set[str] = set()
         self._stale_since: float | None = clock.wall()
-        self._wake, self._closing = threading.Event(), threading.Event()
+        self._wake = threading.Event()
+        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._follow, name="topology", daemon=True)
 
         # Close the session on failure: a program with an open session does not terminate.
@@ -236,19 +237,20 @@ class SiteView:
             self._closing.set()
         self._wake.set()
         self._news.close()
-        for inbox in self._inboxes:
-            inbox.close()
+        for prediction_queue in self._prediction_queues:
+            prediction_queue.close()
         self._thread.join()
         self._bus.close()
 
-    def _opened(self, opened: Callable[[Bus], InboxT]) -> InboxT:
+    def _opened(self, opened: Callable[[Bus], PredictionQueueT]) -> PredictionQueueT:
         """Open a subscription that `close` closes. Raises `BusError` if this is closed already."""
         with self._opening:
             if self._closing.is_set():
                 raise BusError(f"the topology of site {self.site} has been closed: connect again")
-            inbox = opened(self._bus)
-            self._inboxes = [*(one for one in self._inboxes if not one.closed), inbox]
-        return inbox
+            prediction_queue = opened(self._bus)
+            still_open = [one for one in self._prediction_queues if not one.closed]
+            self._prediction_queues = [*still_open, prediction_queue]
+        return prediction_queue
 
     def _now(self) -> _Held:
         if self._held is None:
@@ -261,11 +263,9 @@ class SiteView:
     def _not_there(self, version: int, seconds: float) -> str:
         if self._news.closed:
             return f"closed while (or before) waiting for version {version} of site {self.site}"
-        there = (
-            "the daemon is there"
-            if self.stale_since is None
-            else "no daemon is there: is `camtopod run` running?"
-        )
+        there = "no daemon is there: is `camtopod run` running?"
+        if self.stale_since is None:
+            there = "the daemon is there"
         return (
             f"no version {version} of site {self.site} within {seconds:g} s, "
             f"the newest is {self.version}; {there}"
@@ -296,12 +296,17 @@ class SiteView:
         self._say_there(self._bus.connected and bool(self._daemons))
 
     def _say_there(self, there: bool) -> None:
-        if there != (self._stale_since is None):
-            self._stale_since = None if there else clock.wall()
-            self._news.notify()
+        if there == (self._stale_since is None):
+            return
+        self._stale_since = None
+        if not there:
+            self._stale_since = clock.wall()
+        self._news.notify()
 
     def _on_daemon(self, name: str, alive: bool) -> None:
-        (self._daemons.add if alive else self._daemons.discard)(name)
+        self._daemons.discard(name)
+        if alive:
+            self._daemons.add(name)
         self._wake.set()
 
 
@@ -310,8 +315,10 @@ def settings_of(site: str | None, connect: str | Sequence[str], config: Settings
 
     Raises `camtopod.config.settings.ConfigError`, OSError, ValueError.
     """
-    settings = config if isinstance(config, configs.Config) else configs.Config()
-    if isinstance(config, str | Path):
+    settings = configs.Config()
+    if isinstance(config, configs.Config):
+        settings = config
+    elif config is not None:
         settings = configs.load(Path(config))
         for sentence in secret_files.find_exposed(settings.secrets(Path(config))):
             log.warning("%s", sentence)
@@ -329,11 +336,9 @@ def settings_of(site: str | None, connect: str | Sequence[str], config: Settings
             raise ValueError(f"connect {endpoint!r}: write it like {DEFAULT_ENDPOINT}")
         if settings.bus.tls.ca and not endpoint.startswith("tls/"):
             raise ValueError(f"connect {endpoint!r}: write tls/..., as [bus.tls] is set")
-    return (
-        replace(settings, bus=replace(settings.bus, connect=endpoints, listen=()))
-        if endpoints
-        else settings
-    )
+    if not endpoints:
+        return settings
+    return replace(settings, bus=replace(settings.bus, connect=endpoints, listen=()))
 
 
 def _plain(value: Any) -> Any:

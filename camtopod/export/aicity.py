@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import re
 
-from camtopod.records import Link, Topology
+from camtopod.records import Topology
 
 FRAMES_PER_SECOND = 10.0
 """Frame rate of the challenge's videos."""
@@ -22,35 +22,28 @@ def to_aicity(topology: Topology) -> str:
     """Return the links between cameras as transition lines; the time window is q10 to q90."""
     numbers = camera_numbers(topology)
     camera = {zone.id: zone.camera for zone in topology.zones}
-    through = [link for link in topology.links if link.relation == "visible"]
+    beginning, ending = _passages(topology)
     lines = []
     for link in topology.links:
         if link.relation == "visible" or camera[link.from_] == camera[link.to]:
             continue
 
-        # Both sides, with the zones of their passages.
-        leaving = (
-            numbers[camera[link.from_]],
-            _passages(through, link.from_, leaves=True),
-            link.from_,
-        )
-        coming = (numbers[camera[link.to]], _passages(through, link.to, leaves=False), link.to)
+        # Both sides: number of the camera, zones of the passages, zone. The lower number is first.
+        sides = [
+            (numbers[camera[link.from_]], _zone_lists(link.from_, ending), _number(link.from_)),
+            (numbers[camera[link.to]], _zone_lists(link.to, beginning), _number(link.to)),
+        ]
+        times = [link.transit.q10, link.transit.q90]
+        if sides[0][0] > sides[1][0]:
+            sides.reverse()
+            times = [-link.transit.q90, -link.transit.q10]
 
-        # The lower camera number comes first.
-        low, high = link.transit.q10, link.transit.q90
-        if leaving[0] > coming[0]:
-            leaving, coming, low, high = coming, leaving, -high, -low
-        fields = (
-            leaving[0],
-            leaving[1],
-            coming[0],
-            coming[1],
-            _number(leaving[2]),
-            _number(coming[2]),
-            math.floor(low * FRAMES_PER_SECOND),
-            math.ceil(high * FRAMES_PER_SECOND) + 1,
-        )
-        lines.append((fields[0], fields[2], " ".join(map(str, fields))))
+        # The line, and the numbers by which lines are sorted.
+        (a, passages_a, zone_a), (b, passages_b, zone_b) = sides
+        first = math.floor(times[0] * FRAMES_PER_SECOND)
+        last = math.ceil(times[1] * FRAMES_PER_SECOND) + 1
+        fields = (a, passages_a, b, passages_b, zone_a, zone_b, first, last)
+        lines.append((a, b, " ".join(map(str, fields))))
     return "".join(line + "\n" for _, _, line in sorted(lines))
 
 
@@ -60,23 +53,28 @@ def camera_numbers(topology: Topology) -> dict[str, int]:
     Ranks count from 1 in the order of names.
     """
     names = [camera.id for camera in topology.cameras]
-    digits = [int(found[-1]) if (found := re.findall(r"[0-9]+", name)) else -1 for name in names]
-    if len(set(digits)) == len(names) and -1 not in digits:
-        return dict(zip(names, digits, strict=True))
+    digits = [re.findall(r"[0-9]+", name)[-1:] for name in names]
+    numbers = {name: int(found[0]) for name, found in zip(names, digits, strict=True) if found}
+    if len(set(numbers.values())) == len(names):
+        return numbers
     return {name: rank for rank, name in enumerate(sorted(names), 1)}
 
 
-def _passages(through: list[Link], zone: str, leaves: bool) -> str:
-    """Return the zone lists of the passages that end (or begin) at a zone.
+def _passages(topology: Topology) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """Return the zone lists of all passages, by the zone where they begin, and where they end."""
+    beginning: dict[str, list[str]] = {}
+    ending: dict[str, list[str]] = {}
+    for link in topology.links:
+        if link.relation == "visible" and link.from_ != link.to:
+            zones = f"{_number(link.from_)}-{_number(link.to)}"
+            beginning.setdefault(link.from_, []).append(zones)
+            ending.setdefault(link.to, []).append(zones)
+    return beginning, ending
 
-    If there are none, the zone alone.
-    """
-    found = [
-        f"{_number(link.from_)}-{_number(link.to)}"
-        for link in through
-        if (link.to if leaves else link.from_) == zone and link.from_ != link.to
-    ]
-    return ";".join(sorted(found)) or str(_number(zone))
+
+def _zone_lists(zone: str, passages: dict[str, list[str]]) -> str:
+    """Return the zone lists of the passages of a zone; if there are none, the zone alone."""
+    return ";".join(sorted(passages.get(zone, [str(_number(zone))])))
 
 
 def _number(zone: str) -> int:

@@ -6,8 +6,10 @@ from msgspec import Struct
 
 from camtopod.records import Link, PairRelation, Topology, Transit
 
-BLACK, GREY = "black", "gray60"
-"""Colours of the thesis (4.6): overlapping views, and paths that no camera sees."""
+BLACK = "black"
+"""Colour of overlapping views in the thesis (4.6)."""
+GREY = "gray60"
+"""Colour of paths that no camera sees."""
 
 
 class Edge(Struct, frozen=True):

@@ -23,11 +23,13 @@ Place = tuple[float, float]
 
 OVERLAPPED_LENGTH = 0.7
 """Length of an edge between overlapping views; an unseen path has length 1."""
-ROUNDS_FRESH, ROUNDS_MOVED = 60, 25
+ROUNDS_FRESH = 60
+ROUNDS_MOVED = 25
 MARGIN = 0.9
 """Space between connected parts."""
-SINGLE_WIDE, SINGLE_HIGH = 0.8, 0.7
-"""Space of a camera that is joined with no other."""
+SINGLE_WIDE = 0.8
+SINGLE_HIGH = 0.7
+"""Width and height of the space of a camera that is joined with no other."""
 WIDE = 1.6
 """Ratio of width to height that the packed parts aim at."""
 
@@ -43,16 +45,9 @@ def places(
     # The network as a graph.
     order = sorted(names)
     number = {name: k for k, name in enumerate(order)}
-    pairs = [
-        (number[a], number[b], OVERLAPPED_LENGTH if close else 1.0)
-        for (a, b), close in sorted(joined.items())
-    ]
-    a, b, length = (
-        (np.array(column) for column in zip(*pairs, strict=True))
-        if pairs
-        else (np.zeros(0, int),) * 3
-    )
-    graph = coo_matrix((length.astype(float), (a, b)), shape=(len(order), len(order))).tocsr()
+    pairs = np.array([(number[a], number[b]) for a, b in joined], int).reshape(-1, 2)
+    length = np.where(list(joined.values()), OVERLAPPED_LENGTH, 1.0)
+    graph = coo_matrix((length, pairs.T), shape=(len(order), len(order))).tocsr()
     count, part = connected_components(graph, directed=False)
 
     # Lay out each connected part, largest first, and pack them.
@@ -150,17 +145,18 @@ def _pack(at: Floats, parts: list[NDArray[np.intp]]) -> None:
     single = [int(rows[0]) for rows in parts if len(rows) == 1]
     sizes = [np.ptp(at[rows], axis=0) + MARGIN for rows in joined]
     total = sum(float(size.prod()) for size in sizes) + len(single) * SINGLE_WIDE * SINGLE_HIGH
-    width = (
-        max([float((total * WIDE) ** 0.5), *(float(size[0]) for size in sizes)]) if parts else 0.0
-    )
+    width = max([float((total * WIDE) ** 0.5), *(float(size[0]) for size in sizes)])
 
     # Parts of several cameras.
     x = y = shelf = 0.0
     for rows, size in zip(joined, sizes, strict=True):
         if x > 0 and x + size[0] > width + 1e-9:
-            x, y, shelf = 0.0, y + shelf, 0.0
+            x = 0.0
+            y += shelf
+            shelf = 0.0
         at[rows] += np.array([x, y]) + MARGIN / 2 - at[rows].min(0)
-        x, shelf = x + float(size[0]), max(shelf, float(size[1]))
+        x += float(size[0])
+        shelf = max(shelf, float(size[1]))
 
     # Single cameras, in rows of nearly the same length, each centred.
     if single:

@@ -15,7 +15,8 @@ UNIT = 130.0
 """Length of an unseen path in units of the drawing (pixels, if it is not scaled)."""
 RADIUS = 11.0
 """Radius of a camera's circle."""
-MARGIN_X, MARGIN_Y = 90.0, 60.0
+MARGIN_X = 90.0
+MARGIN_Y = 60.0
 """Space between the outermost cameras and the border."""
 WIDTHS = (1.2, 7.0)
 """Widths of the lines with least and most transitions."""

@@ -130,7 +130,9 @@ class Api:
 
     def _answering(self, handler: Callable[[Request], Response]) -> Callable[[Request], Response]:
         """Return a handler that refuses requests if the API is not open."""
-        return handler if self._is_open else lambda request: _error(403, LOOPBACK_ONLY)
+        if self._is_open:
+            return handler
+        return lambda request: _error(403, LOOPBACK_ONLY)
 
     def _on_prediction(self, key: str, payload: bytes) -> None:
         """Pass a prediction on to the programs that read; a slow one misses some."""

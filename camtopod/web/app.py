@@ -118,8 +118,9 @@ class Routes:
 
     def placement(self, request: Request) -> Response:
         """Return the cameras' places on the floor plan; null without a plan."""
-        plan = self._configured.plan
-        return _json(None if plan is None else {"at": self._configured.at})
+        if self._configured.plan is None:
+            return _json(None)
+        return _json({"at": self._configured.at})
 
     def plan(self, request: Request) -> Response:
         """Return the floor plan."""

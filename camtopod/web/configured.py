@@ -25,10 +25,9 @@ class Configured(Struct, frozen=True):
     @classmethod
     def of(cls, config: Config) -> Configured:
         """Return the settings of a configuration."""
-        plan = Path(config.map.plan) if config.map.plan else None
         cameras = config.cameras.items()
-        return cls(
-            {name: camera.page for name, camera in cameras if camera.page},
-            plan,
-            {name: (camera.at[0], camera.at[1]) for name, camera in cameras if camera.at and plan},
-        )
+        pages = {name: camera.page for name, camera in cameras if camera.page}
+        if not config.map.plan:
+            return cls(pages)
+        at = {name: (camera.at[0], camera.at[1]) for name, camera in cameras if camera.at}
+        return cls(pages, Path(config.map.plan), at)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 
 import msgspec
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn import Settings
 from camtopod.learn.links import MONTE_CARLO_SEED, mahalanobis, monte_carlo
-from camtopod.records import Link, Model, Pair, Topology, Zone, ZoneModel
+from camtopod.records import CameraModel, Link, Model, Pair, Topology, Zone, ZoneModel
 from camtopod.topology import LagBins, lacks_in_words, smooth
 from camtopod.web.map_data import nearness, why_provisional
 
@@ -34,9 +34,11 @@ class Explanations:
         self._links = _grouped(topology.links, self._ends)
         self._weak = _grouped(topology.weak_links or [], self._ends)
         self._pairs = {pair.cameras: pair for pair in topology.pairs}
-        model = topology.model
-        self._zone_models = {} if model is None else {one.zone: one for one in model.zones}
-        self._camera_models = {} if model is None else {one.camera: one for one in model.cameras}
+        self._zone_models: dict[str, ZoneModel] = {}
+        self._camera_models: dict[str, CameraModel] = {}
+        if topology.model is not None:
+            self._zone_models = {one.zone: one for one in topology.model.zones}
+            self._camera_models = {one.camera: one for one in topology.model.cameras}
 
     @property
     def last_events(self) -> dict[str, float]:
@@ -57,7 +59,7 @@ class Explanations:
             "share": known and known.share,
             "last_event": known and known.last_event,
             "zones": [
-                {**msgspec.to_builtins(zone), **self._arrivals(zone)}
+                {**msgspec.to_builtins(zone), "arrival_rate": self._arrival_rate(zone)}
                 for zone in self._zones.get(camera, [])
             ],
             "links": [brief(link) for link in self._links.get(camera, [])],
@@ -69,23 +71,15 @@ class Explanations:
     def pair(self, a: str, b: str) -> dict[str, Any] | None:
         """Return the links between two cameras, both ways and weak ones included; None if none."""
         first, second = sorted((a, b))
-        links, weak = (
-            sorted(
-                (link for link in held.get(first, []) if self._ends(link) == {first, second}),
-                key=lambda link: -link.transitions,
-            )
-            for held in (self._links, self._weak)
-        )
-
+        links = self._between(self._links, first, second)
+        weak = self._between(self._weak, first, second)
         shown = links or weak
         pair = self._pairs.get((first, second))
         if (pair is None and not shown) or first == second:
             return None
 
-        transitions, best = (
-            sum(link.transitions for link in shown),
-            min(shown, key=nearness, default=None),
-        )
+        transitions = sum(link.transitions for link in shown)
+        best = min(shown, key=nearness, default=None)
         return {
             "cameras": [first, second],
             "relation": pair and pair.relation,
@@ -105,13 +99,21 @@ class Explanations:
         for weak, held in ((False, self._links), (True, self._weak)):
             for link in held.get(self._camera_of.get(from_, ""), []):
                 if (link.from_, link.to, link.relation) == (from_, to, relation):
-                    return self._told(link, weak)
+                    return self._details(link, weak)
         return None
 
-    def _told(self, link: Link, weak: bool) -> dict[str, Any]:
+    def _between(self, links: Mapping[str, list[Link]], a: str, b: str) -> list[Link]:
+        """Return those of the links by camera that join two cameras, most transitions first."""
+        found = [link for link in links.get(a, []) if self._ends(link) == {a, b}]
+        return sorted(found, key=lambda link: -link.transitions)
+
+    def _details(self, link: Link, weak: bool) -> dict[str, Any]:
         """Return the details of a link."""
-        source, target = self._zone_models.get(link.from_), self._zone_models.get(link.to)
-        background = source.departures * target.arrival_rate if source and target else None
+        source = self._zone_models.get(link.from_)
+        target = self._zone_models.get(link.to)
+        background = None
+        if source is not None and target is not None:
+            background = source.departures * target.arrival_rate
         return {
             **brief(link),
             "version": self.topology.version,
@@ -127,10 +129,10 @@ class Explanations:
         """Return the cameras of a link's zones."""
         return {self._camera_of[link.from_], self._camera_of[link.to]}
 
-    def _arrivals(self, zone: Zone) -> dict[str, float | None]:
-        """Return the rate of arrivals at a zone that no departure explains."""
+    def _arrival_rate(self, zone: Zone) -> float | None:
+        """Return the rate (1/s) of arrivals at a zone that no departure explains, if known."""
         model = self._zone_models.get(zone.id)
-        return {"arrival_rate": None if model is None else model.arrival_rate}
+        return None if model is None else model.arrival_rate
 
 
 def brief(link: Link) -> dict[str, Any]:
@@ -191,7 +193,9 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
         ]
 
     # A link between views: departures, transit times, background, significance.
-    departures = f"{source.departures:,} objects" if source else "the objects"
+    departures = "the objects"
+    if source is not None:
+        departures = f"{source.departures:,} objects"
     said = [
         f"Of {departures} that left at {link.from_}, about {_count(link.transitions)} appeared "
         f"next at {link.to}: {_share(link.probability)}.",
@@ -199,10 +203,11 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
     ]
     if background is not None:
         span = link.transit.q90 - link.transit.q10
-        expected, found = background * span, COMMON_SHARE * link.transitions
+        unrelated = _count(background * span)
+        found = _count(COMMON_SHARE * link.transitions)
         said.append(
-            f"Within these {_seconds(span)} about {_count(expected)} unrelated arrivals are "
-            f"expected; {_count(found)} more than that were found."
+            f"Within these {_seconds(span)} about {unrelated} unrelated arrivals are "
+            f"expected; {found} more than that were found."
         )
     rule = Settings().publish_q_max
     said.append(
@@ -253,11 +258,9 @@ def why_pair(pair: Pair | None) -> list[str]:
         said.append("Both tests agree: the times of their events, and their number.")
     elif pair.by_lags is not None:
         said.append(f"By the times of events: {kinds[pair.by_lags]}.")
-        counted = (
-            kinds[pair.by_sum_rule]
-            if pair.by_sum_rule
-            else "not decided, as it could not be tested"
-        )
+        counted = "not decided, as it could not be tested"
+        if pair.by_sum_rule is not None:
+            counted = kinds[pair.by_sum_rule]
         said.append(f"By the number of events (table 4.4 of the thesis): {counted}.")
     if pair.reason:
         said.append(f"Reason: {pair.reason}.")
@@ -279,9 +282,8 @@ def _count(number: float) -> str:
 
 
 def _share(value: float) -> str:
-    return (
-        f"{value:.0%}".replace("%", " %") if value >= 0.095 else f"{value:.1%}".replace("%", " %")
-    )
+    digits = 0 if value >= 0.095 else 1
+    return f"{100 * value:.{digits}f} %"
 
 
 def _seconds(value: float) -> str:

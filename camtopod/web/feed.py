@@ -188,16 +188,15 @@ class Feed:
     def hello(self) -> bytes:
         """Return the first messages for a page that has just connected: server-sent events."""
         with self._mutex:
-            live, predictions = msgspec.json.encode(self._live), list(self._predictions)
-        version = None if self.map is None else [self.map.epoch, self.map.version]
-        said = [
+            live = msgspec.json.encode(self._live)
+            predictions = list(self._predictions)
+        version = self.map and [self.map.epoch, self.map.version]
+        lines = [
             b"event: live\ndata: " + live,
             b"event: version\ndata: " + msgspec.json.encode(version),
+            *(b"event: past\ndata: " + one for one in predictions),
         ]
-        return b"".join(
-            line + b"\n\n"
-            for line in [*said, *(b"event: past\ndata: " + one for one in predictions)]
-        )
+        return b"".join(line + b"\n\n" for line in lines)
 
     def beat(self) -> bytes:
         """Return the message that keeps an idle connection alive."""

@@ -30,7 +30,8 @@ class HourlyEvents:
         """
         hour = int(now // HOUR_SECONDS)
         first = self._since is None
-        self._since = now if self._since is None else self._since
+        if self._since is None:
+            self._since = now
         for camera, counter in counters.items():
             if camera not in self._counted and len(self._counted) >= CAMERAS_MAX:
                 continue

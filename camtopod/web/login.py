@@ -84,8 +84,9 @@ class Login:
     async def page(self, request: Request) -> Response:
         """Show the login page, or take the password that it sends."""
         if request.method != "POST":
-            is_open = self._is_session(request.cookies.get(cookie_name(request), ""))
-            return RedirectResponse("./", 303) if is_open else _login_page("", 200)
+            if self._is_session(request.cookies.get(cookie_name(request), "")):
+                return RedirectResponse("./", 303)
+            return _login_page("", 200)
         content = b""
         async for part in request.stream():
             content += part

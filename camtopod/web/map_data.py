@@ -180,12 +180,11 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
     for key in sorted({*ways, *pairs}):
         there = ways.get(key, [])
         transitions = sum(way.transitions for way in there)
-        overlapped: PairRelation = (
-            "overlapped" if any(way.overlapped for way in there) else "unseen_path"
-        )
         pair = pairs.get(key)
+        relations = {way.relation for way in there}
+        relation: PairRelation = "overlapped" if "overlapped" in relations else "unseen_path"
         result[key] = MapEdge(
-            pair.relation if pair else overlapped,
+            pair.relation if pair else relation,
             why_provisional(pair, transitions, best.get(key)),
             pair is not None,
             _digits(transitions, 2),
@@ -207,7 +206,9 @@ def why_provisional(pair: Pair | None, transitions: float, best: Link | None) ->
     if pair is None:
         if best is not None and best.lacks is not None:
             return f"not published yet: it lacks {lacks_in_words(best.lacks)}"
-        q_value = 1.0 if best is None else best.q_value
+        q_value = 1.0
+        if best is not None:
+            q_value = best.q_value
         figure = f"q = {q_value:.2f}" if q_value >= 0.005 else "q < 0.005"
         if q_value <= Settings().publish_q_max:
             return (
@@ -232,12 +233,10 @@ def _places(
     """Return the camera positions; those of before if the network is the same."""
     names = [camera.id for camera in topology.cameras]
     joined = _joined(drawn)
-    held = (
-        {}
-        if before is None
-        else {name: (camera.x, camera.y) for name, camera in before.cameras.items()}
-    )
-    if before is not None and joined == _joined(before.edges) and set(names) == set(held):
+    if before is None:
+        return places(names, joined, {})
+    held = {name: (camera.x, camera.y) for name, camera in before.cameras.items()}
+    if joined == _joined(before.edges) and set(names) == set(held):
         return held
     return places(names, joined, held)
 

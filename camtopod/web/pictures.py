@@ -16,7 +16,8 @@ from camtopod.records import CAMERA_PATTERN
 
 TYPES = {".jpg": "image/jpeg", ".png": "image/png"}
 """Media type by file name extension."""
-_FOLDER_MODE, _FILE_MODE = 0o750, 0o640
+_FOLDER_MODE = 0o750
+_FILE_MODE = 0o640
 
 
 def picture_of(folder: Path | None, camera: str) -> Path | None:

@@ -49,7 +49,11 @@ class VersionSummary(Struct, frozen=True):
 
 def summary(topology: Topology, before: Topology | None) -> VersionSummary:
     """Return the summary of a version; ``before`` is the one before it on the time line, if any."""
-    changes = [] if before is None else _changes(before, topology)
+    since = None
+    changes: list[Change] = []
+    if before is not None:
+        since = before.version
+        changes = _changes(before, topology)
     return VersionSummary(
         version=topology.version,
         as_of=topology.as_of,
@@ -59,7 +63,7 @@ def summary(topology: Topology, before: Topology | None) -> VersionSummary:
         pairs=len(topology.pairs),
         score=topology.score,
         alarms=[one for one in topology.alarms or [] if one.version == topology.version],
-        since=None if before is None else before.version,
+        since=since,
         changes=changes[:CHANGES_MAX],
         changes_count=len(changes),
     )

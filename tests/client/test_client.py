@@ -289,7 +289,7 @@ def test_closing_lets_go_who_waits(hub: Hub) -> None:
     threads = [threading.Thread(target=work, daemon=True) for work in (read_on, follow)]
     for thread in threads:
         thread.start()
-    wait_for(lambda: bool(site._inboxes), "somebody to wait")
+    wait_for(lambda: bool(site._prediction_queues), "somebody to wait")
     site.close()
     site.close()
     for thread in threads:
