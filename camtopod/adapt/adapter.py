@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from camtopod import codec
 from camtopod.codec import Rejected
@@ -20,10 +20,10 @@ Size = tuple[int, int]
 Sizes = Mapping[str, Size]
 """Width and height of the pictures in pixels, by camera."""
 
+_K = TypeVar("_K")
+_V = TypeVar("_V")
 _STRING = re.compile(rb'("(?:[^"\\]|\\.)*(?:"|$))(\s*:)?')
 """A JSON string, and the colon after it if it is a key."""
-
-
 _XML_TEXT = re.compile(rb"\"[^\"]*\"?|'[^']*'?|(?<=>)[^<]+")
 """A value of an attribute, or text between tags."""
 
@@ -79,6 +79,14 @@ def checked(events: Iterable[Event]) -> list[Event]:
     Raises `Rejected`.
     """
     return [codec.event_from_json(codec.to_json(event)) for event in events]
+
+
+def remember(latest: dict[_K, _V], key: _K, value: _V, most: int) -> None:
+    """Put an item last, and forget the first ones beyond ``most``."""
+    latest.pop(key, None)
+    latest[key] = value
+    while len(latest) > most:
+        del latest[next(iter(latest))]
 
 
 def quotable(line: bytes) -> bytes:

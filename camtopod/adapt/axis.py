@@ -22,11 +22,11 @@ from collections.abc import Collection, Sequence
 from msgspec import Struct, field
 
 from camtopod import codec
-from camtopod.adapt.adapter import checked
+from camtopod.adapt.adapter import checked, remember
 from camtopod.adapt.camera_streams import (
     Box,
-    CameraStreams,
-    Seen,
+    StreamAdapter,
+    TrackedBoxes,
     likeliest,
     seconds_of,
     split_topic,
@@ -113,7 +113,7 @@ class _DataIn(Struct, frozen=True):
     data: _FrameIn
 
 
-class Axis:
+class Axis(StreamAdapter):
     """Adapter for scene metadata: one JSON object a line, with or without the topic in front.
 
     camera: id of the one device's camera; None to take it from the topic: its last level, or the
@@ -122,12 +122,10 @@ class Axis:
     labels: kinds of objects (``Human``, ``Car``) that count; empty for all.
     """
 
-    topic = "#"
-
     def __init__(self, camera: str | None = None, labels: Collection[str] = ()) -> None:
-        self._streams = CameraStreams(camera, labels)
+        super().__init__(camera, labels)
         self._with_frames: set[str] = set()
-        self._told: dict[tuple[str, str | int], None] = {}
+        self._reported: dict[tuple[str, str | int], None] = {}
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a message makes certain. Raises `Rejected`."""
@@ -143,27 +141,19 @@ class Axis:
             return self._whole(codec.read(_Track, message), levels)
         raise Rejected("malformed", "is neither a frame nor an object track")
 
-    def silent(self, now: float) -> list[Event]:
-        """Return the exits in cameras that are silent, see `CameraStreams.silent`."""
-        return self._streams.silent(now)
-
-    def close(self) -> list[Event]:
-        """Return the exits of objects out of sight. Those in a camera's last frame are in view."""
-        return self._streams.close()
-
     def _frame(self, frame: _Frame, levels: Sequence[str]) -> list[Event]:
         """Return the events of a frame. Raises `Rejected`."""
         camera = self._camera(levels, frame.channel_id)
         t = seconds_of(frame.timestamp)
-        seen = Seen()
+        seen = TrackedBoxes()
         for one in frame.detections or frame.observations:
             name = one.object_track_id if one.object_track_id is not None else one.track_id
             if one.bounding_box is not None:
                 seen.add(name, one.bounding_box.corners(), one.kind.type)
         ended = [
-            told.object_track_id if told.object_track_id is not None else told.id
-            for told in frame.track_events or frame.operations
-            if told.type in ("TrackEnded", "DeleteOperation")
+            change.object_track_id if change.object_track_id is not None else change.id
+            for change in frame.track_events or frame.operations
+            if change.type in ("TrackEnded", "DeleteOperation")
         ]
         self._with_frames.add(camera)
         return self._streams.at(camera, (1, 1)).update(seen, ended, t)
@@ -182,18 +172,21 @@ class Axis:
         ]
         if not samples:
             raise Rejected("no-box", "no sample of the path has a bounding_box")
-        first, last = min(samples), max(samples)
+        first = min(samples)
+        last = max(samples)
 
         # Once, if it is an object that counts.
         key = (camera, track.id)
         kind = likeliest([(one.score, one.type) for one in track.classes])
-        if key in self._told or last[0] - first[0] < LIFE_SECONDS or not self._streams.wants(kind):
+        if (
+            key in self._reported
+            or last[0] - first[0] < LIFE_SECONDS
+            or not self._streams.wants(kind)
+        ):
             return []
         entry = _event(camera, "entry", first, track.id)
         events = checked([entry, _event(camera, "exit", last, track.id)])
-        self._told[key] = None
-        while len(self._told) > REMEMBERED_MAX:
-            del self._told[next(iter(self._told))]
+        remember(self._reported, key, None, REMEMBERED_MAX)
         return events
 
     def _camera(self, levels: Sequence[str], channel: int) -> str:

@@ -39,7 +39,8 @@ class _Track(Struct):
             steps = zip(_middle(self.box), _middle(box), self.velocity, strict=True)
             x, y = (v + _NEW_SHARE * ((new - old) / (t - self.t) - v) for old, new, v in steps)
             self.velocity = (x, y)
-        self.box, self.t = box, t
+        self.box = box
+        self.t = t
 
 
 class BoxLinker:

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Sequence
 from datetime import UTC, datetime
 
 from camtopod import codec
-from camtopod.adapt.adapter import Size, checked
+from camtopod.adapt.adapter import Size, checked, remember
 from camtopod.adapt.tracks import TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import CAMERA_PATTERN, Event
@@ -42,7 +42,7 @@ Name = str | int | None
 """Id of a track; None for a box that the tracker does not follow."""
 
 
-class Seen:
+class TrackedBoxes:
     """A frame's tracked boxes: ids, boxes (units of the stream's ``size``) and kinds."""
 
     def __init__(self) -> None:
@@ -75,7 +75,7 @@ class CameraStream:
         """Return the exits of all objects, as the camera is silent."""
         return checked(self._tracks.lose())
 
-    def update(self, seen: Seen, ended: Iterable[Name], t: float) -> list[Event]:
+    def update(self, seen: TrackedBoxes, ended: Iterable[Name], t: float) -> list[Event]:
         """Return the events that a frame at ``t`` (seconds) makes certain.
 
         ended: tracks that the tracker reports as ended.
@@ -106,12 +106,10 @@ class CameraStream:
 
     def _kind(self, name: Name, kind: str) -> str:
         """Remember the kind of a track; return the latest one known."""
-        known = self._kinds.pop(name, "")
-        if name is not None and (kind or known):
-            self._kinds[name] = kind or known
-            while len(self._kinds) > KINDS_MAX:
-                del self._kinds[next(iter(self._kinds))]
-        return kind or known
+        kind = kind or self._kinds.get(name, "")
+        if name is not None and kind:
+            remember(self._kinds, name, kind, KINDS_MAX)
+        return kind
 
 
 class CameraStreams:
@@ -172,6 +170,27 @@ class CameraStreams:
     def close(self) -> list[Event]:
         """Return the exits of objects out of sight, of all cameras."""
         return [event for stream in self._streams.values() for event in stream.close()]
+
+
+class StreamAdapter:
+    """Common part of adapters whose messages are frames of several cameras.
+
+    camera: id of the one camera; None if the messages or their topics name the cameras.
+    labels: kinds of objects that count; empty for all.
+    """
+
+    topic = "#"
+
+    def __init__(self, camera: str | None = None, labels: Collection[str] = ()) -> None:
+        self._streams = CameraStreams(camera, labels)
+
+    def silent(self, now: float) -> list[Event]:
+        """Return the exits in cameras that are silent, see `CameraStreams.silent`."""
+        return self._streams.silent(now)
+
+    def close(self) -> list[Event]:
+        """Return the exits of objects out of sight. Those in a camera's last frame are in view."""
+        return self._streams.close()
 
 
 def counts(kind: str, labels: Collection[str]) -> bool:

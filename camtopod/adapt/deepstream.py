@@ -17,7 +17,14 @@ from msgspec import Struct, field
 
 from camtopod import codec
 from camtopod.adapt.adapter import Sizes, size_of
-from camtopod.adapt.camera_streams import Box, CameraStreams, Name, Seen, seconds_of, split_topic
+from camtopod.adapt.camera_streams import (
+    Box,
+    Name,
+    StreamAdapter,
+    TrackedBoxes,
+    seconds_of,
+    split_topic,
+)
 from camtopod.codec import Rejected
 from camtopod.records import Event
 
@@ -60,7 +67,7 @@ class _Message(Struct, frozen=True):
     object: _Object | None = None
 
 
-class DeepStream:
+class DeepStream(StreamAdapter):
     """Adapter for both schemas: one JSON object a line, with or without the topic in front.
 
     sizes: sizes of the muxer's pictures (``nvstreammux width height``).
@@ -68,13 +75,11 @@ class DeepStream:
     labels: kinds of objects (``Person``) that count; empty for all.
     """
 
-    topic = "#"
-
     def __init__(
         self, sizes: Sizes, camera: str | None = None, labels: Collection[str] = ()
     ) -> None:
+        super().__init__(camera, labels)
         self._sizes = sizes
-        self._streams = CameraStreams(camera, labels)
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a message makes certain. Raises `Rejected`."""
@@ -87,7 +92,7 @@ class DeepStream:
             raise Rejected("malformed", "has neither objects nor object")
 
         # The objects of the frame, or the one object.
-        seen = Seen()
+        seen = TrackedBoxes()
         for text in message.objects or []:
             seen.add(*_object(text))
         one = message.object
@@ -98,14 +103,6 @@ class DeepStream:
             seen.add(_name(one.id), (box.left, box.top, box.right, box.bottom), one.kind())
         stream = self._streams.at(camera, size_of(camera, self._sizes))
         return stream.update(seen, [], seconds_of(message.time))
-
-    def silent(self, now: float) -> list[Event]:
-        """Return the exits in cameras that are silent, see `CameraStreams.silent`."""
-        return self._streams.silent(now)
-
-    def close(self) -> list[Event]:
-        """Return the exits of objects out of sight. Those in a camera's last frame are in view."""
-        return self._streams.close()
 
 
 def _object(text: str) -> tuple[Name, Box, str]:

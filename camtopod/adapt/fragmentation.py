@@ -32,7 +32,7 @@ class _Camera(Struct):
 
     entries: int = 0
     fragments: int = 0
-    told: bool = False
+    warned: bool = False
     ends: deque[Event] = field(default_factory=lambda: deque(maxlen=_KEPT))
     begins: deque[Event] = field(default_factory=lambda: deque(maxlen=_KEPT))
 
@@ -57,7 +57,8 @@ class Fragmentation:
 
         # Events in mid-view are matched, or kept for one to come.
         if _in_mid_view(event):
-            others, own = camera.ends, camera.begins
+            others = camera.ends
+            own = camera.begins
             if event.kind == "exit":
                 others, own = own, others
             match = next((other for other in others if _continues(event, other)), None)
@@ -69,12 +70,12 @@ class Fragmentation:
 
         # Judge.
         if (
-            camera.told
+            camera.warned
             or camera.entries < ENTRIES_MIN
             or camera.fragments < SHARE_MIN * camera.entries
         ):
             return None
-        camera.told = True
+        camera.warned = True
         return (
             f"camera {event.camera}: {camera.fragments} of {camera.entries} entries begin in "
             f"mid-view, within {GAP_SECONDS:g} s and near the end of another track. Its tracker "

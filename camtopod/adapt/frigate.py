@@ -20,7 +20,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from camtopod import codec
-from camtopod.adapt.adapter import ANY_CAMERA, Sizes, checked, payload, size_of
+from camtopod.adapt.adapter import ANY_CAMERA, Sizes, checked, payload, remember, size_of
 from camtopod.codec import Rejected
 from camtopod.records import CameraId, Event, Kind
 
@@ -80,7 +80,8 @@ class Frigate:
     topic = "events"
 
     def __init__(self, sizes: Sizes, labels: Collection[str] = ()) -> None:
-        self._sizes, self._labels = sizes, frozenset(labels)
+        self._sizes = sizes
+        self._labels = frozenset(labels)
         self._objects: dict[str, _Object] = {}  # in order of the latest message
 
     def receive(self, line: bytes) -> list[Event]:
@@ -95,13 +96,9 @@ class Frigate:
         if now.false_positive or (self._labels and now.label not in self._labels):
             return []
 
-        # Update the object, keeping the latest objects only.
         known = self._objects.get(now.id) or self._met(message)
         events = self._changed(known, message)
-        self._objects.pop(now.id, None)
-        self._objects[now.id] = known
-        while len(self._objects) > OBJECTS_MAX:
-            del self._objects[next(iter(self._objects))]
+        remember(self._objects, now.id, known, OBJECTS_MAX)
         return events
 
     def close(self) -> list[Event]:
@@ -112,7 +109,8 @@ class Frigate:
         """Return the state of an object at its first message; it enters if it is new."""
         if message.type != "new":
             return _Object(None)
-        first, now = message.before, message.after
+        first = message.before
+        now = message.after
         if first.id == now.id and first.false_positive and self._knows_size(now.camera):
             entry = self._event("entry", first)
         elif now.path_data:

@@ -39,7 +39,8 @@ class Mot:
         if not math.isfinite(start):
             raise ValueError("the start must be a finite number of seconds")
         self._tracks = TrackEvents(camera, size)
-        self._fps, self._start = fps, start
+        self._fps = fps
+        self._start = start
         self._rows = array("d")
 
     def receive(self, line: bytes) -> list[Event]:

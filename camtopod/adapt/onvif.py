@@ -20,15 +20,22 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable
 from typing import Any
 from xml.etree.ElementTree import Element
 
 from msgspec import Struct, field
 
 from camtopod import codec
-from camtopod.adapt.camera_streams import Box, CameraStreams, Name, Seen, likeliest, seconds_of
-from camtopod.adapt.camera_streams import split_topic as split
+from camtopod.adapt.camera_streams import (
+    Box,
+    Name,
+    StreamAdapter,
+    TrackedBoxes,
+    likeliest,
+    seconds_of,
+    split_topic,
+)
 from camtopod.codec import Rejected
 from camtopod.records import Event
 from camtopod.untrusted_xml import DOCUMENT_BYTES_MAX, all_of, parse_xml, tag_of
@@ -37,6 +44,12 @@ FRAMES_MAX = 1000
 """Frames accepted in a document or message."""
 _END = re.compile(rb"</(?:[\w.-]+:)?MetadataStream\s*>|<(?:[\w.-]+:)?MetadataStream[^<>]*/>")
 """End of a document."""
+_NUMBERS = frozenset({"x", "y", "left", "top", "right", "bottom", "Likelihood"})
+"""Attributes that are numbers."""
+_SEVERAL = frozenset({"Object", "Delete", "Type", "ClassCandidate"})
+"""Elements of which there may be several."""
+_DEPTH_MAX = 6
+"""Levels below a frame that are read."""
 _MODULE_CHARACTERS_MAX = 30
 """Characters of a module's name in the name of a track."""
 
@@ -73,8 +86,25 @@ class _Type(Struct, frozen=True):
     likelihood: float | None = field(name="@Likelihood", default=None)
 
 
+class _Candidate(Struct, frozen=True):
+    """A kind of an object, in the form of older cameras."""
+
+    types: list[_Type] = field(name="Type", default_factory=list)
+    likelihood: _Type = field(name="Likelihood", default=_Type("0"))
+
+
 class _Class(Struct, frozen=True):
     types: list[_Type] | _Type = field(name="Type", default_factory=list)
+    candidates: list[_Candidate] = field(name="ClassCandidate", default_factory=list)
+
+    def kinds(self) -> list[tuple[float | None, str]]:
+        """Return likelihood and name of each kind. Raises `Rejected`."""
+        kinds = [(one.likelihood, one.text) for one in _many(self.types)]
+        return kinds + [
+            (_number(candidate.likelihood.text), one.text)
+            for candidate in self.candidates
+            for one in candidate.types
+        ]
 
 
 class _Appearance(Struct, frozen=True):
@@ -108,17 +138,15 @@ class _Message(Struct, frozen=True):
     frames: list[_Frame] | _Frame = field(name="Frame")
 
 
-class Onvif:
+class Onvif(StreamAdapter):
     """Adapter for scene descriptions, XML or JSON (one object a line, its topic may be in front).
 
     camera: the camera's id; None to take it from the topic's level before ``onvif-mj``.
     labels: kinds of objects (``Human``, ``Vehicle``) that count; empty for all.
     """
 
-    topic = "#"
-
     def __init__(self, camera: str | None = None, labels: Collection[str] = ()) -> None:
-        self._streams = CameraStreams(camera, labels)
+        super().__init__(camera, labels)
         self._text = bytearray()
         """XML after the last whole document."""
         self._certain: list[Event] = []
@@ -130,17 +158,13 @@ class Onvif:
             return self._xml(line)
 
         # JSON by MQTT.
-        levels, message = split(line)
+        levels, message = split_topic(line)
         if levels and ("onvif-mj" not in levels[:-1] or "VideoAnalytics" not in levels):
             raise Rejected("other-topic", "is not of .../onvif-mj/VideoAnalytics/...")
         place = levels.index("onvif-mj") if levels else 0
         camera = self._streams.name(levels[place - 1] if place else "")
         self._read(camera, _many(codec.read(_Message, message).frames))
         return self._take()
-
-    def silent(self, now: float) -> list[Event]:
-        """Return the exits in cameras that are silent, see `CameraStreams.silent`."""
-        return self._streams.silent(now)
 
     def close(self) -> list[Event]:
         """Return the exits of objects out of sight. Those in the last frame are in view."""
@@ -177,12 +201,11 @@ class Onvif:
             module = frame.source[:_MODULE_CHARACTERS_MAX]
 
             # Boxes, and the objects that are gone.
-            seen = Seen()
+            seen = TrackedBoxes()
             for one in _many(frame.objects):
                 box = one.appearance.shape.box
                 if box is not None:
-                    types = _many(one.appearance.kind.types)
-                    kind = likeliest([(each.likelihood, each.text) for each in types])
+                    kind = likeliest(one.appearance.kind.kinds())
                     transformations = (one.appearance.transformation, frame.transformation)
                     seen.add(_name(module, one.id), _fractions(box, transformations), kind)
             ended = [_name(module, gone.id) for gone in _many(frame.tree.delete)]
@@ -193,7 +216,8 @@ class Onvif:
 
     def _take(self) -> list[Event]:
         """Return the events not returned yet."""
-        certain, self._certain = self._certain, []
+        certain = self._certain
+        self._certain = []
         return certain
 
 
@@ -226,71 +250,22 @@ def _fractions(box: _Box, transformations: Iterable[_Transformation]) -> Box:
 def _frames_of(document: bytes) -> list[_Frame]:
     """Return the frames of an XML document. Raises `Rejected`."""
     root = parse_xml(document)
-    frames = [_plain_frame(each) for each in all_of(root, "Frame")]
+    frames = [_plain(each) for each in all_of(root, "Frame")]
     return codec.read(_Message, codec.to_json({"Frame": frames})).frames  # type: ignore[return-value]
 
 
-def _plain_frame(frame: Element) -> dict[str, Any]:
-    """Return a frame in the form of the JSON messages."""
-    plain: dict[str, Any] = dict(_attributes(frame))
-    plain |= _transformation(frame)
-    plain["Object"] = [_plain_object(each) for each in _children(frame, "Object")]
-    gone = [
-        dict(_attributes(each))
-        for tree in _children(frame, "ObjectTree")
-        for each in _children(tree, "Delete")
-    ]
-    plain["ObjectTree"] = {"Delete": gone}
+def _plain(element: Element, depth: int = 0) -> dict[str, Any]:
+    """Return an element in the form of the JSON messages. Raises `Rejected`."""
+    plain: dict[str, Any] = {"#text": (element.text or "").strip()}
+    for name, value in element.items():
+        plain[f"@{name}"] = _number(value) if name in _NUMBERS else value
+    for child in element if depth < _DEPTH_MAX else ():
+        tag = tag_of(child)
+        if tag in _SEVERAL:
+            plain.setdefault(tag, []).append(_plain(child, depth + 1))
+        else:
+            plain[tag] = _plain(child, depth + 1)
     return plain
-
-
-def _plain_object(one: Element) -> dict[str, Any]:
-    """Return an object in the form of the JSON messages."""
-    plain: dict[str, Any] = dict(_attributes(one))
-    for appearance in _children(one, "Appearance"):
-        inner: dict[str, Any] = _transformation(appearance)
-        for shape in _children(appearance, "Shape"):
-            for box in _children(shape, "BoundingBox"):
-                inner["Shape"] = {"BoundingBox": _numbers(box)}
-        inner["Class"] = {"Type": list(_types(appearance))}
-        plain["Appearance"] = inner
-    return plain
-
-
-def _types(appearance: Element) -> Iterator[dict[str, Any]]:
-    """Yield the kinds of an object: ``Type`` with a likelihood, or the older ``ClassCandidate``."""
-    for kind in _children(appearance, "Class"):
-        for each in _children(kind, "Type"):
-            yield {
-                "#text": (each.text or "").strip(),
-                "@Likelihood": _number(each.get("Likelihood", "0")),
-            }
-        for candidate in _children(kind, "ClassCandidate"):
-            texts = {tag_of(part): (part.text or "").strip() for part in candidate}
-            yield {
-                "#text": texts.get("Type", ""),
-                "@Likelihood": _number(texts.get("Likelihood", "0")),
-            }
-
-
-def _transformation(parent: Element) -> dict[str, Any]:
-    """Return the transformation of an element, by its JSON key."""
-    for found in _children(parent, "Transformation"):
-        return {"Transformation": {tag_of(part): _numbers(part) for part in found}}
-    return {}
-
-
-def _children(parent: Element, tag: str) -> Iterator[Element]:
-    return (child for child in parent if tag_of(child) == tag)
-
-
-def _attributes(element: Element) -> Iterator[tuple[str, str]]:
-    return ((f"@{name}", value) for name, value in element.items())
-
-
-def _numbers(element: Element) -> dict[str, float]:
-    """Return the numeric attributes of an element. Raises `Rejected`."""
-    return {name: _number(value) for name, value in _attributes(element)}
 
 
 def _number(text: str) -> float:

@@ -53,16 +53,16 @@ class _Camera:
 
     def __init__(self, camera: str, size: tuple[int, int]) -> None:
         self.tracks = TrackEvents(camera, size)
-        self._joiners: dict[str, BoxLinker] = {}
+        self._linkers: dict[str, BoxLinker] = {}
 
     def names(self, kind: str, boxes: Sequence[Box], t: float) -> list[str | None]:
         """Link boxes of a kind to earlier ones; return the name of each box's track."""
-        joiner = self._joiners.get(kind)
-        if joiner is None:
-            if len(self._joiners) >= KINDS_MAX:
+        linker = self._linkers.get(kind)
+        if linker is None:
+            if len(self._linkers) >= KINDS_MAX:
                 return [None] * len(boxes)
-            joiner = self._joiners[kind] = BoxLinker()
-        return [None if number is None else f"{kind}-{number}" for number in joiner.link(boxes, t)]
+            linker = self._linkers[kind] = BoxLinker()
+        return [None if number is None else f"{kind}-{number}" for number in linker.link(boxes, t)]
 
 
 class SceneScape:
@@ -76,7 +76,9 @@ class SceneScape:
     topic = "data/camera/+"
 
     def __init__(self, sizes: Sizes, labels: Collection[str] = (), tracked: bool = False) -> None:
-        self._sizes, self._labels, self._tracked = sizes, frozenset(labels), tracked
+        self._sizes = sizes
+        self._labels = frozenset(labels)
+        self._tracked = tracked
         self._cameras: dict[str, _Camera] = {}
 
     def receive(self, line: bytes) -> list[Event]:

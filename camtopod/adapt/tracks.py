@@ -99,9 +99,13 @@ class TrackEvents:
             raise ValueError(f"size {size!r}: width and height of the picture, in pixels")
         if not (0 <= life_seconds < math.inf and 0 < lost_seconds < math.inf):
             raise ValueError("life_seconds and lost_seconds are above 0")
-        self.camera, self.size = camera, (float(size[0]), float(size[1]))
-        self._boot, self._seq = boot, 0
-        self._life, self._lost, self._max = life_seconds, lost_seconds, tracks_max
+        self.camera = camera
+        self.size = (float(size[0]), float(size[1]))
+        self._boot = boot
+        self._seq = 0
+        self._life = life_seconds
+        self._lost = lost_seconds
+        self._max = tracks_max
         self._tracks: dict[str, _Track] = {}  # the one seen last is last
         self._start = self._t = -math.inf
         self.entries = 0
@@ -203,7 +207,8 @@ class TrackEvents:
         }
 
     def _begin_anew(self) -> None:
-        self._tracks, self._t = {}, -math.inf
+        self._tracks = {}
+        self._t = -math.inf
 
     def _ended(self, t: float) -> list[Event]:
         """Remove tracks not seen for too long; return their exits.

@@ -20,7 +20,8 @@ def calibration_error(probability: Sequence[float], happened: Sequence[bool]) ->
     """
     if not probability:
         return math.nan
-    stated, came = np.array(probability), np.array(happened, dtype=float)
+    stated = np.array(probability)
+    came = np.array(happened, dtype=float)
     gap = np.bincount(_bin(stated), stated - came, CALIBRATION_BINS)
     return float(np.abs(gap).sum() / len(stated))
 

@@ -217,7 +217,8 @@ def demo_plan() -> Plan:
         Area("wood", (7.7, 2.0, 29.7, 15.5)),
         Area("brick", (4.5, -13, 17, 1.0)),
     ]
-    south, north = -math.pi / 2, math.pi / 2
+    south = -math.pi / 2
+    north = math.pi / 2
     views = {"entrance": south, "hall": north, "corridor": north, "cafe": south, "garden": south}
     return Plan(
         places, ways, areas, [View(name, places[name], heading) for name, heading in views.items()]
@@ -255,10 +256,8 @@ def _walk(plan: Plan, start: float, end: float, rng: np.random.Generator) -> Wal
 
     # Sample positions at the frames.
     metres = STEP_METRES * np.arange(len(line))
-    first, last = (
-        math.ceil(max(start, 0.0) * FPS),
-        math.floor(min(start + metres[-1] / speed, end) * FPS),
-    )
+    first = math.ceil(max(start, 0.0) * FPS)
+    last = math.floor(min(start + metres[-1] / speed, end) * FPS)
     t = np.arange(first, max(first, last + 1)) / FPS
     walked = (t - start) * speed
     floor = np.column_stack([np.interp(walked, metres, column) for column in smooth.T])
@@ -289,9 +288,11 @@ def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Longs]:
         stops.append(onward[int(rng.choice(len(onward), p=weight / weight.sum()))])
 
     # Sample the straight lines between the stops.
-    points, ways = [], []
+    points = []
+    ways = []
     for a, b in pairwise(stops):
-        begin, end = np.array(plan.places[a]), np.array(plan.places[b])
+        begin = np.array(plan.places[a])
+        end = np.array(plan.places[b])
         share = np.arange(0, 1, STEP_METRES / float(np.linalg.norm(end - begin)))[:, None]
         points.append(begin + share * (end - begin))
         ways.append(np.full(len(share), plan.ways.index((a, b) if (a, b) in plan.ways else (b, a))))

@@ -64,7 +64,8 @@ class Choices:
             dtype=bool,
         ).reshape(self.target.shape)
         kept = np.where(open_, self.probability, 0.0)
-        total, left = self.probability.sum(1, keepdims=True), kept.sum(1, keepdims=True)
+        total = self.probability.sum(1, keepdims=True)
+        left = kept.sum(1, keepdims=True)
         scale = np.divide(total, left, out=np.zeros_like(total), where=left > 0)
         return Choices(self.target, kept * scale, self.metres)
 
@@ -150,7 +151,8 @@ def with_fire_doors(layout: Layout, count: int, rng: np.random.Generator) -> Lay
     able = rng.permutation(
         [c for c in range(len(zones)) if zones[c] >= 3 and outside[layout.camera == c].any()]
     )
-    through, arrivals = layout.through.probability.copy(), layout.arrivals.copy()
+    through = layout.through.probability.copy()
+    arrivals = layout.arrivals.copy()
     for c in able[:count]:
         door = int(rng.choice(np.flatnonzero((layout.camera == c) & outside)))
         arrivals[door] *= 2 * RARE_SHARE
@@ -197,7 +199,8 @@ def _zones(
         while len(mine) < count:
             tries += 1
             if tries > PLACES_MAX:  # those placed first leave no room
-                mine, tries = [], 0
+                mine = []
+                tries = 0
             centre, angle = _place(rng)
             if all(math.dist(centre, other) >= separation for other, _ in mine):
                 zone = centre, _ellipse(angle, stretch, rng)
@@ -221,7 +224,8 @@ def _place(rng: np.random.Generator) -> tuple[Floats, float]:
     """
     if rng.random() < DOOR_SHARE:
         return rng.uniform((0.25, 0.3), (0.75, 0.65)), rng.uniform(0, math.pi)
-    along, inset = rng.uniform(0.12, 0.88), rng.uniform(0.05, 0.08)
+    along = rng.uniform(0.12, 0.88)
+    inset = rng.uniform(0.05, 0.08)
     side = rng.choice(4, p=(0.3, 0.3, 0.25, 0.15))
     x, y = ((inset, along), (1 - inset, along), (along, 1 - inset), (along, inset))[side]
     return np.array((x, y)), math.pi / 2 if side < 2 else 0.0
@@ -265,7 +269,9 @@ class _Paths:
         self, camera: Longs, street: NDArray[np.bool_], position: Floats, rng: np.random.Generator
     ) -> None:
         self.options: list[list[tuple[int, float]]] = [[] for _ in camera]
-        self._camera, self._street, self._rng = camera, street, rng
+        self._camera = camera
+        self._street = street
+        self._rng = rng
         self._distance = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
         self._exclusive: set[int] = set()
         self._joined: set[tuple[int, int]] = set()

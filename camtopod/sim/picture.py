@@ -126,7 +126,8 @@ def camera_times(links: Sequence[Link] | Sequence[TrueLink], camera: dict[str, s
 def _window(plan: Plan) -> tuple[float, float, float]:
     """Return the part of the plan on the map: west and north end in metres, pixels per metre."""
     seen = np.concatenate([view.footprint() for view in plan.views])
-    low, high = seen.min(0) - BORDER_METRES, seen.max(0) + BORDER_METRES
+    low = seen.min(0) - BORDER_METRES
+    high = seen.max(0) + BORDER_METRES
     scale = float(min(MAP_WIDTH / (high[0] - low[0]), MAP_HEIGHT / (high[1] - low[1])))
     middle = (low + high) / 2
     return (
@@ -158,7 +159,8 @@ def _ground(plan: Plan, faded: float) -> Picture:
     floor = cv2.warpAffine(smooth, shift, (MAP_WIDTH, MAP_HEIGHT), borderMode=cv2.BORDER_REPLICATE)
 
     # Footprints.
-    seen, outlines = floor.copy(), []
+    seen = floor.copy()
+    outlines = []
     for view in plan.views:
         outlines.append(
             np.round((view.footprint() - (west, north)) * (scale, -scale)).astype(np.int32)
@@ -198,7 +200,8 @@ def _network(picture: Picture, place: dict[str, Point], times: Times, true_times
 
 def _curve(a: Point, b: Point, others: list[Point]) -> Floats:
     """Return a line from a to b, (n, 2), bent if it would run through another camera."""
-    start, end = np.array(a), np.array(b)
+    start = np.array(a)
+    end = np.array(b)
     along = end - start
     length = float(np.linalg.norm(along))
     normal = np.array((along[1], -along[0])) / length

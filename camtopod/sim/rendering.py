@@ -207,7 +207,8 @@ def _figures(view: View, walks: list[Walk], frames: int) -> list[list[_Figure]]:
         for i in np.flatnonzero(near):
             frame = round(float(walk.t[i]) * FPS)
             if frame < frames:
-                foot, head = _pair(feet[i, :2] * scale), _pair(heads[i, :2] * scale)
+                foot = _pair(feet[i, :2] * scale)
+                head = _pair(heads[i, :2] * scale)
                 result[frame].append(
                     _Figure(float(feet[i, 2]), foot, head, float(swing[i]), walker)
                 )
@@ -225,7 +226,8 @@ def _draw(picture: Picture, figure: _Figure) -> None:
     """
     (fx, fy), (hx, hy) = figure.foot, figure.head
     tall = max(1.0, fy - hy)
-    coat, trousers = _CLOTHES[figure.walker % 10], _CLOTHES[(figure.walker * 7 + 3) % 10]
+    coat = _CLOTHES[figure.walker % 10]
+    trousers = _CLOTHES[(figure.walker * 7 + 3) % 10]
     skin = _SKIN[figure.walker % 3]
 
     def at(across: float, up: float) -> tuple[int, int]:

@@ -119,10 +119,13 @@ def _zone(setup: Setup, settings: SimSettings, zone: int, name: str) -> TrueZone
     if not settings.positions:
         return TrueZone(id=name, camera=setup.layout.cameras[camera])
     x, y = np.round(setup.layout.centre[zone], 4).tolist()
-    cov, was, moved_at = setup.layout.cov[zone], None, None
+    cov = setup.layout.cov[zone]
+    was = None
+    moved_at = None
     if camera in setup.turned:
         since, turn = setup.turned[camera]
-        was, moved_at = (x, y), settings.start + since
+        was = (x, y)
+        moved_at = settings.start + since
         x, y = np.round(turned(setup.layout.centre[zone], turn), 4).tolist()
         cov = turn @ cov @ turn.T
     cov = np.round(cov, 7).tolist()
@@ -143,7 +146,8 @@ def _links(
     links = []
     for inside, choices in ((True, layout.through), (False, layout.onward)):
         for u, k in np.argwhere(choices.probability > 0):
-            v, metres = int(choices.target[u, k]), float(choices.metres[u, k])
+            v = int(choices.target[u, k])
+            metres = float(choices.metres[u, k])
             way = int(u), v
             links.append(
                 TrueLink(
@@ -205,7 +209,9 @@ def events_of(
     track (n,): track number, or -1.
     """
     names = _track_names(camera, track, order)
-    xy, when, placed = np.round(at, 4), np.round(t, 6), np.isfinite(at[:, 0])
+    xy = np.round(at, 4)
+    when = np.round(t, 6)
+    placed = np.isfinite(at[:, 0])
     return [
         Event(
             camera=cameras[camera[i]],

@@ -74,8 +74,11 @@ def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passa
         # A walker cannot enter the next view before this one.
         stay = np.maximum(stay, -1.25 * ahead)
         parts.append(Passages(walker, np.full(len(t), number), zone, out, t, t + stay))
-        t, zone = (t + stay + ahead)[goes], layout.onward.target[out, option][goes]
-        walker, pace, linger = walker[goes], pace[goes], linger[goes]
+        t = (t + stay + ahead)[goes]
+        zone = layout.onward.target[out, option][goes]
+        walker = walker[goes]
+        pace = pace[goes]
+        linger = linger[goes]
     return _join(parts)
 
 
@@ -89,7 +92,8 @@ def _onward(setup: Setup, settings: SimSettings, zone: Longs, t: Floats, draw: F
     """Return the index of the path that walkers at ``zone`` take at ``t``, -1 for none; doors may
     be shut.
     """
-    shut, unopened = t >= settings.closing(), t < settings.opening()
+    shut = t >= settings.closing()
+    unopened = t < settings.opening()
     result = np.zeros(len(zone), dtype=np.int64)
     for gone, now in (
         (set(), ~shut & ~unopened),
@@ -116,15 +120,18 @@ def _in_platoons(t: Floats, zone: Longs, settings: SimSettings) -> tuple[Floats,
     late = HEADWAY_SECONDS * (
         (np.arange(len(member)) - leader[of]) + rng.uniform(-0.4, 0.4, len(member))
     )
-    t, zone = t.copy(), zone.copy()
-    t[member], zone[member] = begin[of] + late, where[of]
+    t = t.copy()
+    zone = zone.copy()
+    t[member] = begin[of] + late
+    zone[member] = where[of]
     return t, zone
 
 
 def _arrivals(settings: SimSettings, rng: np.random.Generator) -> Floats:
     """Return Poisson arrival times; the rhythm thins a faster process."""
     rate = settings.objects_per_second or 0.4 * settings.cameras / 12
-    begin, end = -WARM_UP_SECONDS, settings.hours * 3600.0
+    begin = -WARM_UP_SECONDS
+    end = settings.hours * 3600.0
     times = np.sort(
         rng.uniform(begin, end, rng.poisson(rate * (1 + settings.rhythm) * (end - begin)))
     )
@@ -171,7 +178,9 @@ def with_companions(
     """Add companions who walk the leader's way, each a step (0.3 to 2 s) behind the one before."""
     walkers = int(passages.walker.max(initial=-1)) + 1
     size = np.where(rng.random(walkers) < settings.group_share, rng.integers(1, 4, walkers), 0)
-    parts, fresh, behind = [passages], walkers, np.zeros(walkers)
+    parts = [passages]
+    fresh = walkers
+    behind = np.zeros(walkers)
     for place in range(1, 4):
         behind = behind + rng.uniform(0.3, 2.0, walkers)
         led = np.flatnonzero(size >= place)
@@ -180,10 +189,8 @@ def with_companions(
         fresh += len(led)
         mine = passages.take(identity[passages.walker] >= 0)
         late = behind[mine.walker]
-        mine.walker, mine.t_in, mine.t_out = (
-            identity[mine.walker],
-            mine.t_in + late,
-            mine.t_out + late,
-        )
+        mine.walker = identity[mine.walker]
+        mine.t_in = mine.t_in + late
+        mine.t_out = mine.t_out + late
         parts.append(mine)
     return _join(parts)

@@ -71,7 +71,8 @@ def iou(a: Box, b: Box) -> float:
 
 def ious(box: npt.NDArray[Any], others: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     """Return intersection over union of a box (4,) with each of the others (N, 4)."""
-    low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
+    low = np.maximum(box[:2], others[:, :2])
+    high = np.minimum(box[2:], others[:, 2:])
     common = np.prod(np.maximum(high - low, 0.0), axis=1)
     areas = np.prod(others[:, 2:] - others[:, :2], axis=1) + np.prod(box[2:] - box[:2])
     return np.asarray(common / np.maximum(areas - common, 1e-6), np.float32)

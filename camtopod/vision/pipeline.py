@@ -206,7 +206,8 @@ class ViewPipeline:
 
     def statistics(self) -> dict[str, int | float]:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""
-        tracker, crossings = self._tracker, self._crossings
+        tracker = self._tracker
+        crossings = self._crossings
         seen = {} if self._detector is None else self._detector.statistics()
         return {
             "frames_analysed": self.analysed,

@@ -6,18 +6,20 @@ Where messages are from is said beside them.
 from __future__ import annotations
 
 import json
-import tracemalloc
 from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camtopod.adapt import Axis, DeepStream, Onvif, adapter, camera_streams, onvif
+from camtopod.adapt import adapter, camera_streams
 from camtopod.adapt.adapter import Adapter
+from camtopod.adapt.axis import Axis
 from camtopod.adapt.camera_streams import seconds_of
+from camtopod.adapt.deepstream import DeepStream
+from camtopod.adapt.onvif import Onvif
 from camtopod.codec import Rejected
 from camtopod.records import Event
 
@@ -140,12 +142,6 @@ def test_axis_cameras_are_told_apart_by_topic_and_channel() -> None:
     assert refused(Axis(), axis_frame(0)) == "no-camera"
 
 
-def test_one_named_camera_is_one_camera() -> None:
-    reader = Axis("gate")
-    reader.receive(b"axis/a " + axis_frame(0))
-    assert refused(reader, b"axis/b " + axis_frame(1)) == "other-camera"
-
-
 def test_axis_heads_do_not_count_beside_their_owners_and_kinds_are_kept() -> None:
     def passes(kind: str, labels: tuple[str, ...]) -> int:
         lines = [axis_frame(0), axis_frame(2, "a", **{"class": {"type": kind}})]
@@ -263,22 +259,6 @@ def test_onvif_hostile_xml_is_refused_and_what_follows_is_read() -> None:
     good = [onvif_xml(0), *(onvif_xml(2 + n, onvif_object(1, 50)) for n in range(3))]
     assert refused(reader, b"<a/></MetadataStream>" + good[0]) == "malformed"
     assert [e.kind for e in read(reader, good[1:])] == ["entry"]
-
-
-def test_onvif_memory_has_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(onvif, "DOCUMENT_BYTES_MAX", 10_000)
-    reader = Onvif("gate")
-    tracemalloc.start()
-    reasons = set()
-    for _ in range(5000):
-        try:
-            reader.receive(b"<" + b"a" * 500)
-        except Rejected as error:
-            reasons.add(error.reason)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert reasons == {"too-long"}
-    assert peak < 1_000_000
 
 
 def test_quotes_of_xml_have_no_text() -> None:
@@ -426,17 +406,20 @@ JSON = st.recursive(
 
 
 @pytest.mark.parametrize("make", ADAPTERS)
+@settings(max_examples=25)
 @given(messages=st.lists(JSON, max_size=4))
 def test_arbitrary_json_is_read_or_rejected(make: Callable[[], Adapter], messages: Any) -> None:
     survives(make(), [json.dumps(message).encode() for message in messages])
 
 
 @pytest.mark.parametrize("make", ADAPTERS)
+@settings(max_examples=25)
 @given(lines=st.lists(st.binary(max_size=80), max_size=4))
 def test_arbitrary_bytes_are_read_or_rejected(make: Callable[[], Adapter], lines: Any) -> None:
     survives(make(), lines)
 
 
+@settings(max_examples=40)
 @given(cut=st.integers(0, 900), put=st.binary(max_size=8))
 def test_damaged_xml_is_read_or_rejected(cut: int, put: bytes) -> None:
     whole = onvif_xml(1, onvif_object(3, 50))

@@ -118,19 +118,6 @@ def test_events_are_reported_in_time_and_numbered_without_a_gap() -> None:
 # --- what trackers hand out -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "ids",
-    [[7], np.array([7]), np.array([7.0], np.float32), [np.int64(7)], ["7"], (7.0,)],
-)
-@pytest.mark.parametrize(
-    "box", [[BOX], np.array([BOX]), np.array([BOX], float).reshape(1, 2, 2), [np.array(BOX)]]
-)
-def test_arrays_and_lists_are_the_same(ids: Any, box: Any) -> None:
-    events = TrackEvents("c", SIZE)
-    found = events.update([], [], 0.0) + events.update(ids, box, 1.1) + events.update(ids, box, 2.0)
-    assert [(e.kind, e.t, e.x, e.y, e.track) for e in found] == [("entry", 1.1, 0.1, 0.6, "7")]
-
-
 def test_what_is_not_tracked_is_counted_and_nothing_else() -> None:
     events = TrackEvents("c", SIZE)
     for n in range(10):
@@ -232,12 +219,6 @@ def test_boxes_are_joined_to_the_nearest_whatever_their_order() -> None:
             found[name].add(number)
     assert sorted(map(len, found.values())) == [1, 1]
     assert found["left"] != found["right"]
-
-
-def test_a_track_goes_on_in_one_box_only() -> None:
-    joiner = BoxLinker()
-    assert joiner.link([(0, 0, 40, 100)], 0.0) == [1]
-    assert joiner.link([(9, 0, 49, 100), (2, 0, 42, 100)], 0.1) == [2, 1]
 
 
 def test_a_box_far_away_or_long_after_is_another() -> None:

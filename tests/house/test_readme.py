@@ -20,6 +20,7 @@ from paths import ROOT
 from serving import free_endpoint, numbered, walkers
 
 from camtopod import client
+from camtopod.adapt import FORMATS
 from camtopod.cli.main import COMMANDS, parser_of
 from camtopod.codec import event_from_json
 from camtopod.learn.learner import Learner
@@ -200,6 +201,11 @@ def test_architecture_lists_every_package() -> None:
     }
     shared = {path.stem for path in (ROOT / "camtopod").glob("*.py")} - {"__init__", "__main__"}
     assert shared <= set(re.findall(r"\b([a-z_]+)\b", listed))
+
+
+def test_every_format_has_an_example() -> None:
+    page = TEXTS["deploy/integrations.md"]
+    assert {name for name in FORMATS if f"camtopod ingest {name} " not in page} == set()
 
 
 def test_every_extra_exists() -> None:

@@ -17,10 +17,10 @@ from typing import Any, BinaryIO
 
 import msgspec
 
+from camtopod.adapt import FORMATS
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.events import (
-    FORMATS,
     KNOWN_SECONDS,
     LineReader,
     Outcome,
@@ -55,18 +55,6 @@ says.
 """
 _TICK_SECONDS = 0.2
 """Interval at which input, acknowledgements and progress are checked."""
-_NO_EVENTS = {
-    "frigate": "no object entered or left, or only objects that are stationary or not among "
-    "--label",
-    "mot": "boxes with an id below 0 (untracked detections) or a confidence of 0 belong to no "
-    "track",
-    "scenescape": "no object entered or left, or only objects that are not among --label",
-    "axis": "no object entered or left, or only objects that are not among --label",
-    "onvif": "no object entered or left, or only objects that are not among --label",
-    "deepstream": "no object entered or left, the objects have no tracker's id, or they are not "
-    "among --label",
-}
-"""Format -> why well-formed lines may give no events."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -75,15 +63,11 @@ def add_parser(subparsers: Any) -> None:
         "ingest",
         help="publish events from other programs",
         description="Publishes events on the bus, and ends when the daemon has stored them all. "
-        "Formats: jsonl, event lines as `camtopod grab --out` writes them; frigate, messages of "
-        "frigate/events, one a line (mosquitto_sub -t frigate/events); mot, a MOTChallenge text "
-        "file; scenescape, messages of scenescape/data/camera/ID, one a line; axis, AXIS scene "
-        "metadata, frames or object tracks, one message a line; onvif, scene descriptions of "
-        "Profile M, XML documents or JSON messages; deepstream, messages of nvmsgconv, one a line.",
+        f"Formats: {'; '.join(f'{name}, {one.lines}' for name, one in FORMATS.items())}.",
         epilog="example: camtopod ingest jsonl events.jsonl --site hq",
     )
     parser.add_argument(
-        "format", choices=FORMATS, metavar="FORMAT", help=f"one of: {', '.join(FORMATS)}"
+        "format", choices=tuple(FORMATS), metavar="FORMAT", help=f"one of: {', '.join(FORMATS)}"
     )
     parser.add_argument(
         "file", nargs="?", default="-", metavar="FILE", help="input (default: standard input)"
@@ -149,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
             f"no line of {args.file} is valid {args.format}: nothing to ingest, see above"
         )
     if reader.read and not reader.events:
-        log.warning("%d lines gave no event: %s", reader.read, _NO_EVENTS[args.format])
+        log.warning("%d lines gave no event: %s", reader.read, FORMATS[args.format].no_events)
     return status
 
 

@@ -13,11 +13,10 @@ from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from camtopod.cli.events.event_lines import Line, LineReader, numbered, open_input
-    from camtopod.cli.events.input_formats import FORMATS, add_options, events
+    from camtopod.cli.events.input_formats import add_options, events
     from camtopod.cli.events.publish_outcome import KNOWN_SECONDS, Outcome
 
 __all__ = [
-    "FORMATS",
     "KNOWN_SECONDS",
     "Line",
     "LineReader",
@@ -32,7 +31,6 @@ __all__ = [
 __getattr__ = lazy_getattr(
     __name__,
     {
-        "FORMATS": "input_formats",
         "KNOWN_SECONDS": "publish_outcome",
         "Line": "event_lines",
         "LineReader": "event_lines",

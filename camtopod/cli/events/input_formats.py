@@ -7,19 +7,17 @@ import contextlib
 import re
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 from camtopod import mqtt
 from camtopod.adapt import (
     ANY_CAMERA,
+    FORMATS,
     LINE_BYTES_MAX,
     Adapter,
-    Axis,
-    DeepStream,
-    Frigate,
-    Mot,
-    Onvif,
-    SceneScape,
+    FormatOptions,
     Size,
+    StreamAdapter,
 )
 from camtopod.cli import exits
 from camtopod.cli.events import broker_options
@@ -28,17 +26,21 @@ from camtopod.cli.exits import CommandError
 from camtopod.config import RESERVED
 from camtopod.records import CAMERA_PATTERN, Event
 
-FORMATS = ("jsonl", "frigate", "mot", "scenescape", "axis", "onvif", "deepstream")
-"""Names of the formats."""
-_OPTIONS = {
-    "size": ("frigate", "mot", "scenescape", "deepstream"),
-    "label": ("frigate", "scenescape", "axis", "onvif", "deepstream"),
-    "tracked": ("scenescape",),
-    "camera": ("mot", "axis", "onvif", "deepstream"),
-    "fps": ("mot",),
-    "start": ("mot",),
+_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "size": (
+        "size in pixels of the pictures that the boxes refer to; may be repeated",
+        {"metavar": "[CAMERA=]WxH", "action": "append", "default": []},
+    ),
+    "label": (
+        "only objects of this kind (person, car, ...); may be repeated",
+        {"metavar": "NAME", "action": "append", "default": []},
+    ),
+    "tracked": ("", {"action": "store_true"}),
+    "camera": ("", {"metavar": "ID"}),
+    "fps": ("", {"type": float, "metavar": "N"}),
+    "start": ("", {"type": float, "metavar": "SECONDS"}),
 }
-"""Option -> formats that have it."""
+"""Option -> what it means for all formats that have it, and the parser's arguments."""
 _SIZE = re.compile(r"(?:([A-Za-z0-9_.-]{1,64})=)?([1-9][0-9]{0,5})x([1-9][0-9]{0,5})")
 """Value of --size: [CAMERA=]WxH."""
 
@@ -46,46 +48,25 @@ _SIZE = re.compile(r"(?:([A-Za-z0-9_.-]{1,64})=)?([1-9][0-9]{0,5})x([1-9][0-9]{0
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the formats and of MQTT."""
     group = parser.add_argument_group("formats")
-    group.add_argument(
-        "--size",
-        metavar="[CAMERA=]WxH",
-        action="append",
-        default=[],
-        help="size in pixels of the pictures that the boxes refer to (frigate: detect width and "
-        "height, not needed if Frigate sends path_data; deepstream: nvstreammux width and height); "
-        "may be repeated",
-    )
-    group.add_argument(
-        "--label",
-        metavar="NAME",
-        action="append",
-        default=[],
-        help="all but mot and jsonl: only objects of this kind (person, car, ...); may be repeated",
-    )
-    group.add_argument(
-        "--tracked",
-        action="store_true",
-        help="scenescape: ids come from a tracker (gvatrack in the pipeline)",
-    )
-    group.add_argument(
-        "--camera",
-        metavar="ID",
-        help="mot: the camera's id; axis, onvif, deepstream: the id of the one camera (default: as "
-        "the topic or the message names it)",
-    )
-    group.add_argument("--fps", type=float, metavar="N", help="mot: frames per second")
-    group.add_argument(
-        "--start",
-        type=float,
-        metavar="SECONDS",
-        help="mot: event time of the first frame (default 0)",
-    )
+    for option, (meaning, arguments) in _OPTIONS.items():
+        group.add_argument(f"--{option}", help=_help(option, meaning), **arguments)
+    names = ", ".join(name for name, one in FORMATS.items() if one.mqtt)
     group = parser.add_argument_group(
-        "MQTT",
-        "FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX (frigate, scenescape, axis, onvif, "
-        "deepstream)",
+        "MQTT", f"FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX ({names})"
     )
     broker_options.add_options(group)
+
+
+def _help(option: str, meaning: str) -> str:
+    """Return the help of an option: by what it means, the formats that have it."""
+    formats: dict[str, list[str]] = {}
+    for name, one in FORMATS.items():
+        if option in one.options:
+            formats.setdefault(one.options[option], []).append(name)
+    notes = [
+        f"{', '.join(names)}{': ' if note else ''}{note}" for note, names in sorted(formats.items())
+    ]
+    return f"{meaning} ({'; '.join(notes)})" if meaning else "; ".join(notes)
 
 
 def events(
@@ -97,11 +78,11 @@ def events(
     """
     adapter = adapter_for(args)
     if args.file.startswith(("mqtt:", "mqtts:")):
-        if adapter is None or not adapter.topic:
+        if adapter is None or not FORMATS[args.format].mqtt:
             raise CommandError(f"{args.format} cannot be read from MQTT, give a file", exits.USAGE)
         messages = _messages(args, adapter.topic)
         stack.callback(messages.close)
-        if isinstance(adapter, Axis | Onvif | DeepStream):  # cameras that may be silent
+        if isinstance(adapter, StreamAdapter):  # cameras that may be silent
             lines = enumerate(messages.read(stop, ticks=True), 1)
             return reader.adapted(messages.topic, lines, adapter, adapter.silent)
         return reader.adapted(messages.topic, enumerate(messages.read(stop), 1), adapter)
@@ -117,11 +98,16 @@ def events(
 
 def adapter_for(args: argparse.Namespace) -> Adapter | None:
     """Return the adapter of the format; None for event lines. Raises `CommandError`."""
-    for option, formats in _OPTIONS.items():
-        if getattr(args, option) not in (None, False, []) and args.format not in formats:
-            raise CommandError(
-                f"--{option} is for {' and '.join(formats)}, not {args.format}", exits.USAGE
-            )
+    chosen = FORMATS[args.format]
+    values = {option: getattr(args, option) for option in _OPTIONS}
+    given = {
+        option for option, value in values.items() if value not in (None, []) and value is not False
+    }
+    for option in sorted(given - set(chosen.options)):
+        formats = [name for name, one in FORMATS.items() if option in one.options]
+        raise CommandError(
+            f"--{option} is for {' and '.join(formats)}, not {args.format}", exits.USAGE
+        )
     if args.camera in RESERVED:
         raise CommandError(
             f"--camera {args.camera}: this name is reserved on the bus, use another", exits.USAGE
@@ -131,34 +117,12 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
             f"--camera {args.camera!r}: use 1 to 64 of the characters A-Z a-z 0-9 _ . -",
             exits.USAGE,
         )
-    sizes = _sizes(args.size)
-    if args.format == "axis":
-        return Axis(args.camera, args.label)
-    if args.format == "onvif":
-        return Onvif(args.camera, args.label)
-    if args.format == "deepstream":
-        return DeepStream(sizes, args.camera, args.label)
-    if args.format == "frigate":
-        return Frigate(sizes, args.label)
-    if args.format == "scenescape":
-        return SceneScape(sizes, args.label, args.tracked)
-    return _mot(args, sizes) if args.format == "mot" else None
-
-
-def _mot(args: argparse.Namespace, sizes: dict[str, Size]) -> Mot:
-    """Return the adapter of MOTChallenge files, which needs a camera, a frame rate and a size."""
-    missing = [
-        f"--{name}" for name in ("camera", "fps", "size") if getattr(args, name) in (None, [])
-    ]
-    if missing:
-        raise CommandError(f"mot needs {' and '.join(missing)}", exits.USAGE)
-    size = sizes.get(args.camera) or sizes.get(ANY_CAMERA)
-    if size is None:
-        raise CommandError(
-            f"--size {args.size[0]} is for another camera than {args.camera}", exits.USAGE
-        )
+    if missing := [f"--{option}" for option in chosen.needs if option not in given]:
+        raise CommandError(f"{args.format} needs {' and '.join(missing)}", exits.USAGE)
+    if chosen.make is None:
+        return None
     try:
-        return Mot(args.camera, size, args.fps, args.start or 0.0)
+        return chosen.make(FormatOptions(**{**values, "size": _sizes(args.size)}))
     except ValueError as error:
         raise CommandError(str(error), exits.USAGE) from None
 

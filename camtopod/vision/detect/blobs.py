@@ -168,7 +168,8 @@ def _merge(
         merged = False
         for i in range(len(groups)):
             for j in range(len(groups) - 1, i, -1):
-                a, b = groups[i][1], groups[j][1]
+                a = groups[i][1]
+                b = groups[j][1]
                 if a[0] - b[2] > reach or b[0] - a[2] > reach:  # too far apart: most pairs
                     continue
                 if _belong(a, b, expected_height):

@@ -26,7 +26,8 @@ def find_heads(mask: Bools) -> list[int]:
     mask (H, W): pixels of the blob, in its box.
     """
     height, width = mask.shape
-    apart, valley = APART_HEIGHTS * height, VALLEY_HEIGHTS * height
+    apart = APART_HEIGHTS * height
+    valley = VALLEY_HEIGHTS * height
     if height < HEIGHT_MIN_PIXELS or width < apart:
         return []
 
@@ -35,7 +36,8 @@ def find_heads(mask: Bools) -> list[int]:
 
     # A peak begins where the outline has risen by a valley, and ends where it has fallen by one.
     heads: list[int] = []
-    deepest, peak = height, -1
+    deepest = height
+    peak = -1
     for column, now in enumerate([*depth, height]):
         if peak < 0:
             deepest = max(deepest, now)
@@ -47,7 +49,8 @@ def find_heads(mask: Bools) -> list[int]:
             middle = _middle_of_peak(depth, peak)
             if not heads or middle - heads[-1] >= apart:
                 heads.append(middle)
-            deepest, peak = now, -1
+            deepest = now
+            peak = -1
     return heads if len(heads) > 1 else []
 
 

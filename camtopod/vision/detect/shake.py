@@ -34,7 +34,8 @@ def shift(frame: Luma, scene: Luma, settled: Luma) -> tuple[float, float]:
     difference = middle - frame[rows, columns]
     good = (settled[rows, columns] != 0) & (np.abs(difference) < _OUTLIER)
     count = middle.shape[0]
-    below, above = scene[2::_ROW_STEP, columns][:count], scene[:-2:_ROW_STEP, columns][:count]
+    below = scene[2::_ROW_STEP, columns][:count]
+    above = scene[:-2:_ROW_STEP, columns][:count]
 
     # Gradients, doubled to keep integers.
     dx = _flat((scene[rows, 2:].astype(np.int16) - scene[rows, :-2]) * good)

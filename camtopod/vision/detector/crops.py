@@ -76,14 +76,16 @@ class Crops:
         """
         groups = list(groups)
         while len(groups) > number:
-            best, best_side = None, inf
+            best = None
+            best_side = inf
             for i in range(len(groups)):
                 for j in range(i):
                     group = groups[i] + groups[j]
                     crop = self._crop(group)
                     side = box_height(crop)
                     if side < best_side and _median_height(group) >= least * side:
-                        best, best_side = (i, j), side
+                        best = (i, j)
+                        best_side = side
             if best is None:
                 break
             i, j = best

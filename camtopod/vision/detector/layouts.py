@@ -131,7 +131,8 @@ def _possible(outputs: Sequence[Array], size: Size) -> list[Form]:
         return [Form("rt-detr", scores.shape[2], logits=_are_logits(scores))]
     if len(outputs) != 1 or shapes[0][0] != 1:
         return []
-    output, shape = outputs[0], shapes[0]
+    output = outputs[0]
+    shape = shapes[0]
     if len(shape) == 4:
         return [Form("ssd", None)] if shape[1] == 1 and shape[3] == 7 else []
     if len(shape) != 3:
@@ -224,15 +225,18 @@ def decode(
     # Boxes with a score for each class.
     if form.layout == "rt-detr":
         both = _boxes_first(outputs) if len(outputs) == 2 else (output[..., :4], output[..., 4:])
-        boxes, scores = _corners(both[0][0] * scale), both[1][0]
+        boxes = _corners(both[0][0] * scale)
+        scores = both[1][0]
         scores = _sigmoid(scores) if form.logits else scores
     elif form.layout == "yolov8":
         rows = output[0].T
-        boxes, scores = _corners(rows[:, :4]), rows[:, 4:]
+        boxes = _corners(rows[:, :4])
+        scores = rows[:, 4:]
     else:
         rows = output[0]
         places = _from_grid(rows[:, :4], size) if form.raw else rows[:, :4]
-        boxes, scores = _corners(places), rows[:, 5:] * rows[:, 4:5]
+        boxes = _corners(places)
+        scores = rows[:, 5:] * rows[:, 4:5]
 
     # The best of the wanted classes.
     numbers = np.array(wanted, np.int64)
@@ -283,7 +287,8 @@ def _corners(places: Array) -> Array:
 
 def _from_grid(raw: Array, size: Size) -> Array:
     """Return middles and sizes (N, 4), pixels, of the raw values of a grid (N, 4)."""
-    cells, strides = [], []
+    cells = []
+    strides = []
     for stride in STRIDES:
         rows, columns = size[1] // stride, size[0] // stride
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))

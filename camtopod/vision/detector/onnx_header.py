@@ -135,7 +135,8 @@ def _varint(message: memoryview, at: int) -> tuple[int, int]:
     while True:
         byte = message[at]
         value |= (byte & 0x7F) << shift
-        at, shift = at + 1, shift + 7
+        at = at + 1
+        shift = shift + 7
         if not byte & 0x80:
             return value, at
         if shift > 63:

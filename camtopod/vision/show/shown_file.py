@@ -145,7 +145,8 @@ class VideoFile:
     def _open(self, t: float, picture: Picture) -> None:
         """Replace an older file and begin the video."""
         height, width = picture.shape[:2]
-        self._start, self._size = t, (width, height)
+        self._start = t
+        self._size = (width, height)
         with _failing(self._path):
             _require_space(self._path)
             _create(_beside(self._path), b"")

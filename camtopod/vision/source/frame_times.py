@@ -36,7 +36,8 @@ class StampClock:
 
         # A jump of the stamps begins a new time base.
         if self._last is not None:
-            step, elapsed = stamp - self._last[0], arrival - self._last[1]
+            step = stamp - self._last[0]
+            elapsed = arrival - self._last[1]
             if step <= 0.0 or step > elapsed + JUMP_SECONDS:
                 self._minima.clear()
                 self.resets += 1

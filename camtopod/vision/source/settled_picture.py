@@ -62,7 +62,8 @@ class SettledPicture:
         """Add a picture taken at ``t`` (seconds); all are of one size."""
         # Make room: every second one, from now on at twice the spacing.
         if len(self._pictures) == PICTURES_MAX:
-            self._pictures, self._compared = self._pictures[::2], self._compared[::2]
+            self._pictures = self._pictures[::2]
+            self._compared = self._compared[::2]
             self._spacing *= 2
             if not self.wants(t):
                 return

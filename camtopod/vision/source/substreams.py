@@ -48,7 +48,8 @@ def smaller_stream(url: str) -> str | None:
 
     # A password may contain a slash; forms are looked for behind the host.
     at = path.rfind("@")
-    host, path = host + slash + path[: at + 1], path[at + 1 :]
+    host = host + slash + path[: at + 1]
+    path = path[at + 1 :]
     for form, smaller in _FORMS:
         found, count = re.subn(form, smaller, "/" + path, count=1, flags=re.IGNORECASE)
         if count:

@@ -278,7 +278,8 @@ class Crossings:
         seconds = distance / (sense * speed) if sense * speed > 0.0 else 0.0
         if not 0.0 < seconds <= BORDER_SECONDS_MAX:
             return at
-        ahead, dated = sense * seconds, sense * min(seconds, DATED_SECONDS_MAX)
+        ahead = sense * seconds
+        dated = sense * min(seconds, DATED_SECONDS_MAX)
         return at._replace(t=at.t + dated, foot=(x + ahead * dx, y + ahead * dy))
 
 
@@ -303,7 +304,8 @@ def _foot_row(sightings: list[Sighting], latest: bool) -> float:
 
 def _drift(track: Track) -> tuple[float, float]:
     """Return the movement in `REACH_SECONDS`, pixels, judged by the latest sightings."""
-    first, last = track.history[0], track.history[-1]
+    first = track.history[0]
+    last = track.history[-1]
     dt = last.t - first.t
     if dt <= 0:
         return (0.0, 0.0)

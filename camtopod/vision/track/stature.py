@@ -51,10 +51,12 @@ class Stature:
 
         The slope is 0 unless the rows span more than a person's height.
         """
-        rows, heights = np.array(self._rows), np.array(self._heights)
+        rows = np.array(self._rows)
+        heights = np.array(self._heights)
         self._middle = _median(heights)
         kept = np.ones(len(rows), bool)
-        slope, base = 0.0, self._middle
+        slope = 0.0
+        base = self._middle
         for _ in range(3):
             if np.ptp(rows[kept]) > self._middle:
                 x, y = rows[kept], heights[kept]
@@ -82,7 +84,8 @@ class Stature:
 
 def _median(values: npt.NDArray[np.float64]) -> float:
     """Return the median; for so few values `numpy.median` takes five times as long."""
-    ordered, middle = np.sort(values), len(values) // 2
+    ordered = np.sort(values)
+    middle = len(values) // 2
     return float(
         ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2
     )

@@ -90,12 +90,14 @@ class Track:
         Unlike the foot, the middle moves on while an ignored area covers more and more of the
         object.
         """
-        first, last = self.history[0], self.history[-1]
+        first = self.history[0]
+        last = self.history[-1]
         dt = last.t - first.t
         if dt <= 0:
             return (0.0, 0.0)
         (left, top, right, bottom), (left_2, top_2, right_2, bottom_2) = first.box, last.box
-        across, down = left_2 + right_2 - left - right, top_2 + bottom_2 - top - bottom
+        across = left_2 + right_2 - left - right
+        down = top_2 + bottom_2 - top - bottom
         return (across / 2 / dt, down / 2 / dt)
 
     def unseen_seconds(self, t: float) -> float:
