@@ -15,7 +15,7 @@ from camtopod.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from camtopod.sim.floor import Plan, Walk, demo_plan, passages, simulate_walks, truth_of
-    from camtopod.sim.picture import Times, camera_times, write_map
+    from camtopod.sim.picture import write_map
     from camtopod.sim.rendering import SUFFIX, render
     from camtopod.sim.scoring import score
     from camtopod.sim.simulation import SimSettings, simulate
@@ -25,10 +25,8 @@ __all__ = [
     "SUFFIX",
     "Plan",
     "SimSettings",
-    "Times",
     "Truth",
     "Walk",
-    "camera_times",
     "demo_plan",
     "passages",
     "render",
@@ -45,10 +43,8 @@ __getattr__ = lazy_getattr(
         "Plan": "floor",
         "SUFFIX": "rendering",
         "SimSettings": "simulation",
-        "Times": "picture",
         "Truth": "truth",
         "Walk": "floor",
-        "camera_times": "picture",
         "passages": "floor",
         "render": "rendering",
         "score": "scoring",

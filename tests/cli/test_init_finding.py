@@ -1,16 +1,15 @@
-"""`camtopod init` finds cameras and their streams: by WS-Discovery, by ONVIF, by maker."""
+"""`camtopod init` finds cameras and their streams: by ONVIF, by maker."""
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
-from onvif_camera import MATCH, PASSWORD, USER, OnvifCamera, answering_probes, onvif_camera
+from onvif_camera import USER, OnvifCamera, onvif_camera
 
 from camtopod.cli import exits
-from camtopod.cli.cameras import discovery, onvif
+from camtopod.cli.cameras import onvif
 from camtopod.cli.cameras import probe as probes
 from camtopod.cli.cameras.finding import streams_by_onvif, streams_by_path
 from camtopod.cli.main import main
@@ -35,27 +34,6 @@ LOGIN = f"{USER}:p%40ss%2Fw%20ord"
 def camera() -> Iterator[OnvifCamera]:
     with onvif_camera([*PROFILES, ("slow", 640, 480, 2)], STREAMS) as one:
         yield one
-
-
-# --- WS-Discovery ---------------------------------------------------------------------------------
-
-
-def test_cameras_that_answer_are_found_once() -> None:
-    two = MATCH.format("http://[::1]/onvif/device_service http://127.0.0.1:8000/onvif/x")
-    other = MATCH.format("http://192.0.2.7/onvif/device_service")
-    bad = [b"no XML", b"<!DOCTYPE a><a/>", MATCH.format("ftp://192.0.2.8/ http://[").encode()]
-    with answering_probes(*bad, two.encode(), two.encode(), other.encode()) as group:
-        found = discovery.discover(1.0, group)
-    assert [(one.host, one.service) for one in found] == [
-        ("127.0.0.1", "http://127.0.0.1:8000/onvif/x"),
-        ("192.0.2.7", "http://192.0.2.7/onvif/device_service"),
-    ]
-    assert found[0].name == "ACME Dome D-42"
-
-
-def test_a_network_without_cameras_gives_none() -> None:
-    with answering_probes() as group:
-        assert discovery.discover(0.2, group) == []
 
 
 # --- ONVIF ----------------------------------------------------------------------------------------
@@ -157,60 +135,21 @@ def test_the_path_that_opens_is_taken_where_the_camera_has_no_such_stream() -> N
 # --- the command ----------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def network(monkeypatch: pytest.MonkeyPatch, camera: OnvifCamera) -> Iterator[OnvifCamera]:
-    """A network with one camera, whose streams all open."""
-    match = MATCH.format(f"http://{camera.address}/onvif/device_service").encode()
-    monkeypatch.setattr(probes, "_probe", lambda *_: Probe("", "H.264", 640, 360, 10.0))
-    with answering_probes(match) as group:
-        short = functools.partial(discovery.discover, 0.5, group)
-        monkeypatch.setattr("camtopod.cli.cameras.discover", short, raising=False)
-        yield camera
-
-
-def test_discover_lists_cameras_and_adds_them_with_a_user(
-    network: OnvifCamera, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "camtopod.toml"
-    assert main(["init", "--discover", "--out", str(out)]) == exits.DONE
-    said = capsys.readouterr().err
-    assert "127.0.0.1  ACME Dome D-42" in said
-    assert "next: camtopod init --discover --user NAME" in said
-    assert not out.exists()
-
-    (tmp_path / "password").write_text(PASSWORD + "\n")
-    add = ["init", "--discover", "--user", USER, "--password-file", str(tmp_path / "password")]
-    assert main([*add, "--out", str(out)]) == exits.DONE
-    [name] = [path.name for path in (tmp_path / "secrets").iterdir()]
-    assert f"[cameras.{name}]" in out.read_text()
-    stored = (tmp_path / "secrets" / name).read_text()
-    assert stored == f"rtsp://{LOGIN}@127.0.0.1/3?a=1\n"
-    assert PASSWORD not in capsys.readouterr().err
-
-    assert main([*add, "--out", str(out)]) == exits.DONE
-    assert f"{name}  is in {out} already" in capsys.readouterr().err
-
-
 def test_a_camera_that_refuses_is_left_out(
-    network: OnvifCamera, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    camera: OnvifCamera,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.setattr(probes, "_probe", lambda *_: Probe("", "H.264", 640, 360, 10.0))
     out = tmp_path / "camtopod.toml"
-    given = [f"bad=onvif://viewer:wrong@{network.address}", "good=rtsp://127.0.0.1/9"]
+    given = [f"bad=onvif://viewer:wrong@{camera.address}", "good=rtsp://127.0.0.1/9"]
     assert main(["init", *given, "--out", str(out)]) == exits.INPUT
     assert "bad  left out: the camera refuses the user name" in capsys.readouterr().err
     assert "[cameras.good]" in out.read_text()
     assert "[cameras.bad]" not in out.read_text()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--user", "x"], "belong together"),
-        (["--discover", "--user", "x"], "belong together"),
-        ([], "find some with --discover"),
-        (["my cam=rtsp://192.0.2.1/"], "my cam=rtsp://192.0.2.1/: a name has 1 to 64"),
-    ],
-)
-def test_usage(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["init", *arguments]) == exits.USAGE
-    assert said in capsys.readouterr().err
+def test_a_wrong_name_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["init", "my cam=rtsp://192.0.2.1/"]) == exits.USAGE
+    assert "my cam=rtsp://192.0.2.1/: a name has 1 to 64" in capsys.readouterr().err

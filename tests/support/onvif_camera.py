@@ -1,6 +1,6 @@
 """A camera that speaks as much ONVIF as `camtopod init` asks for.
 
-Its messages are rebuilt from the schemas of WS-Discovery and of ONVIF's device and media services.
+Its messages are rebuilt from the schemas of ONVIF's device and media services.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import base64
 import contextlib
 import hashlib
 import re
-import socket
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -49,15 +48,6 @@ _URI = (
 _FAULT = (
     "<e:Fault><e:Code><e:Value>e:Sender</e:Value><e:Subcode><e:Value>ter:NotAuthorized</e:Value>"
     "</e:Subcode></e:Code></e:Fault>"
-)
-MATCH = (
-    '<?xml version="1.0" encoding="UTF-8"?><e:Envelope'
-    ' xmlns:e="http://www.w3.org/2003/05/soap-envelope"'
-    ' xmlns:d="http://schemas.xmlsoap.org/ws/2005/04/discovery"><e:Body><d:ProbeMatches>'
-    "<d:ProbeMatch><d:Types>dn:NetworkVideoTransmitter</d:Types>"
-    "<d:Scopes>onvif://www.onvif.org/type/video_encoder onvif://www.onvif.org/name/ACME%20Dome"
-    " onvif://www.onvif.org/hardware/D-42</d:Scopes><d:XAddrs>{}</d:XAddrs>"
-    "</d:ProbeMatch></d:ProbeMatches></e:Body></e:Envelope>"
 )
 
 
@@ -129,28 +119,3 @@ def onvif_camera(*arguments: Any) -> Iterator[OnvifCamera]:
     finally:
         camera.server.shutdown()
         camera.server.server_close()
-
-
-@contextlib.contextmanager
-def answering_probes(*answers: bytes) -> Iterator[tuple[str, int]]:
-    """Answer datagrams at an address of this machine, which is yielded, with several others."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as answering:
-        answering.bind(("127.0.0.1", 0))
-        answering.settimeout(0.1)
-        ended = threading.Event()
-
-        def answer() -> None:
-            while not ended.is_set():
-                with contextlib.suppress(TimeoutError):
-                    asked, asker = answering.recvfrom(65_535)
-                    assert b"NetworkVideoTransmitter" in asked
-                    for one in answers:
-                        answering.sendto(one, asker)
-
-        thread = threading.Thread(target=answer, daemon=True)
-        thread.start()
-        try:
-            yield answering.getsockname()
-        finally:
-            ended.set()
-            thread.join()

@@ -3,7 +3,7 @@
 Read `supervisor` first (all cameras of a configuration), then `camera_process` (start, watchdog and
 restart of one process), `heartbeat` (the pipe between the two) and `status_reporter` (status of
 cameras whose process cannot publish it). `probe`
-opens cameras once, for `camtopod init` and `check --probe`; `discovery`, `onvif` and `finding` find
+opens cameras once, for `camtopod init` and `check --probe`; `onvif` and `finding` find
 cameras and their streams for `init`, `naming` gives them ids. `decision_words` says why a track
 became an event or not.
 """
@@ -17,25 +17,20 @@ from camtopod.lazy import lazy_getattr
 if TYPE_CHECKING:
     from camtopod.cli.cameras.camera_process import with_restarts
     from camtopod.cli.cameras.decision_words import clock_words, decision_line, words_of
-    from camtopod.cli.cameras.discovery import FoundCamera, discover
     from camtopod.cli.cameras.finding import smaller_streams, streams_by_onvif, streams_by_path
     from camtopod.cli.cameras.heartbeat import HeartbeatSender
     from camtopod.cli.cameras.naming import named_sources, with_names
-    from camtopod.cli.cameras.onvif import source_of
     from camtopod.cli.cameras.probe import check_site, probe_all
     from camtopod.cli.cameras.supervisor import supervise
 
 __all__ = [
-    "FoundCamera",
     "HeartbeatSender",
     "check_site",
     "clock_words",
     "decision_line",
-    "discover",
     "named_sources",
     "probe_all",
     "smaller_streams",
-    "source_of",
     "streams_by_onvif",
     "streams_by_path",
     "supervise",
@@ -47,17 +42,14 @@ __all__ = [
 __getattr__ = lazy_getattr(
     __name__,
     {
-        "FoundCamera": "discovery",
         "HeartbeatSender": "heartbeat",
         "check_site": "probe",
         "clock_words": "decision_words",
         "decision_line": "decision_words",
         "words_of": "decision_words",
-        "discover": "discovery",
         "named_sources": "naming",
         "probe_all": "probe",
         "smaller_streams": "finding",
-        "source_of": "onvif",
         "streams_by_onvif": "finding",
         "streams_by_path": "finding",
         "with_names": "naming",

@@ -6,11 +6,13 @@ The password is sent as the digest of a WS-Security username token, never in the
 from __future__ import annotations
 
 import base64
+import calendar
 import contextlib
-import datetime
 import hashlib
 import http.client
+import re
 import secrets
+import time
 import urllib.request
 from urllib.error import HTTPError
 from urllib.parse import quote, unquote, urlsplit
@@ -20,7 +22,7 @@ from xml.sax.saxutils import escape, quoteattr
 from msgspec import Struct
 
 from camtopod.codec import Rejected
-from camtopod.serve.runtime import clock
+from camtopod.serve.runtime import wall
 from camtopod.untrusted_xml import DOCUMENT_BYTES_MAX, all_of, parse_xml, text_of
 from camtopod.vision.source import percent_encoded
 
@@ -91,14 +93,12 @@ class _Camera:
     def __init__(self, source: str) -> None:
         try:
             parts = urlsplit(percent_encoded(source))
-            self._host, port = parts.hostname or "", parts.port
+            self._base = f"http://{parts.netloc.rpartition('@')[2]}"
+            self._user = unquote(parts.username or "")
+            self._password = unquote(parts.password or "")
         except ValueError:
             raise OnvifError("write it like onvif://USER:PASSWORD@HOST") from None
-        self._user, self._password = unquote(parts.username or ""), unquote(parts.password or "")
-        shown = f"[{self._host}]" if ":" in self._host else self._host
-        self._base = f"http://{shown}:{port}" if port else f"http://{shown}"
-        self._device = self._base + (parts.path if len(parts.path) > 1 else DEVICE_PATH)
-        self._ahead = datetime.timedelta()
+        self._device = self._base + (parts.path.rstrip("/") or DEVICE_PATH)
         self._ahead = self._clock_ahead()
 
     def media_service(self) -> str:
@@ -107,15 +107,10 @@ class _Camera:
             self._device,
             f'<GetCapabilities xmlns="{_DEVICE}"><Category>Media</Category></GetCapabilities>',
         )
-        media = next(all_of(body, "Media"), None)
-        told = "" if media is None else text_of(media, "XAddr")
-        try:
-            path = urlsplit(told).path
-        except ValueError:
-            path = ""
-        if not path:
-            raise OnvifError("the camera names no media service")
-        return self._base + path
+        for media in all_of(body, "Media"):
+            if found := re.fullmatch(r"\w+://[^/]+(/.+)", text_of(media, "XAddr")):
+                return self._base + found[1]
+        raise OnvifError("the camera names no media service")
 
     def with_login(self, url: str) -> str:
         """Return a URL of a stream with user name and password."""
@@ -126,9 +121,9 @@ class _Camera:
             return url
         return f"{scheme}://{quote(self._user, safe='')}:{quote(self._password, safe='')}@{rest}"
 
-    def ask(self, url: str, body: str, with_token: bool = True) -> Element:
+    def ask(self, url: str, body: str, token: bool = True) -> Element:
         """Send a request and return the answer's document. Raises `OnvifError`."""
-        header = self._token() if self._user and with_token else ""
+        header = self._token() if self._user and token else ""
         envelope = (
             '<?xml version="1.0" encoding="UTF-8"?>'
             '<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope">'
@@ -145,29 +140,29 @@ class _Camera:
                 return parse_xml(answer.read(DOCUMENT_BYTES_MAX + 1))
         except HTTPError as error:
             with error:
-                raise OnvifError(_why(error)) from None
+                fault = error.read(DOCUMENT_BYTES_MAX)
+            if error.code in (401, 403) or b"NotAuthorized" in fault or b"FailedAuth" in fault:
+                raise OnvifError("the camera refuses the user name or password") from None
+            raise OnvifError(f"the camera answers ONVIF with the status {error.code}") from None
         except (OSError, http.client.HTTPException) as error:
             reason = getattr(error, "reason", error)
             raise OnvifError(f"no answer by ONVIF at {url}: {reason}") from None
         except Rejected as error:
             raise OnvifError(f"not understood at {url}: {error}") from None
 
-    def _clock_ahead(self) -> datetime.timedelta:
-        """Return how far the camera's clock is ahead: it refuses tokens of another time."""
-        body = self.ask(self._device, f'<GetSystemDateAndTime xmlns="{_DEVICE}"/>', False)
-        utc = next(all_of(body, "UTCDateTime"), None)
-        if utc is None:
-            return datetime.timedelta()
+    def _clock_ahead(self) -> float:
+        """Return by how many seconds the camera's clock is ahead; it refuses other times."""
+        body = self.ask(self._device, f'<GetSystemDateAndTime xmlns="{_DEVICE}"/>', token=False)
         names = ("Year", "Month", "Day", "Hour", "Minute", "Second")
-        with contextlib.suppress(ValueError, OverflowError):
-            there = datetime.datetime(*(int(text_of(utc, name)) for name in names))  # type: ignore[arg-type]
-            return there.replace(tzinfo=datetime.UTC) - _now()
-        return datetime.timedelta()
+        for utc in all_of(body, "UTCDateTime"):
+            with contextlib.suppress(ValueError):
+                return calendar.timegm(tuple(int(text_of(utc, name)) for name in names)) - wall()
+        return 0.0
 
     def _token(self) -> str:
         """Return the header with the username token (WS-Security UsernameToken Profile 1.0)."""
         nonce = secrets.token_bytes(16)
-        created = (_now() + self._ahead).strftime("%Y-%m-%dT%H:%M:%SZ")
+        created = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(wall() + self._ahead))
         digest = hashlib.sha1(nonce + created.encode() + self._password.encode()).digest()
         kind = quoteattr(f"{_SECURITY}username-token-profile-1.0#PasswordDigest")
         coding = quoteattr(f"{_SECURITY}soap-message-security-1.0#Base64Binary")
@@ -182,32 +177,6 @@ class _Camera:
         )
 
 
-def source_of(service: str, user: str, password: str) -> str:
-    """Return the source that stands for a camera.
-
-    service: URL of its device service.
-    """
-    parts = urlsplit(service)
-    login = f"{quote(user, safe='')}:{quote(password, safe='')}@" if user else ""
-    return f"{SCHEME}://{login}{parts.netloc}{parts.path}"
-
-
-def _now() -> datetime.datetime:
-    return datetime.datetime.fromtimestamp(clock.wall(), datetime.UTC)
-
-
 def _number(text: str) -> float:
     """Return a number that a camera says; 0 if it is none."""
     return float(text) if text.isdecimal() and len(text) < 6 else 0.0
-
-
-def _why(error: HTTPError) -> str:
-    """Return why a camera has refused a request."""
-    with contextlib.suppress(Rejected, OSError):
-        fault = parse_xml(error.read(DOCUMENT_BYTES_MAX + 1))
-        said = " ".join(one.text or "" for one in all_of(fault, "Value"))
-        if "NotAuthorized" in said or "FailedAuthentication" in said:
-            return "the camera refuses the user name or password"
-    if error.code in (401, 403):
-        return "the camera refuses the user name or password"
-    return f"the camera answers ONVIF with the status {error.code}"

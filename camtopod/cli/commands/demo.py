@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import logging
 import multiprocessing
 import os
 import signal
@@ -36,16 +35,13 @@ from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSett
 from camtopod.learn import Settings
 from camtopod.records import Topology
 from camtopod.serve import Daemon
-from camtopod.serve.bus import Bus, BusError, access, dial
-from camtopod.serve.bus import session as buses
+from camtopod.serve.bus import Bus, BusError, dial
 from camtopod.serve.runtime import clock as clocks
 from camtopod.sim import (
     SUFFIX,
     Plan,
-    Times,
     Truth,
     Walk,
-    camera_times,
     demo_plan,
     passages,
     render,
@@ -78,9 +74,7 @@ QUIET_SECONDS = 1.0
 PATIENCE_SECONDS = 60.0
 """The demo gives up when there has been no progress for this long."""
 _TICK_SECONDS = 0.1
-"""Interval at which progress is checked and, on a terminal, shown."""
-_LINE_SECONDS = 2.0
-"""Interval between lines of progress where standard error is no terminal."""
+"""Interval at which progress is checked."""
 
 
 class Recording(Struct):
@@ -99,10 +93,12 @@ class DemoClock:
     """
 
     def __init__(self, start: float, speed: float) -> None:
-        self._start, self._speed, self._begin = start, speed, time.monotonic()
+        self._start = start
+        self._speed = speed
+        self._began_at = time.monotonic()
 
     def __call__(self) -> float:
-        return self._start + self._speed * (time.monotonic() - self._begin)
+        return self._start + self._speed * (time.monotonic() - self._began_at)
 
     def skip(self, seconds: float) -> None:
         """Advance the clock by ``seconds`` at once."""
@@ -133,7 +129,6 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--minutes", type=float, default=MINUTES, help="length of the recording" + shown
     )
-    parser.add_argument("--keep", action="store_true", help="also keep the videos and the state")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -149,9 +144,10 @@ def run(args: argparse.Namespace) -> int:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise exits.CommandError(f"demo: cannot write {args.out}: {error.strerror}") from None
-    with _terminated_as_interrupted(), _work_directory(args.out, args.keep) as work:
-        recording = _record(work, 60.0 * args.minutes, args.seed)
-        topology = _watch(recording, work)
+    work_directory = tempfile.TemporaryDirectory(prefix="camtopod-demo-")
+    with _terminated_as_interrupted(), work_directory as work:
+        recording = _record(Path(work), 60.0 * args.minutes, args.seed)
+        topology = _watch(recording, Path(work))
     result = score(topology, recording.truth)
 
     # Write the results.
@@ -166,7 +162,7 @@ def run(args: argparse.Namespace) -> int:
         topology,
         result.text().splitlines(),
     )
-    print("\n".join([*_table(recording.truth, topology), "", result.text()]))
+    print(result.text())
     _say(
         f"picture in {picture}, topology in {args.out / 'topology.json'}; "
         f"{time.monotonic() - begin:.0f} s"
@@ -177,25 +173,11 @@ def run(args: argparse.Namespace) -> int:
 @contextlib.contextmanager
 def _terminated_as_interrupted() -> Iterator[None]:
     """Let SIGTERM end the block as Ctrl-C does, so that no process or directory is left behind."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    previous = signal.signal(signal.SIGTERM, interrupt)
+    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     finally:
         signal.signal(signal.SIGTERM, previous)
-
-
-@contextlib.contextmanager
-def _work_directory(out: Path, keep: bool) -> Iterator[Path]:
-    """Yield a directory for videos and state: inside ``out`` if ``keep``, else a temporary one."""
-    if keep:
-        yield Path(tempfile.mkdtemp(prefix="work-", dir=out))
-        return
-    with tempfile.TemporaryDirectory(prefix="camtopod-demo-", ignore_cleanup_errors=True) as name:
-        yield Path(name)
 
 
 def _record(work: Path, seconds: float, seed: int) -> Recording:
@@ -248,16 +230,15 @@ def _watch(recording: Recording, work: Path) -> Topology:
     # Play the videos to their end, then let the daemon learn the last events.
     try:
         with (
-            _openness_said(config),
             Daemon(config, clock=clock) as daemon,
             dial(replace(config, bus=BusSettings(connect=(daemon.endpoint,)))) as bus,
             _grabbers(recording, start, daemon.endpoint, work) as grabbers,
         ):
             _say(f"playing the videos at up to {SPEED:g} times real time")
-            _until(daemon, _Together(bus, grabbers, start))
+            _until(daemon, _Pacer(bus, grabbers, start).done)
             _check(grabbers, work)
             clock.skip(AFTERWARDS_SECONDS + recording.seconds)
-            _until(daemon, _Learned(daemon))
+            _until(daemon, _Learning(daemon).done)
             topology = daemon.topology
             late = daemon.status()["learner"]["late"]
             if late:
@@ -267,25 +248,6 @@ def _watch(recording: Recording, work: Path) -> Topology:
     if topology is None:
         raise exits.CommandError("demo: no topology was learned; try more --minutes")
     return topology
-
-
-@contextlib.contextmanager
-def _openness_said(config: Config) -> Iterator[None]:
-    """Say once that the bus has no certificates, instead of the daemon's longer warning, in the
-    block.
-    """
-    warning = access.openness_warning(config)
-    log = logging.getLogger(buses.__name__)
-
-    def other(record: logging.LogRecord) -> bool:
-        return record.getMessage() != warning
-
-    _say("the bus has no certificates: any program on this machine can use it until the demo ends")
-    log.addFilter(other)
-    try:
-        yield
-    finally:
-        log.removeFilter(other)
 
 
 @contextlib.contextmanager
@@ -314,82 +276,68 @@ def _grabbers(
                 )
         yield running
     finally:
-        # End them; a paused process has to continue to receive SIGTERM.
         for grabber in running.values():
-            if grabber.poll() is None:
-                grabber.terminate()
-                grabber.send_signal(signal.SIGCONT)
-        for grabber in running.values():
-            try:
-                grabber.wait(5.0)
-            except subprocess.TimeoutExpired:
-                grabber.kill()
+            grabber.kill()
+            grabber.wait()
 
 
 def _check(grabbers: dict[str, subprocess.Popen[bytes]], work: Path) -> None:
     """Raise `exits.CommandError` for a grabber that failed, with its last lines of output."""
     for camera, grabber in grabbers.items():
         if grabber.poll() not in (0, None):
-            said = (work / f"{camera}.log").read_text("utf-8", "replace").strip().splitlines()
-            what = f"demo: the grabber of {camera} ended with status {grabber.returncode}"
-            raise exits.CommandError(f"{what}: {' | '.join(said[-3:])}")
+            log = (work / f"{camera}.log").read_text("utf-8", "replace").strip().splitlines()
+            raise exits.CommandError(
+                f"demo: the grabber of {camera} ended with status {grabber.returncode}: "
+                + " | ".join(log[-3:])
+            )
 
 
-class _Together:
-    """Return True once all grabbers have ended; until then, pause those that are ahead.
-
-    Otherwise the events of slower grabbers would be late.
-    """
+class _Pacer:
+    """Pauses the grabbers that are ahead of the last one, as events of the others would be late."""
 
     def __init__(
         self, bus: Bus, grabbers: dict[str, subprocess.Popen[bytes]], start: float
     ) -> None:
         self._grabbers = grabbers
         self._reached = dict.fromkeys(grabbers, start)
-        self._held: set[str] = set()
-        bus.subscribe("status/*", self._heard)
+        """Event time that each has reached."""
+        bus.subscribe("status/*", self._on_status)
 
-    def _heard(self, key: str, payload: bytes) -> None:
-        """Note how far a grabber has come, from its status."""
+    def _on_status(self, key: str, payload: bytes) -> None:
+        """Note how far a grabber has come."""
         camera = key.removeprefix("status/")
         if camera in self._reached:
-            self._reached[camera] = msgspec.msgpack.decode(payload).get(
-                "last_frame_t", self._reached[camera]
-            )
+            reached = msgspec.msgpack.decode(payload).get("last_frame_t")
+            self._reached[camera] = reached or self._reached[camera]
 
-    def __call__(self) -> bool:
+    def done(self) -> bool:
+        """Return True once all grabbers have ended; until then, pause those that are ahead."""
         running = [camera for camera, grabber in self._grabbers.items() if grabber.poll() is None]
         last = min((self._reached[camera] for camera in running), default=0.0)
         for camera in running:
             ahead = self._reached[camera] > last + AHEAD_SECONDS
-            if ahead and camera not in self._held:
-                self._held.add(camera)
-                self._grabbers[camera].send_signal(signal.SIGSTOP)
-            elif not ahead and camera in self._held:
-                self._held.remove(camera)
-                self._grabbers[camera].send_signal(signal.SIGCONT)
+            self._grabbers[camera].send_signal(signal.SIGSTOP if ahead else signal.SIGCONT)
         return not running
 
 
-class _Learned:
-    """Return True once all events are learned and published and none has arrived for
-    `QUIET_SECONDS`.
-    """
+class _Learning:
+    """Notices that all events are learned and published and none comes any more."""
 
     def __init__(self, daemon: Daemon) -> None:
-        self._daemon, self._stored, self._since = daemon, -1, time.monotonic()
+        self._daemon = daemon
+        self._stored = -1
+        self._changed_at = time.monotonic()
 
-    def __call__(self) -> bool:
+    def done(self) -> bool:
+        """Return True once nothing has happened for `QUIET_SECONDS`."""
         status = self._daemon.status()
-        events, learner = status["events"], status["learner"]
-        known = (
-            not events["waiting"]
-            and not learner["held"]
-            and learner["version"] == status["version"]
-        )
-        if events["stored"] != self._stored or not known:
-            self._stored, self._since = events["stored"], time.monotonic()
-        return time.monotonic() - self._since >= QUIET_SECONDS
+        events = status["events"]
+        learner = status["learner"]
+        busy = events["waiting"] or learner["held"] or learner["version"] != status["version"]
+        if busy or events["stored"] != self._stored:
+            self._stored = events["stored"]
+            self._changed_at = time.monotonic()
+        return time.monotonic() - self._changed_at >= QUIET_SECONDS
 
 
 def _until(daemon: Daemon, done: Callable[[], bool]) -> None:
@@ -397,28 +345,21 @@ def _until(daemon: Daemon, done: Callable[[], bool]) -> None:
 
     Raises `exits.CommandError` if there is no progress for `PATIENCE_SECONDS` or the daemon fails.
     """
-    terminal = sys.stderr.isatty()
-    begin, end, pause = ("\r\033[K", "", _TICK_SECONDS) if terminal else ("", "\n", _LINE_SECONDS)
-    shown, line, moved = 0.0, "", time.monotonic()
-    said = line
-
-    while not done():
-        if time.monotonic() > moved + PATIENCE_SECONDS:
-            raise exits.CommandError(
-                f"demo: no progress for {PATIENCE_SECONDS:g} s; is the machine too busy?"
-            )
-        if daemon.wait(_TICK_SECONDS):
-            raise exits.CommandError("demo: the daemon has failed")
-        before, line = line, _progress(daemon)
-        if line != before:
-            moved = time.monotonic()
-
-        # Show the progress, less often where every line stays.
-        if line != said and time.monotonic() - shown > pause:
-            print(f"{begin}{line}", end=end, file=sys.stderr, flush=True)
-            shown, said = time.monotonic(), line
-    if terminal:
-        print(file=sys.stderr)
+    line = ""
+    moved_at = time.monotonic()
+    with Progress(piped=True) as progress:
+        while not done():
+            if daemon.wait(_TICK_SECONDS):
+                raise exits.CommandError("demo: the daemon has failed")
+            before = line
+            line = _progress(daemon)
+            progress.show("%s", line)
+            if line != before:
+                moved_at = time.monotonic()
+            elif time.monotonic() > moved_at + PATIENCE_SECONDS:
+                raise exits.CommandError(
+                    f"demo: no progress for {PATIENCE_SECONDS:g} s; is the machine too busy?"
+                )
 
 
 def _progress(daemon: Daemon) -> str:
@@ -433,33 +374,6 @@ def _progress(daemon: Daemon) -> str:
         f"{events}, version {topology.version}: "
         f"{len(topology.zones)} zones, {links} links, {len(topology.pairs)} camera pairs"
     )
-
-
-def _table(truth: Truth, topology: Topology) -> list[str]:
-    """Return the true and the learned map as text, a pair of cameras per line."""
-    camera = {zone.id: zone.camera for zone in truth.zones}
-    true = camera_times(truth.links, camera)
-    camera = {zone.id: zone.camera for zone in topology.zones}
-    learned = camera_times(topology.links, camera)
-    pairs = sorted({(min(key), max(key)) for key in [*true, *learned]})
-    lines = [
-        f"{'cameras':24}{'true map':32}learned map (mode of transit times, s, both directions)"
-    ]
-    lines += [
-        f"{f'{a} - {b}':24}{_relation(true, a, b):32}{_relation(learned, a, b)}" for a, b in pairs
-    ]
-    return lines
-
-
-def _relation(times: Times, a: str, b: str) -> str:
-    """Return the relation of two cameras and the modes of their transit times in both
-    directions.
-    """
-    ways = [times.get((a, b)), times.get((b, a))]
-    if ways == [None, None]:
-        return "-"
-    relation = "overlapped" if any(way[0] for way in ways if way) else "unseen path"
-    return f"{relation:12}" + " / ".join(f"{way[1]:5.1f}" if way else "    -" for way in ways)
 
 
 def _say(text: str) -> None:

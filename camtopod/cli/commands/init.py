@@ -55,24 +55,12 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         "sources",
-        nargs="*",
+        nargs="+",
         metavar="[NAME=]SOURCE",
         help="rtsp:// URL, video file or device number; onvif://USER:PASSWORD@HOST asks the camera "
         "for its streams, and of an rtsp:// URL without a path those of the common makers are "
         "tried; '-': read them from standard input, one a line, as other users of this machine can "
         "read passwords on a command line",
-    )
-    parser.add_argument(
-        "--discover",
-        action="store_true",
-        help="ask the local network for ONVIF cameras and list them; with --user add them, too",
-    )
-    parser.add_argument("--user", metavar="NAME", help="user of the cameras that --discover finds")
-    parser.add_argument(
-        "--password-file",
-        type=Path,
-        metavar="FILE",
-        help="file with that user's password in its first line",
     )
     parser.add_argument(
         "--out",
@@ -117,17 +105,9 @@ def run(args: argparse.Namespace) -> int:
     """
     from camtopod.cli.cameras import named_sources, streams_by_onvif, with_names
 
-    discovered = _discovered(args)
-    if not args.sources and not discovered:
-        return exits.DONE
     before = None if args.force else _existing(args.out)
     settings = configuration(args) if before is None else _unchanged(args, before)
-    cameras = with_names([*named_sources(args.sources), *(("", source) for source in discovered)])
-    for name in [name for name in cameras.keys() & settings.cameras if cameras[name] in discovered]:
-        _say(f"  {name}  is in {args.out} already")
-        del cameras[name]
-    if not cameras:
-        return exits.DONE
+    cameras = with_names(named_sources(args.sources))
     if twice := cameras.keys() & settings.cameras.keys() if before is not None else ():
         raise CommandError(
             f"{args.out} has cameras.{', cameras.'.join(sorted(twice))} already: give another name "
@@ -235,39 +215,6 @@ def _probed(
             _say(f"  {name:<{width}}  {'; '.join(words[name])}")
 
     return cameras, probes, words
-
-
-def _discovered(args: argparse.Namespace) -> list[str]:
-    """Return the sources of the cameras that --discover adds; say which cameras there are."""
-    from camtopod.cli.cameras import discover, source_of
-
-    if (args.user is None) != (args.password_file is None) or (args.user and not args.discover):
-        raise CommandError("--discover, --user and --password-file belong together", exits.USAGE)
-    if not args.discover:
-        if not args.sources:
-            raise CommandError(
-                "name a camera, or find some with --discover: camtopod init --help", exits.USAGE
-            )
-        return []
-
-    # List the cameras.
-    _say("asking the local network for cameras ...")
-    found = discover()
-    for camera in found:
-        _say(f"  {camera.host}  {visible(camera.name)}".rstrip())
-    if not found:
-        _say("no ONVIF camera has answered; is it in this network, and is ONVIF switched on in it?")
-    elif args.user is None:
-        _say("next: camtopod init --discover --user NAME --password-file FILE")
-    if args.user is None:
-        return []
-
-    # Add all of them.
-    try:
-        password = secret_files.read(args.password_file)
-    except OSError as error:
-        raise InputError(f"cannot read {args.password_file}: {error.strerror}") from None
-    return [source_of(camera.service, args.user, password) for camera in found]
 
 
 def configuration_text(
