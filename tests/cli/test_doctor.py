@@ -5,25 +5,19 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import stat
-import tarfile
 from pathlib import Path
 from typing import NoReturn
 
 import pytest
-from serving import closing_event, free_endpoint, numbered, small_config, wait_for, walkers
+from serving import small_config, wait_for
 
 from camtopod import redact
-from camtopod.cli import machine_report
 from camtopod.cli.commands import doctor
 from camtopod.cli.main import main
 from camtopod.config.settings import Config
 from camtopod.serve.bus.session import BusError, dial
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.outbox.publisher import Publisher
-from camtopod.serve.outbox.spool import open_spool
-from camtopod.serve.storage.inspect_state import journal, spool
 
 SECRETS = {
     "url": "p@ss:w/0rd",
@@ -118,22 +112,13 @@ def test_no_secret_is_in_it(
         planted.write_text(
             f'{planted.read_text()}[bus]\nconnect_seconds = 0.5\nconnect = ["{connect}"]\n'
         )
-        for form in (
-            [],
-            ["--out", str(tmp_path / "all.txt")],
-            ["--out", str(tmp_path / "all.tar.gz")],
-        ):
+        for form in ([], ["--out", str(tmp_path / "all.txt")]):
             assert main(["--config", str(planted), "--site", "site", "doctor", *form]) == 0
     out, err = capsys.readouterr()
     without_secrets(err)
     text = without_secrets(out)
     without_secrets((tmp_path / "all.txt").read_text())
     assert stat.S_IMODE((tmp_path / "all.txt").stat().st_mode) == 0o600
-    with tarfile.open(tmp_path / "all.tar.gz") as bundle:
-        files = {name: bundle.extractfile(name).read().decode() for name in bundle.getnames()}  # type: ignore[union-attr]
-    for content in files.values():
-        without_secrets(content)
-    assert {"camtopod-doctor/versions.txt", "camtopod-doctor/bus.txt"} <= set(files)
     for told in (
         'cameras.url.source = "rtsp://***@',
         'cameras.token.source = "rtsp://192.0.2.3:7441/stream/***/live"',
@@ -142,55 +127,10 @@ def test_no_secret_is_in_it(
         f"{tmp_path}/lobby holds a secret and can be read by others",
         f"{daemon.endpoint}#connect_private_key_base64=*** is reached after",
         'lobby: {"camera": "lobby", "state": "stalled", "reason": "rtsp://***@h and *** and *** and *** and ***',
-        "daemon refused: ",
+        '"rejects": {',
         "CAMTOPOD_MQTT_PASSWORD",
     ):
         assert told in text
-
-
-def test_what_is_on_disk_is_counted_and_not_touched(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    config = small_config(tmp_path / "state")
-    events = numbered([*walkers(20), closing_event()])
-    with Daemon(config) as daemon, dial(small_config(tmp_path, daemon.endpoint)) as bus:
-        spooled = open_spool(tmp_path / "state", "site", "a", config.limits)
-        publisher = Publisher(spooled, 100)
-        publisher.attach(bus)
-        publisher.publish(*events)
-        wait_for(lambda: publisher.wait_acknowledged(0.1), "the events to be stored")
-        spooled.close()
-        killed = (
-            tmp_path / "killed"
-        )  # as it would be found: with a log that is not in the database yet
-        killed.mkdir()
-        for suffix in ("", "-wal"):
-            shutil.copy(tmp_path / "state" / f"journal.db{suffix}", killed)
-    found = {path.name: path.read_bytes() for path in killed.iterdir()}
-    journal(killed / "journal.db")
-    assert {path.name: path.read_bytes() for path in killed.iterdir()} == found
-    spools = tmp_path / "state" / "spools-of-site"
-    before = _contents(tmp_path / "state")
-    assert journal(tmp_path / "state" / "journal.db")["first entry"] == 1
-    assert journal(tmp_path / "state" / "journal.db")["last entry"] >= len(events)
-    assert spool(spools / "a.db")["events"] == len(events)
-    (spools / "b.db").write_bytes(b"no database, at all" * 100)
-    (tmp_path / "c.toml").write_text(
-        f'[state]\ndirectory = "{tmp_path}/state"\n[bus]\nconnect_seconds = 0.1\n'
-    )
-    connect = free_endpoint()
-    assert main(["--config", str(tmp_path / "c.toml"), "--connect", connect, "doctor"]) == 0
-    text = capsys.readouterr().out
-    assert "journal.db: -rw-------, user" in text
-    assert "  at the last checkpoint: first entry 1, last entry " in text
-    assert f"  at the last checkpoint: events {len(events)}, " in text
-    assert "b.db: file is not a database" in text
-    assert f"cannot reach the bus at {connect}" in text
-    assert _contents(tmp_path / "state") == before | {spools / "b.db": b"no database, at all" * 100}
-
-
-def _contents(folder: Path) -> dict[Path, bytes]:
-    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def test_a_wrong_configuration_and_nothing_there(
@@ -204,14 +144,14 @@ def test_a_wrong_configuration_and_nothing_there(
     def away(config: Config) -> NoReturn:
         raise BusError(f"the bus at {', '.join(config.dials)} is away")
 
-    monkeypatch.setattr(machine_report.shutil, "which", lambda name: None)
+    (tmp_path / "state-home" / "camtopod").mkdir(parents=True)
+    (tmp_path / "state-home" / "camtopod" / "journal.db").touch(0o600)
     monkeypatch.setattr(doctor, "dial", away)
     assert main(["--config", str(path), "--connect", "tcp/192.0.2.1:7447", "doctor"]) == 0
     text = capsys.readouterr().out
     assert "hunter2" not in text
     assert f"{path}:3: cameras.lobby.spede: no such key; did you mean 'speed'?" in text
-    assert f"{tmp_path}/state-home/camtopod (No such file or directory)" in text
-    assert "synchronisation unknown" in text
+    assert "journal.db: -rw-------, user" in text
     assert "== bus ==\nthe bus at tcp/192.0.2.1:7447 is away\n" in text
     assert main(["doctor", "--out", str(tmp_path / "none" / "x.txt")]) == 1
 
@@ -252,10 +192,4 @@ def test_the_clock_s_keeper_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyP
     program.write_text("#!/bin/sh\necho 'System time : 0.000012 seconds fast of NTP time'\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    assert "chronyc: System time : 0.000012 seconds fast of NTP time" in machine_report.clock(5.0)
-    program.write_text("#!/bin/sh\nexit 1\n")
-    monkeypatch.setattr(machine_report, "CLOCK_COMMANDS", machine_report.CLOCK_COMMANDS[:1])
-    assert machine_report.clock(5.0) == [
-        "now: 5.000",
-        "synchronisation unknown: neither chronyc nor timedatectl answers",
-    ]
+    assert "chronyc: System time : 0.000012 seconds fast of NTP time" in list(doctor._clock())

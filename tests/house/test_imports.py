@@ -56,7 +56,7 @@ FLOORS = (
     "serve.monitoring client web",
     "cli.exits cli.descriptors",
     "cli.terminal",
-    "cli.common cli.machine_report",
+    "cli.common",
     "cli.events cli.generated cli.cameras",
     "cli.commands cli.operator",
     "cli",

@@ -7,43 +7,51 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import io
+import importlib.metadata
 import json
+import operator
 import os
+import platform
 import re
 import shutil
 import stat
+import subprocess
 import sys
-import tarfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from camtopod.cli import exits, machine_report
+from camtopod import __version__
+from camtopod.cli import exits
 from camtopod.cli.common import configuration, with_options
 from camtopod.cli.exits import CommandError
 from camtopod.config import TABLES, Config, secret_files
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, access, dial, sites_instead
 from camtopod.serve.runtime import clock
-from camtopod.serve.storage import StateError, inspect_state
 from camtopod.visible import visible
 
 FILES_MAX = 200
 """Most files of the state directory that are listed."""
-_BUNDLES = (".tar.gz", ".tgz")
-"""File names that ask for an archive with one file per part."""
-_LOOKS = {"journal.db": inspect_state.journal, "spools-of-*/*.db": inspect_state.spool}
-"""Pattern of a database's path -> function that returns its counts."""
+CLOCK_COMMANDS = (
+    ("chronyc", "-n", "tracking"),
+    ("timedatectl", "show", "--property=NTP", "--property=NTPSynchronized"),
+)
+"""Programs that know whether the clock is synchronised."""
+_CLOCK_SECONDS = 5.0
+"""Time limit for each of them."""
+_VARIABLES = re.compile(
+    "(CAMTOPOD|OPENCV|OMP|OPENBLAS|MKL|RUST|ZENOH)_|"
+    "(STATE|CREDENTIALS)_DIRECTORY$|XDG_STATE_HOME$|NOTIFY_SOCKET$|WATCHDOG_USEC$"
+)
+"""Environment variables whose names are reported, never their values."""
 _SECRET_NAME = re.compile(r"(?i)pass|pwd|secret|token|credential")
 """Names of environment variables whose values are secrets."""
 _SECRET_CHARACTERS_MIN = 6
 """Least length of a secret in an environment variable; 'true' and 'false' are none."""
-_REFUSALS = ("rejects", "reject_samples")
-"""Keys of a status that say what was refused."""
 _QUOTED = re.compile(r""": ['"].*""", re.DOTALL)
 """The quoted part of a refused message, which is not reported."""
 
@@ -57,50 +65,49 @@ def add_parser(subparsers: Any) -> None:
         "configuration, files on disk, and the statuses of the daemon and the cameras. It contains "
         "no passwords, keys or events; look through it all the same before you share it. Nothing "
         "is changed.",
-        epilog="example: camtopod --config camtopod.toml doctor --out report.tar.gz",
+        epilog="example: camtopod --config camtopod.toml doctor --out report.txt",
     )
     parser.add_argument(
         "--out",
         type=Path,
         metavar="FILE",
-        help="write the report to FILE; if it ends in .tar.gz, one file per part "
-        "(default: standard output)",
+        help="write the report to FILE (default: standard output)",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the report to standard output, or to the file of --out."""
+    mistakes = ""
     try:
-        config, mistakes = configuration(args), ""
+        config = configuration(args)
     except CommandError as error:
-        config, mistakes = Config(), str(error)
+        config = Config()
+        mistakes = str(error)
         with contextlib.suppress(CommandError):
             config = with_options(args, config)
 
     # Collect the parts of the report.
     _remember_secrets(config)
-    parts: dict[str, Callable[[], list[str]]] = {
-        "versions": machine_report.versions,
-        "machine": machine_report.machine,
-        "clock": lambda: machine_report.clock(clock.wall()),
+    parts: dict[str, Callable[[], Iterable[str]]] = {
+        "versions": _versions,
+        "machine": _machine,
+        "clock": _clock,
         "video": _video,
-        "configuration": lambda: mistakes.splitlines() or list(_configuration(config, args.config)),
-        "state": lambda: list(_state(config)),
-        "bus": lambda: list(_bus(config)),
+        "configuration": lambda: mistakes.splitlines() or _configuration(config, args.config),
+        "state": lambda: _state(config),
+        "bus": lambda: _bus(config),
     }
-    report = {
-        name: redact("\n".join(visible(line) for line in part())) + "\n"
+    report = "\n".join(
+        f"== {name} ==\n" + redact("\n".join(visible(line) for line in part())) + "\n"
         for name, part in parts.items()
-    }
+    )
 
     # Write it.
-    text = "\n".join(f"== {name} ==\n{part}" for name, part in report.items())
     if args.out is None:
-        sys.stdout.write(text)
+        sys.stdout.write(report)
         return exits.DONE
-    content = _bundle(report) if args.out.name.endswith(_BUNDLES) else text.encode()
     try:
-        secret_files.write(args.out, content)
+        secret_files.write(args.out, report.encode())
     except OSError as error:
         raise CommandError(f"cannot write {args.out}: {error.strerror}") from None
     print(f"{args.out} is written; look through it before you share it", file=sys.stderr)
@@ -132,6 +139,41 @@ def _remember_secrets(config: Config) -> None:
         remember(f"secret://:{secret}@")
 
 
+def _versions() -> Iterator[str]:
+    """Yield the versions of camtopod, Python and the packages, those of the extras included."""
+    yield f"camtopod {__version__}, Python {platform.python_version()}"
+    needed = importlib.metadata.requires("camtopod") or []
+    for package in sorted({re.split(r"[^\w.-]", one)[0] for one in needed} - {"camtopod"}):
+        try:
+            yield f"{package} {importlib.metadata.version(package)}"
+        except importlib.metadata.PackageNotFoundError:
+            yield f"{package}: not installed"
+
+
+def _machine() -> Iterator[str]:
+    """Yield operating system, cores, memory and the names of environment variables."""
+    yield platform.platform()
+    load = " ".join(f"{one:.1f}" for one in os.getloadavg())
+    yield f"{os.cpu_count()} cores, {len(os.sched_getaffinity(0))} for this program, load {load}"
+    for path, lines in (("/proc/meminfo", 3), ("/sys/fs/cgroup/memory.max", 1)):
+        with contextlib.suppress(OSError):
+            text = Path(path).read_text(encoding="utf-8")
+            yield f"{path}: {', '.join(' '.join(one.split()) for one in text.splitlines()[:lines])}"
+    names = sorted(filter(_VARIABLES.match, os.environ))
+    yield f"environment variables that are set: {', '.join(names) or 'none'}"
+
+
+def _clock() -> Iterator[str]:
+    """Yield the time, and what the program that keeps the machine's clock says of it."""
+    yield f"now: {clock.wall():.3f}"
+    for command in CLOCK_COMMANDS:
+        with contextlib.suppress(OSError, subprocess.SubprocessError):
+            answer = subprocess.run(
+                command, capture_output=True, text=True, timeout=_CLOCK_SECONDS, check=True
+            )
+            yield from (f"{command[0]}: {line}" for line in answer.stdout.splitlines())
+
+
 def _video() -> list[str]:
     from camtopod.vision.source import decoders
 
@@ -141,10 +183,9 @@ def _video() -> list[str]:
 def _configuration(config: Config, path: Path | None) -> Iterator[str]:
     """Yield settings other than the defaults, and warnings of files or a bus open to others."""
     yield f"file: {path} ({_mode(path)})" if path else "no configuration file"
-    given = {name: _at(config, name) for name in TABLES} | {
-        f"cameras.{n}": c for n, c in config.cameras.items()
-    }
-    for name, table in given.items():
+    tables = {name: operator.attrgetter(name)(config) for name in TABLES}
+    tables |= {f"cameras.{name}": camera for name, camera in config.cameras.items()}
+    for name, table in tables.items():
         for field in msgspec.structs.fields(table):
             value = getattr(table, field.name)
             if value not in ("", field.default) and not isinstance(value, msgspec.Struct):
@@ -159,16 +200,8 @@ def _configuration(config: Config, path: Path | None) -> Iterator[str]:
         yield open_to
 
 
-def _at(config: Config, name: str) -> Any:
-    """Return the table with this dotted name."""
-    value: Any = config
-    for part in name.split("."):
-        value = getattr(value, part)
-    return value
-
-
 def _state(config: Config) -> Iterator[str]:
-    """Yield size and permissions of the files on disk, and the counts of the databases."""
+    """Yield size and permissions of the files on disk."""
     directory = config.state_directory
     yield f"{directory} ({_mode(directory)})"
     try:
@@ -180,12 +213,6 @@ def _state(config: Config) -> Iterator[str]:
     yield f"disk: {disk.free / 2**20:.0f} MiB free of {disk.total / 2**20:.0f}"
     for path in files[:FILES_MAX]:
         yield f"{path.relative_to(directory)}: {_mode(path)}"
-        for look in (look for pattern, look in _LOOKS.items() if path.match(pattern)):
-            try:
-                counts = ", ".join(f"{name} {count or 0}" for name, count in look(path).items())
-                yield f"  at the last checkpoint: {counts}"
-            except StateError as error:
-                yield f"  {error}"
     if len(files) > FILES_MAX:
         yield f"and {len(files) - FILES_MAX} more files"
 
@@ -198,8 +225,7 @@ def _mode(path: Path) -> str:
         return str(error.strerror)
     age = max(0.0, clock.wall() - found.st_mtime)
     return (
-        f"{stat.filemode(found.st_mode)}, "
-        f"user {found.st_uid}{' (this one)' if found.st_uid == os.geteuid() else ''}, "
+        f"{stat.filemode(found.st_mode)}, user {found.st_uid}, "
         f"{found.st_size} bytes, changed {age:.0f} s ago"
     )
 
@@ -225,14 +251,10 @@ def _bus(config: Config) -> Iterator[str]:
             yield f"sites with a daemon on this bus: {', '.join(others)}"
         statuses = {key.removeprefix("status/"): _status(raw) for key, raw in bus.query("status/*")}
     for name, status in sorted(statuses.items()):
-        refusals = {key: status.pop(key) for key in _REFUSALS if key in status}
+        samples = status.get("reject_samples", {})  # each quotes the refused text at its end
+        for reason, quotes in samples.items():
+            samples[reason] = [_QUOTED.sub("", quote) for quote in quotes]
         yield f"{name}: {json.dumps(_clean(status))}"
-        if refusals:
-            samples = refusals.get("reject_samples", {})  # each quotes the refused text at its end
-            refusals["reject_samples"] = {
-                why: [_QUOTED.sub("", one) for one in each] for why, each in samples.items()
-            }
-            yield f"{name} refused: {json.dumps(_clean(refusals))}"
     if not statuses:
         yield f"no program answers a query for its status{hidden}"
 
@@ -252,14 +274,3 @@ def _clean(value: Any) -> Any:
     if isinstance(value, dict):
         return {_clean(key): _clean(inner) for key, inner in value.items()}
     return [_clean(inner) for inner in value] if isinstance(value, list | tuple) else value
-
-
-def _bundle(report: dict[str, str]) -> bytes:
-    """Return the report as a .tar.gz archive with one file per part."""
-    out = io.BytesIO()
-    with tarfile.open(fileobj=out, mode="w:gz") as bundle:
-        for name, text in report.items():
-            entry = tarfile.TarInfo(f"camtopod-doctor/{name}.txt")
-            entry.size, entry.mtime = len(text.encode()), int(clock.wall())
-            bundle.addfile(entry, io.BytesIO(text.encode()))
-    return out.getvalue()

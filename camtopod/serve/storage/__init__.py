@@ -4,12 +4,12 @@ Read from the bottom up. `sqlite_file` opens, checks and sets aside databases.
 `journal` stores entries, versions and snapshots in one of them; `journal_schema` has its tables,
 `witness` notices a journal that was restored from an older copy, `read_corrections` are entries
 that revise what was learned, and `packed_version` is a topology on its way into the journal.
-`journal_writer` is the daemon's storing thread; `inspect_state` reads databases for diagnosis.
+`journal_writer` is the daemon's storing thread.
 """
 
 from __future__ import annotations
 
-from camtopod.serve.storage import inspect_state, sqlite_file
+from camtopod.serve.storage import sqlite_file
 from camtopod.serve.storage.corrections import (
     Rewind,
     camera_to_leave_out,
@@ -42,7 +42,6 @@ __all__ = [
     "camera_to_leave_out",
     "command_entry",
     "head_of",
-    "inspect_state",
     "leave_out",
     "lock_reason",
     "read_command",
