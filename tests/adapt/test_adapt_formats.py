@@ -12,8 +12,6 @@ from typing import Any
 
 import frigate_messages as says
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from camtopod.adapt import adapter, scenescape
 from camtopod.adapt.adapter import Adapter
@@ -48,14 +46,6 @@ def test_an_object_comes_in_where_it_was_first_seen_and_leaves_where_it_was_last
         ("yard", "exit", T + 8.2, 0.957, 0.8889),  # not five seconds later, when Frigate is sure
     ]
     assert {e.track for e in events} == {f"{T}-000000"}
-
-
-def test_without_the_size_the_path_says_where() -> None:
-    events = read(Frigate({}), says.passage())
-    assert short(events) == [
-        ("yard", "entry", T + 0.8, 0.0859, 0.8472),
-        ("yard", "exit", T + 8.2, 0.5, 0.9),
-    ]
 
 
 def test_without_size_and_path_nothing_can_be_placed() -> None:
@@ -95,10 +85,6 @@ def test_who_moves_only_a_moment_after_being_found_comes_in_and_who_moves_much_l
         events = read(Frigate(SIZES), lines)
         assert [e.kind for e in events] == kinds
         assert all(e.t == T for e in events)
-
-
-def test_who_was_there_before_we_listened_only_leaves() -> None:
-    assert [e.kind for e in read(Frigate(SIZES), says.passage()[1:])] == ["exit"]
 
 
 def test_only_the_kinds_asked_for() -> None:
@@ -180,13 +166,6 @@ def test_mot_lines_become_events_by_time_whatever_their_order() -> None:
     lines = mot_lines()
     random.Random(1).shuffle(lines)
     assert short(read(Mot("gate", (1920, 1080), 10, 1000.0), lines)) == expected
-
-
-def test_a_mot_file_begins_with_frame_1_whoever_is_there() -> None:
-    lines = [f"{frame},1,100,100,50,50,1".encode() for frame in range(500, 520)]
-    assert [(e.kind, e.t) for e in read(Mot("gate", (1920, 1080), 10, 0.0), lines)] == [
-        ("entry", 49.9)
-    ]
 
 
 @pytest.mark.parametrize(
@@ -339,37 +318,6 @@ def test_scenescape_lines_that_make_no_sense(monkeypatch: pytest.MonkeyPatch) ->
 
 
 # --- all ------------------------------------------------------------------------------------------
-
-
-@settings(max_examples=40)
-@given(
-    st.lists(
-        st.one_of(
-            st.binary(max_size=60),
-            st.tuples(
-                st.sampled_from(says.passage() + walks(False)[30:34] + mot_lines()[:3]), st.data()
-            ),
-        ),
-        max_size=8,
-    ),
-    st.data(),
-)
-def test_damaged_lines_are_rejected_and_never_more(lines: list[Any], data: Any) -> None:
-    for reader in (Frigate(SIZES), SceneScape(SIZES), Mot("gate", (10, 10), 10, 0.0)):
-        for given_line in lines:
-            line = given_line
-            if isinstance(line, tuple):
-                cut = data.draw(st.integers(0, len(line[0])))
-                line = (
-                    line[0][:cut]
-                    + data.draw(st.binary(max_size=2))
-                    + line[0][cut + data.draw(st.integers(0, 2)) :]
-                )
-            try:
-                reader.receive(line)
-            except Rejected:
-                adapter.quotable(line)
-        reader.close()
 
 
 def test_what_is_quoted_of_a_line_names_nobody() -> None:

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from camtopod.adapt import Fragmentation, fragmentation
+from camtopod.adapt import Fragmentation
 from camtopod.records import Event
 
 
@@ -53,11 +53,3 @@ def test_a_door_in_mid_view_is_not_a_broken_track() -> None:
         events.append(Event("lobby", "entry", t, 0.5, 0.5, f"{n}"))
         events.append(Event("lobby", "exit", t + draw.uniform(20, 99), 0.52, 0.5, f"{n}"))
     assert warnings(sorted(events, key=lambda event: event.t)) == []
-
-
-def test_events_without_a_position_and_many_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fragmentation, "CAMERAS_MAX", 2)
-    judge = Fragmentation()
-    for n in range(50):
-        assert judge.note(Event(f"c{n}", "entry", float(n))) is None
-    assert len(judge._cameras) == 2

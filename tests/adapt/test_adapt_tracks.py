@@ -219,12 +219,3 @@ def test_boxes_are_joined_to_the_nearest_whatever_their_order() -> None:
             found[name].add(number)
     assert sorted(map(len, found.values())) == [1, 1]
     assert found["left"] != found["right"]
-
-
-def test_a_box_far_away_or_long_after_is_another() -> None:
-    joiner = BoxLinker()
-    assert joiner.link([(0, 0, 40, 100)], 0.0) == [1]
-    assert joiner.link([(200, 0, 240, 100)], 0.1) == [2]
-    assert joiner.link([(0, 0, 40, 100)], 1.9) == [1]
-    assert joiner.link([(0, 0, 40, 100)], 4.0) == [3]
-    assert joiner.link([(0, 0, 40, 100)], -50.0) == [4], "a clock set back"

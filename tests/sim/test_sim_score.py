@@ -64,22 +64,6 @@ def test_false_links_missing_links_and_wrong_relations_are_told_apart() -> None:
     assert other.link_precision == 1
 
 
-def test_transit_errors_are_relative() -> None:
-    links = [
-        replace(
-            link,
-            transit=replace(
-                link.transit, mode=1.5 * link.transit.mode, mean=0.8 * link.transit.mean
-            ),
-        )
-        for link in PERFECT.links
-        if link.relation == "unseen"
-    ]
-    result = score(replace(PERFECT, links=links), TRUTH)
-    assert result.mode_error == pytest.approx(0.5)
-    assert result.mean_error == pytest.approx(0.2)
-
-
 def test_without_positions_a_camera_is_one_zone() -> None:
     zones = [
         replace(z, id=f"{z.camera}/1", x=None, y=None, cov=None)

@@ -9,7 +9,6 @@ from rendered_scenes import Person, Scene, line
 
 from camtopod.arrays import Bools
 from camtopod.vision.detect.heads import find_heads
-from camtopod.vision.track.stature import SLIMNESS, Stature
 
 
 def outline(*people: tuple[int, int], height: int = 60, width: int = 80) -> Bools:
@@ -35,23 +34,6 @@ def test_two_people_side_by_side_have_two_heads(second_top: int) -> None:
 
 def test_three_people_have_three_heads() -> None:
     assert len(find_heads(outline((12, 2), (33, 0), (54, 3)))) == 3
-
-
-def test_a_child_far_below_the_top_is_no_head() -> None:
-    assert find_heads(outline((20, 0), (41, 30))) == []
-
-
-@pytest.mark.parametrize("shape", [(10, 40), (40, 5), (1, 1), (60, 80)])
-def test_a_block_has_no_heads(shape: tuple[int, int]) -> None:
-    assert find_heads(np.ones(shape, np.bool_)) == []
-
-
-def test_the_usual_width_is_that_of_a_person_until_others_are_seen() -> None:
-    stature = Stature()
-    assert stature.width(50.0) == pytest.approx(50.0 * SLIMNESS)
-    for k in range(60):
-        stature.add(k, 100.0, 20.0, 60.0)
-    assert stature.width(20.0) == pytest.approx(60.0)
 
 
 def pair(start: float, gap: float) -> list[Person]:

@@ -17,7 +17,6 @@ from camtopod.vision.analysis import Analysis
 from camtopod.vision.boxes import Box
 from camtopod.vision.detect import Blob
 from camtopod.vision.detector import Detection, Detector, Model, TrackedBox
-from camtopod.vision.detector.crops import Crops
 from camtopod.vision.detector.fusion import fuse
 from camtopod.vision.detector.model import Image as Picture
 from camtopod.vision.pipeline import ViewPipeline
@@ -208,29 +207,6 @@ def test_a_detector_that_sees_nothing_is_hardly_asked() -> None:
     assert sum(t > 15 for t in blind.drawn.times) <= 16, "once a second"
 
 
-def test_parts_have_the_shape_of_the_input_and_hold_their_regions() -> None:
-    near, far, other = (
-        (10.0, 10.0, 40.0, 90.0),
-        (50.0, 20.0, 80.0, 95.0),
-        (900.0, 500.0, 930.0, 580.0),
-    )
-    crops = Crops((1000, 600), (320, 160))
-    first, second = crops.plan(0.0, [near, far, other], 2)
-    for part in (first, second):
-        assert (part[2] - part[0]) / (part[3] - part[1]) == pytest.approx(2.0)
-        assert 0 <= part[0] <= part[2] <= 1000
-        assert 0 <= part[1] <= part[3] <= 600
-    for box in (near, far):
-        assert first[0] <= box[0] <= box[2] <= first[2]
-    assert second[0] <= other[0] <= other[2] <= second[2]
-
-    # With fewer looks than parts, those that have waited come first.
-    apart = Crops((4000, 600), (320, 160))
-    low: Box = (3900.0, 500.0, 3930.0, 540.0)
-    assert apart.plan(0.0, [near, low], 1)[0] != apart.plan(1.0, [near, low], 1)[0]
-    assert crops.plan(2.0, [], 2) == crops.plan(2.0, [near], 0) == []
-
-
 # --- fusion ---------------------------------------------------------------------------------------
 
 
@@ -248,27 +224,12 @@ def mask(*boxes: Box) -> Picture:
 WHOLE = [(0.0, 0.0, 200.0, 100.0)]
 
 
-def test_pieces_of_one_detection_are_joined() -> None:
-    pieces = [blob(50, 20, 60, 30), blob(50, 40, 60, 60)]
-    moving = mask(*(piece.box for piece in pieces))
-    [one] = fuse(pieces, [(48, 18, 62, 61)], WHOLE, [], moving)
-    assert (one.box, one.detected, one.part_of) == ((48, 18, 62, 61), True, 0)
-
-
 def test_a_blob_with_two_detections_is_split_and_remembers_it() -> None:
     group = blob(50, 20, 80, 60)
     found = fuse([group], [(50, 20, 64, 60), (66, 22, 80, 60)], WHOLE, [], mask(group.box))
     assert [one.detected for one in found] == [True, True]
     assert len({one.part_of for one in found}) == 1
     assert found[0].part_of
-
-
-def test_what_is_not_detected_stays_and_says_whether_it_was_looked_at() -> None:
-    here, there = blob(20, 20, 30, 60), blob(150, 20, 160, 60)
-    looked = [(0.0, 0.0, 100.0, 100.0)]
-    first, second = fuse([here, there], [], looked, [], mask(here.box, there.box))
-    assert (first.box, first.detected) == (here.box, False)
-    assert second is there
 
 
 def test_a_detection_without_motion_counts_where_something_is_tracked() -> None:
@@ -284,12 +245,6 @@ def test_a_detection_reaches_to_the_border_that_its_motion_touches() -> None:
     assert one.box == (0, 21, 13, 60)
 
 
-def test_motion_of_the_detection_s_outline_keeps_its_own() -> None:
-    steady = blob(50, 20, 64, 60)
-    [one] = fuse([steady], [(52, 18, 67, 61)], WHOLE, [], mask(steady.box))
-    assert (one.box, one.foot_x, one.detected) == (steady.box, steady.foot_x, True)
-
-
 def test_a_tracked_neighbour_that_is_not_detected_is_kept_by_its_motion() -> None:
     group, known = blob(50, 20, 80, 60), TrackedBox((66, 20, 80, 60), True, False)
     found = fuse([group], [(50, 20, 64, 60)], WHOLE, [known], mask(group.box))
@@ -299,15 +254,6 @@ def test_a_tracked_neighbour_that_is_not_detected_is_kept_by_its_motion() -> Non
     ]
     alone = mask((50, 20, 64, 60))
     assert len(fuse([group], [(50, 20, 64, 60)], WHOLE, [known], alone)) == 1, "nothing moves there"
-
-
-def test_who_leaves_beside_another_is_kept_by_what_is_still_in_view() -> None:
-    group, leaving = blob(0, 20, 24, 60), TrackedBox((-9, 20, 5, 60), True, False)
-    found = fuse([group], [(10, 20, 24, 60)], WHOLE, [leaving], mask(group.box))
-    assert sorted((one.box, one.detected) for one in found) == [
-        ((0, 20, 5, 60), False),
-        ((10, 20, 24, 60), True),
-    ]
 
 
 # --- pictures -------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from onnx_models import Picture, draw_person, write_model
 
 from camtopod.vision.boxes import Box
 from camtopod.vision.detector import (
-    LABELS,
     Detection,
     DetectorError,
     HeaderError,
@@ -20,7 +19,6 @@ from camtopod.vision.detector import (
     input_size,
     layouts,
 )
-from camtopod.vision.detector.coco import IDS, class_number, label_name
 from camtopod.vision.detector.crops import whole
 from camtopod.vision.settings import DetectorSettings, Layout
 
@@ -116,17 +114,6 @@ def test_labels_are_names_of_coco_or_numbers(tmp_path: Path) -> None:
         assert caught.value.key == "labels"
 
 
-def test_coco_has_80_labels_and_numbers_of_its_own() -> None:
-    assert len(LABELS) == len(set(LABELS)) == len(IDS) == 80
-    assert (IDS[0], IDS[-1]) == (1, 90)
-    for label in LABELS:
-        for classes, from_one in ((80, False), (None, True), (91, False)):
-            number = class_number(label, classes, from_one)
-            assert label_name(number, classes, from_one) == label
-    assert label_name(12, None, True) == "12"
-    assert label_name(3, 5, False) == "3"
-
-
 # --- decoding -------------------------------------------------------------------------------------
 
 
@@ -153,14 +140,6 @@ def test_boxes_and_scores_in_one_output_are_told_by_their_values() -> None:
     output[..., :4] *= 640
     with pytest.raises(layouts.LayoutError, match=r"\(1, 300, 84\).*known are yolox, "):
         layouts.recognise([output], (640, 640), None)
-
-
-@pytest.mark.parametrize(
-    "shapes", [[(1, 84)], [(2, 300, 6)], [(1, 3, 80, 80, 85)], [(1, 9, 5)] * 3]
-)
-def test_other_shapes_are_of_no_known_layout(shapes: list[tuple[int, ...]]) -> None:
-    with pytest.raises(layouts.LayoutError, match="known are"):
-        layouts.recognise([np.zeros(shape, np.float32) for shape in shapes], (640, 640), None)
 
 
 # --- files that cannot be used --------------------------------------------------------------------

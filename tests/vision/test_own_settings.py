@@ -13,7 +13,6 @@ from camtopod.vision.detect.watched import ignored_share, watched_pixels
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import Polygon, VisionSettings
 from camtopod.vision.track.doors import Doors
-from camtopod.vision.track.ignored_areas import IgnoredAreas
 
 
 def rectangle(left: float, top: float, right: float, bottom: float) -> Polygon:
@@ -114,26 +113,6 @@ def test_where_an_ignored_area_reaches_the_border_its_edge_is_an_edge_of_the_vie
         far = [(x + 0.12, y + 0.12) for x, y in area]
         assert min(x for x, _ in near) <= (at.x or 0) <= max(x for x, _ in far)
         assert min(y for _, y in near) <= (at.y or 0) <= max(y for _, y in far)
-
-
-def test_what_lies_behind_an_ignored_area() -> None:
-    watched = watched_pixels([STREET, TREE], 100, 200)
-    assert watched is not None
-    areas = IgnoredAreas(watched)
-    up, right, down = (0.0, -3.0), (2.0, 0.0), (0.0, 1.0)
-    assert areas.beyond((20.0, 30.0), up, 10.0, 3.0) == "border"
-    assert areas.beyond((20.0, 40.0), up, 10.0, 3.0) is None, "too far away"
-    assert areas.beyond((20.0, 30.0), down, 10.0, 3.0) is None, "it walks away from it"
-    assert areas.beyond((20.0, 30.0), (0.0, 0.0), 10.0, 3.0) is None, "it stands"
-    assert areas.beyond((65.0, 60.0), right, 10.0, 3.0) == "view"
-    assert areas.beyond((100.0, 100.0), up, 10.0, 3.0) == "border", "through both"
-    diagonal = (1.0, 1.0)
-    assert areas.beyond((65.0, 60.0), diagonal, 10.0, 3.0) == "view"
-    assert areas.beyond((65.0, 60.0), diagonal, 10.0, 9.0) == "border", "only a slit is left"
-    assert areas.cut((40.0, 30.0, 69.0, 60.0))
-    assert not areas.cut((40.0, 30.0, 60.0, 60.0))
-    assert areas.cut((-5.0, -5.0, 3.0, 3.0))
-    assert not areas.cut((198.0, 95.0, 205.0, 105.0))
 
 
 # --- doors ----------------------------------------------------------------------------------------

@@ -97,16 +97,6 @@ def test_a_picture_is_replaced_now_and_then(
     assert [one.name for one in tmp_path.iterdir()] == [name]
 
 
-def test_a_video_leaves_long_pauses_out_and_repeats_frames_in_short_ones(tmp_path: Path) -> None:
-    file = open_shown_file(tmp_path / "v.mp4")
-    for t in (0.0, 0.01, 0.5, 1.0, 3600.0, 3600.5):
-        if file.wants(t, 0.0):
-            file.write(t, 0.0, GREY if t < 3600 else cv2.resize(GREY, (32, 32)))
-    file.close()
-    assert len(frames(tmp_path / "v.mp4")) == 11 + 6
-    assert frames(tmp_path / "v.mp4")[-1].shape == GREY.shape
-
-
 def test_files_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "folder.mp4").mkdir()
     (tmp_path / "file").write_text("")
@@ -134,16 +124,3 @@ def test_a_full_disk_ends_the_picture_with_one_warning_and_no_event(
     assert warnings == [f"cannot write {tmp_path / name}: less than 64 MiB of the disk are free"]
     assert [one.name for one in tmp_path.iterdir()] == [name]
     assert len(frames(tmp_path / name)) == 29, "what was written can be played"
-
-
-def test_a_folder_that_is_removed_meanwhile(tmp_path: Path) -> None:
-    warnings: list[str] = []
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    preview = Preview(folder / "now.jpg", "cam", SETTINGS, WORDS, warnings.append)
-    folder.rmdir()
-    pipeline = ViewPipeline("cam", SETTINGS, preview)
-    for k in range(30):
-        pipeline.process(k / FPS, Scene([]).picture(k / FPS))
-    preview.close()
-    assert warnings == [f"cannot write {folder / 'now.jpg'}: No such file or directory"]

@@ -7,10 +7,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from camtopod.vision.boxes import union
-from camtopod.vision.detect import background, blobs, motion, shake, shrink
+from camtopod.vision.detect import background, motion, shake, shrink
 from camtopod.vision.detect.wiener import temporal_noise
-from camtopod.vision.track import kalman, stature
+from camtopod.vision.track import kalman
 
 Picture = npt.NDArray[np.uint8]
 seeds = pytest.mark.parametrize("seed", range(3))
@@ -99,20 +98,6 @@ def test_a_picture_is_moved_back(x: float, y: float) -> None:
 
 
 @seeds
-def test_fragments(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    mask = np.zeros((180, 320), np.uint8)
-    part = mask[60:130, 41:200]
-    part[:] = np.where(rng.uniform(size=part.shape) < 0.3 * seed / 2, np.uint8(255), np.uint8(0))
-    labels, stats = blobs._fragments(mask)
-    _, twin, twin_stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    assert sorted(map(tuple, stats[1:].tolist())) == sorted(map(tuple, twin_stats[1:].tolist()))
-    np.testing.assert_array_equal(labels != 0, twin != 0)
-    pairs = set(zip(labels.ravel().tolist(), twin.ravel().tolist(), strict=True))
-    assert len(pairs) == len(twin_stats) == len(stats) or not mask.any()
-
-
-@seeds
 def test_filled_are_the_outlines(seed: int) -> None:
     rng = np.random.default_rng(seed)
     for share in (0.0, 0.3, 0.5, 0.6, 0.8, 1.0):
@@ -124,32 +109,6 @@ def test_filled_are_the_outlines(seed: int) -> None:
         np.testing.assert_array_equal(motion._filled(mask), twin)
     ring = cv2.circle(np.zeros((60, 90), np.uint8), (40, 30), 12, 255)
     assert cv2.countNonZero(motion._filled(ring)) > 5 * cv2.countNonZero(ring)
-
-
-@seeds
-@pytest.mark.parametrize("known", [False, True])
-def test_merged_are_all_that_belong(seed: int, known: bool) -> None:
-    rng = np.random.default_rng(seed)
-    corners = rng.integers(0, [320, 180], (30, 2))
-    boxes = [
-        (float(x), float(y), float(x + w), float(y + h))
-        for (x, y), (w, h) in zip(corners, rng.integers(2, 25, (30, 2)), strict=True)
-    ]
-
-    def height(bottom: float) -> float | None:
-        return 10.0 + 0.2 * bottom if known else None
-
-    groups = [([label], box) for label, box in enumerate(boxes)]
-    before = None
-    while before != len(groups):
-        before = len(groups)
-        for i in range(len(groups)):
-            for j in range(len(groups) - 1, i, -1):
-                if blobs._belong(groups[i][1], groups[j][1], height):
-                    labels, box = groups.pop(j)
-                    groups[i] = (groups[i][0] + labels, union(groups[i][1], box))
-    assert blobs._merge(list(enumerate(boxes)), height) == groups
-    assert len(groups) < len(boxes)
 
 
 def test_kalman_is_the_textbook_s() -> None:
@@ -174,13 +133,3 @@ def test_kalman_is_the_textbook_s() -> None:
         np.testing.assert_allclose(quick.position, state[:, 0], rtol=1e-9)
         np.testing.assert_allclose(quick.velocity, state[:, 1], rtol=1e-9)
         assert quick.uncertainty == pytest.approx(np.sqrt(covariance[0, 0]))
-
-
-def test_stature_is_the_line_through_the_heights() -> None:
-    learned = stature.Stature()
-    rows = np.random.default_rng(3).uniform(50, 170, 40)
-    for number, row in enumerate(rows):
-        learned.add(number % 3, float(row), 20.0 + 0.3 * float(row), 10.0)
-    learned.add(9, 100.0, 300.0, 10.0)  # no person
-    for row in (60.0, 100.0, 160.0):
-        assert learned.height(row) == pytest.approx(20.0 + 0.3 * row, abs=0.1)
