@@ -136,18 +136,13 @@ class Browser:
         self._driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
 
     @contextmanager
-    def slow_to_fetch(self, milliseconds: int) -> Iterator[None]:
-        """Delay every fetch of pages opened in the block; their WebSocket is not delayed."""
-        fetch = (
-            "const quick = window.fetch.bind(window); window.fetch = async (...asked) => "
-            f"{{ await new Promise((done) => setTimeout(done, {milliseconds})); "
-            "return quick(...asked); };"
-        )
-        script = self._driver.execute_cdp_cmd(
-            "Page.addScriptToEvaluateOnNewDocument", {"source": fetch}
+    def running_first(self, script: str) -> Iterator[None]:
+        """Run a script in every page opened in the block, before the page's own."""
+        added = self._driver.execute_cdp_cmd(
+            "Page.addScriptToEvaluateOnNewDocument", {"source": script}
         )
         yield
-        self._driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", script)
+        self._driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
 
     def complaints(self) -> list[str]:
         """Return the page's errors and warnings so far: scripts, content policy, failed loads."""

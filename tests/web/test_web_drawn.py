@@ -25,6 +25,11 @@ BOXES = """
 const boxes = (selector) => [...document.querySelectorAll(selector)].map((one) => one.getBoundingClientRect());
 const upon = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
 """
+CLASHES = f"""
+{BOXES}
+const all = boxes('.labels text');
+return all.filter((a) => all.some((b) => a !== b && upon(a, b))).length
+"""
 STYLES = """
 return Object.fromEntries([...document.querySelectorAll('.edge')].map((one) => {
   const { stroke, strokeDasharray, strokeWidth } = getComputedStyle(one);
@@ -186,10 +191,20 @@ def test_a_dozen_cameras_have_room_for_their_times(
 ) -> None:
     topology = synthetic_topology(12)
     show(topology, width=width, height=height)
+
     browser.wait(lambda: len(times(browser)) >= share * len(topology.pairs), "the times")
     assert browser.count(".labels .name") == 12
-    clashes = "const all = boxes('.labels text'); return all.filter((a) => all.some((b) => a !== b && upon(a, b)))"
-    assert browser.run(f"{BOXES} {clashes}.length") == 0, "none upon another"
+    assert browser.run(CLASHES) == 0, "none upon another"
+
+
+def test_in_a_wide_font_names_and_times_are_not_upon_another(browser: Browser, show: Shows) -> None:
+    spaced = "document.documentElement.style.letterSpacing = '4px'"
+    with browser.running_first(
+        f"document.addEventListener('readystatechange', () => {{{spaced}}})"
+    ):
+        show(synthetic_topology(30))
+    assert browser.run(CLASHES) == 0
+    assert browser.count(".labels text") > 20
 
 
 def test_a_wide_map_is_turned_on_a_high_screen(browser: Browser, show: Shows) -> None:

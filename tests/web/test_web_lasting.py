@@ -48,6 +48,15 @@ PLACES = (
 )
 
 
+SLOW_FETCH = """
+const quick = window.fetch.bind(window);
+window.fetch = async (...asked) => {
+  await new Promise((done) => setTimeout(done, 500));
+  return quick(...asked);
+};
+"""
+
+
 def newer(version: int, **changed: Any) -> Topology:
     return msgspec.structs.replace(SITE, version=version, **changed)
 
@@ -75,7 +84,7 @@ def test_the_map_is_fetched_once_when_the_page_is_opened(browser: Browser) -> No
         return sum(url.endswith("/data/map") for url in browser.asked())
 
     shown = Shown(SITE)
-    with shown.serving(), browser.slow_to_fetch(500):
+    with shown.serving(), browser.running_first(SLOW_FETCH):
         before = fetched()
         opened(browser, shown)
         browser.wait(lambda: "version 1" in browser.text("#live"), "the map")

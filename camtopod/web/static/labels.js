@@ -6,10 +6,8 @@ import { seconds } from "./words.js";
 
 const NAMES_MAX = 160;
 const TIMES_MAX = 80;
-const CHARACTER_PIXELS = 8.5;
-const TIME_CHARACTER_PIXELS = 7.5;
-const LINE_PIXELS = 15;
-const TIME_HEIGHT = 16;
+const AIR_PIXELS = 3; // on either side of a text
+const MEASURED_MAX = 10_000; // texts whose size is remembered
 const EDGE_PIXELS_MIN = 40; // a time beside a shorter edge could be any edge's
 const SEEN_PIXELS_MIN = 14; // so much of an edge stays in sight when its time lies on it
 const ALONG = [1 / 2, 0.4, 0.6, 1 / 3, 2 / 3]; // where on an edge its time may stand
@@ -27,6 +25,8 @@ export const SIDES = [
 
 export class Labels {
   #pool = [];
+  #measured = new Map(); // class and text -> its size
+  #probe = s("text", { "text-anchor": "middle", visibility: "hidden" });
 
   constructor(layer) {
     this.layer = layer;
@@ -37,8 +37,26 @@ export class Labels {
   draw(map, chosen, found, covers) {
     const taken = new Taken();
     for (const box of covers) taken.add(...box);
-    const names = placeNames(map, chosen, found, taken);
-    this.#show([...names, ...placeTimes(map, chosen, taken)]);
+    this.layer.append(this.#probe);
+    const measure = (text, kind) => this.#measure(text, kind);
+    const names = placeNames(map, chosen, found, taken, measure);
+    const times = placeTimes(map, chosen, taken, measure);
+    this.#probe.remove();
+    this.#show([...names, ...times]);
+  }
+
+  // Half the width of a text with air, its height, and the height above its baseline, in pixels, as this browser
+  // draws it: fonts differ.
+  #measure(text, kind) {
+    const key = `${kind} ${text}`;
+    if (this.#measured.has(key)) return this.#measured.get(key);
+    this.#probe.setAttribute("class", kind);
+    this.#probe.textContent = text;
+    const { y, width, height } = this.#probe.getBBox();
+    const size = { half: width / 2 + AIR_PIXELS, height, above: -y };
+    if (this.#measured.size >= MEASURED_MAX) this.#measured.clear();
+    if (width) this.#measured.set(key, size); // not while the map is hidden
+    return size;
   }
 
   #show(wanted) {
@@ -58,7 +76,7 @@ export class Labels {
   }
 }
 
-function placeNames(map, chosen, found, taken) {
+function placeNames(map, chosen, found, taken, measure) {
   const { clientWidth: width, clientHeight: height } = map.svg;
   const wanted = [];
   const inSight = [];
@@ -74,27 +92,23 @@ function placeNames(map, chosen, found, taken) {
   inSight.sort((one, other) => rank(other) - rank(one));
   for (const { node, x, y } of inSight) {
     if (wanted.length >= NAMES_MAX) break;
-    const half = (CHARACTER_PIXELS * node.id.length) / 2;
+    const kind = chosen.has(node.id) || found.has(node.id) ? "name first" : "name";
+    const { half, height: tall, above } = measure(node.id, kind);
     const [wide, high] = map.halves(node);
     const places = [node.side, ...SIDES].map(([dx, dy]) => {
-      const [mx, my] = [x + dx * (wide + half + 5), y + dy * (high + LINE_PIXELS / 2 + 3)];
-      return [mx - half, my - LINE_PIXELS / 2, mx + half, my + LINE_PIXELS / 2];
+      const [mx, my] = [x + dx * (wide + half + 2), y + dy * (high + tall / 2 + 3)];
+      return [mx - half, my - tall / 2, mx + half, my + tall / 2];
     });
     const inside = ([left, top, right, bottom]) => left >= 0 && top >= 0 && right <= width && bottom <= height;
     const box = places.find((one) => inside(one) && taken.free(...one)) ?? (chosen.has(node.id) ? places[0] : null);
     if (!box) continue;
     taken.add(...box);
-    wanted.push({
-      text: node.id,
-      x: box[0] + half,
-      y: box[1] + LINE_PIXELS / 2 + 4,
-      kind: chosen.has(node.id) || found.has(node.id) ? "name first" : "name",
-    });
+    wanted.push({ text: node.id, x: box[0] + half, y: box[1] + above, kind });
   }
   return wanted;
 }
 
-function placeTimes(map, chosen, taken) {
+function placeTimes(map, chosen, taken, measure) {
   const { clientWidth: width, clientHeight: height } = map.svg;
   const lines = [];
   for (const { a, b, edge, width: thick } of map.edges.values()) {
@@ -112,11 +126,14 @@ function placeTimes(map, chosen, taken) {
   for (const line of long) {
     if (wanted.length >= TIMES_MAX) break;
     const text = edgeText(line);
-    const half = (TIME_CHARACTER_PIXELS * text.length) / 2;
-    const [on, beside, further] = placesOf(line, half, map);
-    const free = ([x, y]) =>
-      x > half && y > 8 && x < width - half && y < height - 8 && taken.free(x - half, y - 8, x + half, y + 8);
-    const clearOf = (others) => ([x, y]) => others.every((one) => one === line || apart(one, x, y, half) > OTHER_PIXELS);
+    const kind = `time ${line.edge.relation}`;
+    const { half, height: tall, above } = measure(text, kind);
+    const [on, beside, further] = placesOf(line, half, tall, map);
+    const boxAt = ([x, y]) => [x - half, y - tall / 2, x + half, y + tall / 2];
+    const inside = ([left, top, right, bottom]) => left > 0 && top > 0 && right < width && bottom < height;
+    const free = (place) => inside(boxAt(place)) && taken.free(...boxAt(place));
+    const clearOf = (others) => (place) =>
+      others.every((one) => one === line || apart(one, place, half, tall) > OTHER_PIXELS);
     const tried = line.edge.provisional
       ? [[[...on, ...beside], lines]]
       : [
@@ -127,20 +144,19 @@ function placeTimes(map, chosen, taken) {
         ];
     const place = tried.map(([places, others]) => places.filter(free).find(clearOf(others))).find(Boolean);
     if (!place) continue;
-    const [x, y] = place;
-    taken.add(x - half, y - 8, x + half, y + 8);
-    wanted.push({ text, x, y: y + 4, kind: `time ${line.edge.relation}` });
+    taken.add(...boxAt(place));
+    wanted.push({ text, x: place[0], y: place[1] - tall / 2 + above, kind });
   }
   return wanted;
 }
 
 // Where the time of an edge may stand: upon it, as long as enough of it stays in sight, beside it, and further beside.
-function placesOf({ a, b, ax, ay, dx, dy, length, thick }, half, map) {
+function placesOf({ a, b, ax, ay, dx, dy, length, thick }, half, tall, map) {
   const [ux, uy] = [dx / length, dy / length];
-  const hidden = 2 * Math.min(half / Math.abs(ux), TIME_HEIGHT / 2 / Math.abs(uy));
+  const hidden = 2 * Math.min(half / Math.abs(ux), tall / 2 / Math.abs(uy));
   const under = [a, b].map((node) => hiddenBy(node, ux, uy, map));
   const on = length - under[0] - under[1] - hidden >= SEEN_PIXELS_MIN ? ALONG : [];
-  const aside = Math.abs(uy) * half + Math.abs(ux) * (TIME_HEIGHT / 2) + thick / 2 + 2;
+  const aside = Math.abs(uy) * half + Math.abs(ux) * (tall / 2) + thick / 2 + 2;
   return [
     on.map((share) => [ax + share * dx, ay + share * dy]),
     ...[aside, aside + map.radius].map((off) =>
@@ -155,13 +171,13 @@ function hiddenBy(node, ux, uy, map) {
   return node.shot && map.shot ? Math.min(wide / Math.abs(ux), high / Math.abs(uy)) : map.radius;
 }
 
-// Pixels between an edge and a time of half the width `half` at a place.
-function apart({ ax, ay, dx, dy }, x, y, half) {
+// Pixels between an edge and a time of half the width `half` and the height `tall` at a place.
+function apart({ ax, ay, dx, dy }, [x, y], half, tall) {
   return Math.min(
     ...[-half, 0, half].map((shift) => {
       const [px, py] = [x + shift - ax, y - ay];
       const along = Math.min(1, Math.max(0, (px * dx + py * dy) / (dx * dx + dy * dy || 1)));
-      return Math.hypot(px - along * dx, py - along * dy) - TIME_HEIGHT / 2;
+      return Math.hypot(px - along * dx, py - along * dy) - tall / 2;
     }),
   );
 }
