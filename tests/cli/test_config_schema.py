@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from typing import Any
 
 import jsonschema
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from camtopod.cli.generated.config_schema import schema, text
 from camtopod.cli.generated.example_config import example
 from camtopod.cli.main import main
-from camtopod.config.settings import parse
+from camtopod.config.settings import TABLES, CameraSettings, parse
 
 VALIDATOR = jsonschema.Draft7Validator(schema())
 
@@ -87,3 +88,18 @@ def test_settings_of_one_camera() -> None:
     assert (
         wrong(f"{toml}doors = [[0.5, 0.5], [[0, 0], [1, 0], [1, 1]]]\n[vision]\nignore = ''") == []
     )
+
+
+def test_every_key_says_what_it_is() -> None:
+    def keys(table: dict[str, Any]) -> list[dict[str, Any]]:
+        return [
+            key
+            for each in table["properties"].values()
+            for key in [each, *keys({"properties": {}, **each})]
+        ]
+
+    described = keys(schema()) + keys(schema()["properties"]["cameras"]["additionalProperties"])
+
+    assert all(key["description"] for key in described)
+    named = sum(len(kind.__struct_fields__) for kind in [*TABLES.values(), CameraSettings])
+    assert len(described) >= named
