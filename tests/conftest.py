@@ -8,6 +8,7 @@ folder where it is available.
 from __future__ import annotations
 
 import logging
+import multiprocessing
 import os
 import signal
 from collections.abc import Generator, Iterator
@@ -22,8 +23,9 @@ os.environ.pop("PYTHONUNBUFFERED", None)
 
 import pytest
 from chromium import Browser, chromium
-from forked_learner import forked_learners
 from hypothesis import HealthCheck, settings
+
+from camtopod.serve.learner_process import process
 
 DATA = "CAMTOPOD_TEST_DATA"
 """Variable with the folder of the data; a skip for lack of the data names it in its reason."""
@@ -66,8 +68,11 @@ def _environment_as_it_was() -> Generator[None]:
 
 @pytest.fixture(autouse=True, scope="session")
 def _learners_start_quickly() -> Iterator[None]:
-    """Fork the learners of daemons that run in the process of the tests."""
-    with forked_learners():
+    """Fork the learners of daemons in the tests' process from one that has imported everything."""
+    quick = multiprocessing.get_context("forkserver")
+    quick.set_forkserver_preload([process.PROGRAM, "camtopod.serve.learner_process.process"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(process, "context", quick)
         yield
 
 

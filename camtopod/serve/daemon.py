@@ -146,7 +146,6 @@ class Daemon:
                     config.learn,
                     config.site.name,
                     self._new_epoch,
-                    self._clock(),
                 )
                 if cancelled.is_set():
                     return False
@@ -302,7 +301,6 @@ class Daemon:
             "alarms": [] if head is None else head.alarms[-STATUS_ALARMS:],
             "names": names.status(),
             "pulls": self._puller.pulls,
-            "left_out": self._learning.left_out,
             "journal": {"damaged": self._learning.damaged, **self._journal.status()},
             "cameras": {
                 camera: {**counters, "alive": camera in alive}
@@ -369,7 +367,7 @@ class Daemon:
         learned_time = EventTime(
             self._config.learn.lateness_seconds, self._config.learn.ahead_seconds_max
         )
-        learned_time.load(recovered.taught.event_time)
+        learned_time.load(recovered.progress.event_time)
         for event in recent:
             learned_time.note(microseconds(event.t), event.camera)
 

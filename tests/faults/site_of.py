@@ -336,8 +336,11 @@ def _program(name: str) -> str:
 
 
 def _child(pid: int) -> int:
-    """Return the id of the only child of a process."""
-    (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    """Return the id of a daemon's learner; another child is multiprocessing's own."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    (child,) = (
+        child for child in children if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text()
+    )
     return int(child)
 
 

@@ -8,14 +8,15 @@ from __future__ import annotations
 import os
 import signal
 import time
+from typing import Any
 
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
-from camtopod.serve.learner_process.worker import main
+from camtopod.serve.learner_process import worker
 
 
 class FaultyLearner(Learner):
-    """A learner that fails, is killed, crashes, prints or hangs at marked events, and learns all
+    """A learner that fails, is killed, crashes or hangs at marked events, and learns all
     others.
     """
 
@@ -23,19 +24,15 @@ class FaultyLearner(Learner):
         match event.track:
             case "fails":
                 raise ZeroDivisionError(f"at {event.camera}")
-            case "exhausted":
-                raise MemoryError(f"at {event.camera}")
             case "killed":
                 os.kill(os.getpid(), signal.SIGKILL)
             case "crashes":
                 os.kill(os.getpid(), signal.SIGSEGV)
-            case "prints":
-                print("a stray line of a library", flush=True)
             case "lasts":
                 while True:  # busy, like a fit; not a wait that could be interrupted
                     time.monotonic()
         return super().receive(event)
 
 
-if __name__ == "__main__":
-    main(FaultyLearner)
+def main(*given: Any) -> None:
+    worker.main(*given, learner=FaultyLearner)

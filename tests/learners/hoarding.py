@@ -5,9 +5,11 @@ It replaces `camtopod.serve.learner_process.worker`.
 
 from __future__ import annotations
 
+from typing import Any
+
 from camtopod.learn.learner import Learner
 from camtopod.records import Topology
-from camtopod.serve.learner_process.worker import main
+from camtopod.serve.learner_process import worker
 
 
 class HoardingLearner(Learner):
@@ -17,5 +19,5 @@ class HoardingLearner(Learner):
         return [] if len(self._updates) == 1 and self.epoch == "E" else super().updates()
 
 
-if __name__ == "__main__":
-    main(HoardingLearner)
+def main(*given: Any) -> None:
+    worker.main(*given, learner=HoardingLearner)

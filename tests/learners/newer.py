@@ -5,9 +5,12 @@ It replaces `camtopod.serve.learner_process.worker`.
 
 from __future__ import annotations
 
-from camtopod.learn import snapshot
-from camtopod.serve.learner_process.worker import main
+from typing import Any
 
-if __name__ == "__main__":
+from camtopod.learn import snapshot
+from camtopod.serve.learner_process import worker
+
+
+def main(*given: Any) -> None:
     snapshot.FORMAT += 1
-    main()
+    worker.main(*given)

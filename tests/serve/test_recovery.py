@@ -25,7 +25,6 @@ from camtopod.serve.learner_process.feeder import CATCHING_UP_SECONDS, LearnerFe
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import recover
 from camtopod.serve.runtime.progress import no_beat
-from camtopod.serve.storage import corrections
 from camtopod.serve.storage.corrections import rewind
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.packed_version import Version
@@ -231,100 +230,50 @@ def test_without_a_snapshot_and_the_oldest_events_an_epoch_begins(start: Start) 
     assert {epoch for epoch, _, _ in again.published} == {"F"}
 
 
-@pytest.mark.parametrize(
-    ("what", "status", "times"),
-    [
-        ("fails", 1, recovery.FAILURES_MAX),
-        ("crashes", -signal.SIGSEGV, recovery.FAILURES_MAX),
-        ("killed", -signal.SIGKILL, recovery.KILLS_MAX),
-    ],
-)
-def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
-    what: str,
-    status: int,
-    times: int,
-    start: Start,
-    caplog: pytest.LogCaptureFixture,
-    capfd: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("what", "status"), [("fails", 1), ("killed", -signal.SIGKILL)])
+def test_an_entry_at_which_the_learner_dies_twice_is_skipped(
+    what: str, status: int, start: Start, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """When leaving out more events does not help."""
-    monkeypatch.setattr(corrections, "LEAVE_OUTS_MAX", 0)
     one = start()
     one.learn(EVENTS[:120])
-    one.store(
-        [*EVENTS[120:130], msgspec.structs.replace(EVENTS[130], track=what), *EVENTS[131:160]]
-    )
-    for _ in range(times):
+    poison = msgspec.structs.replace(EVENTS[130], track=what)
+    one.store([*EVENTS[120:130], poison, *EVENTS[131:160]])
+    [snapshot] = one.journal.snapshots()
+    for _ in range(recovery.DEATHS_MAX):
         failing = start(program="learners.faulty")
         assert failing.started_at == 120
         with pytest.raises(LearnerEnded) as ended:
             failing.run()
         assert (ended.value.status, ended.value.at) == (status, 131)
-    assert ("ZeroDivisionError: at " in capfd.readouterr().err) == (what == "fails")
-    again = start(program="learners.faulty")
-    assert again.started_at == 131
-    assert "begins anew after that entry" in caplog.text
-    again.run()
-    again.learn(EVENTS[160:])
-    assert {epoch for epoch, _, _ in again.published} == {"F"}
-    assert len(again.journal) == len(EVENTS)
-    later = start()
-    assert (later.started_at, later.learning.epoch) == (len(EVENTS), "F"), "it has got beyond that"
 
-
-@pytest.mark.parametrize(("what", "times"), [("fails", 2), ("killed", 10), ("exhausted", 4)])
-def test_of_a_learner_that_fails_again_and_again_the_events_of_one_camera_are_left_out(
-    what: str, times: int, start: Start, caplog: pytest.LogCaptureFixture
-) -> None:
-    """They are those of the entry's camera; after a memory error, of the one with the
-    most events.
-    """
-    one = start()
-    one.learn(EVENTS[:120])
-    poison = next(k for k in range(125, 160) if EVENTS[k].camera == "b")
-    one.store(
-        [
-            msgspec.structs.replace(e, track=what) if k == poison else e
-            for k, e in enumerate(EVENTS)
-        ][120:160]
-    )
-    for _ in range(times):
-        failing = start(program="learners.faulty")
-        assert failing.started_at == 120
-        with pytest.raises(LearnerEnded):
-            failing.run()
     again = start(program="learners.faulty")
     assert again.started_at == 120, "nothing else that was learned is forgotten"
-    assert "the events of camera b since entry 120 are left out" in caplog.text
-    assert "b" in again.learning.left_out
-    [snapshot] = again.journal.snapshots()
+    assert "at entry 131 of the journal, which is skipped in epoch F" in caplog.text
     again.run()
     again.learn(EVENTS[160:])
-    out = set(again.learning.left_out)
-    kept = [e for k, e in enumerate(EVENTS) if not (120 <= k < 160 and e.camera in out)]
-    forgotten = [e for e in kept if what != "fails" and e.camera in out and e in EVENTS[:120]]
-    assert again.learning.statistics["window"] >= len(kept) - len(forgotten) - 2, (
-        "but for those that wait"
-    )
-    epochs = {epoch for epoch, _, _ in again.published}
-    assert len(epochs) == 1
-    assert min(epochs) > "E"
+    assert again.learning.statistics["accepted"] == len(EVENTS) - 1
+    assert {epoch for epoch, _, _ in again.published} == {"F"}
 
-    published = dict(again.journal.versions(again.learning.epoch))
-    later = start()
-    assert (later.learning.epoch, later.journal.versions(later.learning.epoch)) == (
-        again.learning.epoch,
-        published,
-    )
-    later.journal._db.execute("DELETE FROM snapshot")
-    later.journal.commit([], snapshot=snapshot)
-    replayed = start()
-    assert replayed.started_at == 120
+    # The same versions are made again from the snapshot before.
+    again.journal._db.execute("DELETE FROM snapshot")
+    again.journal.commit([], snapshot=snapshot)
+    replayed = start(program="learners.faulty")
     replayed.run()
-    assert (replayed.learning.epoch, replayed.published) == (again.learning.epoch, []), (
-        "the same versions again"
-    )
+    assert (replayed.learning.epoch, replayed.published) == ("F", [])
+
+
+def test_a_learner_that_dies_of_what_it_has_learned_begins_anew(
+    start: Start, caplog: pytest.LogCaptureFixture
+) -> None:
+    one = start()
+    one.learn(EVENTS[:120])
+    for _ in range(recovery.DEATHS_MAX):
+        recovery.note_failure(one.journal, 121)  # at the first step after the snapshot
+
+    again = start()
+
+    assert (again.started_at, again.learning.epoch) == (121, "F")
+    assert "begins anew" in caplog.text
 
 
 def test_a_rewind_is_replayed_like_an_event(start: Start, tmp_path: Path) -> None:
@@ -375,7 +324,7 @@ def test_a_disk_that_fails_is_no_failure_of_the_learner(
     def unreadable(*_: object, **__: object) -> None:
         raise sqlite3.OperationalError("disk I/O error")
 
-    for _ in range(recovery.FAILURES_MAX):
+    for _ in range(2):
         failing = start()
         with monkeypatch.context() as broken:
             broken.setattr(failing.journal, "entries", unreadable)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 import math
 import queue
-import signal
 import threading
 import time
 from collections.abc import Callable
@@ -18,7 +17,6 @@ from collections.abc import Callable
 from camtopod.serve.ingest import Received
 from camtopod.serve.learner_process.messages import (
     INPUTS_MAX,
-    OUT_OF_MEMORY,
     Answer,
     Input,
     LearnBatch,
@@ -93,14 +91,15 @@ class LearnerFeeder:
         on_deadline: Callable[[float | None], None],
         new_epoch: Callable[[], str],
     ) -> None:
-        self.position, self.epoch, taught, self.left_out = recovered
-        self._process, self._journal = process, journal
-        self._events_max, self._snapshot_events = events_max, snapshot_events
-        self._on_version, self._on_snapshot, self._on_deadline = (
-            on_version,
-            on_snapshot,
-            on_deadline,
-        )
+        self.position = recovered.position
+        self.epoch = recovered.epoch
+        self._process = process
+        self._journal = journal
+        self._events_max = events_max
+        self._snapshot_events = snapshot_events
+        self._on_version = on_version
+        self._on_snapshot = on_snapshot
+        self._on_deadline = on_deadline
         self._new_epoch = new_epoch
 
         # Progress through the journal.
@@ -116,10 +115,10 @@ class LearnerFeeder:
         self._mutex = threading.Lock()
         self.damaged = 0
         """Number of damaged journal entries that were left out."""
-        self.statistics = taught.statistics
+        self.statistics = recovered.progress.statistics
         """The learner's statistics, as of its last step."""
         self._refused_at = -math.inf
-        on_deadline(taught.deadline)
+        on_deadline(recovered.progress.deadline)
 
     def feed(self, batch: list[Received]) -> None:
         """Queue entries that have just been stored, to be learned in this order. Any thread."""
@@ -197,11 +196,7 @@ class LearnerFeeder:
 
             # Note the entry at which the learner failed, for the next start.
             if ended.at:
-                killed, out_of_memory = (
-                    ended.status == -signal.SIGKILL,
-                    ended.status == OUT_OF_MEMORY,
-                )
-                note_failure(self._journal, ended.at, killed, out_of_memory)
+                note_failure(self._journal, ended.at)
             raise
 
     def snapshot(self) -> Snapshot | None:
@@ -233,7 +228,7 @@ class LearnerFeeder:
             if not batch:
                 self.position = number - 1
             self.damaged += entry is None
-            batch.append(None if entry is None else self._input_of(number, entry))
+            batch.append(None if entry is None else self._input_of(entry))
             if len(batch) >= INPUTS_MAX or number == until:
                 self._learn(LearnBatch(self.position, batch), stopping, beat)
                 self._take_snapshot(stopping, beat)
@@ -281,32 +276,30 @@ class LearnerFeeder:
 
     def _learn(self, task: Refresh | LearnBatch, stopping: threading.Event, beat: Beat) -> None:
         """Send a task to the learner and note the progress."""
-        taught = self._ask(task, stopping, beat)
-        assert isinstance(taught, LearnProgress)
+        progress = self._ask(task, stopping, beat)
+        assert isinstance(progress, LearnProgress)
 
         # Note what it says.
-        if taught.statistics.get("refused", 0) > self.statistics.get("refused", 0):
+        if progress.statistics.get("refused", 0) > self.statistics.get("refused", 0):
             self._refused_at = time.monotonic()
-        self.position, self.statistics, self.epoch = (
-            taught.position,
-            taught.statistics,
-            taught.epoch,
-        )
-        self._on_deadline(taught.deadline)
-        if taught.unreadable:
+        self.position = progress.position
+        self.statistics = progress.statistics
+        self.epoch = progress.epoch
+        self._on_deadline(progress.deadline)
+        if progress.unreadable:
             log.error(
                 "%d entries of the journal are no valid events for this program: they are not"
                 " learned",
-                taught.unreadable,
+                progress.unreadable,
             )
 
-    def _input_of(self, number: int, entry: Entry) -> Input:
+    def _input_of(self, entry: Entry) -> Input:
         """Return what the learner needs of an entry.
 
         The rest is not kept: thousands of entries wait during a refit.
         """
         match entry.kind:
-            case "event" if number > self.left_out.get(entry.camera, 0):
+            case "event":
                 return entry.raw
             case "advance":
                 return float(entry.raw)
@@ -334,7 +327,7 @@ class LearnerFeeder:
         """
         self._busy = True
         self._process.send(question)
-        told_at = None
+        stopping_since = None
         while True:
             answer = self._process.receive(_TICK_SECONDS)
 
@@ -352,9 +345,9 @@ class LearnerFeeder:
 
             # When stopping, let the learner finish its entry, or end it.
             if stopping.is_set():
-                told_at = told_at or time.monotonic()
+                stopping_since = stopping_since or time.monotonic()
                 self._process.hurry()
-                if time.monotonic() - told_at > FINISH_SECONDS:
+                if time.monotonic() - stopping_since > FINISH_SECONDS:
                     self._process.kill()
 
     def _hand_over_version(self, made: NewVersion) -> None:

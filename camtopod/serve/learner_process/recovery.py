@@ -30,64 +30,36 @@ from camtopod.serve.learner_process.process import LearnerProcess
 from camtopod.serve.storage import (
     Journal,
     StateError,
-    camera_to_leave_out,
-    leave_out,
+    epoch_after,
     read_command,
-    read_corrections,
 )
 
 log = logging.getLogger(__name__)
 
-FAILURES_MAX = 2
-"""Number of failures of the learner at one entry after which something has to be given up.
-
-First the events of the camera that has sent most are left out; if that does not help, the learner
-begins anew after the entry.
-"""
-KILLS_MAX = 5
-"""Number of kills (SIGKILL) of the process at one entry that has the same consequence.
-
-A person may kill it once or twice; only the system kills it always at the same entry, as there is
-not enough memory for what has been learned.
-"""
-RECENT_EVENTS, RECENT_SECONDS = 4_000, 600.0
-"""Most events, and most seconds before the newest one, that predictions remember at a start."""
+DEATHS_MAX = 2
+"""Number of deaths of the learner at one entry after which that entry is skipped."""
+RECENT_EVENTS = 4_000
+"""Maximum number of events that predictions remember at a start."""
+RECENT_SECONDS = 600.0
+"""Maximum age of these, in seconds before the newest one."""
 
 
 class Failure(msgspec.Struct):
-    """A failure of the learner: ``times`` failures and ``kills`` kills at the entry ``at``."""
+    """The learner has died ``times`` times at the entry ``at``."""
 
     at: int
     times: int
-    kills: int = 0
-    out_of_memory: int = 0
-    """How many of ``times`` were for lack of memory."""
-
-    @property
-    def is_out_of_memory(self) -> bool:
-        """True if there is too much to learn at once, not something that cannot be learned.
-
-        Kills count as lack of memory: it is the system that kills.
-        """
-        return self.kills + self.out_of_memory > self.times - self.out_of_memory
-
-    @property
-    def is_hopeless(self) -> bool:
-        """True if something of what was learned has to be given up."""
-        return self.times >= FAILURES_MAX or self.kills >= KILLS_MAX
 
 
 class Recovered(NamedTuple):
     """State of the learner at the start.
 
     position: number of the last entry of the journal that it has learned.
-    left_out: for some cameras, the entry up to which their events are not learned.
     """
 
     position: int
     epoch: str
-    taught: LearnProgress
-    left_out: dict[str, int] = {}  # noqa: RUF012 -- never changed
+    progress: LearnProgress
 
 
 def recover(
@@ -96,60 +68,41 @@ def recover(
     settings: Settings,
     site: str,
     new_epoch: Callable[[], str],
-    now: float = 0.0,
 ) -> Recovered:
     """Load the learner into ``process`` and return its state. Raises `StateError`.
 
     new_epoch: begins an epoch and stores its name.
-    now: Unix seconds.
     """
 
     def begin(position: int, epoch: str, load: bool = False) -> Recovered:
-        before, left_out, forgotten = read_corrections(journal, position, epoch)
-        epoch = before or epoch
-        taught = process.ask(Begin(settings, site, epoch, journal.versions(epoch), load, forgotten))
-        assert isinstance(taught, LearnProgress)
-        return Recovered(position, epoch, taught, left_out)
+        epoch = epoch_after(journal, position, epoch)
+        progress = process.ask(Begin(settings, site, epoch, journal.versions(epoch), load))
+        assert isinstance(progress, LearnProgress)
+        return Recovered(position, epoch, progress)
 
     # A new state begins an epoch.
     epoch = journal.meta("epoch")
     if epoch is None:
         epoch = new_epoch()
 
-    # After too many failures at one entry, leave out the events of a camera, or begin behind it.
-    failure, found = read_failure(journal), _newest_state(journal, process)
-    beyond = 0 if found is None else found[0]
-    if failure is not None and failure.is_hopeless and beyond < failure.at:
-        ended, epoch = epoch, new_epoch()
-        camera = camera_to_leave_out(journal, beyond, failure.at, most=failure.is_out_of_memory)
-        if camera is not None:
-            journal.commit(
-                [leave_out(camera, ended, epoch, forget=failure.is_out_of_memory)], now=now
-            )
-            journal.set_meta("failure", codec.to_json(Failure(0, 0)).decode())
-            log.error(
-                "the learner has failed %d times at entry %d of the journal and was killed there"
-                " %d times%s: the events of camera %s since entry %d are left out, in epoch %s;"
-                " they are still in the journal; please report this",
-                failure.times,
-                failure.at,
-                failure.kills,
-                " as memory ran out" if failure.is_out_of_memory else "",
-                camera,
-                beyond,
-                epoch,
-            )
-            return begin(beyond, epoch, load=found is not None)
+    # Skip an entry at which the learner has died twice, or begin anew behind it if it died of what
+    # it had learned before.
+    found = _newest_state(journal, process)
+    failure = read_failure(journal)
+    if failure is not None and failure.times >= DEATHS_MAX:
+        epoch = new_epoch()
+        skipped = journal.skip(failure.at)
         log.error(
-            "the learner has failed %d times at entry %d of the journal and was killed there"
-            " %d times: it begins anew after that entry, in epoch %s; the entries up to there are"
-            " still in the journal; please report this",
+            "the learner has died %d times at entry %d of the journal, which is %s in epoch %s;"
+            " the entry is still in the journal; please report this",
             failure.times,
             failure.at,
-            failure.kills,
+            "skipped" if skipped else "where it begins anew",
             epoch,
         )
-        return begin(failure.at, epoch)
+        journal.set_meta("failure", codec.to_json(Failure(0, 0)).decode())
+        if not skipped:
+            return begin(failure.at, epoch)
 
     # Without a snapshot, learn all entries.
     if found is None:
@@ -228,18 +181,12 @@ def read_failure(journal: Journal) -> Failure | None:
     return None if kept is None else codec.read(Failure, kept.encode())
 
 
-def note_failure(
-    journal: Journal, at: int, killed: bool = False, out_of_memory: bool = False
-) -> None:
-    """Note that the learner failed at the entry ``at``, or was ``killed`` there."""
+def note_failure(journal: Journal, at: int) -> None:
+    """Note that the learner died at the entry ``at``."""
     failure = read_failure(journal)
     if failure is None or failure.at != at:
         failure = Failure(at, 0)
-    if killed:
-        failure.kills += 1
-    else:
-        failure.times += 1
-        failure.out_of_memory += out_of_memory
+    failure.times += 1
     journal.set_meta("failure", codec.to_json(failure).decode())
 
 

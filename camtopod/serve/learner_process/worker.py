@@ -1,9 +1,8 @@
 """The learner's process: it answers the daemon's questions, so that refits do not hold its GIL.
 
-`camtopod.serve.learner_process.process` starts it, asks on its standard input and reads its
-standard output. It neither stores nor publishes anything. It ends at once when the daemon
-ends. An exception ends it too: the traceback goes to standard error, and the daemon reads on the
-board at which entry of the journal it was.
+`camtopod.serve.learner_process.process` starts it and asks over a pipe. It neither stores nor
+publishes anything. It ends at once when the daemon ends. An exception ends it too: the traceback
+goes to standard error, and the daemon reads in shared memory at which entry of the journal it was.
 """
 
 from __future__ import annotations
@@ -13,10 +12,11 @@ import faulthandler
 import gc
 import os
 import queue
-import sys
+import signal
 import threading
-import traceback
 from collections.abc import Callable
+from ctypes import c_longlong
+from multiprocessing.connection import Connection
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
@@ -31,7 +31,6 @@ from camtopod.learn import (
     unpack,
 )
 from camtopod.records import Topology
-from camtopod.serve.learner_process import messages
 from camtopod.serve.learner_process.messages import (
     Answer,
     Begin,
@@ -46,7 +45,6 @@ from camtopod.serve.learner_process.messages import (
     Refresh,
     Save,
     Saved,
-    SharedStatus,
     Show,
     Shown,
     Unusable,
@@ -65,40 +63,48 @@ It is small enough that versions are still made on a machine with other work to 
 class Worker:
     """Answers the daemon's questions.
 
+    questions: what the daemon asks.
+    entry: shared memory for the number of the entry that is being learned; 0: none.
+    hurry: shared memory, not 0 if the step is to end after the present entry.
     learner: the class of the learner.
     """
 
     def __init__(
         self,
-        asked: queue.SimpleQueue[Question],
-        out: int,
-        board: SharedStatus,
+        questions: queue.SimpleQueue[Question],
+        pipe: Connection,
+        entry: c_longlong,
+        hurry: c_longlong,
         learner: type[Learner],
     ) -> None:
-        self._asked, self._out, self._board, self._kind = asked, out, board, learner
+        self._questions = questions
+        self._pipe = pipe
+        self._entry = entry
+        self._hurry = hurry
+        self._learner_class = learner
         self._loaded: LearnerState | None = None
         self._learner: Learner
 
     def work(self) -> None:
         """Answer questions for ever."""
         while True:
-            question = self._asked.get()
+            question = self._questions.get()
             match question:
                 case Load(state):
                     self._send(self._load(state))
                 case Begin():
                     self._begin(question)
-                    taught = self._progress(0, 0)
-                    taught.event_time = self._learner.event_time()
-                    self._send(taught)
+                    progress = self._progress(0, 0)
+                    progress.event_time = self._learner.event_time()
+                    self._send(progress)
                 case Refresh(position):
-                    self._board.at = position + 1
+                    self._entry.value = position + 1
                     self._learner.refresh()
                     self._take_versions()
-                    self._board.at = 0
+                    self._entry.value = 0
                     self._send(self._progress(position, 0))
-                case LearnBatch(position, lessons):
-                    self._send(self._learn(position, lessons))
+                case LearnBatch(position, inputs):
+                    self._send(self._learn(position, inputs))
                 case Show():
                     newest = self._learner.topology
                     self._send(Shown(None if newest is None else codec.to_msgpack(newest)))
@@ -117,14 +123,11 @@ class Worker:
 
     def _begin(self, given: Begin) -> None:
         """Make the learner, with the loaded state if the daemon wants it."""
-        self._learner = self._kind(given.settings, given.site, given.epoch)
+        self._learner = self._learner_class(given.settings, given.site, given.epoch)
         if given.load and (state := self._loaded) is not None:
             self._learner.load(state)
             if state.epoch != given.epoch:
                 self._learner.begin_epoch(given.epoch)
-
-        # Drop what is not wanted any more.
-        self._learner.forget(set(given.without))
         self._loaded = None
 
         # Fits yield the processor to the daemon; not before, as the start is waited for.
@@ -138,28 +141,28 @@ class Worker:
     def _change(self, change: Callable[[LearnerState], LearnerState]) -> None:
         """Continue with a changed state; only a new learner can load one."""
         learner = self._learner
-        self._learner = self._kind(learner.settings, learner.site, learner.epoch)
+        self._learner = self._learner_class(learner.settings, learner.site, learner.epoch)
         self._learner.load(change(learner.save()))
 
-    def _rewind(self, lesson: Rewind) -> None:
+    def _rewind(self, command: Rewind) -> None:
         """Drop events after a time, and begin an epoch unless a later one has begun already."""
-        self._change(lambda state: rewind(state, lesson.to))
-        if lesson.epoch > self._learner.epoch:
-            self._stored, self._newest_stored = dict(lesson.stored), max(lesson.stored, default=0)
+        self._change(lambda state: rewind(state, command.to))
+        if command.epoch > self._learner.epoch:
+            self._stored, self._newest_stored = dict(command.stored), max(command.stored, default=0)
             self._newest = None
-            self._learner.begin_epoch(lesson.epoch)
+            self._learner.begin_epoch(command.epoch)
             self._learner.refresh()
 
-    def _reset(self, lesson: Reset) -> None:
+    def _reset(self, command: Reset) -> None:
         """Begin with a new learner, in a new epoch unless a later one has begun already."""
         epoch = self._learner.epoch
         after = self._learner.topology
-        if lesson.epoch > epoch:
-            epoch, after = lesson.epoch, None
-            self._stored, self._newest_stored = dict(lesson.stored), max(lesson.stored, default=0)
+        if command.epoch > epoch:
+            epoch, after = command.epoch, None
+            self._stored, self._newest_stored = dict(command.stored), max(command.stored, default=0)
             self._newest = None
-        fresh = self._kind(self._learner.settings, self._learner.site, epoch)
-        fresh.begin_empty(lesson.t, after)
+        fresh = self._learner_class(self._learner.settings, self._learner.site, epoch)
+        fresh.begin_empty(command.t, after)
         self._learner = fresh
 
     def _administer(self, command: Command) -> None:
@@ -176,33 +179,33 @@ class Worker:
             case TakeBack():
                 pass  # only the daemon refuses events
 
-    def _learn(self, position: int, lessons: list[Input]) -> LearnProgress:
+    def _learn(self, position: int, inputs: list[Input]) -> LearnProgress:
         """Learn entries of the journal, or as many as there is time for."""
         unreadable = 0
-        for lesson in lessons:
-            self._board.at = position + 1
+        for given in inputs:
+            self._entry.value = position + 1
 
             # An event, a rewind or an advance of event time, or a command.
-            if isinstance(lesson, bytes):
+            if isinstance(given, bytes):
                 try:
-                    event = codec.event_from_bytes(lesson)
+                    event = codec.event_from_bytes(given)
                 except codec.Rejected:  # another program accepted it
                     unreadable += 1
                 else:
                     self._learner.receive(event)
-            elif isinstance(lesson, Rewind):
-                self._rewind(lesson)
-            elif isinstance(lesson, float):
-                self._learner.advance(lesson)
-            elif lesson is not None:
-                self._administer(lesson)
+            elif isinstance(given, Rewind):
+                self._rewind(given)
+            elif isinstance(given, float):
+                self._learner.advance(given)
+            elif given is not None:
+                self._administer(given)
 
             # Send new versions, and stop if time is short.
             self._take_versions()
             position += 1
-            if self._board.hurry:
+            if self._hurry.value:
                 break
-        self._board.at = 0
+        self._entry.value = 0
         return self._progress(position, unreadable)
 
     def _progress(self, position: int, unreadable: int) -> LearnProgress:
@@ -263,44 +266,37 @@ class Worker:
     def _begin_epoch(self, version: int) -> None:
         """Report that a version was not reproduced, and continue in the daemon's new epoch."""
         self._send(VersionMismatch(version))
-        told = self._asked.get()
-        assert isinstance(told, NewEpoch)
+        answer = self._questions.get()
+        assert isinstance(answer, NewEpoch)
         self._stored, self._newest_stored, self._newest = {}, 0, None
-        self._learner.begin_epoch(told.epoch)
+        self._learner.begin_epoch(answer.epoch)
         self._learner.refresh()
 
     def _send(self, answer: Answer) -> None:
-        messages.send(self._out, answer)
+        self._pipe.send(answer)
 
 
-def main(learner: type[Learner] = Learner) -> None:
+def main(
+    pipe: Connection, entry: c_longlong, hurry: c_longlong, learner: type[Learner] = Learner
+) -> None:
     """Learn until the daemon ends; never returns."""
-    # Keep stray prints out of the answers.
+    # A terminal or systemd sends these to the whole group, but the daemon handles them.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
     faulthandler.enable()
     gc.freeze()  # what was imported is never garbage
-    out = os.dup(1)
-    os.dup2(2, 1)
-    asked: queue.SimpleQueue[Question] = queue.SimpleQueue()
+    questions: queue.SimpleQueue[Question] = queue.SimpleQueue()
 
     def listen() -> None:
         """Read questions in a thread, which notices the daemon's end even during a fit."""
         try:
             while True:
-                asked.put(messages.read_question(0))
-        except EOFError:
+                questions.put(pipe.recv())
+        except (EOFError, OSError):
             os._exit(0)
 
-    # Answer until the daemon ends or memory runs out.
     threading.Thread(target=listen, name="listen", daemon=True).start()
     try:
-        Worker(asked, out, SharedStatus(int(sys.argv[1])), learner).work()
+        Worker(questions, pipe, entry, hurry, learner).work()
     except BrokenPipeError:  # the daemon has ended
         os._exit(0)
-    except MemoryError:
-        traceback.print_exc()
-        sys.stderr.flush()
-        os._exit(messages.OUT_OF_MEMORY)
-
-
-if __name__ == "__main__":
-    main()

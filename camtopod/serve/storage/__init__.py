@@ -2,7 +2,7 @@
 
 Read from the bottom up. `sqlite_file` opens, checks and sets aside databases.
 `journal` stores entries, versions and snapshots in one of them; `journal_schema` has its tables,
-`witness` notices a journal that was restored from an older copy, `read_corrections` are entries
+`witness` notices a journal that was restored from an older copy, `corrections` are entries
 that revise what was learned, and `packed_version` is a topology on its way into the journal.
 `journal_writer` is the daemon's storing thread.
 """
@@ -12,11 +12,9 @@ from __future__ import annotations
 from camtopod.serve.storage import sqlite_file
 from camtopod.serve.storage.corrections import (
     Rewind,
-    camera_to_leave_out,
     command_entry,
-    leave_out,
+    epoch_after,
     read_command,
-    read_corrections,
     read_reset,
     read_rewind,
     reset_entry,
@@ -39,13 +37,11 @@ __all__ = [
     "StateError",
     "StoredVersion",
     "Version",
-    "camera_to_leave_out",
     "command_entry",
+    "epoch_after",
     "head_of",
-    "leave_out",
     "lock_reason",
     "read_command",
-    "read_corrections",
     "read_reset",
     "read_rewind",
     "reset_entry",

@@ -59,14 +59,15 @@ should be few statements.
 """
 
 EntryKind = Literal[
-    "event", "future", "refused", "advance", "rewind", "leave-out", "reset", "command"
+    "event", "future", "refused", "advance", "rewind", "reset", "command", "skipped"
 ]
 """Kinds of entries.
 
 ``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not learned.
 ``advance``: event time advanced without an event; ``raw`` is the time as decimal text. ``rewind``,
-``leave-out``, ``reset``: a correction that begins an epoch, see
+``reset``: a correction that begins an epoch, see
 `camtopod.serve.storage.corrections`. ``command``: another command of the operator.
+``skipped``: the learner died of it twice.
 """
 
 
@@ -305,23 +306,25 @@ class Journal:
         """Return the corrections after an entry as (id, entry). Raises `sqlite3.Error`."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             rows = self._db.execute(
-                "SELECT * FROM entry WHERE id > ? AND kind IN"
-                " ('rewind', 'leave-out', 'reset') ORDER BY id",
+                "SELECT * FROM entry WHERE id > ? AND kind IN ('rewind', 'reset') ORDER BY id",
                 (after,),
             ).fetchall()
         return [(row[0], Entry(*row[2:7])) for row in rows if crc(*row[:7]) == row[7]]
 
-    def count_events(self, after: int, up_to: int) -> dict[str, int]:
-        """Return the number of events of each camera after ``after`` up to ``up_to``.
+    def skip(self, number: int) -> bool:
+        """Mark an entry as skipped; return False if there is none, or none that is learned.
 
         Raises `sqlite3.Error`.
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
-            counted = (
-                "SELECT camera, COUNT(*) FROM entry"
-                " WHERE id > ? AND id <= ? AND kind = 'event' GROUP BY camera"
+            row = self._db.execute("SELECT * FROM entry WHERE id = ?", (number,)).fetchone()
+            if row is None or row[2] in ("future", "refused", "skipped"):
+                return False
+            columns = (*row[:2], "skipped", *row[3:7])
+            self._db.execute(
+                "UPDATE entry SET kind = 'skipped', crc = ? WHERE id = ?", (crc(*columns), number)
             )
-            return dict(self._db.execute(counted, (after, up_to)).fetchall())
+            return True
 
     def find_entry(self, camera: str, boot: str, seq: int) -> Entry | None:
         """Return the entry with this number; None if it was deleted or is damaged.
