@@ -100,7 +100,8 @@ def _skip(args: argparse.Namespace, why: str) -> None:
     """Warn about the configuration that was found, and continue without it."""
     where = implicit_config.shown(args.config)
     _say(args, logging.WARNING, f"{where} {why}: it is not used, every setting has its default")
-    args.config, args.config_found = None, False
+    args.config = None
+    args.config_found = False
 
 
 def _name_once(args: argparse.Namespace) -> None:
@@ -224,39 +225,39 @@ def signals(reloads: bool = True) -> Iterator[SignalRequests]:
     event in a Python handler could deadlock with the wait it interrupts, and no handler runs while
     the main thread is inside a library.
     """
-    told = SignalRequests(threading.Event(), threading.Event())
+    requests = SignalRequests(threading.Event(), threading.Event())
     numbers = [signal.SIGTERM, signal.SIGINT] + ([signal.SIGHUP] if reloads else [])
     at_a_terminal = os.isatty(0)
-    heard, written = os.pipe()
-    os.set_blocking(written, False)
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
 
     def obey() -> None:
-        while came := os.read(heard, 1):
-            if came[0] == signal.SIGHUP and not (at_a_terminal and not os.isatty(0)):
-                told.reload.set()
-            elif came[0] in numbers:  # others have handlers of their own
-                told.stop.set()
+        while number := os.read(reading, 1):
+            if number[0] == signal.SIGHUP and not (at_a_terminal and not os.isatty(0)):
+                requests.reload.set()
+            elif number[0] in numbers:  # others have handlers of their own
+                requests.stop.set()
 
     # Start the thread; install the pipe and empty handlers, and restore the former ones at the end.
     with contextlib.ExitStack() as stack:
-        stack.callback(os.close, heard)
+        stack.callback(os.close, reading)
         thread = threading.Thread(target=obey, name="signals", daemon=True)
         thread.start()
         stack.callback(thread.join)
-        stack.callback(os.close, written)
+        stack.callback(os.close, writing)
         stack.callback(
-            signal.set_wakeup_fd, signal.set_wakeup_fd(written, warn_on_full_buffer=False)
+            signal.set_wakeup_fd, signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
         )
         for number in numbers:
             stack.callback(signal.signal, number, signal.signal(number, lambda *_: None))
-        yield told
+        yield requests
 
 
 @contextlib.contextmanager
 def until_signal() -> Iterator[threading.Event]:
     """Return an event that SIGTERM or SIGINT sets while the block runs."""
-    with signals(reloads=False) as told:
-        yield told.stop
+    with signals(reloads=False) as requests:
+        yield requests.stop
 
 
 class ForcedExit:
@@ -275,7 +276,8 @@ def ends_within(
     Data that must not be lost is on disk by then. ``stop`` is also set when the process ``parent``
     is no longer this one's parent.
     """
-    done, given = threading.Event(), ForcedExit()
+    done = threading.Event()
+    forced_exit = ForcedExit()
 
     def watch() -> None:
         while not stop.wait(_PARENT_LOOK_SECONDS):
@@ -286,11 +288,11 @@ def ends_within(
                 "not everything closed within %g s; the process ends anyway, stored data is safe",
                 seconds,
             )
-            os._exit(given.status)
+            os._exit(forced_exit.status)
 
     threading.Thread(target=watch, name="leaving", daemon=True).start()
     try:
-        yield given
+        yield forced_exit
     finally:
         done.set()
         stop.set()

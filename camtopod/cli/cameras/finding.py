@@ -35,7 +35,8 @@ def streams_by_onvif(
     Return the cameras whose source is known, and for the others why it is not.
     """
     asked = [name for name, source in cameras.items() if source.startswith(f"{onvif.SCHEME}://")]
-    found, missing = dict(cameras), {}
+    found = dict(cameras)
+    missing = {}
     with ThreadPoolExecutor(ASKED_AT_ONCE) as pool:
         waiting = {name: pool.submit(onvif.streams, cameras[name]) for name in asked}
         for name, answer in waiting.items():

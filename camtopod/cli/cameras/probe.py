@@ -64,7 +64,8 @@ def probe_all(
         }
         found = {}
         for look in as_completed(looks):
-            camera, seen = looks[look], look.result()
+            camera = looks[look]
+            seen = look.result()
             if folder is not None and seen.picture:
                 with _writing(folder):
                     pictures.store_picture(folder, camera, seen.picture)
@@ -138,8 +139,12 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
         line, name = detector_line(text, camera, found.key)
         if found.problem or found.text:
             of = f" (camera {camera})" if camera and not name.startswith("cameras.") else ""
-            said = f"{path}:{line}: {name}: {found.problem or found.text}{of}"
-            print(visible(redact(said)), file=sys.stderr, flush=True)
+            text_of_model = found.problem or found.text
+            print(
+                visible(redact(f"{path}:{line}: {name}: {text_of_model}{of}")),
+                file=sys.stderr,
+                flush=True,
+            )
 
     # Read the sources, then open cameras and bus.
     sources = {}

@@ -53,15 +53,16 @@ class HomeAssistantState:
     """Newest state of the site, filled by the bus's threads; at most ``cameras_max`` cameras."""
 
     def __init__(self, bus: Bus, topics: homeassistant.Topics, cameras_max: int) -> None:
-        self._topics, self._cameras_max = topics, cameras_max
+        self._topics = topics
+        self._cameras_max = cameras_max
         self._mutex = threading.Lock()
         self._daemons: set[str] = set()
         self._site = homeassistant.DaemonStatus()
-        self._said: dict[str, homeassistant.GrabberStatus] = {}
+        self._grabbers: dict[str, homeassistant.GrabberStatus] = {}
         self._predictions: dict[str, Prediction] = {}
         self._cameras: list[str] = []
         self._discovery = homeassistant.discovery(topics, [])
-        self._view = TopologySubscriber(bus)
+        self._subscriber = TopologySubscriber(bus)
         bus.watch_alive("daemon", self._on_daemon)
         bus.subscribe("status/*", self._on_status)
         bus.subscribe("prediction/*", self._on_prediction)
@@ -71,35 +72,33 @@ class HomeAssistantState:
 
     def messages(self) -> homeassistant.Messages:
         """Return the payload of every MQTT topic."""
-        self._view.update()
+        self._subscriber.update()
 
         # Take a consistent copy of the state.
-        topics, topology = self._topics, self._view.topology
-        zones = (
-            {}
-            if topology is None
-            else {camera.id: len(camera.zones) for camera in topology.cameras}
-        )
+        topics = self._topics
+        topology = self._subscriber.topology
+        known = [] if topology is None else topology.cameras
+        zones = {camera.id: len(camera.zones) for camera in known}
         with self._mutex:
-            said, predictions, alive, site = (
-                dict(self._said),
-                dict(self._predictions),
-                bool(self._daemons),
-                self._site,
-            )
+            grabbers = dict(self._grabbers)
+            predictions = dict(self._predictions)
+            alive = bool(self._daemons)
+            site = self._site
 
         # Cameras, from any source, in a stable order; a new set needs new discovery messages.
-        known = (name for name in {*said, *site.cameras, *zones} if re.match(CAMERA_PATTERN, name))
-        cameras = sorted(known)[: self._cameras_max]
+        names = {*grabbers, *site.cameras, *zones}
+        cameras = sorted(name for name in names if re.match(CAMERA_PATTERN, name))
+        cameras = cameras[: self._cameras_max]
         if cameras != self._cameras:
-            self._cameras, self._discovery = cameras, homeassistant.discovery(topics, cameras)
+            self._cameras = cameras
+            self._discovery = homeassistant.discovery(topics, cameras)
 
         # Messages of the site, then of each camera.
         messages = self._discovery | homeassistant.site_state(topics, alive, site, topology)
         for camera in cameras:
             counted = site.cameras.get(camera, homeassistant.CameraFigures())
             messages |= homeassistant.camera_state(
-                topics, camera, counted, said.get(camera), zones.get(camera, 0)
+                topics, camera, counted, grabbers.get(camera), zones.get(camera, 0)
             )
             if camera in predictions:
                 messages |= homeassistant.prediction_state(topics, predictions[camera])
@@ -116,7 +115,9 @@ class HomeAssistantState:
                 self._site = codec.read(homeassistant.DaemonStatus, payload, pack=True)
             else:
                 self._keep(
-                    self._said, camera, codec.read(homeassistant.GrabberStatus, payload, pack=True)
+                    self._grabbers,
+                    camera,
+                    codec.read(homeassistant.GrabberStatus, payload, pack=True),
                 )
 
     def _on_prediction(self, key: str, payload: bytes) -> None:
@@ -151,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
         topics = homeassistant.Topics(config.site.name, target.prefix, args.discovery.strip("/"))
         site = HomeAssistantState(bus, topics, config.limits.cameras_max)
         with broker_options.connecting(exits.FAILED):
-            board = stack.enter_context(
+            retained = stack.enter_context(
                 contextlib.closing(mqtt.RetainedMessages(target, topics.bridge))
             )
         progress = Progress()
@@ -159,6 +160,6 @@ def run(args: argparse.Namespace) -> int:
         stack.enter_context(reporting_to_systemd(progress, f"publishing below {target.prefix}"))
         while not stop.is_set():
             mark.beat()
-            board.show(site.messages())
+            retained.show(site.messages())
             stop.wait(LOOK_SECONDS)
     return exits.DONE

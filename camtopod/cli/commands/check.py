@@ -110,8 +110,7 @@ def run(args: argparse.Namespace) -> int:
 
     # Warn of files and a bus that are open to others.
     warnings = secret_files.find_exposed(loaded.secrets(path))
-    warnings += [] if (open_to := access.openness_warning(loaded)) is None else [open_to]
-    for warning in warnings:
+    for warning in filter(None, [*warnings, access.openness_warning(loaded)]):
         print(f"{path}: warning: {warning}", file=sys.stderr)
 
     # Say what holds for each camera.
@@ -134,7 +133,7 @@ def _model_problems(path: Path, config: Config, text: str) -> Iterator[str]:
     text: content of the configuration file ``path``.
     """
     detectors = {name: camera.detector for name, camera in config.cameras.items()}
-    said = set()
+    named = set()
     for camera, detector in {"": config.detector, **detectors}.items():
         if not detector.model:
             continue
@@ -142,8 +141,8 @@ def _model_problems(path: Path, config: Config, text: str) -> Iterator[str]:
             input_size(detector.model)
         except HeaderError as error:
             line, name = detector_line(text, camera, "model")
-            if line not in said:
-                said.add(line)
+            if line not in named:
+                named.add(line)
                 yield f"{path}:{line}: {name}: {error}"
 
 
@@ -163,14 +162,14 @@ def _camera_lines(path: Path, config: Config, text: str) -> Iterator[str]:
     lines = toml_lines.key_lines(text)
     plain = 0
     for camera in config.cameras:
-        own, common = config.own_vision(camera), config.common_vision(camera)
+        own = ", ".join(map(_setting, config.own_vision(camera).items()))
+        common = ", ".join(map(_setting, config.common_vision(camera).items()))
         where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
-        said = [", ".join(map(_setting, own.items()))] if own else []
-        said += [f"of [vision]: {', '.join(map(_setting, common.items()))}"] if common else []
-        said += _detector_words(config, camera)
-        plain += not said
-        if said:
-            yield f"{where}: {'; '.join(said)}"
+        parts = [own, common and f"of [vision]: {common}", *_detector_words(config, camera)]
+        if text := "; ".join(filter(None, parts)):
+            yield f"{where}: {text}"
+        else:
+            plain += 1
     if plain:
         yield f"{path}: {_cameras(plain)} with default settings of vision"
 

@@ -118,7 +118,8 @@ def run(args: argparse.Namespace) -> int:
         _say(f"  {name}  left out: {visible(why)}")
     if not cameras:
         raise InputError("no camera says where its stream is, see above")
-    folder, handed = args.out.parent / SECRETS, args.credentials
+    folder = args.out.parent / SECRETS
+    handed = args.credentials
     secrets = {
         name: folder / name
         for name, source in cameras.items()
@@ -128,13 +129,12 @@ def run(args: argparse.Namespace) -> int:
     # Refuse to overwrite files.
     if not args.out.parent.is_dir():
         raise CommandError(f"cannot write {args.out}: {args.out.parent} is no directory")
-    kept = (
-        []
-        if args.pictures is None
-        else [pictures.stored_path(args.pictures, name) for name in cameras]
-    )
-    whole = [args.out] if before is None else []
-    there = [path for path in (*whole, *secrets.values(), *kept) if path.exists()]
+    written = list(secrets.values())
+    if before is None:
+        written.insert(0, args.out)
+    if args.pictures is not None:
+        written += [pictures.stored_path(args.pictures, name) for name in cameras]
+    there = [path for path in written if path.exists()]
     if there and not args.force:
         raise CommandError(
             f"{', '.join(map(str, there))}: exists already; overwrite with --force, "
@@ -197,7 +197,8 @@ def _probed(
 
     # Where a URL has no path, take the maker's.
     for name, (url, maker, probe) in streams_by_path(cameras, probes, look).items():
-        cameras[name], probes[name] = url, probe
+        cameras[name] = url
+        probes[name] = probe
         words[name] = [*(visible(word) for word in probe.lines), f"found as by {maker}"]
         _say(f"  {name:<{width}}  {'; '.join(words[name])}")
 
@@ -253,17 +254,19 @@ def camera_tables(
     handed: bool = False,
 ) -> list[str]:
     """Return the table of each camera; arguments as of `configuration_text`."""
-    folder, parts = CREDENTIALS if handed else SECRETS, []
+    folder = CREDENTIALS if handed else SECRETS
+    parts = []
     for name, source in cameras.items():
         key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
-        where = (
-            ("source_file", f"{folder}/{name}") if name in secret else ("source", _located(source))
-        )
+        setting = "source"
+        value = _located(source)
+        if name in secret:
+            setting = "source_file"
+            value = f"{folder}/{name}"
         lines = [f"[cameras.{key}]", *(f"# {word}" for word in words[name])]
         lines += [_OF_A_FILE] if kind_of(source) == "file" else []
-        parts.append(
-            "\n".join([*lines, f"{where[0]} = {json.dumps(where[1], ensure_ascii=False)}"])
-        )
+        lines.append(f"{setting} = {json.dumps(value, ensure_ascii=False)}")
+        parts.append("\n".join(lines))
     return parts
 
 
@@ -325,11 +328,9 @@ def _unchanged(args: argparse.Namespace, before: str) -> Config:
 
 def _located(source: str) -> str:
     """Return the source, a file with its absolute path: programs may start in another directory."""
-    return (
-        str(Path(source.removeprefix("file://")).absolute())
-        if kind_of(source) == "file"
-        else source
-    )
+    if kind_of(source) != "file":
+        return source
+    return str(Path(source.removeprefix("file://")).absolute())
 
 
 def _write(out: Path, text: str, secrets: Mapping[Path, str]) -> None:

@@ -164,7 +164,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _run(args: argparse.Namespace, config: Config) -> int:
     """Open or create the authority, then issue, revoke or list certificates."""
-    what, folder, now = args.keys_command, args.keys, clock.wall()
+    what = args.keys_command
+    folder = args.keys
+    now = clock.wall()
     if what == "init":
         keys.check_hosts(args.host)
         if args.days > args.authority_days:

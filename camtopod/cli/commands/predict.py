@@ -94,7 +94,8 @@ def shortened(prediction: Prediction, most: int) -> Prediction:
 
     The probabilities of those that are left out are in ``others``.
     """
-    kept, rest = prediction.next_[:most], prediction.next_[most:]
+    kept = prediction.next_[:most]
+    rest = prediction.next_[most:]
     shares = [prediction.leave, *(one.probability for one in kept)]
     shares += [sum(one.probability for one in rest)] if rest else []
     leave, *probabilities = _rounded_shares(shares)

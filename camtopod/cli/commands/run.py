@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     descriptors.raise_limit()
 
     # Load the configuration, then run with health page and watchdog.
-    with signals() as told, ends_within(told.stop, LEAVE_SECONDS):
+    with signals() as requests, ends_within(requests.stop, LEAVE_SECONDS):
         config = configuration(args)
         daemon = Daemon(config)
         log_to_standard_output()
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
                 if listening:
                     log.info("health at http://%s/healthz, /readyz and /metrics", listening)
                 systemd.notify(systemd.status("starting"))
-                _run(daemon, args, config, told)
+                _run(daemon, args, config, requests)
         except StateError as error:
             raise CommandError(str(error), exits.STATE) from None
         except BusError as error:
@@ -85,17 +85,19 @@ def run(args: argparse.Namespace) -> int:
     return exits.DONE
 
 
-def _run(daemon: Daemon, args: argparse.Namespace, config: Config, told: SignalRequests) -> None:
+def _run(
+    daemon: Daemon, args: argparse.Namespace, config: Config, requests: SignalRequests
+) -> None:
     """Start the daemon, then reload on SIGHUP until a signal ends it or a part of it fails."""
-    if not daemon.start(told.stop):
+    if not daemon.start(requests.stop):
         return
     try:
         systemd.notify("READY=1", systemd.status(f"running at {daemon.endpoint}"))
-        while not told.stop.wait(_LOOK_SECONDS):
+        while not requests.stop.wait(_LOOK_SECONDS):
             if daemon.wait(0):
                 raise CommandError("a part of the daemon failed, see above; start it again")
-            if told.reload.is_set():
-                told.reload.clear()
+            if requests.reload.is_set():
+                requests.reload.clear()
                 systemd.reloading()
                 config = _reloaded(daemon, args, config)
                 systemd.notify("READY=1")

@@ -149,7 +149,8 @@ class SiteState:
             heard, daemon = self._daemon or (0.0, None)
         if daemon is None:
             return f"site {self._site}: no status of a daemon received yet"
-        state, reason = daemon.state, daemon.reason
+        state = daemon.state
+        reason = daemon.reason
         if (silence := self._steady() - heard) > SILENT_SECONDS:
             state = "silent"
             reason = f"no status for {silence:.0f} s; what is shown below may be outdated"
@@ -178,7 +179,8 @@ class SiteState:
             counters = known.get(name, _CameraCounters())
             state, reason = self._camera_state(statuses.get(name), counters)
             if is_gone(state, counters.newest, newest):
-                state, reason = "gone", ""
+                state = "gone"
+                reason = ""
             if name in daemon.names.forgotten:
                 state = "forgotten"
                 reason = f"its events are refused until camtopod forget --take-back {name}"
