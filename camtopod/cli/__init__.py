@@ -8,20 +8,8 @@ progress and the live view, and `generated` makes the example configuration and 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from camtopod.lazy import lazy_getattr
-
-if TYPE_CHECKING:
-    from camtopod.cli.main import console
+from camtopod.cli.main import console as console
 
 __all__ = [
     "console",
 ]
-
-__getattr__ = lazy_getattr(
-    __name__,
-    {
-        "console": "main",
-    },
-)

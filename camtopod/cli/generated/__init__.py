@@ -7,14 +7,11 @@ on the bus (`camtopod schema`).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from camtopod.lazy import lazy_getattr
-
-if TYPE_CHECKING:
-    from camtopod.cli.generated.config_schema import text
-    from camtopod.cli.generated.example_config import example, table
-    from camtopod.cli.generated.message_schemas import NAMES, schema_text
+from camtopod.cli.generated.config_schema import text as text
+from camtopod.cli.generated.example_config import example as example
+from camtopod.cli.generated.example_config import table as table
+from camtopod.cli.generated.message_schemas import NAMES as NAMES
+from camtopod.cli.generated.message_schemas import schema_text as schema_text
 
 __all__ = [
     "NAMES",
@@ -23,14 +20,3 @@ __all__ = [
     "table",
     "text",
 ]
-
-__getattr__ = lazy_getattr(
-    __name__,
-    {
-        "NAMES": "message_schemas",
-        "example": "example_config",
-        "schema_text": "message_schemas",
-        "table": "example_config",
-        "text": "config_schema",
-    },
-)
