@@ -25,6 +25,7 @@ from camtopod import codec
 from camtopod.adapt.adapter import checked, remember
 from camtopod.adapt.camera_streams import (
     Box,
+    Name,
     StreamAdapter,
     TrackedBoxes,
     likeliest,
@@ -63,12 +64,20 @@ class _Detection(Struct, frozen=True):
     """As ``object_track_id``, in the forerunner."""
     kind: _Class = field(name="class", default=_Class())
 
+    @property
+    def name(self) -> Name:
+        return self.track_id if self.object_track_id is None else self.object_track_id
+
 
 class _TrackEvent(Struct, frozen=True):
     type: str = ""
     object_track_id: str | int | None = None
     id: str | int | None = None
     """As ``object_track_id``, in the forerunner."""
+
+    @property
+    def name(self) -> Name:
+        return self.id if self.object_track_id is None else self.object_track_id
 
 
 class _Frame(Struct, frozen=True):
@@ -147,11 +156,10 @@ class Axis(StreamAdapter):
         t = seconds_of(frame.timestamp)
         seen = TrackedBoxes()
         for one in frame.detections or frame.observations:
-            name = one.object_track_id if one.object_track_id is not None else one.track_id
             if one.bounding_box is not None:
-                seen.add(name, one.bounding_box.corners(), one.kind.type)
+                seen.add(one.name, one.bounding_box.corners(), one.kind.type)
         ended = [
-            change.object_track_id if change.object_track_id is not None else change.id
+            change.name
             for change in frame.track_events or frame.operations
             if change.type in ("TrackEnded", "DeleteOperation")
         ]

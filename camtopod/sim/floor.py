@@ -273,11 +273,7 @@ def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Longs]:
     streets = set(plan.streets())
     stops = [str(rng.choice(sorted(streets)))]
     while len(stops) < 2 or stops[-1] not in streets:
-        onward = [
-            name
-            for name in plan.around(stops[-1])
-            if name != (stops[-2] if len(stops) > 1 else None)
-        ]
+        onward = [name for name in plan.around(stops[-1]) if name not in stops[-2:-1]]
         tired = len(stops) > CROSSINGS_MAX
         weight = np.array(
             [

@@ -279,11 +279,9 @@ def next_entries(events: Sequence[Event], truth: Truth) -> list[int]:
     # The first entry after each exit.
     result = []
     for event, who, number in zip(events, truth.identity, truth.passage, strict=True):
-        later = (
-            [index for n, index in entries.get(who, []) if n > number]
-            if event.kind == "exit"
-            else []
-        )
+        later = []
+        if event.kind == "exit":
+            later = [index for n, index in entries.get(who, []) if n > number]
         result.append(later[0] if later else -1)
     return result
 

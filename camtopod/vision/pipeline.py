@@ -26,6 +26,10 @@ BOOTSTRAP_FRAMES_KEPT = 100
 """Number of frames that may wait for the first background."""
 
 
+_COUNTERS = ("entries", "exits", "tracks_active", "tracks_broken", "tracks_stitched")
+"""Counters of tracks, which are 0 until there is a background."""
+
+
 class ViewPipeline:
     """Turns one view's frames into events. Deterministic: equal frames and times, equal events."""
 
@@ -196,7 +200,9 @@ class ViewPipeline:
 
         Objects still in view have no exit.
         """
-        events = self._bootstrap() if self._waiting else []
+        events = []
+        if self._waiting:
+            events = self._bootstrap()
         if self._tracker is not None and self._crossings is not None and self._t is not None:
             remaining = self._crossings.report_exits(self._tracker.finish(self._t))
             if self._observer is not None and self._latest is not None:
@@ -206,19 +212,23 @@ class ViewPipeline:
 
     def statistics(self) -> dict[str, int | float]:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""
-        tracker = self._tracker
-        crossings = self._crossings
-        seen = {} if self._detector is None else self._detector.statistics()
-        return {
+        figures: dict[str, int | float] = dict.fromkeys(_COUNTERS, 0)
+        if self._tracker is not None and self._crossings is not None:
+            tracks = (
+                self._crossings.entries,
+                self._crossings.exits,
+                sum(track.confirmed for track in self._tracker.active),
+                len(self._tracker.lost),
+                self._tracker.stitched,
+            )
+            figures = dict(zip(_COUNTERS, tracks, strict=True))
+        figures |= {
             "frames_analysed": self.analysed,
-            "entries": crossings.entries if crossings else 0,
-            "exits": crossings.exits if crossings else 0,
-            "tracks_active": sum(track.confirmed for track in tracker.active) if tracker else 0,
-            "tracks_broken": len(tracker.lost) if tracker else 0,
-            "tracks_stitched": tracker.stitched if tracker else 0,
             "ghosts": self.ghosts,
             "relearned": self._motion.relearned,
             "noise_grey_levels": round(self._motion.noise, 2),
             "shake_pixels": round(self._motion.shake, 2),
-            **seen,
         }
+        if self._detector is not None:
+            figures |= self._detector.statistics()
+        return figures

@@ -189,8 +189,8 @@ def _tallest(boxes: list[Box], expected_height: ExpectedHeight) -> float:
 
 def _belong(a: Box, b: Box, expected_height: ExpectedHeight) -> bool:
     """Return True if two boxes are parts of one person."""
-    overlap = (a[2] if a[2] < b[2] else b[2]) - (a[0] if a[0] > b[0] else b[0])
-    height = expected_height(a[3] if a[3] > b[3] else b[3])
+    overlap = min(a[2], b[2]) - max(a[0], b[0])
+    height = expected_height(max(a[3], b[3]))
     if height is None:
         height = _HEIGHT_UNKNOWN * max(box_height(a), box_height(b))
     if overlap < -BESIDE_HEIGHTS * height:

@@ -147,14 +147,16 @@ def _possible(outputs: Sequence[Array], size: Size) -> list[Form]:
         return [Form("yolov5", columns - 5)]
     if rows == cells and columns > 5:
         grid = Form("yolox", columns - 5, raw=not _is_decoded(output))
-        return [grid] if grid.raw else [grid, Form("yolov5", columns - 5)]
+        if grid.raw:
+            return [grid]
+        return [grid, Form("yolov5", columns - 5)]
 
     # No grid: so many boxes at most.
     if columns == 6:
-        return [
-            Form("end-to-end", None),
-            Form("rt-detr", 2, logits=_are_logits(output[..., 4:])),
-        ][: 2 if _are_fractions(output[..., :4]) else 1]
+        forms = [Form("end-to-end", None)]
+        if _are_fractions(output[..., :4]):
+            forms.append(Form("rt-detr", 2, logits=_are_logits(output[..., 4:])))
+        return forms
     if 4 < columns < rows and _are_fractions(output[..., :4]):
         return [Form("rt-detr", columns - 4, logits=_are_logits(output[..., 4:]))]
     return []
@@ -168,16 +170,10 @@ def cell_count(size: Size) -> int:
 def _boxes_first(outputs: Sequence[Array]) -> tuple[Array, Array]:
     """Return (boxes, scores) of two outputs; with four classes the first are the boxes."""
     first, second = outputs
+    swapped = first.shape[2] != 4
     if first.shape[2] == 4 and second.shape[2] == 4:
-        return (
-            (second, first)
-            if _are_fractions(second) and not _are_fractions(first)
-            else (
-                first,
-                second,
-            )
-        )
-    return (first, second) if first.shape[2] == 4 else (second, first)
+        swapped = _are_fractions(second) and not _are_fractions(first)
+    return (second, first) if swapped else (first, second)
 
 
 def _are_logits(scores: Array) -> bool:
@@ -227,14 +223,17 @@ def decode(
         both = _boxes_first(outputs) if len(outputs) == 2 else (output[..., :4], output[..., 4:])
         boxes = _corners(both[0][0] * scale)
         scores = both[1][0]
-        scores = _sigmoid(scores) if form.logits else scores
+        if form.logits:
+            scores = _sigmoid(scores)
     elif form.layout == "yolov8":
         rows = output[0].T
         boxes = _corners(rows[:, :4])
         scores = rows[:, 4:]
     else:
         rows = output[0]
-        places = _from_grid(rows[:, :4], size) if form.raw else rows[:, :4]
+        places = rows[:, :4]
+        if form.raw:
+            places = _from_grid(places, size)
         boxes = _corners(places)
         scores = rows[:, 5:] * rows[:, 4:5]
 

@@ -48,7 +48,7 @@ def try_model(settings: DetectorSettings, image: Image | None = None) -> ModelRe
 
     # Describe it.
     classes = model.form.classes
-    kinds = "" if classes is None else ", 1 class" if classes == 1 else f", {classes} classes"
+    kinds = {None: "", 1: ", 1 class"}.get(classes, f", {classes} classes")
     boxes = [
         f"{one.label} {one.score:.2f} at ({one.box[0] / shown.shape[1]:.2f}, "
         f"{one.box[1] / shown.shape[0]:.2f}) to ({one.box[2] / shown.shape[1]:.2f}, "

@@ -118,7 +118,9 @@ class Overlay:
             _draw_event(picture, event)
 
         # Words.
-        state = "" if analysis.moving is not None else "  most of the picture has changed"
+        state = ""
+        if analysis.moving is None:
+            state = "  most of the picture has changed"
         if analysis.detector is not None:
             state += f"  detector {'' if analysis.detector.trusted else 'not '}trusted, "
             state += f"agreement {analysis.detector.agreement:.2f}"

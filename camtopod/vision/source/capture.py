@@ -125,7 +125,9 @@ class Capture:
         if not good or self._image is None:
             return None
         luma = shrunk(_grey(self._image), self._width_max)
-        return cv2.LUT(luma, _VIDEO_RANGE) if self._from_colour else luma
+        if self._from_colour:
+            luma = cv2.LUT(luma, _VIDEO_RANGE)
+        return luma
 
     def frame(self) -> Frame | None:
         """Return the grabbed frame with time 0.0, in colour as well if that was asked for.

@@ -97,11 +97,9 @@ class LiveSource:
     def overdue_seconds(self) -> float:
         """Time that the current call of OpenCV has exceeded its timeouts by; 0.0 if all is well."""
         called = self._called
-        return (
-            0.0
-            if called is None
-            else max(0.0, time.monotonic() - called - self._blocked_seconds_max)
-        )
+        if called is None:
+            return 0.0
+        return max(0.0, time.monotonic() - called - self._blocked_seconds_max)
 
     @property
     def _blocked_seconds_max(self) -> float:
@@ -165,16 +163,15 @@ class LiveSource:
             arrival = time.monotonic()
             if grab is None:
                 slow = arrival - asked > 0.9 * self._settings.read_timeout_seconds
-                return (
-                    "no frame within the read timeout"
-                    if slow
-                    else "the source ended or closed the connection"
-                )
+                if slow:
+                    return "no frame within the read timeout"
+                return "the source ended or closed the connection"
 
             if arrival - asked > self._settings.read_timeout_seconds / 2:
                 self.dropped += 1  # the first frames after a stall are old
                 continue
-            first = arrival if first is None else first
+            if first is None:
+                first = arrival
             self.grabbed += 1
             self.state = "running"
             self.reason = ""

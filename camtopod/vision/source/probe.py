@@ -125,7 +125,9 @@ def probe(
         if detector.model and not seen.problem:
             latest = capture.image(capture.size[0]) if capture.has_image else None
             seen.detector = try_model(detector, latest)
-        return seen if settled is None else _with_picture(seen, settled)
+        if settled is not None:
+            seen = _with_picture(seen, settled)
+        return seen
     finally:
         capture.release()
 
@@ -163,7 +165,9 @@ def _watched(capture: Capture, live: bool, settled: SettledPicture | None) -> Pr
     if not arrivals:
         return Probe("opens, but delivers no frame")
     times = stamps if stamps[-1] > stamps[0] else arrivals
-    fps = (len(times) - 1) / (times[-1] - times[0]) if live and len(times) > 1 else capture.fps
+    fps = capture.fps
+    if live and len(times) > 1:
+        fps = (len(times) - 1) / (times[-1] - times[0])
     width, height = capture.size
     seen = Probe(
         "", _CODECS.get(capture.codec.lower(), capture.codec or "unknown codec"), width, height, fps

@@ -242,11 +242,12 @@ class Crossings:
         that are kept.
         """
         kind: Kind = "entry" if reason in ("entered", "split") else "exit"
+        sense = 1.0 if kind == "exit" else -1.0
         x, y = at.foot
         left, _, right, _ = border_distances(at.box, self.size)
         if min(left, right) <= TOUCH_PIXELS:
             y = _foot_row(list(track.history), latest=kind == "exit")
-        at = self._at_border(track, at._replace(foot=(x, y)), edge, 1.0 if kind == "exit" else -1.0)
+        at = self._at_border(track, at._replace(foot=(x, y)), edge, sense)
         x, y = at.foot
 
         # Count it, and say why.
@@ -275,7 +276,9 @@ class Crossings:
             "top border": (y, -dy),
             "bottom border": (self._height - at.box[1] - track.height / 2, dy),
         }.get(edge or "", (0.0, 0.0))
-        seconds = distance / (sense * speed) if sense * speed > 0.0 else 0.0
+        if sense * speed <= 0.0:
+            return at
+        seconds = distance / (sense * speed)
         if not 0.0 < seconds <= BORDER_SECONDS_MAX:
             return at
         ahead = sense * seconds
@@ -297,9 +300,9 @@ def _foot_row(sightings: list[Sighting], latest: bool) -> float:
     whole = [
         sighting for sighting in sightings if box_height(sighting.box) >= WHOLE_SHARE * tallest
     ]
-    return median(
-        x.foot[1] for x in (whole[-FOOT_SIGHTINGS:] if latest else whole[:FOOT_SIGHTINGS])
-    )
+    if latest:
+        whole.reverse()
+    return median(sighting.foot[1] for sighting in whole[:FOOT_SIGHTINGS])
 
 
 def _drift(track: Track) -> tuple[float, float]:

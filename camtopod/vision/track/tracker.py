@@ -136,7 +136,8 @@ class Tracker:
         """Process the blobs of the frame captured at ``t`` seconds, later than the last."""
         dt = 0.0 if self._t is None else t - self._t
         self._t = t
-        self._start = t if self._start is None else self._start
+        if self._start is None:
+            self._start = t
         left = []
 
         # A pause in the frames interrupts all tracks.
@@ -246,7 +247,8 @@ class Tracker:
                 continue
             head = hypot((blob.left + blob.right) / 2 - head_x, blob.top - head_y)
             foot = hypot(blob.foot_x - foot_x, blob.bottom - foot_y)
-            near, far = (head, foot) if head < foot else (foot, head)
+            near = min(head, foot)
+            far = max(head, foot)
             if near > gate and overlap(track.last.box, blob.box) < 0.3:
                 continue
             if blob.bottom - blob.top >= height_min or self._touches(blob.box):
@@ -407,7 +409,7 @@ class Tracker:
             x, y = other.last.foot
             reach = min(STITCH_HEIGHTS + STITCH_HEIGHTS_PER_SECOND * seconds, STITCH_HEIGHTS_MAX)
             if self._begins_at_edge(track):
-                reach = STITCH_AT_EDGE_HEIGHTS if seconds <= STITCH_AT_EDGE_SECONDS else 0.0
+                reach = STITCH_AT_EDGE_HEIGHTS * (seconds <= STITCH_AT_EDGE_SECONDS)
             elif from_behind and self._edges.goes_behind(other):
                 reach = STITCH_HEIGHTS + BEHIND_HEIGHTS_PER_SECOND * seconds
                 dx, dy = other.velocity
@@ -511,9 +513,9 @@ class Tracker:
 
         # Patience depends on how the object was last seen.
         for track in self.active:
-            patience = (
-                self._settings.patience_seconds if track.confirmed else TENTATIVE_PATIENCE_SECONDS
-            )
+            patience = TENTATIVE_PATIENCE_SECONDS
+            if track.confirmed:
+                patience = self._settings.patience_seconds
             if track.occluded:
                 patience *= OCCLUDED_PATIENCE_FACTOR
             elif self._touches(track.last.box) and self._at_edge(track):
@@ -560,10 +562,11 @@ class Tracker:
         # Split them by where they were seen last.
         left = []
         for track in tracks:
-            track.edge = self._at_edge(track) if track.confirmed else None
+            track.edge = None
             if not track.confirmed:
                 self._note("paused", track, track.last)
-            elif track.edge:
+            elif edge := self._at_edge(track):
+                track.edge = edge
                 left.append(track)
             else:
                 self.lost.append(track)
