@@ -31,7 +31,7 @@ from synthetic_topology import synthetic_topology
 
 from camtopod.cli.commands.web import listening, names
 from camtopod.config.settings import BusSettings
-from camtopod.records import Event, InView, Prediction
+from camtopod.records import Event
 from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import Bus
 from camtopod.serve.daemon import Daemon
@@ -50,7 +50,6 @@ class Site:
         self.directory = directory
         self.endpoint = free_endpoint()
         self._began = time.monotonic()
-        self._skipped = 0.0
         self._open = contextlib.ExitStack()
         self.daemon = self._daemon()
         self.start()
@@ -60,17 +59,12 @@ class Site:
         self.address = f"http://127.0.0.1:{self.port}/"
 
     def now(self) -> float:
-        return T0 + 20 * SPAN_SECONDS + self._skipped + time.monotonic() - self._began
+        return T0 + 20 * SPAN_SECONDS + time.monotonic() - self._began
 
     @property
     def cameras(self) -> int:
         """Number of cameras in the newest version."""
         return len(self.daemon.topology.cameras) if self.daemon.topology else 0
-
-    @property
-    def version(self) -> int:
-        """The newest version."""
-        return self.daemon.topology.version if self.daemon.topology else 0
 
     def client(self) -> Bus:
         return buses.dial(small_config(self.directory, self.endpoint))
@@ -107,38 +101,23 @@ class Site:
             lambda: bool(self.daemon.topology and len(self.daemon.topology.pairs) == 2), "two pairs"
         )
 
-    def learn_more(self, bus: Bus) -> None:
-        """Publish more walkers, and then a leap of time after which they are learned."""
-        later = self.now() - SPAN_SECONDS - T0
-        for event in numbered(
-            [*walkers(60, seed=2), Event("late", "entry", T0 + 5 * SPAN_SECONDS)], "b2"
-        ):
-            if event.camera == "late":
-                self._skipped += 5 * SPAN_SECONDS
-            name = DOTTED if event.camera == "b" else event.camera
-            bus.publish(
-                f"event/{name}",
-                msgspec.structs.replace(event, camera=name, t=event.t + later),
-                "event",
-            )
-
     def close(self) -> None:
         self._open.close()
         self.daemon.stop()
 
 
 @contextlib.contextmanager
-def refusing(port: int) -> Iterator[list[str]]:
-    """Run a proxy whose server is away: 503 to everything; yield the requested paths.
+def refusing(port: int, why: str) -> Iterator[None]:
+    """Run a server that answers everything with 503 and a reason.
 
     After a 503 a browser does not reconnect by itself.
     """
-    asked: list[str] = []
 
     class Refuse(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            asked.append(self.path)
-            self.send_error(503)
+            self.send_response(503)
+            self.end_headers()
+            self.wfile.write(msgspec.json.encode({"error": why}))
 
         def log_message(self, *_: object) -> None:
             pass
@@ -146,7 +125,7 @@ def refusing(port: int) -> Iterator[list[str]]:
     with http.server.ThreadingHTTPServer(("127.0.0.1", port), Refuse) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
-        yield asked
+        yield
         server.shutdown()
         thread.join()
 
@@ -215,38 +194,6 @@ def test_a_prediction_moves_on_the_map(site: Site, shown: Browser) -> None:
     before = shown.run(where)
     shown.wait(lambda: shown.run(where) != before, "the dot to move")
     shown.wait(lambda: "a → " in shown.text(".predictions"), "the prediction in the list")
-
-
-def test_who_sees_somebody_now_is_in_the_list_and_at_the_camera(site: Site, shown: Browser) -> None:
-    """Tracks are not shown, as they would identify an object."""
-    in_view = [InView("c", "somebody", site.now() - 3, 0.83)]
-    said = Prediction("a", "a/1", site.now(), "another", 1, 1.0, [], None, in_view)
-    with site.client() as bus:
-        shown.go("#/camera/a")
-        shown.wait(lambda: shown.count(".scene") > 0, "the camera's panel")
-        bus.publish("prediction/a", said, "prediction")
-        shown.wait(
-            lambda: "a → c 83 %, in view now" in shown.text(".predictions"),
-            "who sees them in the list",
-        )
-        shown.wait(
-            lambda: "left at a/1, now in view of c (83 %)" in shown.text("main"),
-            "the same at the camera",
-        )
-    assert "somebody" not in shown.text("main")
-
-
-def test_a_new_version_comes_as_a_change(site: Site, shown: Browser) -> None:
-    def fetched() -> int:
-        return sum(url.endswith("/data/map") for url in shown.asked())
-
-    shown.wait(lambda: f"version {site.version}" in shown.text("#live"), "the newest version")
-    before, maps = site.version, fetched()
-    with site.client() as bus:
-        site.learn_more(bus)
-        wait_for(lambda: site.version > before, "a new version")
-        shown.wait(lambda: f"version {site.version}" in shown.text("#live"), "the new version")
-    assert fetched() == maps, "only what changed was sent"
 
 
 def test_keys_open_a_camera_and_its_link(site: Site, shown: Browser) -> None:
@@ -319,12 +266,6 @@ def test_hostile_text_and_odd_names_stay_text(site: Site, shown: Browser) -> Non
     shown._complaints[:] = [text for text in shown._complaints if "404" not in text]
 
 
-def test_versions_show_what_changed(site: Site, shown: Browser) -> None:
-    shown.go("#/versions")
-    shown.wait(lambda: shown.count(".page tbody tr") > 0, "the versions")
-    shown.wait(lambda: "What changed" in shown.text(".columns"), "what changed")
-
-
 @pytest.mark.parametrize("dark", [False, True])
 def test_a_phone_has_nothing_to_scroll_sideways(site: Site, shown: Browser, dark: bool) -> None:
     shown.size(360, 740)
@@ -366,12 +307,20 @@ def test_it_is_live_again_after_its_own_server_is_restarted(site: Site, browser:
         with site.page(bus) as port:
             browser.open(f"http://127.0.0.1:{port}/")
             browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
-        with refusing(port) as refused:
-            browser.wait(lambda: "cannot reach its server" in browser.text(".banner"), "the banner")
-            wait_for(lambda: "/live" in refused, "the page to try again")
+
+        # Away, and then refusing.
+        browser.wait(lambda: "cannot reach its server" in browser.text(".banner"), "the banner")
+        browser.go("#/camera/a")
+        browser.wait(lambda: "The server cannot be reached" in browser.text("main"), "its panel")
+        with refusing(port, "too many pages are open"):
+            browser.wait(lambda: "too many pages are open" in browser.text(".banner"), "why")
+
+        # What it could not say is fetched once it is back.
         with site.page(bus, port):
             browser.wait(lambda: browser.text("#live").startswith("live"), "live again")
+            browser.wait(lambda: browser.count(".panel .zone") > 0, "the panel by itself")
             assert browser.text(".banner") == ""
+    assert [text for text in browser.complaints() if "ncaught" in text] == []
 
 
 def test_a_report_of_a_thousand_cameras_needs_no_server(

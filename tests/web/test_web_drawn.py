@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,7 @@ from page_fixture import Shown, opened
 from synthetic_topology import made_link, synthetic_topology
 
 from camtopod.records import Camera, Pair, SelfScore, Topology, Zone
-from camtopod.web import outbox, report
+from camtopod.web import report
 from camtopod.web.single_file import page
 
 SITE = synthetic_topology(9)
@@ -222,25 +220,6 @@ def test_a_wide_map_is_turned_on_a_high_screen(browser: Browser, show: Shows) ->
     assert height > 3 * width
 
 
-def test_no_camera_is_under_what_lies_on_the_map(browser: Browser) -> None:
-    site = synthetic_topology(1000)
-    shown = Shown(site)
-    with shown.serving():
-        browser.size(1280, 800)
-        opened(browser, shown)
-        browser.wait(
-            lambda: browser.count(".node") == 1000 and browser.count(".labels .name") > 0, "the map"
-        )
-        browser.run("document.querySelector('.predictions').hidden = false")
-        covered = f"{BOXES} const over = boxes('.overlay'); const under = (one) => over.some((box) => upon(one, box));"
-        drawn = "boxes('.node circle, .labels text')"  # the names make room with the next frame
-        browser.wait(
-            lambda: browser.run(f"{covered} return {drawn}.filter(under).length") == 0, "room"
-        )
-        width = "const all = boxes('.node circle').map((one) => one.x); return Math.max(...all) - Math.min(...all)"
-        assert browser.run(f"{BOXES} {width}") > 700, "and none is kept away further than need be"
-
-
 def test_versions_are_on_a_time_line_before_there_is_a_score_and_all_can_be_listed(
     browser: Browser, show: Shows
 ) -> None:
@@ -309,17 +288,4 @@ def test_an_address_of_a_link_without_its_relation_opens_the_only_one(browser: B
         browser.wait(
             lambda: f"No link leads from {path.from_} to" in browser.text(".panel"),
             "that there is none",
-        )
-
-
-def test_a_page_too_many_is_told_so(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outbox, "PAGES_MAX", 1)
-    shown = Shown(SITE)
-    with shown.serving():
-        with contextlib.closing(urllib.request.urlopen(f"{shown.address}live", timeout=20)):
-            browser.open(shown.address)
-            browser.wait(lambda: "too many pages are open" in browser.text(".banner"), "why")
-        shown.status()
-        browser.wait(
-            lambda: browser.text("#live").startswith("live"), "to be let in once another has closed"
         )

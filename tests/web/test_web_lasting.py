@@ -202,22 +202,6 @@ def seconds_ago(browser: Browser) -> int | None:
     return None if found is None else int(found[1] or 0)
 
 
-def test_what_a_server_away_could_not_say_is_fetched_once_it_is_back(browser: Browser) -> None:
-    shown = Shown(SITE)
-    with shown.serving() as port:
-        opened(browser, shown)
-    for place, away, back in (
-        (f"#/camera/{FIRST}", "The server cannot be reached", ".panel .zone"),
-        ("#/versions", "The server cannot be reached", ".page tbody tr"),
-    ):
-        browser.go(place)
-        browser.wait(lambda away=away: away in browser.text("main"), "that it is away")  # type: ignore[misc]
-        with shown.serving(port):
-            browser.wait(lambda back=back: browser.count(back) > 0, f"{place} by itself")  # type: ignore[misc]
-    errors = [text for text in browser.complaints() if "ERR_CONNECTION_REFUSED" not in text]
-    assert [text for text in errors if "ncaught" in text] == []
-
-
 @pytest.mark.parametrize(
     "topology", [BARE, newer(1, model=None, alarms=None, score=None), newer(1, links=[])]
 )

@@ -23,7 +23,7 @@ from camtopod.cli import exits, main
 from camtopod.cli.commands.web import address, is_loopback, listening
 from camtopod.config.settings import BusSettings
 from camtopod.serve.bus import session as buses
-from camtopod.web import app, pictures
+from camtopod.web import app, outbox, pictures
 
 SITE = synthetic_topology(12)
 
@@ -136,6 +136,13 @@ def test_the_stream_begins_with_what_is(server: Shown) -> None:
         lines = [stream.readline() for _ in range(11)]
     assert b"event: live\n" in lines
     assert b'data: ["01J",1]\n' in lines
+
+
+def test_a_page_too_many_is_told_so(server: Shown, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outbox, "PAGES_MAX", 1)
+    with urllib.request.urlopen(f"{server.address}live", timeout=20):
+        answer = server.ask("/live")
+    assert (answer.status, "too many pages are open" in answer.text) == (503, True)
 
 
 def test_idle_and_slow_clients_keep_nobody_out(server: Shown) -> None:
