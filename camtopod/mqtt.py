@@ -30,10 +30,7 @@ MESSAGES_MAX = 10_000
 WAITING_BYTES_MAX = 32 * 1024**2
 """Most bytes of messages that wait to be read; further messages are dropped and counted."""
 PACKET_BYTES_MAX = 2 * 1024**2
-"""Largest packet, in bytes; lines of all formats are shorter.
-
-A broker that speaks MQTT 5 sends no larger ones. A broker that does is disconnected.
-"""
+"""Largest packet, in bytes, that a broker of MQTT 5 may send; lines of all formats are shorter."""
 CONNECT_SECONDS = 10.0
 """Longest time for the first connection, in seconds."""
 KEEPALIVE_SECONDS = 30
@@ -45,8 +42,10 @@ The wait doubles with each attempt.
 """
 DISCONNECT_SECONDS = 2.0
 """Longest wait for the last message to be sent, in seconds."""
-ONLINE, OFFLINE = "online", "offline"
-"""Payloads of an availability topic."""
+ONLINE = "online"
+"""Payload of an availability topic while the program runs."""
+OFFLINE = "offline"
+"""Payload of it otherwise."""
 UNSUPPORTED = "Unsupported protocol version"
 """Reason given by a broker that does not speak MQTT 5."""
 CLOSED = "the connection was closed"
@@ -116,27 +115,6 @@ def broker(
     )
 
 
-def _bounded() -> type[Client]:
-    """Return paho's client class with a limit on packets.
-
-    Paho itself allocates memory for a packet of any length.
-    """
-    from paho.mqtt.client import Client
-
-    class Bounded(Client):
-        def _sock_recv(self, bufsize: int) -> bytes:
-            if bufsize > PACKET_BYTES_MAX:
-                log.warning(
-                    "the broker sends a packet of %d bytes; at most %d are accepted",
-                    bufsize,
-                    PACKET_BYTES_MAX,
-                )
-                raise ConnectionError("a packet is too large")
-            return super()._sock_recv(bufsize)
-
-    return Bounded
-
-
 class _Connection:
     """A client of the broker, which reconnects as often as needed.
 
@@ -173,11 +151,13 @@ class _Connection:
 
     def _dial(self, protocol: MQTTProtocolVersion) -> None:
         """Start a client, and wait for the broker's answer for `CONNECT_SECONDS`."""
+        from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
 
-        at, properties = self._at, None
+        at = self._at
+        properties = None
         if protocol == MQTTProtocolVersion.MQTTv5:
             properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
             properties.MaximumPacketSize = PACKET_BYTES_MAX
@@ -185,8 +165,9 @@ class _Connection:
         # Set up the client.
         self._ready.clear()
         self._refused = None
-        self._client = client = _bounded()(CallbackAPIVersion.VERSION2, protocol=protocol)
-        client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
+        self._client = client = Client(CallbackAPIVersion.VERSION2, protocol=protocol)
+        client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
         client.reconnect_delay_set(1, RETRY_SECONDS_MAX)
         client.connect_timeout = CONNECT_SECONDS
         if at.user is not None:
@@ -283,7 +264,8 @@ class MessageSubscription(_Connection):
             log.warning("%d messages of %s were dropped", self.dropped, self.topic)
 
     def _prepare(self, client: Client) -> None:
-        client.on_subscribe, client.on_message = self._on_subscribe, self._on_message
+        client.on_subscribe = self._on_subscribe
+        client.on_message = self._on_message
 
     def _joined(self) -> None:
         self._client.subscribe(self.topic, qos=1)
@@ -331,7 +313,7 @@ class RetainedMessages(_Connection):
         super().__init__(target)
         self._availability = availability
         self._mutex = threading.Lock()
-        self._said: dict[str, str] = {}
+        self._published: dict[str, str] = {}
         self._connect()
 
     def show(self, messages: Mapping[str, str]) -> None:
@@ -341,15 +323,15 @@ class RetainedMessages(_Connection):
         """
         with self._mutex:
             for topic, text in messages.items():
-                if self._client.is_connected() and self._said.get(topic) != text:
+                if self._client.is_connected() and self._published.get(topic) != text:
                     self._client.publish(topic, text, retain=True)
-                    self._said[topic] = text
+                    self._published[topic] = text
 
     def close(self) -> None:
         """Publish ``offline`` and disconnect."""
         if self._client.is_connected():
-            told = self._client.publish(self._availability, OFFLINE, qos=1, retain=True)
-            told.wait_for_publish(DISCONNECT_SECONDS)
+            last = self._client.publish(self._availability, OFFLINE, qos=1, retain=True)
+            last.wait_for_publish(DISCONNECT_SECONDS)
         super().close()
 
     def _prepare(self, client: Client) -> None:
@@ -358,7 +340,7 @@ class RetainedMessages(_Connection):
     def _joined(self) -> None:
         """Appear as online, and have the next `show` publish everything again."""
         with self._mutex:
-            self._said.clear()
+            self._published.clear()
         self._client.publish(self._availability, ONLINE, qos=1, retain=True)
         log.info("publishing below %s at %s:%d", self._at.prefix, self._at.host, self._at.port)
         self._ready.set()
