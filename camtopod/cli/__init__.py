@@ -10,6 +10,4 @@ from __future__ import annotations
 
 from camtopod.cli.main import console as console
 
-__all__ = [
-    "console",
-]
+__all__ = ["console"]

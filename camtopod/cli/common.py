@@ -144,8 +144,7 @@ def with_options(args: argparse.Namespace, loaded: settings.Config) -> settings.
                 )
             if loaded.bus.tls.ca and not endpoint.startswith("tls/"):
                 raise CommandError(
-                    f"--connect {endpoint!r}: write tls/..., as [bus.tls] is set",
-                    exits.USAGE,
+                    f"--connect {endpoint!r}: write tls/..., as [bus.tls] is set", exits.USAGE
                 )
         bus = msgspec.structs.replace(loaded.bus, connect=tuple(args.connect), listen=())
         loaded = msgspec.structs.replace(loaded, bus=bus)

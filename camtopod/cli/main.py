@@ -76,10 +76,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "camtopod.cli.commands.bridge",
         "show cameras, alarms and predictions in Home Assistant, through MQTT",
     ),
-    "forget": (
-        "camtopod.cli.operator.forget",
-        "remove a camera and all that was learned of it",
-    ),
+    "forget": ("camtopod.cli.operator.forget", "remove a camera and all that was learned of it"),
     "rename": (
         "camtopod.cli.operator.rename",
         "rename a camera and keep everything learned about it",

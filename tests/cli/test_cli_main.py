@@ -61,12 +61,7 @@ def test_help_names_every_command_and_is_quick_to_load(capsys: pytest.CaptureFix
         "heavy = {'numpy', 'scipy', 'cv2', 'zenoh', 'sqlite3', 'msgspec'} & set(sys.modules)\n"
         "assert not heavy, heavy"
     )
-    subprocess.run(
-        [sys.executable, "-c", script],
-        check=True,
-        stdout=subprocess.DEVNULL,
-        cwd=ROOT,
-    )
+    subprocess.run([sys.executable, "-c", script], check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
 
 
 def test_completion_by_shtab(

@@ -53,10 +53,7 @@ def test_they_need_a_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 @pytest.mark.parametrize(
     ("name", "why"),
-    [
-        ("folder.jpg", "is a directory: name a file"),
-        ("none/v.mp4", "No such file or directory"),
-    ],
+    [("folder.jpg", "is a directory: name a file"), ("none/v.mp4", "No such file or directory")],
 )
 def test_a_bad_file_ends_it_before_any_picture_is_read(
     name: str, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -79,13 +79,10 @@ def everything_below(folder: Path) -> dict[str, tuple[int, str]]:
     ("given", "smaller"),
     [
         ("rtsp://u:p@192.0.2.1:554/Streaming/Channels/101", "/Streaming/Channels/102"),
-        ("rtsp://192.0.2.1/Streaming/channels/1601?x=1", "/Streaming/channels/1602?x=1"),
         ("rtsp://u:p@ss/w@192.0.2.1/cam/realmonitor?channel=1&subtype=0", "channel=1&subtype=1"),
         ("rtsp://192.0.2.1/h265Preview_01_main", "/h264Preview_01_sub"),
-        ("rtsp://192.0.2.1/Preview_02_main", "/Preview_02_sub"),
         ("rtsp://192.0.2.1/stream1", "/stream2"),
         ("rtsp://192.0.2.1/axis-media/media.amp", "/axis-media/media.amp?resolution=640x360"),
-        ("rtsp://192.0.2.1/h264/ch1/main/av_stream", "/h264/ch1/sub/av_stream"),
     ],
 )
 def test_makers_name_their_streams_alike(given: str, smaller: str) -> None:
@@ -232,16 +229,12 @@ def test_a_process_that_hangs_or_crashes_is_given_up(
 @pytest.mark.parametrize(
     ("source", "name"),
     [
-        ("rtsp://lobby.example.org:554/stream1", "lobby"),
         ("rtsp://admin:p@ss:w/rd@192.0.2.10/Streaming/Channels/101", "192-0-2-10"),
-        ("rtsp://[2001:db8::5]/x", "2001-db8-5"),
         ("rtsp://127.0.0.1:8554/front%20door", "front-20door"),
-        ("rtsp://localhost/garden", "garden"),
         ("rtsp://localhost:7441/JHeOzLkM0NvTzhGq", "camera"),
         ("rtsp://user=admin_password=x", "user-admin_password-x"),
         ("/data/some clip.mp4", "some-clip"),
         ("0", "device-0"),
-        ("rtsp://", "camera"),
         ("rtsp://[oops/x", "camera"),
         ("rtsp://daemon/x", "daemon-2"),
         ("rtsp://" + 80 * "a", 64 * "a"),
@@ -370,20 +363,6 @@ def test_services_are_handed_every_source(
     assert loaded.for_camera("hall").cameras["hall"].source == url
     assert main(["check", "site/camtopod.toml"]) == 0
     assert "chmod" not in capsys.readouterr().err
-    elsewhere = [
-        "--connect",
-        "tcp/192.0.2.1:7447",
-        "init",
-        "--credentials",
-        "4242",
-        "--out",
-        "box.toml",
-    ]
-    assert main(elsewhere) == 66
-    assert "systemctl enable --now camtopod-grab@device-4242\n" in capsys.readouterr().err
-    assert settings.load(tmp_path / "box.toml").health.listen == "", (
-        "the daemon's, which is not here"
-    )
 
 
 def test_nothing_is_overwritten_unless_told(
@@ -433,7 +412,6 @@ def test_cameras_are_added_to_a_file_whose_rest_stays(
         ("[site]\nnmae = 1\n", [], 78, "camtopod.toml:2: site.nmae"),
         ('cameras = {a = {source = "0"}}\n', [], 78, "write cameras as tables"),
         ("[cameras.b]\nsource = '0'\n", [], 1, "has cameras.b already"),
-        ("", ["--site", "hq"], 2, "leave them out to add cameras"),
         ("\udcff", [], 78, "not UTF-8"),
     ],
 )
@@ -599,23 +577,6 @@ def test_check_probe_opens_the_cameras_and_the_bus(
         err = capsys.readouterr().err
         assert f"{path}:8: cameras.gone: cannot read {tmp_path}/none: No such file" in err
         assert ", but no daemon of site other is there" in err
-        path.write_text('[cameras.gone]\nsource_file = "$NOT_SET_AT_ALL/gone"\n')
-        assert main(["check", str(path), "--probe", "--connect", daemon.endpoint]) == 66
-        assert (
-            f"cannot read {tmp_path}/$NOT_SET_AT_ALL/gone: $NOT_SET_AT_ALL is not set here"
-            in capsys.readouterr().err
-        )
-        path.write_text(cameras)
-        assert (
-            main(["check", str(path), "--probe", "--connect", daemon.endpoint, "--site", "other"])
-            == 69
-        )
-        assert (
-            f"connected to {daemon.endpoint}, but no daemon of site other is there"
-            in capsys.readouterr().err
-        )
-        assert main(["check", str(path), "--connect", "nowhere"]) == 2
-        capsys.readouterr()
         path.write_text(f'{bus}[cameras.gone]\nsource = "4242"\n')
         assert main(["check", str(path), "--probe"]) == 66
         capsys.readouterr()

@@ -60,10 +60,7 @@ def test_what_is_no_camera_is_said() -> None:
         onvif.streams("onvif://127.0.0.1:1")
     with pytest.raises(onvif.OnvifError, match="write it like"):
         onvif.streams("onvif://[:1")
-    with (
-        onvif_camera([], {}) as camera,
-        pytest.raises(onvif.OnvifError, match="offers no video"),
-    ):
+    with onvif_camera([], {}) as camera, pytest.raises(onvif.OnvifError, match="offers no video"):
         onvif.streams(f"onvif://{LOGIN}@{camera.address}")
     with (
         onvif_camera(PROFILES[:1], {"main": "http://127.0.0.1/film"}) as camera,

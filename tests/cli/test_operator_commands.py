@@ -90,13 +90,7 @@ def test_what_the_daemon_refuses_is_said(
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [
-        ["forget"],
-        ["forget", "a/1"],
-        ["rename", "a"],
-        ["rename", "a", "b c"],
-    ],
+    "arguments", [["forget"], ["forget", "a/1"], ["rename", "a"], ["rename", "a", "b c"]]
 )
 def test_wrong_usage(arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as ended:

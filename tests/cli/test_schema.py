@@ -52,9 +52,7 @@ def test_that_of_the_configuration_is_the_one_of_check(capsys: pytest.CaptureFix
     assert capsys.readouterr().out == text()
 
 
-def test_a_wrong_name_is_answered_with_the_right_ones(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_wrong_name_is_answered_with_the_right_ones(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["schema", "events"])
     assert caught.value.code == exits.USAGE

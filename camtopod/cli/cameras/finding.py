@@ -75,9 +75,7 @@ def streams_by_path(
 
 
 def smaller_streams(
-    cameras: Mapping[str, str],
-    probes: Mapping[str, Probe],
-    look: Look,
+    cameras: Mapping[str, str], probes: Mapping[str, Probe], look: Look
 ) -> dict[str, tuple[str, Probe]]:
     """Return (URL, probe) of the smaller stream of each camera that has one which is big enough.
 

@@ -53,8 +53,7 @@ def with_names(given: Sequence[tuple[str, str]]) -> dict[str, str]:
     for name, source in given:
         if name in (*cameras, *RESERVED, ".", ".."):
             raise CommandError(
-                f"{name}: this name is given twice or reserved; use another",
-                exits.USAGE,
+                f"{name}: this name is given twice or reserved; use another", exits.USAGE
             )
         if not name:
             own = _short(source)

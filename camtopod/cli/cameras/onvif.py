@@ -130,9 +130,7 @@ class _Camera:
             f"<s:Header>{header}</s:Header><s:Body>{body}</s:Body></s:Envelope>"
         )
         request = urllib.request.Request(
-            url,
-            envelope.encode(),
-            {"Content-Type": "application/soap+xml; charset=utf-8"},
+            url, envelope.encode(), {"Content-Type": "application/soap+xml; charset=utf-8"}
         )
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         try:

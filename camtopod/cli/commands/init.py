@@ -20,12 +20,7 @@ from camtopod.config import TABLES, Config, secret_files
 from camtopod.config import settings as configurations
 from camtopod.redact import redact
 from camtopod.visible import visible
-from camtopod.vision.source import (
-    ENOUGH_HEIGHT,
-    SETTLE_SECONDS_MAX,
-    Probe,
-    kind_of,
-)
+from camtopod.vision.source import ENOUGH_HEIGHT, SETTLE_SECONDS_MAX, Probe, kind_of
 from camtopod.web import pictures
 
 SECRETS = "secrets"

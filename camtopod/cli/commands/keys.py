@@ -51,10 +51,7 @@ SUBCOMMANDS = {
         "issue a certificate for a program that reads topology and predictions",
         "camtopod keys reader web",
     ),
-    "revoke": (
-        "revoke the certificate of a camera or reader",
-        "camtopod keys revoke camera lobby",
-    ),
+    "revoke": ("revoke the certificate of a camera or reader", "camtopod keys revoke camera lobby"),
     "list": ("list all certificates and when they expire", "camtopod keys list"),
 }
 """Help and example of each subcommand."""

@@ -44,9 +44,7 @@ def add_parser(subparsers: Any) -> None:
         epilog="example: camtopod --config camtopod.toml run",
     )
     parser.add_argument(
-        "--state",
-        metavar="DIRECTORY",
-        help="directory of the journal (default: [state] directory)",
+        "--state", metavar="DIRECTORY", help="directory of the journal (default: [state] directory)"
     )
 
 

@@ -13,10 +13,4 @@ from camtopod.cli.generated.example_config import table as table
 from camtopod.cli.generated.message_schemas import NAMES as NAMES
 from camtopod.cli.generated.message_schemas import schema_text as schema_text
 
-__all__ = [
-    "NAMES",
-    "example",
-    "schema_text",
-    "table",
-    "text",
-]
+__all__ = ["NAMES", "example", "schema_text", "table", "text"]
