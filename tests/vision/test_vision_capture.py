@@ -24,7 +24,7 @@ from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.errors import SourceError
 from camtopod.vision.source.recorded import RecordedSource
 
-SECONDS = 9.0
+SECONDS = 7.5
 QUICK = VisionSettings(
     bootstrap_seconds=1.0,
     open_timeout_seconds=1.0,
@@ -41,8 +41,8 @@ needs_server = pytest.mark.skipif(
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write a film in which two people walk through."""
     people = [
-        Person(line(2.0, (-0.05, 0.7), (1.05, 0.6), 5.0)),
-        Person(line(3.0, (1.05, 0.85), (-0.05, 0.9), 5.0), seed=4),
+        Person(line(1.8, (-0.05, 0.55), (1.05, 0.5), 4.0), tall=0.3),
+        Person(line(2.2, (1.05, 0.9), (-0.05, 0.95), 4.0), tall=0.3, seed=4),
     ]
     return Scene(people).film(tmp_path_factory.mktemp("film") / "film.mp4", SECONDS)
 
@@ -99,7 +99,7 @@ def test_a_file_to_events(film: Path) -> None:
     assert grabber.state == "connecting"
     events = sorted(events_of(grabber), key=lambda event: event.t)
     assert [event.kind for event in events] == ["entry", "entry", "exit", "exit"]
-    assert all(1001.5 < event.t < 1008.5 for event in events)
+    assert all(1001.5 < event.t < 1006.5 for event in events)
     assert grabber.state == "ended"
     figures = grabber.statistics()
     assert (figures["entries"], figures["exits"]) == (2, 2)

@@ -6,19 +6,9 @@ image), `swaying` (scenery that moves in place), `motion` (moving pixels), `blob
 foot point), `heads` (how many people a blob shows).
 """
 
-from __future__ import annotations
-
-from camtopod.vision.detect.background import Luma
-from camtopod.vision.detect.blobs import Blob, find_blobs
-from camtopod.vision.detect.motion import MotionDetector
-from camtopod.vision.detect.shrink import shrunk
-from camtopod.vision.detect.watched import ignored_share
-
-__all__ = [
-    "Blob",
-    "Luma",
-    "MotionDetector",
-    "find_blobs",
-    "ignored_share",
-    "shrunk",
-]
+from camtopod.vision.detect.background import Luma as Luma
+from camtopod.vision.detect.blobs import Blob as Blob
+from camtopod.vision.detect.blobs import find_blobs as find_blobs
+from camtopod.vision.detect.motion import MotionDetector as MotionDetector
+from camtopod.vision.detect.shrink import shrunk as shrunk
+from camtopod.vision.detect.watched import ignored_share as ignored_share

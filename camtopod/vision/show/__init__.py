@@ -4,14 +4,6 @@
 writes the result to a file on this machine; `preview` joins the two and is the pipeline's observer.
 """
 
-from __future__ import annotations
-
-from camtopod.vision.show.overlay import Words
-from camtopod.vision.show.preview import Preview
-from camtopod.vision.show.shown_file import ShowError
-
-__all__ = [
-    "Preview",
-    "ShowError",
-    "Words",
-]
+from camtopod.vision.show.overlay import Words as Words
+from camtopod.vision.show.preview import Preview as Preview
+from camtopod.vision.show.shown_file import ShowError as ShowError

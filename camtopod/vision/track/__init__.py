@@ -8,22 +8,11 @@ walk into one. `decisions` has the reasons why a track became an event or not, a
 them out.
 """
 
-from __future__ import annotations
-
-from camtopod.vision.track.crossings import Crossings
-from camtopod.vision.track.decisions import Decision, Edge, Reason
-from camtopod.vision.track.ignored_areas import IgnoredAreas
-from camtopod.vision.track.recorder import Recorder
-from camtopod.vision.track.track import Track
-from camtopod.vision.track.tracker import Tracker
-
-__all__ = [
-    "Crossings",
-    "Decision",
-    "Edge",
-    "IgnoredAreas",
-    "Reason",
-    "Recorder",
-    "Track",
-    "Tracker",
-]
+from camtopod.vision.track.crossings import Crossings as Crossings
+from camtopod.vision.track.decisions import Decision as Decision
+from camtopod.vision.track.decisions import Edge as Edge
+from camtopod.vision.track.decisions import Reason as Reason
+from camtopod.vision.track.ignored_areas import IgnoredAreas as IgnoredAreas
+from camtopod.vision.track.recorder import Recorder as Recorder
+from camtopod.vision.track.track import Track as Track
+from camtopod.vision.track.tracker import Tracker as Tracker
