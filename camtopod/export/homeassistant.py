@@ -124,22 +124,25 @@ def site_state(
     alive: True if the daemon is running.
     said: its latest status.
     """
-    running = alive and said.state == "running"
-    score = None if topology is None else topology.score
-    alarms = [] if topology is None else topology.alarms or []
-    state = {
-        "problem": "OFF" if running else "ON",
+    state: dict[str, Any] = {
+        "problem": _switch(not alive or said.state != "running"),
         "reason": said.reason if alive else "the daemon is not running",
-        "version": None if topology is None else topology.version,
-        "cameras": None if topology is None else len(topology.cameras),
-        "links": None if topology is None else len(links_between_views(topology)),
-        "score": None if score is None else round(100.0 * score.top1, 1),
-        "usual": None if score is None else round(100.0 * score.baseline_top1, 1),
+        **dict.fromkeys(("version", "cameras", "links", "score", "usual")),
     }
+    alarm: dict[str, Any] = {"alarm": "none"}
+    if topology is not None:
+        state["version"] = topology.version
+        state["cameras"] = len(topology.cameras)
+        state["links"] = len(links_between_views(topology))
+        if topology.score is not None:
+            state["score"] = round(100.0 * topology.score.top1, 1)
+            state["usual"] = round(100.0 * topology.score.baseline_top1, 1)
+        if topology.alarms:
+            alarm = _alarm(topology.alarms[-1])
     return {
         topics.daemon: "online" if alive else "offline",
         topics.topic_of("", "state"): _json(state),
-        topics.topic_of("", "alarm"): _json(_alarm(alarms[-1]) if alarms else {"alarm": "none"}),
+        topics.topic_of("", "alarm"): _json(alarm),
     }
 
 
@@ -153,7 +156,7 @@ def camera_state(
     online = counted.alive and (said is None or said.state == "running")
     told = said or GrabberStatus()
     state = {
-        "online": "ON" if online else "OFF",
+        "online": _switch(online),
         "state": told.state,
         "reason": told.reason,
         "events": counted.events,
@@ -176,7 +179,14 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
     # The camera, or leaving the site, with the largest share.
     shares = {LEAVES_SITE: prediction.leave, **next_}
     camera, probability = max(shares.items(), key=lambda item: item[1])
-    place = next((one for one in prediction.next_ if one.camera == camera), None)
+    window: dict[str, str | None] = {"from": None, "until": None}
+    for place in prediction.next_:
+        if place.camera == camera:
+            window = {
+                "from": _iso(prediction.t + place.q10),
+                "until": _iso(prediction.t + place.q90),
+            }
+            break
 
     # The camera to look at; without overlapping views it follows from the next appearances.
     looks = {one.camera: one.probability for one in prediction.look or []} or {
@@ -189,8 +199,7 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
         "probability": round(probability, 3),
         "zone": prediction.zone,
         "left": _iso(prediction.t),
-        "from": None if place is None else _iso(prediction.t + place.q10),
-        "until": None if place is None else _iso(prediction.t + place.q90),
+        **window,
         "look": look,
         "sees": round(sees, 3),
     }
@@ -200,7 +209,9 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
 def _announced(topics: Topics, camera: str, entity: Entity) -> tuple[str, str]:
     """Return topic and payload of the discovery message of an entity."""
     state = topics.topic_of(camera, entity.topic)
-    available = [topics.bridge] if entity.field == "problem" else [topics.bridge, topics.daemon]
+    available = [topics.bridge]
+    if entity.field != "problem":
+        available.append(topics.daemon)
     config = {
         "name": entity.name,
         "unique_id": f"camtopod/{topics.site}/{camera or 'daemon'}/{entity.field}",
@@ -251,5 +262,10 @@ def _iso(t: float) -> str | None:
     return datetime.datetime.fromtimestamp(t, datetime.UTC).isoformat(timespec="seconds")
 
 
-def _json(noun: Any) -> str:
-    return msgspec.json.encode(noun).decode()
+def _switch(on: bool) -> str:
+    """Return the state of a binary sensor."""
+    return "ON" if on else "OFF"
+
+
+def _json(content: Any) -> str:
+    return msgspec.json.encode(content).decode()

@@ -26,7 +26,6 @@ def details_of(link: Link, topology: Topology = SITE) -> dict[str, Any]:
 
 
 # --- a link
-# -----------------------------------------------------------------------------------------
 
 
 def test_a_links_chart_holds_all_transitions_and_the_same_samples_each_time() -> None:
@@ -102,7 +101,6 @@ def test_a_topology_without_a_model_is_told_without_background() -> None:
 
 
 # --- a camera, a pair
-# -------------------------------------------------------------------------------
 
 
 def test_a_camera_has_its_zones_links_and_alarms_and_no_others() -> None:
@@ -146,7 +144,6 @@ def test_a_pair_says_what_its_two_tests_say() -> None:
 
 
 # --- versions
-# ---------------------------------------------------------------------------------------
 
 
 def test_a_summary_says_what_came_went_and_became_another() -> None:

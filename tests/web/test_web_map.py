@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,17 +12,19 @@ from msgspec.structs import replace
 from synthetic_topology import made_link, synthetic_topology
 
 from camtopod.export import Place, places
-from camtopod.records import Lacks, Link, Pair, Topology
+from camtopod.records import Lacks, Pair
 from camtopod.web.map_data import (
     Map,
     MapCamera,
     MapChange,
+    MapEdge,
     change,
     draw,
     map_edges,
     why_provisional,
 )
 
+DAY = 86_400.0
 SETTLED = Pair(("a", "b"), "overlapped", "overlapped", "overlapped")
 
 
@@ -41,7 +44,6 @@ def apart(a: Place, b: Place) -> float:
 
 
 # --- what is drawn
-# ----------------------------------------------------------------------------------
 
 
 def test_a_pair_is_an_edge_with_both_ways() -> None:
@@ -72,72 +74,47 @@ def test_provisional_says_why(pair: Pair | None, transitions: float, word: str) 
     assert bool(said) is bool(word)
 
 
-def test_weak_evidence_is_told_by_its_own_figure() -> None:
-    link = made_link("a/1", "b/1", 10.0, 50.0)
-    assert (
-        why_provisional(None, 50.0, replace(link, q_value=0.03))
-        == "not published: it may be spurious (q = 0.03)"
-    )
-    assert "not all rules for publishing" in why_provisional(
-        None, 50.0, replace(link, q_value=1e-6)
-    )
-
-
 @pytest.mark.parametrize(
-    ("passages", "seconds", "said"),
+    ("changed", "said"),
     [
-        (1.2, 30.0, "one more passage, 1 minute at this traffic"),
-        (6.6, 457.0, "about 7 more passages, 8 minutes at this traffic"),
-        (30.0, 4 * 3600.0, "about 30 more passages, 4 hours at this traffic"),
-        (30.0, 5 * 86400.0, "about 30 more passages, 5 days at this traffic"),
+        ({"q_value": 0.03}, "not published: it may be spurious (q = 0.03)"),
+        ({"q_value": 1e-6}, "not published: there is evidence (q < 0.005), but not all rules"),
+        ({"lacks": Lacks(1.2, 30.0)}, "one more passage, 1 minute at this traffic"),
+        ({"lacks": Lacks(6.6, 457.0)}, "about 7 more passages, 8 minutes at this traffic"),
+        ({"lacks": Lacks(30.0, 4 * 3600.0)}, "about 30 more passages, 4 hours at this traffic"),
+        ({"lacks": Lacks(30.0, 5 * DAY)}, "about 30 more passages, 5 days at this traffic"),
     ],
 )
-def test_what_a_link_lacks_is_said(passages: float, seconds: float, said: str) -> None:
-    link = replace(
-        made_link("a/1", "b/1", 10.0, 50.0), q_value=0.03, lacks=Lacks(passages, seconds)
-    )
-    assert why_provisional(None, 50.0, link) == f"not published yet: it lacks {said}"
+def test_what_a_weak_link_lacks_is_said(changed: dict[str, Any], said: str) -> None:
+    link = replace(made_link("a/1", "b/1", 10.0, 50.0), **changed)
+    assert said in why_provisional(None, 50.0, link)
 
 
-def test_of_several_links_the_nearest_to_being_published_speaks_for_the_pair() -> None:
+def weak_edge(*changes: dict[str, Any]) -> MapEdge | None:
+    """Return the edge of weak links, changed as given, between the first and the last camera."""
     topology = synthetic_topology(12)
-    key = f"{topology.cameras[0].id} {topology.cameras[-1].id}"
-    there = made_link(topology.zones[0].id, topology.zones[-1].id, 20.0, 12.0)
-    back = made_link(topology.zones[-1].id, topology.zones[0].id, 20.0, 12.0)
-    weak = [
-        replace(there, q_value=0.02, lacks=Lacks(9.0, 900.0)),
-        replace(back, q_value=0.03, lacks=Lacks(4.0, 300.0)),
-    ]
-    assert (
-        "about 4 more passages" in draw(replace(topology, weak_links=weak)).edges[key].provisional
-    )
+    ends = topology.zones[0], topology.zones[-1]
+    link = replace(made_link(ends[0].id, ends[1].id, 20.0, 12.0), q_value=0.02)
+    weak = [replace(link, **changed) for changed in changes]
+    return map_edges(replace(topology, weak_links=weak)).get(f"{ends[0].camera} {ends[1].camera}")
 
 
-def with_weak(topology: Topology, **changed: float) -> Topology:
-    """Add weak evidence between the first and the last camera."""
-    link = made_link(topology.zones[0].id, topology.zones[-1].id, 20.0, 12.0)
-    weak: list[Link] = [replace(link, **{"q_value": 0.02, **changed})]
-    return replace(topology, weak_links=weak)
+def test_evidence_that_is_nearly_enough_is_on_the_map() -> None:
+    found = weak_edge({})
+    half_way = weak_edge({"q_value": 1.0, "transitions": 4.0, "lacks": Lacks(4.0, 300.0)})
+    of_two = weak_edge({"lacks": Lacks(9.0, 900.0)}, {"lacks": Lacks(4.0, 300.0)})
 
-
-def test_evidence_that_is_nearly_enough_is_on_the_map_and_moves_nobody() -> None:
-    topology = synthetic_topology(12)
-    key = f"{topology.cameras[0].id} {topology.cameras[-1].id}"
-    drawn = draw(with_weak(topology))
-    assert drawn.edges[key].provisional.startswith("not published")
-    assert drawn.edges[key].relation == "unseen_path"
-    assert drawn.cameras == draw(topology).cameras
-    assert key not in map_edges(with_weak(topology, q_value=0.06))
-    assert key not in map_edges(with_weak(topology, transitions=4.0))
-
-
-def test_a_weak_link_that_is_half_way_is_on_the_map_whatever_its_figure() -> None:
-    topology = synthetic_topology(12)
-    key = f"{topology.cameras[0].id} {topology.cameras[-1].id}"
-    link = made_link(topology.zones[0].id, topology.zones[-1].id, 20.0, 4.0)
-    near, far = (replace(link, q_value=1.0, lacks=Lacks(n, 300.0)) for n in (4.0, 4.5))
-    assert not map_edges(replace(topology, weak_links=[near]))[key].published
-    assert key not in map_edges(replace(topology, weak_links=[far]))
+    assert found is not None
+    assert (found.published, found.relation) == (False, "unseen_path")
+    assert half_way is not None
+    assert of_two is not None
+    assert "about 4 more passages" in of_two.provisional, "the nearest to being published"
+    for too_little in (
+        {"q_value": 0.06},
+        {"transitions": 4.0},
+        {"q_value": 1.0, "transitions": 4.0, "lacks": Lacks(4.5, 300.0)},
+    ):
+        assert weak_edge(too_little) is None
 
 
 def test_a_map_without_links_says_what_it_waits_for() -> None:
@@ -161,7 +138,6 @@ def test_cameras_without_links_stand_in_even_rows(number: int) -> None:
 
 
 # --- what changes
-# -----------------------------------------------------------------------------------
 
 
 def test_a_change_makes_the_new_map_of_the_old() -> None:
@@ -198,7 +174,6 @@ def test_what_nobody_could_see_is_no_change() -> None:
 
 
 # --- where
-# ------------------------------------------------------------------------------------------
 
 
 def grid(side: int) -> dict[tuple[str, str], bool]:

@@ -67,7 +67,6 @@ def test_without_its_picture_the_map_is_as_without_a_plan(browser: Browser, tmp_
 
 
 # --- the configuration
-# -----------------------------------------------------------------------------------
 
 
 def test_the_plan_is_beside_the_configuration_and_places_need_it(tmp_path: Path) -> None:
