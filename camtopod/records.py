@@ -554,3 +554,113 @@ class Ack(Struct, frozen=True, omit_defaults=True):
     late: int | None = None
     duplicate: int | None = None
     refused: int | None = None
+
+
+class Status(Struct, frozen=True):
+    """State of the daemon or of the program that publishes a camera's events.
+
+    state: running or degraded for the daemon; connecting, running, stalled, failed and others for
+        a camera.
+    reason: why it is not running as it should; empty if it is.
+    t (Unix seconds): when the status was made.
+    camera: the camera; the daemon's status has none.
+
+    Counters and other fields follow; which ones, and what they mean, may change.
+    """
+
+    state: str = ""
+    reason: str = ""
+    t: float = 0.0
+    camera: str | None = None
+
+
+class CameraFigures(Struct, frozen=True):
+    """A camera in the daemon's status.
+
+    events: number of its events since the daemon's start.
+    newest (Unix seconds): time of its newest event.
+    ahead (seconds): by how much its last event was ahead of the daemon's clock; None if unknown.
+    alive: True while a program that publishes its events is on the bus.
+    """
+
+    events: int = 0
+    newest: float | None = None
+    ahead: float | None = None
+    alive: bool = False
+
+
+class CatchingUp(Struct, frozen=True):
+    """How far the learner is behind.
+
+    seconds: event time that is stored and not learned yet.
+    share: events learned, of those stored since it was up to date.
+    """
+
+    seconds: float = 0.0
+    share: float = 0.0
+
+
+class NamesStatus(Struct, frozen=True):
+    """Forgotten and renamed cameras.
+
+    forgotten: forgotten names -> events refused since the start.
+    renamed: old names -> present names.
+    reset (Unix seconds): when the site was reset; None if it never was.
+    before_reset: refused events from before that.
+    """
+
+    forgotten: dict[str, int] = {}
+    renamed: dict[str, str] = {}
+    reset: float | None = None
+    before_reset: int = 0
+
+
+class JournalStatus(Struct, frozen=True):
+    """The journal.
+
+    entries: number of entries that there have ever been.
+    missing: entries known to have been lost when it was opened.
+    damaged: damaged entries that were not learned.
+    bytes: size of the used part; None if it cannot be read, for ``reason``.
+    damaged_files: files set aside for damage.
+    """
+
+    entries: int = 0
+    missing: int = 0
+    damaged: int = 0
+    bytes: int | None = None
+    damaged_files: list[str] = []
+    reason: str = ""
+
+
+class DaemonStatus(Status, frozen=True):
+    """State of the daemon, as published on ``status/daemon``.
+
+    site, epoch, version: site of the daemon, and the version of the topology that it published
+        last; 0 if there is none.
+    events: events since the start by what became of them, and those that wait.
+    rejects, reject_samples: rejected input by reason.
+    dropped: publications dropped for lack of room, by camera.
+    learner: the learner's counts and sizes, as of its last step.
+    catching_up: None if the learner is up to date.
+    pulls: queries to spools.
+    """
+
+    site: str = ""
+    epoch: str = ""
+    version: int = 0
+    events: dict[str, int] = {}
+    rejects: dict[str, int] = {}
+    reject_samples: dict[str, list[str]] = {}
+    dropped: dict[str, int] = {}
+    learner: dict[str, float] = {}
+    catching_up: CatchingUp | None = None
+    predictions: int = 0
+    predictions_skipped: int = 0
+    questions_refused: int = 0
+    score: SelfScore | None = None
+    alarms: list[Alarm] = []
+    names: NamesStatus = NamesStatus()
+    pulls: int = 0
+    journal: JournalStatus = JournalStatus()
+    cameras: dict[str, CameraFigures] = {}

@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Struct
 
 from camtopod import __version__, codec
-from camtopod.records import Alarm, CameraId, Prediction, Topology
+from camtopod.records import Alarm, CameraFigures, DaemonStatus, Prediction, Status, Topology
 from camtopod.topology import links_between_views
 
 DISCOVERY = "homeassistant"
@@ -29,28 +29,6 @@ NO_CAMERA = "none"
 
 Messages = dict[str, str]
 """Payload by topic."""
-
-
-class GrabberStatus(Struct, frozen=True):
-    """Status that a camera's grabber publishes in ``status/{camera}``."""
-
-    state: str = ""
-    reason: str = ""
-
-
-class CameraFigures(Struct, frozen=True):
-    """A camera in the daemon's status."""
-
-    events: int = 0
-    alive: bool = False
-
-
-class DaemonStatus(Struct, frozen=True):
-    """Status that the daemon publishes in ``status/daemon``."""
-
-    state: str = ""
-    reason: str = ""
-    cameras: dict[CameraId, CameraFigures] = {}
 
 
 class Entity(Struct, frozen=True):
@@ -147,14 +125,14 @@ def site_state(
 
 
 def camera_state(
-    topics: Topics, camera: str, counted: CameraFigures, said: GrabberStatus | None, zones: int
+    topics: Topics, camera: str, counted: CameraFigures, said: Status | None, zones: int
 ) -> Messages:
     """Return the messages with the state of a camera.
 
     said: status of the camera's grabber; None if its events come from another program.
     """
     online = counted.alive and (said is None or said.state == "running")
-    told = said or GrabberStatus()
+    told = said or Status()
     state = {
         "online": _switch(online),
         "state": told.state,

@@ -24,15 +24,15 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
 
 import msgspec
+from msgspec.structs import replace
 
 from camtopod import codec
 from camtopod.config import Config
 from camtopod.event_time import EventTime, microseconds
 from camtopod.keys import STATUS
-from camtopod.records import CAMERA_PATTERN, Prediction, Topology
+from camtopod.records import CAMERA_PATTERN, DaemonStatus, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
 from camtopod.serve.bus import (
@@ -257,7 +257,7 @@ class Daemon:
         self._puller.set_limits(limits)
         return waiting
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> DaemonStatus:
         """Return the contents of ``status/daemon``: state, reason and counters."""
         # Cameras whose grabber is there, perhaps under the camera's old name.
         names = self._receiver.names
@@ -268,21 +268,21 @@ class Daemon:
         reason = self._reason or self._rivals.reason or "; ".join(self.failing())
         now, cameras = self._steady(), receiver.cameras
         counted = cameras.status()
-        newest = [c["newest"] for c in counted.values() if c["newest"] is not None]
+        newest = [one.newest for one in counted.values() if one.newest is not None]
         reason = (
             reason
             or receiver.duplicates.reason
             or cameras.fast_clocks_reason(now)
             or cameras.double_publishers_reason(now)
         )
-        return {
-            "state": "degraded" if reason else "running",
-            "reason": redact(reason),
-            "site": self._config.site.name,
-            "epoch": self.epoch if head is None else head.epoch,
-            "version": 0 if head is None else head.version,
-            "t": self._clock(),
-            "events": {
+        return DaemonStatus(
+            state="degraded" if reason else "running",
+            reason=redact(reason),
+            site=self._config.site.name,
+            epoch=self.epoch if head is None else head.epoch,
+            version=0 if head is None else head.version,
+            t=self._clock(),
+            events={
                 **receiver.counts,
                 "lost": receiver.streams.lost,
                 "unknown": receiver.streams.unknown,
@@ -291,22 +291,24 @@ class Daemon:
                 "early": receiver.cameras.waiting,
                 "merging": receiver.merge.waiting,
             },
-            "rejects": dict(receiver.rejects.counts),
-            "reject_samples": receiver.rejects.samples(),
-            "dropped": receiver.dropped,
-            "learner": learning.statistics,
-            "catching_up": learning.catching_up(min(self._clock(), max(newest, default=0.0))),
-            **self._live.counts,
-            "score": None if head is None else head.score,
-            "alarms": [] if head is None else head.alarms[-STATUS_ALARMS:],
-            "names": names.status(),
-            "pulls": self._puller.pulls,
-            "journal": {"damaged": self._learning.damaged, **self._journal.status()},
-            "cameras": {
-                camera: {**counters, "alive": camera in alive}
-                for camera, counters in sorted(counted.items())
+            rejects=dict(receiver.rejects.counts),
+            reject_samples=receiver.rejects.samples(),
+            dropped=receiver.dropped,
+            learner=learning.statistics,
+            catching_up=learning.catching_up(min(self._clock(), max(newest, default=0.0))),
+            predictions=self._live.counts["predictions"],
+            predictions_skipped=self._live.counts["predictions_skipped"],
+            questions_refused=self._live.counts["questions_refused"],
+            score=None if head is None else head.score,
+            alarms=[] if head is None else head.alarms[-STATUS_ALARMS:],
+            names=names.status(),
+            pulls=self._puller.pulls,
+            journal=replace(self._journal.status(), damaged=self._learning.damaged),
+            cameras={
+                camera: replace(figures, alive=camera in alive)
+                for camera, figures in sorted(counted.items())
             },
-        }
+        )
 
     @property
     def _reason(self) -> str:

@@ -22,7 +22,17 @@ import msgspec
 from camtopod import codec
 from camtopod.predict import seen_now
 from camtopod.publishers import is_gone
-from camtopod.records import CAMERA_PATTERN, Event, Look, NextCamera, Prediction, Topology
+from camtopod.records import (
+    CAMERA_PATTERN,
+    CameraFigures,
+    CatchingUp,
+    DaemonStatus,
+    Event,
+    Look,
+    NextCamera,
+    Prediction,
+    Topology,
+)
 from camtopod.serve.bus import Bus, TopologySubscriber
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.web.explanations import Explanations
@@ -107,6 +117,7 @@ class Feed:
         self._inbox: queue.Queue[tuple[str, bytes]] = queue.Queue(INBOX_MAX)
         self._mutex = threading.Lock()
         self._status: dict[str, dict[str, Any]] = {}
+        self._daemon: DaemonStatus | None = None
         self._heard: dict[str, float] = {}
         self._silent: set[str] = set()
         self._forgotten: set[str] = set()
@@ -209,8 +220,8 @@ class Feed:
             ended = self._forgotten & self._silent
             status = {name: one for name, one in self._status.items() if name not in ended}
             live = dict(self._live)
-        daemon = status.pop(DAEMON, None)
-        known: dict[str, Any] = (daemon or {}).get("cameras", {})
+            daemon = self._daemon
+        known = {} if daemon is None else daemon.cameras
         drawn = self.map.cameras if self.map is not None else {}
         learned = {} if self.explanations is None else self.explanations.last_events
         rows = [
@@ -223,9 +234,9 @@ class Feed:
             "live": live,
             "dropped": self.dropped,
             "daemon": {
-                k: v
-                for k, v in (daemon or {}).items()
-                if k not in ("cameras", "reject_samples", "alarms")
+                name: value
+                for name, value in ({} if daemon is None else msgspec.to_builtins(daemon)).items()
+                if name not in ("cameras", "reject_samples", "alarms")
             },
             "cameras": rows,
         }
@@ -264,6 +275,9 @@ class Feed:
 
     def _on_status(self, name: str, payload: bytes) -> None:
         """Store the status of a camera or the daemon; forward it if it has changed."""
+        if name == DAEMON:
+            self._on_daemon_status(payload)
+            return
         try:
             status = msgspec.msgpack.decode(payload, type=dict[str, Any])
         except (msgspec.MsgspecError, UnicodeDecodeError):
@@ -280,10 +294,6 @@ class Feed:
             again = name in self._silent
             self._silent.discard(name)
 
-        if name == DAEMON:
-            self._hourly.note(self._clock(), _counters(status))
-            self._note_names(status.get("names"))
-            return
         if (
             before is None
             or again
@@ -291,11 +301,18 @@ class Feed:
         ):
             self._tell_health(name, status)
 
-    def _note_names(self, names: object) -> None:
-        """Note which names the daemon says an operator has forgotten."""
-        told = names if isinstance(names, dict) else {}
+    def _on_daemon_status(self, payload: bytes) -> None:
+        """Store the daemon's status; forward those of cameras that it has forgotten."""
+        try:
+            daemon = codec.read(DaemonStatus, payload, pack=True)
+        except codec.Rejected:
+            return
+        events = {name: figures.events for name, figures in daemon.cameras.items()}
+        self._hourly.note(self._clock(), events)
         with self._mutex:
-            forgotten = set(told.get("forgotten") or ())
+            self._daemon = daemon
+            self._heard[DAEMON] = self._clock()
+            forgotten = set(daemon.names.forgotten)
             changed = (forgotten ^ self._forgotten) & self._status.keys()
             self._forgotten = forgotten
             statuses = {name: self._status[name] for name in changed}
@@ -372,7 +389,7 @@ class Feed:
 
         # Tell the pages if it has changed.
         with self._mutex:
-            behind = _whole_percent(self._status.get(DAEMON, {}).get("catching_up"))
+            behind = _whole_percent(None if self._daemon is None else self._daemon.catching_up)
             if (self._live["reason"], self._live["catching_up"]) == (reason, behind):
                 return
             # Another reason for the same silence does not change its beginning.
@@ -395,8 +412,7 @@ class Feed:
             gone = {
                 name: status
                 for name, status in self._status.items()
-                if name != DAEMON
-                and name not in self._silent
+                if name not in self._silent
                 and status.get("state") != ENDED
                 and abs(now - max(self._heard[name], self._unheard_since)) > self._silent_seconds
             }
@@ -405,20 +421,9 @@ class Feed:
             self._tell_health(name, status)
 
 
-def _whole_percent(catching_up: Any) -> int | None:
+def _whole_percent(catching_up: CatchingUp | None) -> int | None:
     """Return the share of stored events that are learned, in percent; None if all are."""
-    share = catching_up.get("share") if isinstance(catching_up, dict) else None
-    return math.floor(100 * share) if isinstance(share, float) and 0 <= share <= 1 else None
-
-
-def _counters(status: dict[str, Any]) -> dict[str, int]:
-    """Return each camera's number of events since the daemon's start."""
-    cameras = status.get("cameras")
-    return {
-        name: one["events"]
-        for name, one in (cameras.items() if isinstance(cameras, dict) else ())
-        if isinstance(one, dict) and isinstance(one.get("events"), int)
-    }
+    return None if catching_up is None else math.floor(100 * catching_up.share)
 
 
 def _mark_gone(rows: list[dict[str, Any]], as_of: float) -> None:
@@ -436,7 +441,7 @@ def _mark_gone(rows: list[dict[str, Any]], as_of: float) -> None:
 def _row(
     name: str,
     status: dict[str, Any] | None,
-    counted: dict[str, Any] | None,
+    counted: CameraFigures | None,
     learned: float | None = None,
 ) -> dict[str, Any]:
     """Return a camera's row on the health page.
@@ -446,14 +451,12 @@ def _row(
     learned: time of its last learned event, Unix seconds.
     """
     said = status or {}
-    known = counted or {}
+    usual = "unknown" if counted is not None and counted.alive else "no grabber"
     return {
         "id": name,
-        "state": str(said.get("state") or ("unknown" if known.get("alive") else "no grabber"))[
-            :REASON_CHARACTERS_MAX
-        ],
+        "state": str(said.get("state") or usual)[:REASON_CHARACTERS_MAX],
         "reason": str(said.get("reason") or "")[:REASON_CHARACTERS_MAX],
-        "events": known.get("events"),
-        "newest": known.get("newest", learned),
-        "ahead": known.get("ahead"),
+        "events": None if counted is None else counted.events,
+        "newest": learned if counted is None else counted.newest,
+        "ahead": None if counted is None else counted.ahead,
     }

@@ -182,7 +182,7 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> 
         client.subscribe("status/lobby", lambda key, raw: said.append(msgspec.msgpack.decode(raw)))
         arguments = grab_to(daemon.endpoint, tmp_path)
         assert main(arguments) == 0
-        assert daemon.status()["events"]["stored"] == len(EVENTS)
+        assert daemon.status().events["stored"] == len(EVENTS)
         wait_for(lambda: bool(said) and said[-1]["state"] == "ended", "the last status")
         assert (said[-1]["frames"], said[-1]["published"], said[-1]["camera"]) == (
             7,
@@ -190,7 +190,7 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> 
             "lobby",
         )
         assert main(arguments) == 0
-        assert daemon.status()["events"]["stored"] == 2 * len(EVENTS), "the spool's count goes on"
+        assert daemon.status().events["stored"] == 2 * len(EVENTS), "the spool's count goes on"
         client.close()
 
 
@@ -234,7 +234,7 @@ def test_without_a_daemon_events_wait_in_the_spool(
     with Daemon(small_config(tmp_path / "daemon"), meeting) as daemon:
         monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", serving.WAIT_SECONDS)
         assert main(arguments) == 0
-        assert daemon.status()["events"]["stored"] == 2 * len(EVENTS)
+        assert daemon.status().events["stored"] == 2 * len(EVENTS)
     meeting.close()
 
 
@@ -266,7 +266,7 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
         else:
             monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
         assert main(arguments) == 0
-        assert daemon.status()["events"]["stored"] == len(EVENTS)
+        assert daemon.status().events["stored"] == len(EVENTS)
     assert (Heartbeat("ended", "waiting for the daemon to acknowledge 20 events") in said) == (
         above == "supervisor"
     )
@@ -295,7 +295,7 @@ def test_a_live_source_goes_on_while_the_bus_is_away(
             daemon.start()
         if count == 19:
             wait_for(
-                lambda: daemon.status()["events"]["stored"] >= 10,
+                lambda: daemon.status().events["stored"] >= 10,
                 "the events of before, from the spool",
             )
 
@@ -305,7 +305,7 @@ def test_a_live_source_goes_on_while_the_bus_is_away(
         f'[bus]\nconnect = ["{endpoint}"]\nconnect_seconds = 0.2\n[cameras.lobby]\nsource = "rtsp://h/x"\n'
     )
     assert main(["--config", str(path), "grab", "--camera", "lobby", "--state", str(tmp_path)]) == 0
-    assert daemon.status()["events"]["stored"] == len(EVENTS)
+    assert daemon.status().events["stored"] == len(EVENTS)
     assert FakeGrabber.made[0].source == "rtsp://h/x"
     daemon.stop()
 
@@ -325,7 +325,7 @@ def test_ingest_counts_bad_lines_with_file_and_line(
     with Daemon(small_config(tmp_path / "daemon")) as daemon:
         ingest = ["ingest", "jsonl", str(path), "--state", str(tmp_path)]
         assert main(["--connect", daemon.endpoint, *ingest]) == 0
-        assert daemon.status()["events"]["stored"] == 5
+        assert daemon.status().events["stored"] == 5
     err = capsys.readouterr().err
     assert f"{path}:2: " in err
     assert f"{path}:4: " in err

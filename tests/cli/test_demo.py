@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import cv2
 import msgspec
@@ -18,7 +17,7 @@ from serving import small_config, wait_for
 
 from camtopod.cli.commands import demo
 from camtopod.cli.main import main
-from camtopod.records import Topology
+from camtopod.records import DaemonStatus, Topology
 from camtopod.serve.bus import session as buses
 from camtopod.sim.scoring import score
 from camtopod.sim.truth import TRUTH_SCHEMA, Truth
@@ -73,14 +72,14 @@ def test_the_demo_ends_when_all_is_learned_and_published_however_long_that_takes
         steps = ({"waiting": 1}, {"held": 9}, {"learner": 2}, {"stored": 10}, {"stored": 10})
         looks = 0
 
-        def status(self) -> dict[str, Any]:
+        def status(self) -> DaemonStatus:
             step = self.steps[self.looks // 5]
             self.looks += 1
-            return {
-                "events": {"stored": step.get("stored", 9), "waiting": step.get("waiting", 0)},
-                "learner": {"held": step.get("held", 0), "version": step.get("learner", 1)},
-                "version": 1,
-            }
+            return DaemonStatus(
+                events={"stored": step.get("stored", 9), "waiting": step.get("waiting", 0)},
+                learner={"held": step.get("held", 0), "version": step.get("learner", 1)},
+                version=1,
+            )
 
     now = iter(range(1000))
     monkeypatch.setattr(demo.time, "monotonic", lambda: float(next(now)))

@@ -99,7 +99,7 @@ def test_no_secret_is_in_it(
             "event/yard", {"camera": "yard", "note": f"mqtt://u:{SECRETS['rejected']}@h"}, "event"
         )
         bus.publish_raw("event/yard", f'{{"password":"{SECRETS["rejected"]}"}}'.encode(), "event")
-        wait_for(lambda: daemon.status()["rejects"] != {}, "the events to be refused")
+        wait_for(lambda: daemon.status().rejects != {}, "the events to be refused")
         names = ("quoted", "token", "file", "credential", "mqtt", "mqtt's file", "environment")
         raw = " and ".join(SECRETS[name] for name in names)
         said = {

@@ -95,9 +95,9 @@ def test_onto_the_bus_and_once_however_often(recording: Path, tmp_path: Path) ->
         ]
         for _ in range(2):
             assert main([*base, "--boot", "recording-1"]) == exits.DONE
-            assert daemon.status()["events"]["stored"] == 20
+            assert daemon.status().events["stored"] == 20
         assert main(base) == exits.DONE
-        assert daemon.status()["events"]["stored"] == 40, "without a name they are others"
+        assert daemon.status().events["stored"] == 40, "without a name they are others"
 
 
 @pytest.mark.parametrize(

@@ -140,7 +140,7 @@ def restarted(state: Path) -> set[str]:
     with running(state.parent, free_endpoint()) as one:
         wait_for(lambda: one._learning.position >= entries, "the journal to be learned")
         wait_for(
-            lambda: one.status()["learner"]["version"] == one.status()["version"],
+            lambda: one.status().learner["version"] == one.status().version,
             "the version to be published",
         )
         return cameras(one)

@@ -56,7 +56,7 @@ def test_each_of_two_sites_has_its_own_events_only(
         assert ingest(a, tmp_path, first) == 0
         assert ingest(b, tmp_path, second) == 0
         assert ingest(a, tmp_path, second) == 0
-        assert (a.status()["events"]["stored"], b.status()["events"]["stored"]) == (61, 1)
+        assert (a.status().events["stored"], b.status().events["stored"]) == (61, 1)
     assert len(stored(tmp_path, "a")) == 61
     said = capsys.readouterr().err
     assert "60 events published" in said
@@ -70,8 +70,8 @@ def test_each_of_two_daemons_of_one_site_name_has_its_own_events_only(tmp_path: 
     with site(tmp_path / "one", "a") as one, site(tmp_path / "other", "a") as other:
         assert ingest(one, tmp_path, first) == 0
         assert ingest(other, tmp_path, second) == 0
-        assert other.status()["events"]["refilled"] == 0
-        assert (one.status()["events"]["stored"], other.status()["events"]["stored"]) == (60, 1)
+        assert other.status().events["refilled"] == 0
+        assert (one.status().events["stored"], other.status().events["stored"]) == (60, 1)
 
 
 def test_what_became_of_the_events_is_said(
@@ -101,7 +101,7 @@ def test_what_became_of_the_events_is_said(
         assert "0 accepted, 1 refused" in capsys.readouterr().err
         assert ingest(daemon, tmp_path, recording, "--anew") == 0
         assert f"1 accepted, {events - 1} late" in capsys.readouterr().err
-        assert daemon.status()["events"]["stored"] == 2 * events + 22
+        assert daemon.status().events["stored"] == 2 * events + 22
 
 
 def test_what_came_before_a_restart_is_late_after_it(tmp_path: Path) -> None:
@@ -165,13 +165,13 @@ def test_two_events_under_one_number_are_never_silently_one(
         for event in (first, second, first, second):
             publisher.publish("event/lobby", event, "event")
         publisher.publish_raw("event/lobby", codec.to_json(first), "event")
-        wait_for(lambda: daemon.status()["events"]["duplicate"] == 3, "the duplicates")
-        assert (daemon.status()["events"]["contradicted"], daemon.status()["reason"]) == (0, "")
+        wait_for(lambda: daemon.status().events["duplicate"] == 3, "the duplicates")
+        assert (daemon.status().events["contradicted"], daemon.status().reason) == (0, "")
         publisher.publish("event/lobby", other, "event")
         wait_for(
-            lambda: daemon.status()["events"]["contradicted"] == 1, "the contradiction to be found"
+            lambda: daemon.status().events["contradicted"] == 1, "the contradiction to be found"
         )
-        assert "two different events under one number (boot b1, seq 1)" in daemon.status()["reason"]
+        assert "two different events under one number (boot b1, seq 1)" in daemon.status().reason
         publisher.close()
     assert caplog.text.count("two different events under one number") == 1
 

@@ -19,14 +19,17 @@ from serving import T0, all_out, camtopod, closing_event, numbered, small_config
 from camtopod.cli import exits
 from camtopod.cli.main import main
 from camtopod.export import homeassistant
-from camtopod.export.homeassistant import CameraFigures, DaemonStatus, GrabberStatus, Topics
+from camtopod.export.homeassistant import Topics
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
+    CameraFigures,
+    DaemonStatus,
     Look,
     NextCamera,
     Prediction,
     SelfScore,
+    Status,
     Topology,
 )
 from camtopod.serve.bus import session as buses
@@ -116,15 +119,15 @@ def test_the_states() -> None:
 @pytest.mark.parametrize(
     ("alive", "said", "online"),
     [
-        (True, GrabberStatus("running"), "ON"),
+        (True, Status("running"), "ON"),
         (True, None, "ON"),  # another program's camera, which says nothing
-        (True, GrabberStatus("stalled", "no frame"), "OFF"),
-        (False, GrabberStatus("running"), "OFF"),  # what it said before it was killed
+        (True, Status("stalled", "no frame"), "OFF"),
+        (False, Status("running"), "OFF"),  # what it said before it was killed
     ],
 )
-def test_when_a_camera_is_online(alive: bool, said: GrabberStatus | None, online: str) -> None:
+def test_when_a_camera_is_online(alive: bool, said: Status | None, online: str) -> None:
     [state] = decoded(
-        homeassistant.camera_state(TOPICS, "lobby", CameraFigures(5, alive), said, 2)
+        homeassistant.camera_state(TOPICS, "lobby", CameraFigures(5, alive=alive), said, 2)
     ).values()
     assert (state["online"], state["events"], state["zones"]) == (online, 5, 2)
 
@@ -260,7 +263,7 @@ def test_a_site_in_home_assistant(broker: Broker, bridged: tuple[Daemon, Bridge]
     with listening(broker) as late:  # everything is retained
         wait_for(lambda: len(late.heard) >= len(first.heard), "the retained messages")
         assert late.of("daemon/state", "score") == round(100 * top1, 1)
-        assert late.of("camera/a/state", "events") == daemon.status()["cameras"]["a"]["events"]
+        assert late.of("camera/a/state", "events") == daemon.status().cameras["a"].events
         assert late.of("camera/a/state", "zones") >= 2
         assert late.of("daemon/alarm", "alarm") == "none"
         configs = {topic for topic in late.heard if topic.startswith("homeassistant/")}

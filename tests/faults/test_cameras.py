@@ -157,9 +157,7 @@ def _watched(
         assert time.monotonic() - began < FILM_SECONDS / SPEED + 3.0, "it was held up"
         assert gaps["good"] < 1.5, "it was held up"
         assert said["good"]["restarts"] == 0
-        wait_for(
-            lambda: daemon.status()["events"]["stored"] == expected_events, "all of its events"
-        )
+        wait_for(lambda: daemon.status().events["stored"] == expected_events, "all of its events")
         wait_for(lambda: told("frozen", "hung for 3 s while connecting"), "frozen")
         wait_for(
             lambda: told("blocked", "restarted once, last: hung for 3 s while connecting"),

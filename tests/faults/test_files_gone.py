@@ -103,13 +103,13 @@ def test_nothing_is_acknowledged_from_then_on_and_what_the_spools_have_comes_bac
         endpoint = daemon.endpoint
 
         harm(state)
-        wait_for(lambda: daemon.status()["state"] == "degraded", "it to notice")
+        wait_for(lambda: daemon.status().state == "degraded", "it to notice")
         grabber.publish(AFTER)
         wait_for(
-            lambda: daemon.status()["events"]["received"] >= grabber.made, "the events to be there"
+            lambda: daemon.status().events["received"] >= grabber.made, "the events to be there"
         )
 
-        reason = daemon.status()["reason"]
+        reason = daemon.status().reason
         assert f"{state}/journal.db was removed or replaced while it is in use" in reason
         assert daemon.unready() == [reason]
         assert daemon.failing() == [], "a restart by a supervisor would make the loss final"
@@ -121,7 +121,7 @@ def test_nothing_is_acknowledged_from_then_on_and_what_the_spools_have_comes_bac
     with Daemon(config, clock=lambda: NOW) as again, grabber.at(again.endpoint):
         assert grabber.publisher.wait_acknowledged(20)
         wait_for(lambda: len(again._journal) >= BEFORE + AFTER, "all events to be there again")
-        assert again.status()["state"] == "running"
+        assert again.status().state == "running"
     assert [seq for seq, _ in raws(state)] == list(range(1, BEFORE + AFTER + 1))
 
 
@@ -138,14 +138,14 @@ def test_it_goes_on_by_itself_when_the_file_is_back(
         grabber.publish(BEFORE)
         assert grabber.publisher.wait_acknowledged(20)
         harm(state)
-        wait_for(lambda: daemon.status()["state"] == "degraded", "it to notice")
+        wait_for(lambda: daemon.status().state == "degraded", "it to notice")
         grabber.publish(AFTER)
         if harm is moved:
             (state / "elsewhere.db").rename(state / "journal.db")
         else:
             (tmp_path / "elsewhere").rename(state)
         assert grabber.publisher.wait_acknowledged(20)
-        assert daemon.status()["state"] == "running"
+        assert daemon.status().state == "running"
         epoch = daemon.epoch
     assert "the journal can be written again" in caplog.text
     caplog.clear()
@@ -186,12 +186,12 @@ def test_the_status_is_answered_while_the_disk_hangs(
             grabber.publish(1)
             assert let_in.wait(WAIT_SECONDS)
             wait_for(
-                lambda: "the disk of the journal does not answer" in daemon.status()["reason"],
+                lambda: "the disk of the journal does not answer" in daemon.status().reason,
                 "the reason",
             )
-            assert daemon.status()["journal"]["bytes"] > 0
+            assert daemon.status().journal.bytes > 0
             assert daemon.unready() != []
         finally:
             let_out.set()
         assert grabber.publisher.wait_acknowledged(20)
-        wait_for(lambda: daemon.status()["state"] == "running", "the disk to answer again")
+        wait_for(lambda: daemon.status().state == "running", "the disk to answer again")

@@ -82,26 +82,26 @@ def through_a_full_disk(disk: Path, box: Box, elsewhere: Path) -> None:
 
             def degraded() -> bool:
                 box.publish()
-                return bool(daemon.status()["state"] == "degraded")
+                return bool(daemon.status().state == "degraded")
 
             wait_for(degraded, "it to notice")
-            assert daemon.status()["reason"] == REASON
+            assert daemon.status().reason == REASON
             assert daemon.unready() == [REASON]
             assert daemon.failing() == [], "starting it again would not help"
             acknowledged = box.acknowledged
             box.publish()
             wait_for(
-                lambda: daemon.status()["events"]["received"] == box.made, "all of them to be there"
+                lambda: daemon.status().events["received"] == box.made, "all of them to be there"
             )
             daemon.stop()
             assert box.acknowledged == acknowledged
             assert acknowledged <= len(stored(disk / "state", elsewhere / "while full")) < box.made
             with Daemon(config, clock=lambda: NOW) as again, box.at(again):
-                wait_for(lambda: again.status()["state"] == "degraded", "it to notice")
+                wait_for(lambda: again.status().state == "degraded", "it to notice")
                 assert box.acknowledged == acknowledged
     with Daemon(config, clock=lambda: NOW) as daemon, box.at(daemon):
         assert box.publisher.wait_acknowledged(WAIT_SECONDS)
-        assert daemon.status()["state"] == "running"
+        assert daemon.status().state == "running"
     assert stored(disk / "state", elsewhere / "afterwards") == list(range(1, box.made + 1))
     print(
         f"{acknowledged} of {box.made} events acknowledged before the disk was full, none while it was, all afterwards"

@@ -136,7 +136,7 @@ def send_the_rest(path: Path, daemon: Daemon, directory: Path) -> None:
 
 def await_events(daemon: Daemon, count: int) -> None:
     """Wait until so many events are stored."""
-    wait_for(lambda: bool(daemon.status()["events"]["stored"] >= count), f"{count} events", 60.0)
+    wait_for(lambda: bool(daemon.status().events["stored"] >= count), f"{count} events", 60.0)
 
 
 def killed(directory: Path, port: int, kills: int) -> None:

@@ -716,7 +716,7 @@ def test_an_authenticated_site_works_as_one_without(
     assert publishers["late"].wait_acknowledged(WAIT_SECONDS)
     view = TopologySubscriber(reader)
     assert view.wait_for(1, WAIT_SECONDS) is not None
-    assert daemon.status()["events"]["stored"] == len(events) + 1
+    assert daemon.status().events["stored"] == len(events) + 1
     exit_at = {"x": 0.9, "y": 0.5}
     wait_for(
         lambda: [key for key, _ in reader.query("predict/a", exit_at)] == ["predict/a"],
@@ -768,7 +768,7 @@ def test_one_certificate_for_the_cameras_of_another_program(
         )
 
     assert ingest("door", "yard") == exits.DONE
-    assert daemon.status()["events"]["stored"] == 100
+    assert daemon.status().events["stored"] == 100
     monkeypatch.setattr("camtopod.cli.commands.ingest.PATIENCE_SECONDS", 1.0)
     assert ingest("hall") == exits.BUS
-    assert daemon.status()["events"]["stored"] == 100
+    assert daemon.status().events["stored"] == 100

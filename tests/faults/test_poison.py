@@ -242,7 +242,7 @@ def poison(one: Poisoner, count: int, seed: int) -> str:
     one.spools(5, random.Random(seed))
     one.questions(count // 10, chance)
     wait_for(
-        lambda: one.daemon.status()["events"]["received"] >= 162 + events,
+        lambda: one.daemon.status().events["received"] >= 162 + events,
         "the daemon to have seen all of it",
     )
     wait_for(

@@ -79,11 +79,9 @@ def before_and_after(
     with Daemon(small_config(state), clock=lambda: T0 + 100) as second:
         bus = buses.dial(small_config(directory, second.endpoint))
         again.attach(bus, ["lobby"])
-        wait_for(
-            lambda: second.status()["events"]["refilled"] > 0, "the journal to be filled again"
-        )
+        wait_for(lambda: second.status().events["refilled"] > 0, "the journal to be filled again")
         publish(again, EVENTS + 1, EVENTS + 2)
-        refilled = second.status()["events"]["refilled"]
+        refilled = second.status().events["refilled"]
         bus.close()
     spool.close()
     return before, raws(state), refilled

@@ -195,4 +195,4 @@ def test_events_pass_a_router(tmp_path: Path) -> None:
         events = numbered(walkers(5))
         for event in events:
             bus.publish(f"event/{event.camera}", event, "event")
-        wait_for(lambda: daemon.status()["events"]["stored"] == len(events), "the events")
+        wait_for(lambda: daemon.status().events["stored"] == len(events), "the events")

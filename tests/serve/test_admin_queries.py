@@ -15,7 +15,7 @@ from test_daemon import NOW, Site, journal_of, put
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
-from camtopod.records import Ack, Event
+from camtopod.records import Ack, CameraFigures, Event
 from camtopod.serve import Done, parameters_of
 from camtopod.serve.admin_queries import command_of
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
@@ -75,7 +75,7 @@ def test_a_forgotten_camera_leaves_at_once_and_its_spool_empties(
     assert said.startswith("b is forgotten")
     wait_for(lambda: "b" not in cameras(daemon), "the next version")
     wait_for(lambda: followed(view, daemon), "it to be followed")
-    assert "b" not in daemon.status()["cameras"]
+    assert "b" not in daemon.status().cameras
 
     # Its events are refused and acknowledged; those of others are not.
     publisher, spool = site.publisher(site.client(daemon))
@@ -88,15 +88,15 @@ def test_a_forgotten_camera_leaves_at_once_and_its_spool_empties(
     assert max(ack.refused for ack in acks if (ack.camera, ack.boot) == ("b", spool.boot)) == 20
     assert caplog.text.count("events of b are refused, as this name is forgotten") == 1
     status = daemon.status()
-    assert status["names"]["forgotten"] == {"b": 20}
-    assert "b" not in status["cameras"]
+    assert status.names.forgotten == {"b": 20}
+    assert "b" not in status.cameras
     assert cameras(daemon) & {"a", "b"} == {"a"}
 
     # Taken back, it is a new camera.
     assert "accepted again" in ask(bus, TakeBack("b"))
     publisher.publish(*(fresh("b", 30 + n) for n in range(3)))
-    wait_for(lambda: daemon.status()["cameras"].get("b", {}).get("events") == 3, "its events")
-    assert daemon.status()["names"]["forgotten"] == {}
+    wait_for(lambda: daemon.status().cameras.get("b", CameraFigures()).events == 3, "its events")
+    assert daemon.status().names.forgotten == {}
 
 
 def test_a_forgotten_name_is_refused_after_a_restart(site: Site) -> None:
@@ -109,7 +109,7 @@ def test_a_forgotten_name_is_refused_after_a_restart(site: Site) -> None:
     daemon = site.daemon()
     assert "b" not in cameras(daemon)
     put(site.client(daemon), *numbered([fresh("b", n) for n in range(3)], "later"))
-    wait_for(lambda: daemon.status()["names"]["forgotten"] == {"b": 3}, "them to be refused")
+    wait_for(lambda: daemon.status().names.forgotten == {"b": 3}, "them to be refused")
     assert [row[0] for row in journal_of_stopped(site, daemon)[-3:]] == ["refused"] * 3
 
 
@@ -142,22 +142,22 @@ def test_a_renamed_camera_goes_on_whichever_name_its_grabber_uses(site: Site) ->
     publisher.publish(*(fresh("b", n) for n in range(10)))
     assert publisher.wait_acknowledged(10), "acknowledged under the old name"
     last = max(ack.seq for ack in acks if (ack.camera, ack.boot) == ("b", spool.boot))
-    before = daemon.status()["cameras"]["yard"]["events"]
+    before = daemon.status().cameras["yard"].events
     put(bus, msgspec.structs.replace(fresh("b", 9), boot=spool.boot, seq=last))
-    wait_for(lambda: daemon.status()["events"]["duplicate"] == 1, "the duplicate")
+    wait_for(lambda: daemon.status().events["duplicate"] == 1, "the duplicate")
     wait_for(lambda: not daemon._receiver.duplicates._waiting, "it to be compared")
     status = daemon.status()
-    assert status["cameras"]["yard"] == {**status["cameras"]["yard"], "events": before, "alive": 1}
-    assert "b" not in status["cameras"]
-    assert status["names"]["renamed"] == {"b": "yard"}
+    assert (status.cameras["yard"].events, status.cameras["yard"].alive) == (before, True)
+    assert "b" not in status.cameras
+    assert status.names.renamed == {"b": "yard"}
 
     # It gets the new name: from then on the old one is refused.
     put(bus, *numbered([fresh("yard", 20), fresh("b", 21)], "new"))
-    wait_for(lambda: daemon.status()["names"]["forgotten"] == {"b": 1}, "the old name to end")
+    wait_for(lambda: daemon.status().names.forgotten == {"b": 1}, "the old name to end")
     status = daemon.status()
-    assert status["names"]["renamed"] == {}
-    assert status["cameras"]["yard"]["events"] == before + 1
-    assert status["events"]["contradicted"] == 0
+    assert status.names.renamed == {}
+    assert status.cameras["yard"].events == before + 1
+    assert status.events["contradicted"] == 0
     kinds = [row[0] for row in journal_of_stopped(site, daemon)]
     assert kinds[-4:] == ["event", "command", "event", "refused"]
 
@@ -171,7 +171,7 @@ def test_an_alias_is_known_after_a_restart(site: Site) -> None:
     daemon = site.daemon()
     wait_for(lambda: "yard" in cameras(daemon), "the version")
     put(site.client(daemon), *numbered([fresh("b", n) for n in range(3)], "later"))
-    wait_for(lambda: daemon.status()["cameras"].get("yard", {}).get("events") == 3, "its events")
+    wait_for(lambda: daemon.status().cameras.get("yard", CameraFigures()).events == 3, "its events")
 
 
 def test_a_renamed_camera_can_get_its_name_back(site: Site) -> None:
@@ -181,7 +181,7 @@ def test_a_renamed_camera_can_get_its_name_back(site: Site) -> None:
     ask(bus, Rename("b", "yrad"))
     ask(bus, Rename("yrad", "b"))
     wait_for(lambda: {"b"} == cameras(daemon) & {"b", "yrad"}, "the name")
-    assert daemon.status()["names"]["renamed"] == {"yrad": "b"}
+    assert daemon.status().names.renamed == {"yrad": "b"}
 
 
 @pytest.mark.parametrize(
@@ -198,10 +198,10 @@ def test_a_command_that_makes_no_sense_is_refused_with_the_reason(
     command: Command, why: str, taught: tuple[Daemon, Bus]
 ) -> None:
     daemon, bus = taught
-    entries = daemon.status()["journal"]["entries"]
+    entries = daemon.status().journal.entries
     with pytest.raises(QueryError, match=why):
         ask(bus, command)
-    assert daemon.status()["journal"]["entries"] == entries
+    assert daemon.status().journal.entries == entries
 
 
 @pytest.mark.parametrize(
@@ -248,7 +248,7 @@ def test_the_number_of_names_is_limited(site: Site, monkeypatch: pytest.MonkeyPa
     ask(bus, Forget("b"))
     with pytest.raises(QueryError, match="take some back"):
         ask(bus, Forget("c"))
-    assert daemon.status()["names"]["forgotten"] == {"b": 0}
+    assert daemon.status().names.forgotten == {"b": 0}
 
 
 # --- reset ----------------------------------------------------------------------------------------
@@ -264,11 +264,11 @@ def test_a_reset_begins_anew_and_events_of_before_do_not_count(site: Site) -> No
     view.wait_for(1, 10)
     assert "the site begins anew" in ask(bus, Reset())
     wait_for(lambda: daemon.epoch > before, "a new epoch")
-    wait_for(lambda: daemon.status()["version"] == 1, "an empty version")
-    assert (cameras(daemon), daemon.status()["cameras"]) == (set(), {})
+    wait_for(lambda: daemon.status().version == 1, "an empty version")
+    assert (cameras(daemon), daemon.status().cameras) == (set(), {})
     wait_for(lambda: followed(view, daemon), "it to be followed")
     status = daemon.status()
-    assert (status["names"]["forgotten"], status["names"]["reset"]) == ({}, NOW)
+    assert (status.names.forgotten, status.names.reset) == ({}, NOW)
     with pytest.raises(QueryError, match="none is known yet"):
         ask(bus, Forget("x"))
 
@@ -276,8 +276,8 @@ def test_a_reset_begins_anew_and_events_of_before_do_not_count(site: Site) -> No
     publisher, _ = site.publisher(site.client(daemon))
     publisher.publish(*(fresh("a", n) for n in range(5)))
     assert publisher.wait_acknowledged(10)
-    assert daemon.status()["names"]["before_reset"] == 5
-    assert daemon.status()["cameras"] == {}
+    assert daemon.status().names.before_reset == 5
+    assert daemon.status().cameras == {}
 
     # What comes after it is: the first version is due with the first events.
     site.now = NOW + 86_400.0
@@ -285,7 +285,7 @@ def test_a_reset_begins_anew_and_events_of_before_do_not_count(site: Site) -> No
     late = msgspec.structs.replace(closing_event(), t=NOW + 40_000.0)
     put(bus, *numbered(later, "later"), late)
     wait_for(lambda: set("abc") <= cameras(daemon), "a new beginning")
-    assert daemon.status()["epoch"] == daemon.epoch > before
+    assert daemon.status().epoch == daemon.epoch > before
     daemon.stop()
     again = site.daemon()
     assert (again.epoch, set("abc") <= cameras(again)) == (daemon.epoch, True)

@@ -143,7 +143,7 @@ def test_after_an_outage_of_the_daemon_nothing_is_late(tmp_path: Path) -> None:
             lambda: all(publisher.wait_acknowledged(0.0) for publisher, _ in publishers),
             "everything to be stored",
         )
-        wait_for(lambda: daemon.status()["learner"]["accepted"] == 2100, "everything to be learned")
-        assert daemon.status()["learner"]["late"] == 0
+        wait_for(lambda: daemon.status().learner["accepted"] == 2100, "everything to be learned")
+        assert daemon.status().learner["late"] == 0
         for _, spool in publishers:
             spool.close()

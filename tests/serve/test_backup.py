@@ -63,7 +63,7 @@ def test_a_backup_of_a_running_daemon_is_whole_and_can_be_restored(
     again = site.daemon()
     assert "has come back older than it was" in caplog.text
     assert again.epoch > epoch
-    wait_for(lambda: again.status()["epoch"] == again.epoch, "a version")
+    wait_for(lambda: again.status().epoch == again.epoch, "a version")
     assert again.topology is not None
     assert {one.id for one in again.topology.cameras} == {one.id for one in newest.cameras}
 
@@ -88,7 +88,7 @@ def test_plain_copies_of_a_running_daemons_file_are_not_enough(site: Site, tmp_p
     daemon = site.daemon()
     events = numbered(walkers(5))
     put(site.client(daemon), *events)
-    wait_for(lambda: daemon.status()["events"]["stored"] == len(events), "all to be stored")
+    wait_for(lambda: daemon.status().events["stored"] == len(events), "all to be stored")
     copied = tmp_path / "copied.db"
     shutil.copyfile(site.directory / "state" / "journal.db", copied)
     try:

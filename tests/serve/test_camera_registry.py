@@ -335,7 +335,7 @@ def test_the_status_says_how_far_ahead_a_camera_is() -> None:
     cameras.is_future(at("b", T0 - 3600), T0, 0.0, False)
     for camera in "ab":
         cameras.count_event(at(camera, T0 - 20))
-    ahead = {name: status["ahead"] for name, status in cameras.status().items()}
+    ahead = {name: status.ahead for name, status in cameras.status().items()}
     assert ahead == {"a": -20.0, "b": None}, "what comes out of a spool says nothing about a clock"
 
 
@@ -582,17 +582,17 @@ def test_more_cameras_than_the_learner_takes_are_said(tmp_path: Path) -> None:
     ):
         for camera in "ab":
             bus.publish(f"event/{camera}", at(camera, T0), "event")
-        wait_for(lambda: daemon.status()["learner"]["accepted"] == 2, "two cameras to be learned")
+        wait_for(lambda: daemon.status().learner["accepted"] == 2, "two cameras to be learned")
         assert daemon.unready() == []
         bus.publish("event/c", at("c", T0), "event")
         wait_for(
-            lambda: "more cameras than learn.cameras_max" in daemon.status()["reason"],
+            lambda: "more cameras than learn.cameras_max" in daemon.status().reason,
             "the third to be missed",
         )
-        assert daemon.unready() == [daemon.status()["reason"]]
-        assert daemon.status()["events"]["stored"] == 3
+        assert daemon.unready() == [daemon.status().reason]
+        assert daemon.status().events["stored"] == 3
     with Daemon(config) as daemon:
-        assert daemon.status()["reason"] == "", "nothing has been refused since"
+        assert daemon.status().reason == "", "nothing has been refused since"
 
 
 def test_a_daemon_does_not_start_beside_another(meeting_point: buses.Bus, tmp_path: Path) -> None:
@@ -603,7 +603,7 @@ def test_a_daemon_does_not_start_beside_another(meeting_point: buses.Bus, tmp_pa
         with pytest.raises(BusError, match=r"another daemon .* serves site site on this bus"):
             Daemon(other).start()
     with Daemon(other) as after:
-        assert after.status()["reason"] == ""
+        assert after.status().reason == ""
 
 
 def test_two_that_find_each_other_later_both_say_so(
@@ -612,11 +612,9 @@ def test_two_that_find_each_other_later_both_say_so(
     with Daemon(small_config(tmp_path / "one", meeting_point.endpoint)) as daemon:
         other = OtherDaemons(meeting_point, "other")
         other.appear()
-        wait_for(
-            lambda: "another daemon (other)" in daemon.status()["reason"], "the first to see it"
-        )
+        wait_for(lambda: "another daemon (other)" in daemon.status().reason, "the first to see it")
         wait_for(lambda: other.reason != "", "the second to see it")
-        assert daemon.status()["state"] == "degraded"
+        assert daemon.status().state == "degraded"
 
 
 class Watched:

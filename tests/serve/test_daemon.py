@@ -91,8 +91,8 @@ def put(bus: Bus, *events: Event) -> None:
 
 
 def stored(daemon: Daemon, count: int) -> None:
-    wait_for(lambda: daemon.status()["events"]["stored"] >= count, f"{count} stored events")
-    assert daemon.status()["events"]["stored"] == count
+    wait_for(lambda: daemon.status().events["stored"] >= count, f"{count} stored events")
+    assert daemon.status().events["stored"] == count
 
 
 def learned(events: list[Event]) -> Topology:
@@ -125,12 +125,12 @@ def test_events_are_stored_once_and_learned_as_the_plain_learner_does(site: Site
     assert view.topology is not None
     assert (view.topology.version, view.topology.digest) == (expected.version, expected.digest)
     assert view.topology.epoch == daemon.epoch
-    wait_for(lambda: daemon.status()["events"]["duplicate"] == 50, "duplicates")
+    wait_for(lambda: daemon.status().events["duplicate"] == 50, "duplicates")
     stored(daemon, len(events))
     late = TopologySubscriber(site.client(daemon))
     assert late.wait_for(1, WAIT_SECONDS) == view.topology, "a late joiner gets the whole"
     status = daemon.status()
-    assert (status["alarms"], status["score"]) == ([], expected.score)
+    assert (status.alarms, status.score) == ([], expected.score)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
@@ -139,9 +139,7 @@ def test_a_daemon_whose_learner_is_killed_fails_and_goes_on_where_it_was(site: S
     events = [*numbered(walkers(40)), closing_event()]
     put(site.client(daemon), *events[:100])
     wait_for(
-        lambda: (
-            daemon.status()["events"]["stored"] == 100 and not daemon.status()["events"]["waiting"]
-        ),
+        lambda: daemon.status().events["stored"] == 100 and not daemon.status().events["waiting"],
         "learning",
     )
     assert daemon._process is not None
@@ -178,7 +176,7 @@ def test_a_restart_replays_the_journal_to_the_same_version(site: Site) -> None:
     assert again.epoch == daemon.epoch
     put(site.client(again), *events[:10])
     wait_for(
-        lambda: again.status()["events"]["duplicate"] == 10, "duplicates of what was stored before"
+        lambda: again.status().events["duplicate"] == 10, "duplicates of what was stored before"
     )
 
 
@@ -225,12 +223,12 @@ def test_old_versions_can_be_asked_for(site: Site) -> None:
     for nonsense in ({"version": 999}, {"version": "x"}, {"version": 1, "epoch": "other"}):
         with pytest.raises(QueryError, match="is not kept"):
             bus.query("topology", nonsense)
-    before = daemon.status()["journal"]
+    before = daemon.status().journal
     daemon.stop()
     again = site.daemon()
-    assert again.status()["events"]["waiting"] == 0, "it stopped with a snapshot"
+    assert again.status().events["waiting"] == 0, "it stopped with a snapshot"
     assert asked_of(site, again, first.version) == first
-    assert again.status()["journal"]["entries"] == before["entries"]
+    assert again.status().journal.entries == before.entries
 
 
 def asked_of(site: Site, daemon: Daemon, version: int) -> Topology:
@@ -320,7 +318,7 @@ def asked_again(bus: Bus, daemon: Daemon, t: float) -> None:
         for where in (place, {"zone": at_exit.zone}):
             with pytest.raises(QueryError, match=why):
                 said(**where, now=now)
-    assert daemon.status()["questions_refused"] == 10
+    assert daemon.status().questions_refused == 10
 
 
 def test_nothing_learned_yet_is_an_answer(site: Site) -> None:
@@ -353,9 +351,7 @@ def test_time_goes_on_without_events(site: Site) -> None:
     site.now += 4 * serving.SPAN_SECONDS
     wait_for(lambda: daemon.topology is not None, "a version")
     assert daemon.topology is not None
-    wait_for(
-        lambda: daemon.status()["learner"]["learned"] == len(events), "every event to be learned"
-    )
+    wait_for(lambda: daemon.status().learner["learned"] == len(events), "every event to be learned")
     wait_for(lambda: all_out(daemon, len(events)), "its versions")
     before = daemon.topology
     daemon.stop()
@@ -385,14 +381,14 @@ def test_garbage_is_counted_quoted_once_and_survived(
         good = Event("lobby", "entry", T0)
         bus.publish_raw("event/lobby", codec.to_json(good), "event")
         stored(daemon, 2)
-    counts = daemon.status()["rejects"]
+    counts = daemon.status().rejects
     assert sum(counts.values()) == 303
     assert counts["wrong-camera"] == 1
     assert counts["too-long"] == 1
     quoted = [record for record in caplog.records if record.getMessage().startswith("rejected")]
     assert len(quoted) == len(counts)
     assert "p@ss" not in caplog.text
-    assert daemon.status()["state"] == "running"
+    assert daemon.status().state == "running"
     daemon.stop()
     assert journal_of(site) == [("event", "hall", None, None), ("event", "lobby", None, None)]
 
@@ -406,11 +402,11 @@ def test_an_event_from_the_future_is_set_aside(site: Site) -> None:
     acks: list[Ack] = []
     bus.subscribe("ack/lobby", lambda key, raw: acks.append(codec.read(Ack, raw, pack=True)))
     put(bus, first, wild, third)
-    wait_for(lambda: daemon.status()["events"]["early"] == 1, "the third to wait for its time")
+    wait_for(lambda: daemon.status().events["early"] == 1, "the third to wait for its time")
     stored(daemon, 1)
     site.now += 50
     stored(daemon, 2)
-    assert daemon.status()["events"]["future"] == 1
+    assert daemon.status().events["future"] == 1
     wait_for(
         lambda: bool(acks) and (acks[-1].boot, acks[-1].seq) == ("b1", 3),
         "the ack of all three: none is asked for again",
@@ -426,23 +422,23 @@ def test_an_event_time_that_is_ahead_of_the_clock_is_said_with_what_to_do(site: 
     """
     first = site.daemon()
     put(site.client(first), *(Event(camera, "entry", NOW) for camera in "ab"))
-    wait_for(lambda: first.status()["learner"].get("accepted") == 2, "the events to be learned")
-    assert (first.status()["reason"], first.unready()) == ("", [])
+    wait_for(lambda: first.status().learner.get("accepted") == 2, "the events to be learned")
+    assert (first.status().reason, first.unready()) == ("", [])
     first.stop()
     site.now = NOW - 86_400.0
     again = site.daemon()
     wait_for(
-        lambda: again.status()["reason"] != "" and not again.status()["events"]["waiting"],
+        lambda: again.status().reason != "" and not again.status().events["waiting"],
         "the reason",
     )
     status, ahead = again.status(), 86_400.0 - 2 * serving.SPAN_SECONDS
-    assert status["state"] == "degraded"
-    assert f"event time is {ahead:.0f} s ahead of this machine's clock" in status["reason"]
-    assert "if that clock is wrong, set it" in status["reason"]
-    assert again.unready() == [status["reason"]]
+    assert status.state == "degraded"
+    assert f"event time is {ahead:.0f} s ahead of this machine's clock" in status.reason
+    assert "if that clock is wrong, set it" in status.reason
+    assert again.unready() == [status.reason]
     assert again.failing() == [], "to start it again changes nothing"
     site.now = NOW
-    assert (again.status()["reason"], again.unready()) == ("", [])
+    assert (again.status().reason, again.unready()) == ("", [])
 
 
 def test_event_time_that_a_wrong_clock_took_along_comes_back(
@@ -466,15 +462,15 @@ def test_event_time_that_a_wrong_clock_took_along_comes_back(
     journal.close()
 
     daemon = site.daemon()
-    wait_for(lambda: not daemon.status()["events"]["waiting"], "what was stored to be learned")
+    wait_for(lambda: not daemon.status().events["waiting"], "what was stored to be learned")
     bus = site.client(daemon)
-    assert "event time is" in daemon.status()["reason"]
+    assert "event time is" in daemon.status().reason
     before = daemon.epoch
     site.now += 11.0
     wait_for(lambda: daemon.epoch != before, "event time to be taken back")
-    wait_for(lambda: daemon.status()["learner"]["watermark"] == site.now, "that to be learned")
+    wait_for(lambda: daemon.status().learner["watermark"] == site.now, "that to be learned")
     assert "are dropped, and event time continues from that clock" in caplog.text
-    assert daemon.status()["learner"]["window"] == len(good), "everything else is kept"
+    assert daemon.status().learner["window"] == len(good), "everything else is kept"
     wait_for(
         lambda: daemon.topology is not None and daemon.topology.epoch == daemon.epoch,
         "a version of it",
@@ -488,15 +484,15 @@ def test_event_time_that_a_wrong_clock_took_along_comes_back(
     site.now += 1300.0
     put(bus, *sorted_by_time(later))
     wait_for(
-        lambda: daemon.status()["learner"]["accepted"] >= len(good) + len(later),
+        lambda: daemon.status().learner["accepted"] >= len(good) + len(later),
         "them to be learned",
     )
-    assert daemon.status()["learner"]["late"] == 0
-    assert daemon.status()["reason"] == ""
-    version, epoch = daemon.status()["version"], daemon.epoch
+    assert daemon.status().learner["late"] == 0
+    assert daemon.status().reason == ""
+    version, epoch = daemon.status().version, daemon.epoch
     daemon.stop()
     again = site.daemon()
-    assert (again.status()["version"], again.epoch) == (version, epoch)
+    assert (again.status().version, again.epoch) == (version, epoch)
 
 
 def sorted_by_time(events: list[Event]) -> list[Event]:
@@ -509,7 +505,7 @@ def test_a_publisher_without_spool_loses_only_what_was_lost(site: Site) -> None:
     events = numbered([Event("lobby", "entry", T0 + n) for n in range(6)])
     put(bus, *events[:2], *events[4:])
     stored(daemon, 4)
-    assert daemon.status()["events"]["lost"] == 2
+    assert daemon.status().events["lost"] == 2
 
 
 # --- nothing is lost ------------------------------------------------------------------------------
@@ -530,7 +526,7 @@ def test_what_the_network_lost_is_pulled_from_the_spool(
         publisher.publish(event)
     assert publisher.wait_acknowledged(20), "everything is acknowledged"
     stored(daemon, len(events))
-    assert (daemon.status()["events"]["lost"], daemon.status()["events"]["unknown"]) == (0, 0)
+    assert (daemon.status().events["lost"], daemon.status().events["unknown"]) == (0, 0)
     daemon.stop()
     rows = journal_of(site)
     for camera in "abc":
@@ -576,7 +572,7 @@ def test_poison_in_a_spool_does_not_stop_the_stream(site: Site) -> None:
     publisher.attach(site.client(daemon), ["lobby"])
     assert publisher.wait_acknowledged(20)
     stored(daemon, 3)
-    assert daemon.status()["rejects"] == {"malformed": 1}
+    assert daemon.status().rejects == {"malformed": 1}
     daemon.stop()
     assert [(kind, seq) for kind, _, _, seq in journal_of(site)] == [
         ("event", 1),
@@ -601,12 +597,12 @@ def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(
 
     monkeypatch.setattr(daemon._journal, "commit", failing)
     publisher.publish(*(Event("lobby", "entry", T0 + n) for n in range(20)))
-    wait_for(lambda: daemon.status()["state"] == "degraded", "the status to say so")
-    assert "disk is full" in daemon.status()["reason"]
+    wait_for(lambda: daemon.status().state == "degraded", "the status to say so")
+    assert "disk is full" in daemon.status().reason
     assert publisher.unacknowledged == 20
     full = False
     assert publisher.wait_acknowledged(20)
-    assert daemon.status()["state"] == "running"
+    assert daemon.status().state == "running"
     stored(daemon, 20)
 
 
@@ -627,24 +623,22 @@ def test_a_disk_that_cannot_be_read_for_a_while_ends_nothing(
         for name in ("size", "version"):
             disk.setattr(daemon._journal, name, unreadable)
         # The disk is read beside the status, which says what was found last.
-        wait_for(
-            lambda: daemon.status()["journal"].get("reason") == "disk I/O error", "what is wrong"
-        )
+        wait_for(lambda: daemon.status().journal.reason == "disk I/O error", "what is wrong")
         assert not daemon.wait(1.0), "no part of it has failed"
         with pytest.raises(QueryError, match="disk I/O error"):
             bus.query("topology", older)
-    wait_for(lambda: daemon.status()["journal"].get("bytes", 0) > 0, "the disk to be read again")
+    wait_for(lambda: (daemon.status().journal.bytes or 0) > 0, "the disk to be read again")
     assert bus.query("topology", older)
 
 
 def test_what_waits_for_other_backlogs_is_in_the_status(site: Site) -> None:
     daemon = site.daemon()
     receiver = daemon._receiver
-    assert daemon.status()["events"]["merging"] == 0
+    assert daemon.status().events["merging"] == 0
     receiver.merge.note_answer("lobby", [T0, T0 + 60], True, 0.0)
     receiver.merge.release([Received(Entry("refused", "lobby", "b", 1, b""))], 0.0, lambda: 10)
     assert receiver.merge.waiting == 1
-    assert daemon.status()["events"]["merging"] == 1
+    assert daemon.status().events["merging"] == 1
 
 
 # --- the bus itself -------------------------------------------------------------------------------

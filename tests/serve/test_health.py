@@ -111,18 +111,18 @@ def test_an_idle_daemon_is_healthy_and_a_stuck_learner_is_not(daemon: Daemon) ->
     assert [reason.split()[0] for reason in daemon.failing()] == ["learn"]
     assert daemon.unready() != []
     status = daemon.status()
-    assert status["state"] == "degraded"
-    assert "learn has made no progress" in status["reason"]
+    assert status.state == "degraded"
+    assert "learn has made no progress" in status.reason
     let_go()
     wait_for(lambda: daemon.failing() == [], "it to go on")
-    assert daemon.status()["state"] == "running"
+    assert daemon.status().state == "running"
 
 
 def test_a_long_refit_has_its_own_limit(tmp_path: Path) -> None:
     with Daemon(strict(tmp_path, stall_seconds=0.3, learn_seconds=60.0)) as daemon:
         let_go = stopped(daemon)
         put(daemon, Event("lobby", "entry", T0))
-        wait_for(lambda: daemon.status()["events"]["waiting"] == 1, "it to be learned")
+        wait_for(lambda: daemon.status().events["waiting"] == 1, "it to be learned")
         time.sleep(0.8)
         assert daemon.failing() == []
         let_go()
@@ -178,7 +178,7 @@ def test_a_publication_that_hangs_is_in_the_status_and_makes_it_unhealthy(daemon
     bus = daemon.bus
     session = bus._session = HangingSession(bus._session)  # type: ignore[assignment]
     wait_for(
-        lambda: "publishing on status/daemon takes" in daemon.status()["reason"],
+        lambda: "publishing on status/daemon takes" in daemon.status().reason,
         "the status to say so",
     )
     wait_for(
@@ -186,7 +186,7 @@ def test_a_publication_that_hangs_is_in_the_status_and_makes_it_unhealthy(daemon
         "it to be unhealthy",
     )
     session.go.set()
-    wait_for(lambda: (daemon.failing(), daemon.status()["reason"]) == ([], ""), "it to go on")
+    wait_for(lambda: (daemon.failing(), daemon.status().reason) == ([], ""), "it to go on")
 
 
 def test_a_full_disk_is_not_ready_but_starting_again_would_not_help(

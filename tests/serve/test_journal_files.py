@@ -168,7 +168,7 @@ def test_a_journal_that_came_back_older_begins_a_later_epoch(
             "F" if lost == "epoch" else "E",
         )
         assert (again.meta("name"), again.missing) == ("N", 2 if lost == "entries" else 0)
-        assert again.status()["missing"] == again.missing
+        assert again.status().missing == again.missing
     assert caplog.text.count("has come back older than it was") == 1
     caplog.clear()
     with closing(Journal(tmp_path)) as later:

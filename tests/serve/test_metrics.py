@@ -28,7 +28,7 @@ from serving import (
 
 from camtopod.cli.main import main
 from camtopod.config.settings import Config, StateSettings, parse
-from camtopod.records import Event
+from camtopod.records import CameraFigures, DaemonStatus, Event
 from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.monitoring import health, metrics
@@ -81,17 +81,17 @@ def test_the_figures_are_those_of_the_status(daemon: Daemon, tmp_path: Path) -> 
             bus.publish(f"event/{event.camera}", event, "event")
         bus.publish_raw("event/a", b"\xc1", "event")
         bus.publish("event/b", Event("a", "entry", 1.0), "event")
-    wait_for(lambda: daemon.status()["events"]["received"] == len(events) + 12, "all that was sent")
+    wait_for(lambda: daemon.status().events["received"] == len(events) + 12, "all that was sent")
     wait_for(lambda: all_out(daemon, len(events)), "all to be learned")
-    moments: list[tuple[Samples, dict[str, Any]]] = []
+    moments: list[tuple[Samples, DaemonStatus]] = []
 
     def settled() -> bool:
         """Return True if the journal was the same before and after; it may still
         write a version.
         """
-        before = daemon.status()["journal"]
+        before = daemon.status().journal
         moments.append((scraped(daemon), daemon.status()))
-        return bool(moments[-1][1]["journal"] == before)
+        return bool(moments[-1][1].journal == before)
 
     wait_for(settled, "the journal to be written")
     (samples, status), topology = moments[-1], daemon.topology
@@ -105,11 +105,11 @@ def test_the_figures_are_those_of_the_status(daemon: Daemon, tmp_path: Path) -> 
         "rejected_malformed_total": 1,
         "rejected_wrong_camera_total": 1,
         "rejected_too_long_total": 0,
-        "predictions_total": status["predictions"],
+        "predictions_total": status.predictions,
         "events_waiting": 0,
-        "watermark_timestamp_seconds": status["learner"]["watermark"],
-        "journal_entries_total": status["journal"]["entries"],
-        "journal_bytes": status["journal"]["bytes"],
+        "watermark_timestamp_seconds": status.learner["watermark"],
+        "journal_entries_total": status.journal.entries,
+        "journal_bytes": status.journal.bytes,
         "topology_version": topology.version,
         "topology_links": len(links_between_views(topology)),
         "alarm_timestamp_seconds": 0,  # not absent, or nobody would see it change when the first one comes
@@ -120,9 +120,9 @@ def test_the_figures_are_those_of_the_status(daemon: Daemon, tmp_path: Path) -> 
         "degraded": 0,
     }
     assert {name: samples[f"camtopod_{name}", ""] for name in expected} == pytest.approx(expected)
-    for camera, counters in status["cameras"].items():
-        assert samples["camtopod_events_total", camera] == counters["events"]
-        assert samples["camtopod_event_timestamp_seconds", camera] == counters["newest"]
+    for camera, counters in status.cameras.items():
+        assert samples["camtopod_events_total", camera] == counters.events
+        assert samples["camtopod_event_timestamp_seconds", camera] == counters.newest
         assert samples["camtopod_camera_alive", camera] == 0
     assert sum(
         value for (name, _), value in samples.items() if name == "camtopod_events_total"
@@ -224,7 +224,7 @@ def test_the_number_of_cameras_has_a_limit(daemon: Daemon, tmp_path: Path) -> No
             bus.answer_queries(
                 f"status/c{number:02}", lambda key, parameters: {"state": "running"}, "status"
             )
-        wait_for(lambda: len(daemon.status()["cameras"]) == 20, "the cameras")
+        wait_for(lambda: len(daemon.status().cameras) == 20, "the cameras")
         wait_for(lambda: len(metrics.grabbers(daemon.bus)) == 20, "the answers")
         samples = scraped(daemon, 5)
     assert {camera for _, camera in samples} == {"", "c00", "c01", "c02", "c03", "c04"}
@@ -233,10 +233,12 @@ def test_the_number_of_cameras_has_a_limit(daemon: Daemon, tmp_path: Path) -> No
 def test_what_found_no_room_is_counted_by_camera(
     daemon: Daemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    said = daemon.status()
-    said["cameras"] = {"lobby": {"events": 4, "newest": 1.0, "ahead": None, "alive": True}}
-    said["dropped"] = {"lobby": 7, "gone": 2, "": 1}
-    monkeypatch.setattr(daemon, "status", lambda: msgspec.json.decode(msgspec.json.encode(said)))
+    status = msgspec.structs.replace(
+        daemon.status(),
+        cameras={"lobby": CameraFigures(4, 1.0, None, True)},
+        dropped={"lobby": 7, "gone": 2, "": 1},
+    )
+    monkeypatch.setattr(daemon, "status", lambda: status)
     samples = scraped(daemon)
     dropped = {
         camera: value

@@ -58,13 +58,12 @@ def daemon_on(state: Path, events: list[Event]) -> Daemon:
             bus.publish(f"event/{event.camera}", event, "event")
         wait_for(
             lambda: (
-                sum(daemon.status()["events"][name] for name in ("stored", "duplicate"))
-                == len(events)
+                sum(daemon.status().events[name] for name in ("stored", "duplicate")) == len(events)
             ),
             "all",
         )
-        wait_for(lambda: not daemon.status()["events"]["waiting"], "learning")
-        learned = daemon.status()["learner"]["version"]
+        wait_for(lambda: not daemon.status().events["waiting"], "learning")
+        learned = daemon.status().learner["version"]
         wait_for(
             lambda: daemon.newest is not None and daemon.newest.head.version == learned,
             "the newest version",
@@ -109,7 +108,7 @@ def test_events_of_the_recording_count_once(recording: Path, site: Path, tmp_pat
     """They may come again, from a spool or a file."""
     assert learn(recording, site, tmp_path / "state") == exits.DONE
     daemon = daemon_on(tmp_path / "state", RECORDED)
-    assert daemon.status()["events"]["duplicate"] == len(RECORDED)
+    assert daemon.status().events["duplicate"] == len(RECORDED)
     daemon.stop()
     with closing(Journal(tmp_path / "state")) as journal:
         assert len(journal) == len(RECORDED)

@@ -176,9 +176,12 @@ def test_it_says_how_far_it_is_behind(start: Start) -> None:
     one.learning.feed(one.store(EVENTS[100:150]))
     assert one.learning.catching_up(watermark + CATCHING_UP_SECONDS - 1.0) is None
     behind = one.learning.catching_up(watermark + 1000.0)
-    assert behind == {"seconds": pytest.approx(1000.0), "share": 0.0}
+    assert behind is not None
+    assert (behind.seconds, behind.share) == (pytest.approx(1000.0), 0.0)
     one.learning.position += 20
-    assert (one.learning.catching_up(watermark + 1000.0) or {})["share"] == pytest.approx(0.4)
+    behind = one.learning.catching_up(watermark + 1000.0)
+    assert behind is not None
+    assert behind.share == pytest.approx(0.4)
 
 
 def test_a_damaged_snapshot_costs_time_only(start: Start) -> None:

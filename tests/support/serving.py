@@ -38,9 +38,9 @@ def wait_for(condition: Callable[[], bool], what: str, seconds: float = WAIT_SEC
 
 def all_out(daemon: Daemon, events: int) -> bool:
     """Return True if the learner has had ``events`` events and its versions are published."""
-    learner = daemon.status()["learner"]
+    learner = daemon.status().learner
     had = learner.get("accepted", 0) + learner.get("late", 0) == events
-    return bool(had and learner["version"] == daemon.status()["version"])
+    return bool(had and learner["version"] == daemon.status().version)
 
 
 def free_endpoint() -> str:

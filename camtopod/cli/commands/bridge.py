@@ -16,7 +16,7 @@ from camtopod.cli.events import broker_options
 from camtopod.cli.exits import CommandError
 from camtopod.cli.site_choice import dial_as_reader
 from camtopod.export import homeassistant
-from camtopod.records import CAMERA_PATTERN, Prediction
+from camtopod.records import CAMERA_PATTERN, CameraFigures, DaemonStatus, Prediction, Status
 from camtopod.serve.bus import Bus, BusError, QueryError, TopologySubscriber
 from camtopod.serve.runtime import Progress
 
@@ -57,8 +57,13 @@ class HomeAssistantState:
         self._cameras_max = cameras_max
         self._mutex = threading.Lock()
         self._daemons: set[str] = set()
+<<<<<<< HEAD
         self._site = homeassistant.DaemonStatus()
         self._grabbers: dict[str, homeassistant.GrabberStatus] = {}
+=======
+        self._site = DaemonStatus()
+        self._said: dict[str, Status] = {}
+>>>>>>> 600d45e (records: the daemon's status has a type)
         self._predictions: dict[str, Prediction] = {}
         self._cameras: list[str] = []
         self._discovery = homeassistant.discovery(topics, [])
@@ -96,7 +101,7 @@ class HomeAssistantState:
         # Messages of the site, then of each camera.
         messages = self._discovery | homeassistant.site_state(topics, alive, site, topology)
         for camera in cameras:
-            counted = site.cameras.get(camera, homeassistant.CameraFigures())
+            counted = site.cameras.get(camera, CameraFigures())
             messages |= homeassistant.camera_state(
                 topics, camera, counted, grabbers.get(camera), zones.get(camera, 0)
             )
@@ -112,13 +117,17 @@ class HomeAssistantState:
         camera = key.removeprefix("status/")
         with contextlib.suppress(codec.Rejected):
             if camera == "daemon":
-                self._site = codec.read(homeassistant.DaemonStatus, payload, pack=True)
+                self._site = codec.read(DaemonStatus, payload, pack=True)
             else:
+<<<<<<< HEAD
                 self._keep(
                     self._grabbers,
                     camera,
                     codec.read(homeassistant.GrabberStatus, payload, pack=True),
                 )
+=======
+                self._keep(self._said, camera, codec.read(Status, payload, pack=True))
+>>>>>>> 600d45e (records: the daemon's status has a type)
 
     def _on_prediction(self, key: str, payload: bytes) -> None:
         camera = key.removeprefix("prediction/")

@@ -240,7 +240,7 @@ def _watch(recording: Recording, work: Path) -> Topology:
             clock.skip(AFTERWARDS_SECONDS + recording.seconds)
             _until(daemon, _Learning(daemon).done)
             topology = daemon.topology
-            late = daemon.status()["learner"]["late"]
+            late = daemon.status().learner["late"]
             if late:
                 _say(f"{late} events were too late and not learned: the machine was very busy")
     except BusError as error:
@@ -331,9 +331,9 @@ class _Learning:
     def done(self) -> bool:
         """Return True once nothing has happened for `QUIET_SECONDS`."""
         status = self._daemon.status()
-        events = status["events"]
-        learner = status["learner"]
-        busy = events["waiting"] or learner["held"] or learner["version"] != status["version"]
+        events = status.events
+        learner = status.learner
+        busy = events["waiting"] or learner["held"] or learner["version"] != status.version
         if busy or events["stored"] != self._stored:
             self._stored = events["stored"]
             self._changed_at = time.monotonic()
@@ -366,7 +366,7 @@ def _progress(daemon: Daemon) -> str:
     """Return one line about the events and the newest topology."""
     status = daemon.status()
     topology = daemon.topology
-    events = f"{len(status['cameras'])} cameras, {status['events']['stored']} events"
+    events = f"{len(status.cameras)} cameras, {status.events['stored']} events"
     if topology is None:
         return f"{events}, nothing learned yet"
     links = sum(link.relation != "visible" for link in topology.links)

@@ -12,33 +12,23 @@ from msgspec import Struct
 from camtopod import records
 from camtopod.cli.generated.config_schema import schema as configuration_schema
 from camtopod.cli.generated.example_config import attribute_docs
+<<<<<<< HEAD
 from camtopod.records import DELTA_SCHEMA, TOPOLOGY_SCHEMA, Ack, Delta, Event, Prediction, Topology
+=======
+from camtopod.records import (
+    DELTA_SCHEMA,
+    TOPOLOGY_SCHEMA,
+    Ack,
+    Delta,
+    Event,
+    Prediction,
+    Status,
+    Topology,
+)
+>>>>>>> 600d45e (records: the daemon's status has a type)
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _NONE = re.compile(r"\bNone\b")
-
-
-class Status(Struct):
-    """State of the daemon or of the program that publishes a camera's events.
-
-    state: running or degraded for the daemon; connecting, running, stalled, failed and others for
-        a camera.
-    reason: why it is not running as it should; empty if it is.
-    t (Unix seconds): when the status was made.
-    camera: the camera; the daemon's status has none.
-    site, epoch, version: site of the daemon, and the version of the topology that it published
-        last; 0 if there is none.
-
-    Counters and other fields follow; which ones, and what they mean, may change.
-    """
-
-    state: str
-    reason: str
-    t: float
-    camera: str | None = None
-    site: str | None = None
-    epoch: str | None = None
-    version: int | None = None
 
 
 MESSAGES: dict[str, type[Struct]] = {

@@ -9,12 +9,19 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from msgspec import Struct
-
 from camtopod import codec
 from camtopod.predict import seen_now
 from camtopod.publishers import is_gone
-from camtopod.records import CAMERA_PATTERN, Link, NextCamera, Prediction, Topology
+from camtopod.records import (
+    CAMERA_PATTERN,
+    CameraFigures,
+    DaemonStatus,
+    Link,
+    NextCamera,
+    Prediction,
+    Status,
+    Topology,
+)
 from camtopod.topology import links_between_views, links_in_words, waiting_for_links
 
 PREDICTIONS_SHOWN = 8
@@ -33,51 +40,6 @@ _FINE = ("running", "ended", "no grabber", "unknown", "gone")
 "gone" is a camera without a grabber, and without events for `camtopod.publishers.GONE_SECONDS`.
 "no grabber" and "unknown" are cameras of another program, which sends events but no status.
 """
-
-
-class _CameraStatus(Struct, frozen=True):
-    """Status that a camera's process publishes."""
-
-    state: str = ""
-    reason: str = ""
-
-
-class _CameraCounters(Struct, frozen=True):
-    """Counters of one camera in the daemon's status."""
-
-    events: int = 0
-    newest: float | None = None
-    alive: bool = False
-
-
-class _EventCounters(Struct, frozen=True):
-    """Counters of all events in the daemon's status."""
-
-    stored: int = 0
-
-
-class _CatchingUp(Struct, frozen=True):
-    """How far the learner is behind: event time in seconds, and the share that is learned."""
-
-    seconds: float = 0.0
-    share: float = 0.0
-
-
-class _Names(Struct, frozen=True):
-    """Forgotten names, and the present names of renamed cameras, in the daemon's status."""
-
-    forgotten: dict[str, int] = {}
-    renamed: dict[str, str] = {}
-
-
-class _DaemonStatus(_CameraStatus, frozen=True):
-    """Status that the daemon publishes."""
-
-    events: _EventCounters = _EventCounters()
-    rejects: dict[str, int] = {}
-    catching_up: _CatchingUp | None = None
-    cameras: dict[str, _CameraCounters] = {}
-    names: _Names = _Names()
 
 
 class CameraLine(NamedTuple):
@@ -106,8 +68,8 @@ class SiteState:
         self._site = site
         self._steady = steady
         self._mutex = threading.Lock()
-        self._daemon: tuple[float, _DaemonStatus] | None = None
-        self._cameras: dict[str, tuple[float, _CameraStatus]] = {}
+        self._daemon: tuple[float, DaemonStatus] | None = None
+        self._cameras: dict[str, tuple[float, Status]] = {}
         """Camera -> (time of arrival, status)."""
         self._predictions: deque[Prediction] = deque(maxlen=PREDICTIONS_SHOWN)
 
@@ -118,11 +80,11 @@ class SiteState:
             return
         try:
             if name == "daemon":
-                daemon = codec.read(_DaemonStatus, payload, pack=True)
+                daemon = codec.read(DaemonStatus, payload, pack=True)
                 with self._mutex:
                     self._daemon = self._steady(), daemon
             else:
-                camera = codec.read(_CameraStatus, payload, pack=True)
+                camera = codec.read(Status, payload, pack=True)
                 with self._mutex:
                     self._cameras[name] = self._steady(), camera
         except codec.Rejected:
@@ -162,7 +124,8 @@ class SiteState:
             minutes = behind.seconds / 60
             words += f", catching up, {behind.share:.0%} ({minutes:.0f} minutes behind)"
         rejected = sum(daemon.rejects.values())
-        return f"{words}, {daemon.events.stored} events stored, {rejected} rejected since its start"
+        stored = daemon.events.get("stored", 0)
+        return f"{words}, {stored} events stored, {rejected} rejected since its start"
 
     def cameras(self, topology: Topology | None, now: float) -> list[CameraLine]:
         """Return the cameras at ``now`` (Unix seconds): those with problems first, then by name.
@@ -171,12 +134,12 @@ class SiteState:
         """
         with self._mutex:
             statuses = dict(self._cameras)
-            daemon = self._daemon[1] if self._daemon else _DaemonStatus()
+            daemon = self._daemon[1] if self._daemon else DaemonStatus()
         known = {**_learned(topology), **daemon.cameras}
         newest = max((one.newest or 0.0 for one in known.values()), default=0.0)
         lines = []
         for name in {*statuses, *known}:
-            counters = known.get(name, _CameraCounters())
+            counters = known.get(name, CameraFigures())
             state, reason = self._camera_state(statuses.get(name), counters)
             if is_gone(state, counters.newest, newest):
                 state = "gone"
@@ -193,7 +156,7 @@ class SiteState:
         return sorted(lines, key=lambda line: (not line.wrong, line.name))
 
     def _camera_state(
-        self, status: tuple[float, _CameraStatus] | None, counters: _CameraCounters
+        self, status: tuple[float, Status] | None, counters: CameraFigures
     ) -> tuple[str, str]:
         """Return (state, reason) of a camera by its status and the daemon's counters."""
         if status is None or not status[1].state:
@@ -210,13 +173,13 @@ class SiteState:
         return [prediction_line(prediction) for prediction in reversed(predictions)]
 
 
-def _learned(topology: Topology | None) -> dict[str, _CameraCounters]:
+def _learned(topology: Topology | None) -> dict[str, CameraFigures]:
     """Return the time of the last event of each camera of a topology."""
     if topology is None:
         return {}
     models = [] if topology.model is None else topology.model.cameras
     last = {model.camera: model.last_event for model in models}
-    return {camera.id: _CameraCounters(newest=last.get(camera.id)) for camera in topology.cameras}
+    return {camera.id: CameraFigures(newest=last.get(camera.id)) for camera in topology.cameras}
 
 
 def topology_lines(topology: Topology | None) -> list[str]:

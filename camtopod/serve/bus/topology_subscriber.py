@@ -9,11 +9,9 @@ import logging
 import queue
 import time
 
-from msgspec import Struct
-
 from camtopod import codec
 from camtopod.keys import STATUS
-from camtopod.records import Delta, Topology
+from camtopod.records import DaemonStatus, Delta, Topology
 from camtopod.serve.bus.session import Bus, QueryError
 from camtopod.topology import apply_delta
 
@@ -26,13 +24,6 @@ BEHIND_SECONDS = 1.0
 _ASK_AGAIN_SECONDS = 0.5
 """Shortest time between two queries for the whole topology, in seconds."""
 _TICK_SECONDS = 0.1
-
-
-class _Status(Struct):
-    """The part of ``status/daemon`` that tells the newest version."""
-
-    epoch: str
-    version: int
 
 
 class TopologySubscriber:
@@ -97,7 +88,7 @@ class TopologySubscriber:
     def _on_status(self, key: str, payload: bytes) -> None:
         """Query the whole topology if a newer version does not arrive within `BEHIND_SECONDS`."""
         try:
-            newest = codec.read(_Status, payload, pack=True)
+            newest = codec.read(DaemonStatus, payload, pack=True)
         except codec.Rejected as error:
             log.debug("ignoring a malformed status of the daemon: %s", error)
             return

@@ -28,14 +28,13 @@ import math
 import statistics
 import threading
 from collections.abc import Mapping, Set
-from typing import Any
 
 from msgspec import Struct, field, structs
 
 from camtopod.admin import Command
 from camtopod.config import Limits
 from camtopod.publishers import Publisher
-from camtopod.records import Event
+from camtopod.records import CameraFigures, Event
 from camtopod.serve.storage import Entry, Rewind
 
 log = logging.getLogger(__name__)
@@ -317,18 +316,18 @@ class CameraRegistry:
         cameras = self._cameras.copy()
         return sum(len(cameras[name].waiting) for name in self._waiting.copy() if name in cameras)
 
-    def status(self) -> dict[str, dict[str, Any]]:
+    def status(self) -> dict[str, CameraFigures]:
         """Return each camera's entry in the status. Any thread.
 
         ``ahead`` is by how much the camera is ahead of this machine's clock, in seconds; None if
         unknown.
         """
         return {
-            name: {
-                "events": one.events,
-                "newest": one.newest,
-                "ahead": None if one.lead_at == -math.inf else round(one.lead, 3),
-            }
+            name: CameraFigures(
+                events=one.events,
+                newest=one.newest,
+                ahead=None if one.lead_at == -math.inf else round(one.lead, 3),
+            )
             for name, one in self._cameras.copy().items()
             if one.events
         }

@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 from msgspec import Struct
@@ -21,7 +21,7 @@ from msgspec.structs import replace
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
-from camtopod.records import Topology
+from camtopod.records import NamesStatus, Topology
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.storage import Entry, command_entry, reset_entry
 
@@ -238,15 +238,15 @@ class Names:
             return [*self._end_aliases(event.camera), received]
         return [received]
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> NamesStatus:
         """Return the part of the daemon's status about names. Any thread."""
-        state, refused = self.state, self.refused.copy()
-        return {
-            "forgotten": {name: refused[name] for name in sorted(state.forgotten)},
-            "renamed": dict(sorted(state.aliases.items())),
-            "reset": state.since,
-            "before_reset": refused[""],
-        }
+        refused = self.refused.copy()
+        return NamesStatus(
+            forgotten={name: refused[name] for name in sorted(self.state.forgotten)},
+            renamed=dict(sorted(self.state.aliases.items())),
+            reset=self.state.since,
+            before_reset=refused[""],
+        )
 
     def _refuse(self, received: Received, name: str) -> list[Received]:
         """Count a refused event, and return its entry, which has only its number."""

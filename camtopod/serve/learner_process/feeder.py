@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from camtopod.records import CatchingUp
 from camtopod.serve.ingest import Received
 from camtopod.serve.learner_process.messages import (
     INPUTS_MAX,
@@ -144,7 +145,7 @@ class LearnerFeeder:
         """Number of events stored and not learned yet."""
         return max(0, self._stored - self.position)
 
-    def catching_up(self, newest: float) -> dict[str, float] | None:
+    def catching_up(self, newest: float) -> CatchingUp | None:
         """Return how far the learner is behind; None if it is up to date. Any thread.
 
         ``seconds``: event time that is stored and not learned yet.
@@ -160,7 +161,7 @@ class LearnerFeeder:
             return None
         since = self._up_to_date_at
         learned = (self.position - since) / max(1, self._stored - since)
-        return {"seconds": seconds, "share": min(1.0, max(0.0, learned))}
+        return CatchingUp(seconds, min(1.0, max(0.0, learned)))
 
     @property
     def replaying(self) -> int:

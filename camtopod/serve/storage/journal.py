@@ -23,8 +23,10 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from camtopod.config import KeepSettings
+from camtopod.records import JournalStatus
 from camtopod.serve.storage import journal_schema, sqlite_file
 from camtopod.serve.storage.journal_schema import FORMAT, SCHEMA, last_entry, rescue
 from camtopod.serve.storage.sqlite_file import Displaced, crc
@@ -116,7 +118,7 @@ class Journal:
         self._path = directory / "journal.db"
         # (camera, boot) that had entries since the start.
         self._followed: set[tuple[str, str | None]] = set()
-        self._seen: dict[str, Any] = {}
+        self._seen = JournalStatus()
         self._sure = True  # False after a transaction that raised an error
         self.set_aside: Path | None = None
         """Path of a damaged journal that was set aside on opening; this one was begun anew."""
@@ -417,7 +419,7 @@ class Journal:
                 self._pragma("page_count") - self._pragma("freelist_count")
             )
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> JournalStatus:
         """Return the number of entries, bytes and damaged files, or why the disk cannot be read.
 
         Does not wait for a transaction under way, which a slow disk can delay for long; then it
@@ -426,12 +428,12 @@ class Journal:
         if self._mutex.acquire(blocking=False):
             try:
                 files = [path.name for path in sqlite_file.damaged_files(self._path)]
-                self._seen = {"bytes": self.size(), "damaged_files": files}
+                self._seen = JournalStatus(bytes=self.size(), damaged_files=files)
             except (sqlite3.Error, OSError) as error:
-                self._seen = {"reason": str(error)}
+                self._seen = JournalStatus(reason=str(error))
             finally:
                 self._mutex.release()
-        return {"entries": len(self), "missing": self.missing, **self._seen}
+        return replace(self._seen, entries=len(self), missing=self.missing)
 
     def close(self) -> None:
         """Close the journal and release the directory; may be called twice."""
