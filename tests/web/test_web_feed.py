@@ -184,7 +184,7 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason(rig: Rig) -> 
     assert SITE.model is not None
     rig.feed.show(SITE)
     counted = {"b": {"events": 7, "newest": 990.0, "ahead": None, "alive": True}}
-    daemon = {"state": "running", "cameras": counted, "reject_samples": ["secret"]}
+    daemon = {"state": "running", "cameras": counted, "reject_samples": {"malformed": ["secret"]}}
     rig.bus.publish("status/daemon", daemon)
     rig.bus.publish("status/no name", {"state": "stalled"})
     rig.bus.publish("status/c", ["not", "a", "status"])

@@ -57,13 +57,8 @@ class HomeAssistantState:
         self._cameras_max = cameras_max
         self._mutex = threading.Lock()
         self._daemons: set[str] = set()
-<<<<<<< HEAD
-        self._site = homeassistant.DaemonStatus()
-        self._grabbers: dict[str, homeassistant.GrabberStatus] = {}
-=======
         self._site = DaemonStatus()
-        self._said: dict[str, Status] = {}
->>>>>>> 600d45e (records: the daemon's status has a type)
+        self._grabbers: dict[str, Status] = {}
         self._predictions: dict[str, Prediction] = {}
         self._cameras: list[str] = []
         self._discovery = homeassistant.discovery(topics, [])
@@ -119,15 +114,7 @@ class HomeAssistantState:
             if camera == "daemon":
                 self._site = codec.read(DaemonStatus, payload, pack=True)
             else:
-<<<<<<< HEAD
-                self._keep(
-                    self._grabbers,
-                    camera,
-                    codec.read(homeassistant.GrabberStatus, payload, pack=True),
-                )
-=======
-                self._keep(self._said, camera, codec.read(Status, payload, pack=True))
->>>>>>> 600d45e (records: the daemon's status has a type)
+                self._keep(self._grabbers, camera, codec.read(Status, payload, pack=True))
 
     def _on_prediction(self, key: str, payload: bytes) -> None:
         camera = key.removeprefix("prediction/")

@@ -12,9 +12,6 @@ from msgspec import Struct
 from camtopod import records
 from camtopod.cli.generated.config_schema import schema as configuration_schema
 from camtopod.cli.generated.example_config import attribute_docs
-<<<<<<< HEAD
-from camtopod.records import DELTA_SCHEMA, TOPOLOGY_SCHEMA, Ack, Delta, Event, Prediction, Topology
-=======
 from camtopod.records import (
     DELTA_SCHEMA,
     TOPOLOGY_SCHEMA,
@@ -25,7 +22,6 @@ from camtopod.records import (
     Status,
     Topology,
 )
->>>>>>> 600d45e (records: the daemon's status has a type)
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _NONE = re.compile(r"\bNone\b")
