@@ -21,13 +21,14 @@ import numpy as np
 
 from bench.scenes.drawn_plan import drawn_plan
 from camtopod.cli.commands.demo import LATENESS_SECONDS, MINUTES, WALKERS_PER_SECOND
-from camtopod.learn import Settings
 from camtopod.learn.learner import Learner
+from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology, Zone
-from camtopod.sim import SUFFIX, Plan, demo_plan, passages, render, score, simulate_walks, truth_of
-from camtopod.sim.scoring import ZONE_TOLERANCE, Score, match_zones
+from camtopod.sim.floor import Plan, demo_plan, passages, simulate_walks, truth_of
+from camtopod.sim.rendering import SUFFIX, render
+from camtopod.sim.scoring import ZONE_TOLERANCE, Score, match_zones, score
 from camtopod.sim.truth import Truth
-from camtopod.vision import Grabber
+from camtopod.vision.grabber import Grabber
 
 SEEDS, PLANS = 10, 10
 START = 1_700_000_000.0

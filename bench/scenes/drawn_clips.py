@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bench.support.films import draw_person, floor
 from bench.support.truth_clips import Clip, Picture
 from camtopod.records import Event, Kind
-from camtopod.vision import VisionSettings
+from camtopod.vision.settings import VisionSettings
 
 WIDTH, HEIGHT = 480, 360
 """Size of the pictures, pixels."""

@@ -11,8 +11,8 @@ import numpy as np
 
 from bench.support.truth_clips import Clip, Picture
 from camtopod.records import Event
-from camtopod.vision import VisionSettings
 from camtopod.vision.detect import Luma
+from camtopod.vision.settings import VisionSettings
 
 SLOWER = 1.5
 """Factor on the times of a slowed clip."""

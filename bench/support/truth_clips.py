@@ -25,8 +25,8 @@ from msgspec import Struct
 
 from bench.support.watched_clips import DIAGONALS
 from camtopod.records import Event, Kind
-from camtopod.vision import VisionSettings
 from camtopod.vision.detect import Luma
+from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import Capture, FrameSelector
 from camtopod.vision.source.recorded import FPS_UNKNOWN
 

@@ -6,13 +6,14 @@ Read `formats` first, the table of all formats, and `adapter`, the interface tha
 tracks of boxes without identity, and `fragmentation` notices a tracker that breaks tracks up.
 """
 
-from camtopod.adapt.adapter import ANY_CAMERA as ANY_CAMERA
-from camtopod.adapt.adapter import LINE_BYTES_MAX as LINE_BYTES_MAX
-from camtopod.adapt.adapter import Adapter as Adapter
-from camtopod.adapt.adapter import Size as Size
-from camtopod.adapt.adapter import quotable as quotable
+from camtopod.adapt.adapter import (
+    ANY_CAMERA as ANY_CAMERA,
+    LINE_BYTES_MAX as LINE_BYTES_MAX,
+    Adapter as Adapter,
+    Size as Size,
+    quotable as quotable,
+)
 from camtopod.adapt.camera_streams import StreamAdapter as StreamAdapter
-from camtopod.adapt.formats import FORMATS as FORMATS
-from camtopod.adapt.formats import FormatOptions as FormatOptions
+from camtopod.adapt.formats import FORMATS as FORMATS, FormatOptions as FormatOptions
 from camtopod.adapt.fragmentation import Fragmentation as Fragmentation
 from camtopod.adapt.tracks import TrackEvents as TrackEvents

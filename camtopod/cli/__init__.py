@@ -9,5 +9,3 @@ progress and the live view, and `generated` makes the example configuration and 
 from __future__ import annotations
 
 from camtopod.cli.main import console as console
-
-__all__ = ["console"]

@@ -15,13 +15,10 @@ priors), `publisher`, `errors`, then `prediction_queue` and `wakeup` (queueing a
 """
 
 from camtopod.adapt import TrackEvents as TrackEvents
-from camtopod.client.errors import NothingLearned as NothingLearned
-from camtopod.client.errors import UnknownPlace as UnknownPlace
+from camtopod.client.errors import NothingLearned as NothingLearned, UnknownPlace as UnknownPlace
 from camtopod.client.gate import Gate as Gate
 from camtopod.client.publisher import Publisher as Publisher
-from camtopod.client.site import Predictions as Predictions
-from camtopod.client.site import Topology as Topology
-from camtopod.records import Event as Event
-from camtopod.records import Prediction as Prediction
+from camtopod.client.site import Predictions as Predictions, Topology as Topology
+from camtopod.records import Event as Event, Prediction as Prediction
 from camtopod.serve.bus import BusError as BusError
 from camtopod.serve.storage import StateError as StateError

@@ -19,8 +19,7 @@ from typing import TypeVar
 from camtopod.client.prediction_queue import WAITING_MAX, PredictionQueue
 from camtopod.client.site_view import Settings, SiteView
 from camtopod.client.wakeup import ChangeSignal
-from camtopod.records import Prediction
-from camtopod.records import Topology as Version
+from camtopod.records import Prediction, Topology as Version
 from camtopod.serve.bus import BusError
 
 T = TypeVar("T")

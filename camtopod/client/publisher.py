@@ -16,8 +16,7 @@ from camtopod.client.site_view import Settings, settings_of
 from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN, Event
 from camtopod.serve.bus import Bus, BusError, dial
-from camtopod.serve.outbox import Publisher as Outbox
-from camtopod.serve.outbox import open_spool
+from camtopod.serve.outbox import Publisher as Outbox, open_spool
 
 ATTEMPT_SECONDS = 2.0
 """Longest attempt to connect; `Publisher.close` waits until the present one has ended."""

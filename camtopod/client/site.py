@@ -7,8 +7,7 @@ from functools import partial
 
 from camtopod.client.prediction_queue import WAITING_MAX, PredictionQueue
 from camtopod.client.site_view import Settings, SiteView
-from camtopod.records import Prediction
-from camtopod.records import Topology as Version
+from camtopod.records import Prediction, Topology as Version
 
 
 class Topology(SiteView):

@@ -25,11 +25,9 @@ from camtopod.client.errors import NothingLearned, zone_at, zones_of
 from camtopod.client.gate import Gate
 from camtopod.client.prediction_queue import PredictionQueue
 from camtopod.client.wakeup import ChangeSignal
-from camtopod.config import DEFAULT_ENDPOINT, is_endpoint, secret_files
-from camtopod.config import settings as configs
+from camtopod.config import DEFAULT_ENDPOINT, is_endpoint, secret_files, settings as configs
 from camtopod.predict import Predictor
-from camtopod.records import CAMERA_PATTERN, Event, Prediction
-from camtopod.records import Topology as Version
+from camtopod.records import CAMERA_PATTERN, Event, Prediction, Topology as Version
 from camtopod.serve.bus import (
     Bus,
     BusError,

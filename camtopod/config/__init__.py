@@ -7,41 +7,28 @@ lines of keys. `secret_files` reads and writes files that hold secrets.
 
 from __future__ import annotations
 
-from camtopod.config import polygons, secret_files, settings, toml_lines
-from camtopod.config.settings import (
-    RESERVED,
-    TABLES,
-    BusSettings,
-    CameraSettings,
-    Config,
-    HealthSettings,
-    KeepSettings,
-    Limits,
-    SiteSettings,
-    StateSettings,
-    detector_line,
-    without_source,
+from camtopod.config import (
+    polygons as polygons,
+    secret_files as secret_files,
+    settings as settings,
+    toml_lines as toml_lines,
 )
-from camtopod.config.toml_tables import DEFAULT_ENDPOINT, FLOAT_MAX, is_endpoint
-
-__all__ = [
-    "DEFAULT_ENDPOINT",
-    "FLOAT_MAX",
-    "RESERVED",
-    "TABLES",
-    "BusSettings",
-    "CameraSettings",
-    "Config",
-    "HealthSettings",
-    "KeepSettings",
-    "Limits",
-    "SiteSettings",
-    "StateSettings",
-    "detector_line",
-    "is_endpoint",
-    "polygons",
-    "secret_files",
-    "settings",
-    "toml_lines",
-    "without_source",
-]
+from camtopod.config.settings import (
+    RESERVED as RESERVED,
+    TABLES as TABLES,
+    BusSettings as BusSettings,
+    CameraSettings as CameraSettings,
+    Config as Config,
+    HealthSettings as HealthSettings,
+    KeepSettings as KeepSettings,
+    Limits as Limits,
+    SiteSettings as SiteSettings,
+    StateSettings as StateSettings,
+    detector_line as detector_line,
+    without_source as without_source,
+)
+from camtopod.config.toml_tables import (
+    DEFAULT_ENDPOINT as DEFAULT_ENDPOINT,
+    FLOAT_MAX as FLOAT_MAX,
+    is_endpoint as is_endpoint,
+)

@@ -6,7 +6,7 @@ from typing import Any
 
 from msgspec.structs import FieldInfo
 
-from camtopod.vision import Polygon
+from camtopod.vision.settings import Polygon
 
 _AREA = "[[x, y], [x, y], [x, y]]"
 """How a polygon is written."""

@@ -30,10 +30,10 @@ from camtopod.config.toml_tables import (
     is_endpoint,
     syntax,
 )
-from camtopod.learn import Settings
+from camtopod.learn.settings import Settings
 from camtopod.records import CAMERA_PATTERN
-from camtopod.vision import DetectorSettings, VisionSettings
-from camtopod.vision.detector import LABELS
+from camtopod.vision.detector.coco import LABELS
+from camtopod.vision.settings import DetectorSettings, VisionSettings
 
 RESERVED = ("daemon",)
 """Names that no camera may have: ``status/daemon`` is the key of the daemon's status."""

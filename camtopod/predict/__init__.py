@@ -10,15 +10,7 @@ cameras that see the object at the exit.
 
 from __future__ import annotations
 
-from camtopod.predict.contexts import ContextMultipliers
-from camtopod.predict.hand_over import seen_now
-from camtopod.predict.hazards import Hazards
-from camtopod.predict.predictor import Predictor, PredictorState
-
-__all__ = [
-    "ContextMultipliers",
-    "Hazards",
-    "Predictor",
-    "PredictorState",
-    "seen_now",
-]
+from camtopod.predict.contexts import ContextMultipliers as ContextMultipliers
+from camtopod.predict.hand_over import seen_now as seen_now
+from camtopod.predict.hazards import Hazards as Hazards
+from camtopod.predict.predictor import Predictor as Predictor, PredictorState as PredictorState

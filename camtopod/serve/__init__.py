@@ -7,34 +7,3 @@ clocks and progress. `recorded_state` makes a state directory of a recording.
 `admin_queries` are an operator's commands on the bus, and `offline_commands` carries them out
 without a daemon.
 """
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-from camtopod.lazy import lazy_getattr
-
-if TYPE_CHECKING:
-    from camtopod.serve.admin_queries import Done, parameters_of
-    from camtopod.serve.daemon import Daemon
-    from camtopod.serve.offline_commands import carry_out_offline
-    from camtopod.serve.recorded_state import RecordedState
-
-__all__ = [
-    "Daemon",
-    "Done",
-    "RecordedState",
-    "carry_out_offline",
-    "parameters_of",
-]
-
-__getattr__ = lazy_getattr(
-    __name__,
-    {
-        "Daemon": "daemon",
-        "Done": "admin_queries",
-        "RecordedState": "recorded_state",
-        "carry_out_offline": "offline_commands",
-        "parameters_of": "admin_queries",
-    },
-)

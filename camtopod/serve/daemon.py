@@ -31,7 +31,7 @@ from msgspec.structs import replace
 from camtopod import codec
 from camtopod.config import Config
 from camtopod.event_time import EventTime, microseconds
-from camtopod.keys import STATUS
+from camtopod.keys.rules import STATUS
 from camtopod.records import CAMERA_PATTERN, DaemonStatus, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
@@ -54,8 +54,7 @@ from camtopod.serve.learner_process import (
     recover,
 )
 from camtopod.serve.live_predictions import Live
-from camtopod.serve.runtime import Heartbeat, Progress, changed_settings
-from camtopod.serve.runtime import clock as clocks
+from camtopod.serve.runtime import Heartbeat, Progress, changed_settings, clock as clocks
 from camtopod.serve.storage import CurrentVersion, Journal, StateError, Version, head_of
 from camtopod.topology import links_in_words, waiting_for_links
 

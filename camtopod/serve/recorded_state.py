@@ -15,7 +15,8 @@ from types import TracebackType
 
 from camtopod import codec
 from camtopod.config import KeepSettings
-from camtopod.learn import Learner, pack
+from camtopod.learn.learner import Learner
+from camtopod.learn.snapshot import pack
 from camtopod.records import Event
 from camtopod.serve.runtime import ulid
 from camtopod.serve.storage import Entry, Journal, Snapshot, StateError, StoredVersion

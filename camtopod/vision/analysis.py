@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from camtopod.records import Event
 from camtopod.vision.detect import Luma
-from camtopod.vision.detector import DetectorResult
+from camtopod.vision.detector.detector import DetectorResult
 from camtopod.vision.track import Decision, Track
 
 

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from camtopod.records import Event
 from camtopod.vision.analysis import Analysis, Observer
 from camtopod.vision.detect import Luma, MotionDetector, find_blobs, shrunk
-from camtopod.vision.detector import Detector, TrackedBox
+from camtopod.vision.detector.detector import Detector
+from camtopod.vision.detector.fusion import TrackedBox
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track import Crossings, Decision, IgnoredAreas, Recorder, Track, Tracker
 

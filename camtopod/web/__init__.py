@@ -7,5 +7,3 @@ the details of a camera, pair or link, `versions` the time line and what each ve
 decide who is answered; `configured` is what the configuration says about the page. `report` gathers
 the data of a report, `single_file` makes one HTML file of it. The page itself is in ``static/``.
 """
-
-__all__ = ["app", "configured", "login", "pictures", "report", "single_file"]

@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn import Settings
 from camtopod.learn.links import MONTE_CARLO_SEED, mahalanobis, monte_carlo
+from camtopod.learn.settings import Settings
 from camtopod.records import CameraModel, Link, Model, Pair, Topology, Zone, ZoneModel
 from camtopod.topology import LagBins, lacks_in_words, smooth
 from camtopod.web.map_data import nearness, why_provisional

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from msgspec import Struct
 
 from camtopod.export import Edge, Place, edges, places
-from camtopod.learn import Settings
+from camtopod.learn.settings import Settings
 from camtopod.records import Alarm, Link, Pair, PairRelation, SelfScore, Topology
 from camtopod.topology import lacks_in_words, likely_links, link_key, waiting_for_links
 

@@ -11,8 +11,7 @@ from typing import Any
 
 import frigate_messages as says
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from camtopod.adapt import FORMATS, FormatOptions, camera_streams
 from camtopod.adapt.adapter import Adapter

@@ -11,7 +11,7 @@ import pytest
 from bench import demo
 from bench.scenes.drawn_plan import APART_MIN, CAMERAS, drawn_plan
 from camtopod.records import Zone
-from camtopod.sim import passages, simulate_walks, truth_of
+from camtopod.sim.floor import passages, simulate_walks, truth_of
 
 
 def test_a_seed_draws_a_plan_whose_zones_are_apart() -> None:

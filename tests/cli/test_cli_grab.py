@@ -21,8 +21,8 @@ from camtopod.records import Event
 from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
-from camtopod.vision import VisionSettings
 from camtopod.vision import grabber as grabbers
+from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.errors import SourceError
 
 EVENTS = [Event("lobby", "entry", T0 + n, 0.5, 0.25, str(n)) for n in range(20)]

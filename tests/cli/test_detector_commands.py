@@ -14,7 +14,7 @@ from rendered_scenes import FPS, HEIGHT, WIDTH, Person, line
 from camtopod.cli.main import main
 from camtopod.config import detector_line
 from camtopod.config.settings import Config, ConfigError, load, parse
-from camtopod.vision import DetectorSettings
+from camtopod.vision.settings import DetectorSettings
 
 BUS = '[bus]\nconnect = ["tcp/127.0.0.1:9"]\nconnect_seconds = 0.1\n'
 

@@ -9,8 +9,7 @@ import pytest
 from onvif_camera import USER, OnvifCamera, onvif_camera
 
 from camtopod.cli import exits
-from camtopod.cli.cameras import onvif
-from camtopod.cli.cameras import probe as probes
+from camtopod.cli.cameras import onvif, probe as probes
 from camtopod.cli.cameras.finding import streams_by_onvif, streams_by_path
 from camtopod.cli.main import main
 from camtopod.codec import Rejected

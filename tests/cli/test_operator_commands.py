@@ -26,10 +26,10 @@ from serving import (
 from camtopod.cli import exits
 from camtopod.cli.main import main
 from camtopod.config import KeepSettings
-from camtopod.serve import RecordedState
 from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest import read_names
+from camtopod.serve.recorded_state import RecordedState
 from camtopod.serve.storage import NAMES_KEY, Journal
 
 EVENTS = [*numbered(walkers(60)), closing_event()]

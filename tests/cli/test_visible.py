@@ -14,8 +14,7 @@ from pathlib import Path
 import msgspec
 import pytest
 import serving
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from serving import free_endpoint, small_config, wait_for
 from test_watch import Terminal
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from paths import DEPLOY
 
 from camtopod.cli.generated.example_config import attribute_docs, example
@@ -25,7 +24,7 @@ from camtopod.config.settings import (
     without_source,
 )
 from camtopod.config.toml_lines import key_lines
-from camtopod.vision import VisionSettings
+from camtopod.vision.settings import VisionSettings
 
 EXAMPLE = DEPLOY / "camtopod.toml"
 

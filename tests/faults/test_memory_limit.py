@@ -12,8 +12,15 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from serving import SPAN_SECONDS, T0, free_endpoint, small_config, wait_for, walkers
-from serving import camtopod as program
+from serving import (
+    SPAN_SECONDS,
+    T0,
+    camtopod as program,
+    free_endpoint,
+    small_config,
+    wait_for,
+    walkers,
+)
 from site_of import READY_SECONDS
 from sizes import size
 

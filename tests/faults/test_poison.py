@@ -17,8 +17,14 @@ from serving import T0, all_out, closing_event, numbered, small_config, wait_for
 from sizes import size
 
 from camtopod import codec
-from camtopod.codec import EVENT_BYTES_MAX, T_MAX, T_MIN, Rejected, to_msgpack
-from camtopod.codec import event_from_bytes as decode
+from camtopod.codec import (
+    EVENT_BYTES_MAX,
+    T_MAX,
+    T_MIN,
+    Rejected,
+    event_from_bytes as decode,
+    to_msgpack,
+)
 from camtopod.config.settings import SiteSettings
 from camtopod.records import Ack, Event
 from camtopod.serve.bus import session as buses

@@ -12,7 +12,9 @@ from test_snapshot import SETTINGS, events_of, restored
 
 from camtopod import codec
 from camtopod.admin import Forget
-from camtopod.learn import Learner, pack, rename
+from camtopod.learn.learner import Learner
+from camtopod.learn.renaming import rename
+from camtopod.learn.snapshot import pack
 from camtopod.predict import Predictor
 from camtopod.records import Event, Topology
 from camtopod.topology.versions import alarms_follow

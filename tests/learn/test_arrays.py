@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from camtopod import arrays as module
 from camtopod.arrays import rows_by_group, sum_by_group, table_rows

@@ -10,8 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from camtopod.codec import read, to_json
 from camtopod.learn.learner import GONE_ZONES_MAX, REFIT_EVENTS_MIN, STEPS, Learner

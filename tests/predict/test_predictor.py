@@ -9,14 +9,12 @@ import sys
 import naive
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from msgspec.structs import replace
 
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.predict import open_passages, recent_events
-from camtopod.predict import predictor as module
+from camtopod.predict import open_passages, predictor as module, recent_events
 from camtopod.predict.odds import RATE_MIN
 from camtopod.predict.predictor import NEXT_PROBABILITY_MIN, Predictor
 from camtopod.records import (

@@ -16,12 +16,10 @@ from test_daemon import NOW, Site, journal_of, put
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
 from camtopod.records import Ack, CameraFigures, Event
-from camtopod.serve import Done, parameters_of
-from camtopod.serve.admin_queries import command_of
+from camtopod.serve.admin_queries import Done, command_of, parameters_of
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.ingest import names as names_module
-from camtopod.serve.ingest import receiver as receiver_module
+from camtopod.serve.ingest import names as names_module, receiver as receiver_module
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from test_daemon import Site, put, site
 from camtopod.codec import to_msgpack
 from camtopod.serve.runtime import ulid
 from camtopod.serve.storage import Entry, Journal
-from camtopod.sim import SimSettings, simulate
+from camtopod.sim.simulation import SimSettings, simulate
 
 __all__ = ["site"]
 

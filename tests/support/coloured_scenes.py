@@ -10,7 +10,7 @@ from onnx_models import draw_person
 from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Scene
 
 from camtopod.records import Event
-from camtopod.vision.detector import Detector
+from camtopod.vision.detector.detector import Detector
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
 

@@ -23,8 +23,7 @@ from serving import (
 from camtopod.client import Topology, aio
 from camtopod.config.settings import BusSettings, SiteSettings
 from camtopod.learn.learner import Learner
-from camtopod.records import Event
-from camtopod.records import Topology as Version
+from camtopod.records import Event, Topology as Version
 from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.daemon import Daemon
 

@@ -9,8 +9,7 @@ from collections.abc import Callable
 
 import msgspec
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 from msgspec.structs import replace
 from serving import closing_event, walkers
 from synthetic_topology import synthetic_topology

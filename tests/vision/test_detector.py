@@ -16,9 +16,9 @@ from camtopod.records import Event
 from camtopod.vision.analysis import Analysis
 from camtopod.vision.boxes import Box
 from camtopod.vision.detect import Blob
-from camtopod.vision.detector import Detection, Detector, Model, TrackedBox
-from camtopod.vision.detector.fusion import fuse
-from camtopod.vision.detector.model import Image as Picture
+from camtopod.vision.detector.detector import Detector
+from camtopod.vision.detector.fusion import TrackedBox, fuse
+from camtopod.vision.detector.model import Detection, Image as Picture, Model
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import DetectorSettings
 from camtopod.vision.show.overlay import Overlay, Words

@@ -11,15 +11,10 @@ from onnx import TensorProto, helper, save
 from onnx_models import Picture, draw_person, write_model
 
 from camtopod.vision.boxes import Box
-from camtopod.vision.detector import (
-    Detection,
-    DetectorError,
-    HeaderError,
-    Model,
-    input_size,
-    layouts,
-)
+from camtopod.vision.detector import layouts
 from camtopod.vision.detector.crops import whole
+from camtopod.vision.detector.model import Detection, DetectorError, Model
+from camtopod.vision.detector.onnx_header import HeaderError, input_size
 from camtopod.vision.settings import DetectorSettings, Layout
 
 PEOPLE = ((40, 30, 80, 130), (180, 60, 220, 170))

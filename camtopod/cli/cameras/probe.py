@@ -21,8 +21,8 @@ from camtopod.config import Config, detector_line, toml_lines
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
 from camtopod.visible import visible
-from camtopod.vision import DetectorSettings, VisionSettings
-from camtopod.vision.detector import ModelReport
+from camtopod.vision.detector.model_report import ModelReport
+from camtopod.vision.settings import DetectorSettings, VisionSettings
 from camtopod.vision.source import PROBE_SECONDS, SETTLE_SECONDS_MAX, Probe, ProbeRequest
 from camtopod.web import pictures
 

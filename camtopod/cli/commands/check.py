@@ -24,7 +24,7 @@ from camtopod.config import (
 )
 from camtopod.serve.bus import access
 from camtopod.visible import visible
-from camtopod.vision.detector import HeaderError, input_size
+from camtopod.vision.detector.onnx_header import HeaderError, input_size
 
 
 def add_parser(subparsers: Any) -> None:
@@ -122,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
     )
     if not args.probe:
         return exits.DONE
-    from camtopod.cli.cameras import check_site
+    from camtopod.cli.cameras.probe import check_site
 
     return check_site(path, loaded, args.pictures)
 

@@ -32,24 +32,16 @@ from camtopod.cli import exits
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
-from camtopod.learn import Settings
+from camtopod.learn.settings import Settings
 from camtopod.records import Topology
-from camtopod.serve import Daemon
 from camtopod.serve.bus import Bus, BusError, dial
+from camtopod.serve.daemon import Daemon
 from camtopod.serve.runtime import clock as clocks
-from camtopod.sim import (
-    SUFFIX,
-    Plan,
-    Truth,
-    Walk,
-    demo_plan,
-    passages,
-    render,
-    score,
-    simulate_walks,
-    truth_of,
-    write_map,
-)
+from camtopod.sim.floor import Plan, Walk, demo_plan, passages, simulate_walks, truth_of
+from camtopod.sim.picture import write_map
+from camtopod.sim.rendering import SUFFIX, render
+from camtopod.sim.scoring import score
+from camtopod.sim.truth import Truth
 
 WALKERS_PER_SECOND = 0.1
 """Mean number of people who come from the streets per second."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from camtopod.cli import exits
-from camtopod.cli.events import open_input
+from camtopod.cli.events.event_lines import open_input
 from camtopod.codec import Rejected, decode_topology
 from camtopod.export import FORMATS, camera_numbers
 from camtopod.records import Topology

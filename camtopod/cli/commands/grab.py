@@ -21,7 +21,8 @@ import msgspec
 
 from camtopod import codec, redact
 from camtopod.cli import descriptors, exits
-from camtopod.cli.cameras import HeartbeatSender, with_restarts
+from camtopod.cli.cameras.camera_process import with_restarts
+from camtopod.cli.cameras.heartbeat import HeartbeatSender
 from camtopod.cli.common import (
     ForcedExit,
     SignalRequests,
@@ -41,8 +42,10 @@ from camtopod.vision.source import RETRY_SEPARATOR, captured_log, kind_of
 if TYPE_CHECKING:
     from camtopod.serve.bus import Bus
     from camtopod.serve.outbox import Publisher
-    from camtopod.vision import Analysis, Grabber, Observer, VisionSettings
-    from camtopod.vision.detector import Detector
+    from camtopod.vision.analysis import Analysis, Observer
+    from camtopod.vision.detector.detector import Detector
+    from camtopod.vision.grabber import Grabber
+    from camtopod.vision.settings import VisionSettings
     from camtopod.vision.show import Preview
 
 log = logging.getLogger(__name__)
@@ -152,7 +155,7 @@ def _all(args: argparse.Namespace, told: SignalRequests) -> int:
             "no camera given: add --camera ID SOURCE, or a --config with cameras", exits.USAGE
         )
     _refuse_a_second(config, told.stop)
-    from camtopod.cli.cameras import supervise
+    from camtopod.cli.cameras.supervisor import supervise
 
     return supervise(args, config, text, told)
 
@@ -184,7 +187,7 @@ def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> in
         # Save standard output: from here on FFmpeg's messages arrive on it.
         output = stack.enter_context(os.fdopen(os.dup(1), "wb")) if args.out == "-" else None
         ffmpeg_log = stack.enter_context(captured_log())
-        from camtopod.vision import Grabber
+        from camtopod.vision.grabber import Grabber
 
         detector = _detector(args, settings)
 
@@ -248,7 +251,8 @@ def _detector(args: argparse.Namespace, settings: CameraSettings) -> Detector | 
     """Load the camera's detector, if it has one. Raises `CommandError` with file and line."""
     if not settings.detector.model:
         return None
-    from camtopod.vision.detector import Detector, DetectorError, Model
+    from camtopod.vision.detector.detector import Detector
+    from camtopod.vision.detector.model import DetectorError, Model
 
     try:
         return Detector(Model(settings.detector), settings.detector)
@@ -261,7 +265,7 @@ def _preview(args: argparse.Namespace, settings: VisionSettings) -> Preview | No
     """Return the preview that --show asks for. Raises `CommandError` if it cannot be written."""
     if args.show is None:
         return None
-    from camtopod.cli.cameras import clock_words, words_of
+    from camtopod.cli.cameras.decision_words import clock_words, words_of
     from camtopod.vision.show import Preview, ShowError, Words
 
     def warn(reason: str) -> None:
@@ -288,7 +292,7 @@ def _observer(args: argparse.Namespace, preview: Preview | None) -> Observer | N
 
 def _explain(camera: str, seen: Analysis) -> None:
     """Log a line about each track that began or ended in a frame."""
-    from camtopod.cli.cameras import decision_line
+    from camtopod.cli.cameras.decision_words import decision_line
 
     for decision in seen.decisions:
         log.info("%s", decision_line(camera, decision))

@@ -20,14 +20,9 @@ import msgspec
 from camtopod.adapt import FORMATS
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
-from camtopod.cli.events import (
-    KNOWN_SECONDS,
-    LineReader,
-    Outcome,
-    add_options,
-    events,
-    open_input,
-)
+from camtopod.cli.events.event_lines import LineReader, open_input
+from camtopod.cli.events.input_formats import add_options, events
+from camtopod.cli.events.publish_outcome import KNOWN_SECONDS, Outcome
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.site_choice import right_site
 from camtopod.cli.terminal import Progress

@@ -16,8 +16,7 @@ from camtopod.cli import exits
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated import table
-from camtopod.config import TABLES, Config, secret_files
-from camtopod.config import settings as configurations
+from camtopod.config import TABLES, Config, secret_files, settings as configurations
 from camtopod.redact import redact
 from camtopod.visible import visible
 from camtopod.vision.source import ENOUGH_HEIGHT, SETTLE_SECONDS_MAX, Probe, kind_of
@@ -98,7 +97,8 @@ def run(args: argparse.Namespace) -> int:
 
     A camera that cannot be opened at the moment is in the configuration, too.
     """
-    from camtopod.cli.cameras import named_sources, streams_by_onvif, with_names
+    from camtopod.cli.cameras.finding import streams_by_onvif
+    from camtopod.cli.cameras.naming import named_sources, with_names
 
     before = None if args.force else _existing(args.out)
     settings = configuration(args) if before is None else _unchanged(args, before)
@@ -172,7 +172,8 @@ def _probed(
 
     given: sources as given; others are returned where a camera's stream is found elsewhere.
     """
-    from camtopod.cli.cameras import probe_all, smaller_streams, streams_by_path
+    from camtopod.cli.cameras.finding import smaller_streams, streams_by_path
+    from camtopod.cli.cameras.probe import probe_all
 
     def look(urls: Mapping[str, str]) -> Mapping[str, Probe]:
         return probe_all(urls, dict.fromkeys(urls, settings.vision), lambda name, probe: None)

@@ -9,12 +9,22 @@ from typing import Any
 
 import msgspec
 
-from camtopod import keys
 from camtopod.cli import exits
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError
 from camtopod.config import Config
 from camtopod.keys import rules
+from camtopod.keys.authority import (
+    ACCESS,
+    DAEMON,
+    LOCAL_HOSTS,
+    Authority,
+    KeysError,
+    check_cameras,
+    check_hosts,
+    date_text,
+    write_public,
+)
 from camtopod.serve.runtime import clock
 
 DEFAULT_FOLDER = Path("camtopod-keys")
@@ -153,7 +163,7 @@ def run(args: argparse.Namespace) -> int:
         raise CommandError(
             f"keys needs the package {error.name!r}, which is not installed; see README, 'Packages'"
         ) from None
-    except keys.KeysError as error:
+    except KeysError as error:
         raise CommandError(str(error)) from None
     except OSError as error:
         raise CommandError(f"{error.filename or args.keys}: {error.strerror}") from None
@@ -165,12 +175,12 @@ def _run(args: argparse.Namespace, config: Config) -> int:
     folder = args.keys
     now = clock.wall()
     if what == "init":
-        keys.check_hosts(args.host)
+        check_hosts(args.host)
         if args.days > args.authority_days:
-            raise keys.KeysError(
+            raise KeysError(
                 "the daemon's certificate cannot outlive the authority: give fewer --days"
             )
-        authority = keys.Authority.create(
+        authority = Authority.create(
             folder, config.site.name, now, args.authority_days, args.replace
         )
         _say(
@@ -178,24 +188,22 @@ def _run(args: argparse.Namespace, config: Config) -> int:
             f"its private key need never leave this folder"
         )
     else:
-        authority = keys.Authority(folder, now)
+        authority = Authority(folder, now)
         if args.site is not None and args.site != authority.site:
-            raise keys.KeysError(
+            raise KeysError(
                 f"{folder} is the authority of site {authority.site}, not of {args.site}"
             )
 
     # Check all names before the first certificate is issued or revoked.
     if what == "list":
         return _list(authority, now)
-    names = [keys.DAEMON] if what in ("init", "daemon") else args.names
+    names = [DAEMON] if what in ("init", "daemon") else args.names
     if len(set(names)) < len(names):
-        raise keys.KeysError("the same name is given twice")
+        raise KeysError("the same name is given twice")
     if what == "camera" and args.cameras:
-        keys.check_cameras(args.cameras)
+        check_cameras(args.cameras)
         if len(names) > 1:
-            raise keys.KeysError(
-                "--for needs exactly one NAME: the program that publishes the events"
-            )
+            raise KeysError("--for needs exactly one NAME: the program that publishes the events")
     for name in names:
         if what == "revoke":
             authority.require_certificate(args.role, name)
@@ -212,29 +220,27 @@ def _run(args: argparse.Namespace, config: Config) -> int:
     finally:
         _write_access(authority, config)
     if what not in ("init", "daemon"):
-        _say(f"now copy {folder / keys.DAEMON / keys.ACCESS} to the daemon and restart it")
+        _say(f"now copy {folder / DAEMON / ACCESS} to the daemon and restart it")
     return exits.DONE
 
 
 def _give(
-    authority: keys.Authority, args: argparse.Namespace, config: Config, role: rules.Role, name: str
+    authority: Authority, args: argparse.Namespace, config: Config, role: rules.Role, name: str
 ) -> None:
     """Issue one certificate, with an example configuration in its folder."""
     hosts = args.host if role == "daemon" else []
     cameras = args.cameras if role == "camera" else []
     folder = authority.issue(role, name, args.days, args.replace, hosts, cameras)
     several = bool(authority.issued[-1].certificate.cameras)
-    keys.write_public(
-        folder / "camtopod.toml", _example(authority.site, config, role, name, several)
-    )
+    write_public(folder / "camtopod.toml", _example(authority.site, config, role, name, several))
     who = name if role == "daemon" else f"{role} {name}"
-    expires = keys.date_text(authority.issued[-1].certificate.expires)
+    expires = date_text(authority.issued[-1].certificate.expires)
     _say(
         f"{who}: {folder}, valid until {expires}; copy this folder to the machine that "
         f"uses it (camtopod.toml in it is an example)"
     )
     if role == "daemon":
-        where = ", ".join(host for host in authority.hosts if host not in keys.LOCAL_HOSTS)
+        where = ", ".join(host for host in authority.hosts if host not in LOCAL_HOSTS)
         _say(
             f"valid for connections to {where}"
             if where
@@ -242,11 +248,11 @@ def _give(
         )
 
 
-def _write_access(authority: keys.Authority, config: Config) -> None:
+def _write_access(authority: Authority, config: Config) -> None:
     """Write the access list, for the daemon and for a separate zenoh router."""
-    folder = authority.folder / keys.DAEMON
-    keys.write_public(
-        folder / keys.ACCESS,
+    folder = authority.folder / DAEMON
+    write_public(
+        folder / ACCESS,
         msgspec.json.format(msgspec.json.encode(authority.access), indent=1).decode(),
     )
     listen = [endpoint for endpoint in config.bus.listen if endpoint.startswith("tls/")] or [
@@ -255,7 +261,7 @@ def _write_access(authority: keys.Authority, config: Config) -> None:
     text = rules.router_json5(
         authority.access, listen, config.bus.message_bytes_max, config.limits.pull_events_max
     )
-    keys.write_public(folder / "router.json5", text)
+    write_public(folder / "router.json5", text)
 
 
 def _example(site: str, config: Config, role: rules.Role, name: str, several: bool) -> str:
@@ -263,7 +269,7 @@ def _example(site: str, config: Config, role: rules.Role, name: str, several: bo
 
     several: the certificate is for a program with events of several cameras.
     """
-    own = {"daemon": keys.DAEMON, "camera": name if several else "{camera}", "reader": name}[role]
+    own = {"daemon": DAEMON, "camera": name if several else "{camera}", "reader": name}[role]
     lines = [f'[site]\nname = "{site}"\n', "[bus]"]
     if role == "daemon":
         lines.append('listen = ["tls/0.0.0.0:7447"]   # or the address of one interface')
@@ -278,7 +284,7 @@ def _example(site: str, config: Config, role: rules.Role, name: str, several: bo
         *(f'{key} = "{_INSTALLED}/{own}/{file}"' for key, file in _FILES.items()),
     ]
     if role == "daemon":
-        lines.append(f'access = "{_INSTALLED}/{own}/{keys.ACCESS}"')
+        lines.append(f'access = "{_INSTALLED}/{own}/{ACCESS}"')
     if role == "camera" and not several:
         lines.append(
             f"\n[cameras.{_toml_key(name)}]\n"
@@ -295,7 +301,7 @@ def _toml_key(name: str) -> str:
     return f'"{name}"' if "." in name else name
 
 
-def _list(authority: keys.Authority, now: float) -> int:
+def _list(authority: Authority, now: float) -> int:
     """Print all certificates, with a warning for those that expire soon."""
     ending = {
         certificate.name for certificate, _ in rules.expiring_certificates(authority.access, now)
@@ -309,11 +315,11 @@ def _list(authority: keys.Authority, now: float) -> int:
             remark = "EXPIRED" if days < 0 else "EXPIRES SOON"
             _say(
                 f"warning: {certificate.role} {issued.of}: {remark.lower()}, "
-                f"{keys.date_text(certificate.expires)}; renew it with --replace"
+                f"{date_text(certificate.expires)}; renew it with --replace"
             )
         line = (
             f"{issued.of:<20} {certificate.role:<7} {certificate.name:<24} "
-            f"{keys.date_text(certificate.expires):<10} {days:>6.0f}"
+            f"{date_text(certificate.expires):<10} {days:>6.0f}"
         )
         several = f"for {', '.join(certificate.cameras)}" if certificate.cameras else ""
         print(" ".join(filter(None, (line, several, remark))))

@@ -15,15 +15,15 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from camtopod.cli.common import configuration
-from camtopod.cli.events import LineReader
+from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.exits import STATE, CommandError, InputError
 from camtopod.cli.terminal import Progress, busiest_links, transit
 from camtopod.codec import to_json
 from camtopod.config import Config
-from camtopod.learn import STEPS, Learner
+from camtopod.learn.learner import STEPS, Learner
 from camtopod.learn.window import EVENTS_PER_SECOND_MAX
 from camtopod.records import TOPOLOGY_SCHEMA, Topology
-from camtopod.serve import RecordedState
+from camtopod.serve.recorded_state import RecordedState
 from camtopod.serve.runtime import wall
 from camtopod.serve.storage import StateError
 from camtopod.topology import links_between_views, links_in_words

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from msgspec.structs import replace
 
 from camtopod.cli.commands.export import load
-from camtopod.cli.events import Line, LineReader
+from camtopod.cli.events.event_lines import Line, LineReader
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json

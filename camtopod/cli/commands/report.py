@@ -9,7 +9,7 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.commands.export import TOO_LONG, TOPOLOGY_BYTES_MAX, load
-from camtopod.cli.events import numbered
+from camtopod.cli.events.event_lines import numbered
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import Rejected, decode_topology

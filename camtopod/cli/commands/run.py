@@ -13,8 +13,8 @@ from camtopod.cli import descriptors, exits
 from camtopod.cli.common import SignalRequests, configuration, ends_within, signals, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.config import Config
-from camtopod.serve import Daemon
 from camtopod.serve.bus import BusError, log_to_standard_output
+from camtopod.serve.daemon import Daemon
 from camtopod.serve.monitoring import health, metrics
 from camtopod.serve.runtime import systemd
 from camtopod.serve.storage import StateError

@@ -11,7 +11,7 @@ from camtopod.cli import exits
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.records import Event
-from camtopod.sim import SimSettings, simulate
+from camtopod.sim.simulation import SimSettings, simulate
 
 BLOCK_LINES = 10_000
 """Event lines written at a time."""

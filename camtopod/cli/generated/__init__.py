@@ -8,9 +8,5 @@ on the bus (`camtopod schema`).
 from __future__ import annotations
 
 from camtopod.cli.generated.config_schema import text as text
-from camtopod.cli.generated.example_config import example as example
-from camtopod.cli.generated.example_config import table as table
-from camtopod.cli.generated.message_schemas import NAMES as NAMES
-from camtopod.cli.generated.message_schemas import schema_text as schema_text
-
-__all__ = ["NAMES", "example", "schema_text", "table", "text"]
+from camtopod.cli.generated.example_config import example as example, table as table
+from camtopod.cli.generated.message_schemas import NAMES as NAMES, schema_text as schema_text

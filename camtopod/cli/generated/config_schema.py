@@ -11,7 +11,7 @@ from msgspec import Struct
 from camtopod.cli.generated.example_config import attribute_docs
 from camtopod.config import FLOAT_MAX, RESERVED, TABLES, CameraSettings, polygons
 from camtopod.records import CAMERA_PATTERN
-from camtopod.vision import DetectorSettings, VisionSettings
+from camtopod.vision.settings import DetectorSettings, VisionSettings
 
 
 def text() -> str:

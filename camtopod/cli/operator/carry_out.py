@@ -13,9 +13,10 @@ from camtopod.cli.exits import CommandError
 from camtopod.cli.site_choice import right_site
 from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN
-from camtopod.serve import Done, carry_out_offline, parameters_of
+from camtopod.serve.admin_queries import Done, parameters_of
 from camtopod.serve.bus import Bus, BusError, QueryError, dial
 from camtopod.serve.ingest import CommandRefused
+from camtopod.serve.offline_commands import carry_out_offline
 from camtopod.serve.runtime import clock
 from camtopod.serve.storage import StateError
 

@@ -13,48 +13,32 @@ hazards (rates of arrivals by lag, for each pair of zones) by expectation maximi
 from __future__ import annotations
 
 from camtopod.learn.association.candidates import (
-    RESPONSIBILITY_MAX,
-    Candidates,
-    departures_in_reach,
-    find_candidates,
-    initial_hazards,
-    newest_within_limit,
-    slices_by_arrival,
+    RESPONSIBILITY_MAX as RESPONSIBILITY_MAX,
+    Candidates as Candidates,
+    departures_in_reach as departures_in_reach,
+    find_candidates as find_candidates,
+    initial_hazards as initial_hazards,
+    newest_within_limit as newest_within_limit,
+    slices_by_arrival as slices_by_arrival,
 )
-from camtopod.learn.association.em import NOTHING, START_FLOOR, Em, EmModel
-from camtopod.learn.association.exposure import exposures
-from camtopod.learn.association.joint_fit import Fit, fit_jointly, result
-from camtopod.learn.association.problem import Problem
+from camtopod.learn.association.em import (
+    NOTHING as NOTHING,
+    START_FLOOR as START_FLOOR,
+    Em as Em,
+    EmModel as EmModel,
+)
+from camtopod.learn.association.exposure import exposures as exposures
+from camtopod.learn.association.joint_fit import (
+    Fit as Fit,
+    fit_jointly as fit_jointly,
+    result as result,
+)
+from camtopod.learn.association.problem import Problem as Problem
 from camtopod.learn.association.screening import (
-    CandidateScreen,
-    FollowedSources,
-    candidates_of_pairs,
-    negative_without_overlap,
-    place,
+    CandidateScreen as CandidateScreen,
+    FollowedSources as FollowedSources,
+    candidates_of_pairs as candidates_of_pairs,
+    negative_without_overlap as negative_without_overlap,
+    place as place,
 )
-from camtopod.learn.association.speed_adjustment import adjust
-
-__all__ = [
-    "NOTHING",
-    "RESPONSIBILITY_MAX",
-    "START_FLOOR",
-    "CandidateScreen",
-    "Candidates",
-    "Em",
-    "EmModel",
-    "Fit",
-    "FollowedSources",
-    "Problem",
-    "adjust",
-    "candidates_of_pairs",
-    "departures_in_reach",
-    "exposures",
-    "find_candidates",
-    "fit_jointly",
-    "initial_hazards",
-    "negative_without_overlap",
-    "newest_within_limit",
-    "place",
-    "result",
-    "slices_by_arrival",
-]
+from camtopod.learn.association.speed_adjustment import adjust as adjust

@@ -7,19 +7,14 @@ that were turned. `alarms` reports each of these changes once, in the first vers
 
 from __future__ import annotations
 
-from camtopod.learn.changes.alarms import AlarmLog, AlarmState
-from camtopod.learn.changes.camera_moved import Move, find_move
-from camtopod.learn.changes.change_points import Change, find_changes, present
-from camtopod.learn.changes.silence import CameraSilences, find_silences
-
-__all__ = [
-    "AlarmLog",
-    "AlarmState",
-    "CameraSilences",
-    "Change",
-    "Move",
-    "find_changes",
-    "find_move",
-    "find_silences",
-    "present",
-]
+from camtopod.learn.changes.alarms import AlarmLog as AlarmLog, AlarmState as AlarmState
+from camtopod.learn.changes.camera_moved import Move as Move, find_move as find_move
+from camtopod.learn.changes.change_points import (
+    Change as Change,
+    find_changes as find_changes,
+    present as present,
+)
+from camtopod.learn.changes.silence import (
+    CameraSilences as CameraSilences,
+    find_silences as find_silences,
+)

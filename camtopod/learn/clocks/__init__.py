@@ -9,23 +9,15 @@ finds paths that objects take in both directions, each of which shows the differ
 from __future__ import annotations
 
 from camtopod.learn.clocks.correlogram import (
-    LAGS,
-    ROWS_AT_ONCE,
-    Counts,
-    cache_friendly_order,
-    correlograms,
-    null_expectation,
+    LAGS as LAGS,
+    ROWS_AT_ONCE as ROWS_AT_ONCE,
+    Counts as Counts,
+    cache_friendly_order as cache_friendly_order,
+    correlograms as correlograms,
+    null_expectation as null_expectation,
 )
-from camtopod.learn.clocks.offsets import Clocks, ClockState, ClockTracker
-
-__all__ = [
-    "LAGS",
-    "ROWS_AT_ONCE",
-    "ClockState",
-    "ClockTracker",
-    "Clocks",
-    "Counts",
-    "cache_friendly_order",
-    "correlograms",
-    "null_expectation",
-]
+from camtopod.learn.clocks.offsets import (
+    Clocks as Clocks,
+    ClockState as ClockState,
+    ClockTracker as ClockTracker,
+)

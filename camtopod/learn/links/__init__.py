@@ -14,56 +14,37 @@ not published still lacks.
 
 from __future__ import annotations
 
-from camtopod.learn.links import mahalanobis, monte_carlo
-from camtopod.learn.links.cross_validation import cross_evidence
+from camtopod.learn.links import mahalanobis as mahalanobis, monte_carlo as monte_carlo
+from camtopod.learn.links.cross_validation import cross_evidence as cross_evidence
 from camtopod.learn.links.link_table import (
-    MONTE_CARLO_SEED,
-    TRANSITIONS_MIN,
-    WEAK_TRANSITIONS_MIN,
-    LinkTable,
-    concatenate_transitions,
-    exposed_departures,
-    select_weak_links,
-    significant,
-    tabulate,
-    transition_slowness,
-    transitions_of,
-    with_monte_carlo_variance,
-    zone_pairs_of,
+    MONTE_CARLO_SEED as MONTE_CARLO_SEED,
+    TRANSITIONS_MIN as TRANSITIONS_MIN,
+    WEAK_TRANSITIONS_MIN as WEAK_TRANSITIONS_MIN,
+    LinkTable as LinkTable,
+    concatenate_transitions as concatenate_transitions,
+    exposed_departures as exposed_departures,
+    select_weak_links as select_weak_links,
+    significant as significant,
+    tabulate as tabulate,
+    transition_slowness as transition_slowness,
+    transitions_of as transitions_of,
+    with_monte_carlo_variance as with_monte_carlo_variance,
+    zone_pairs_of as zone_pairs_of,
 )
-from camtopod.learn.links.missed_detections import match_rows, without_missed_detections
-from camtopod.learn.links.shortfall import LinkShortfall, shortfall_of
-from camtopod.learn.links.significance import evidence_against_unrelated, log_likelihood_ratio
+from camtopod.learn.links.missed_detections import (
+    match_rows as match_rows,
+    without_missed_detections as without_missed_detections,
+)
+from camtopod.learn.links.shortfall import (
+    LinkShortfall as LinkShortfall,
+    shortfall_of as shortfall_of,
+)
+from camtopod.learn.links.significance import (
+    evidence_against_unrelated as evidence_against_unrelated,
+    log_likelihood_ratio as log_likelihood_ratio,
+)
 from camtopod.learn.links.visible_links import (
-    passages_lasting,
-    visible_transitions,
-    with_usual_dwell_times,
+    passages_lasting as passages_lasting,
+    visible_transitions as visible_transitions,
+    with_usual_dwell_times as with_usual_dwell_times,
 )
-
-__all__ = [
-    "MONTE_CARLO_SEED",
-    "TRANSITIONS_MIN",
-    "WEAK_TRANSITIONS_MIN",
-    "LinkShortfall",
-    "LinkTable",
-    "concatenate_transitions",
-    "cross_evidence",
-    "evidence_against_unrelated",
-    "exposed_departures",
-    "log_likelihood_ratio",
-    "mahalanobis",
-    "match_rows",
-    "monte_carlo",
-    "passages_lasting",
-    "select_weak_links",
-    "shortfall_of",
-    "significant",
-    "tabulate",
-    "transition_slowness",
-    "transitions_of",
-    "visible_transitions",
-    "with_monte_carlo_variance",
-    "with_usual_dwell_times",
-    "without_missed_detections",
-    "zone_pairs_of",
-]

@@ -17,22 +17,15 @@ appear next at the second, and the hazard (rate of appearing by lag). In the ord
 
 from __future__ import annotations
 
-from camtopod.learn.next_camera.contexts import LEVELS
-from camtopod.learn.next_camera.fit import Posterior, fit_followed, followed_of
-from camtopod.learn.next_camera.overlapping_views import (
-    OverlappingViews,
-    find_overlapping,
-    overlap_table,
-    views_of,
+from camtopod.learn.next_camera.contexts import LEVELS as LEVELS
+from camtopod.learn.next_camera.fit import (
+    Posterior as Posterior,
+    fit_followed as fit_followed,
+    followed_of as followed_of,
 )
-
-__all__ = [
-    "LEVELS",
-    "OverlappingViews",
-    "Posterior",
-    "find_overlapping",
-    "fit_followed",
-    "followed_of",
-    "overlap_table",
-    "views_of",
-]
+from camtopod.learn.next_camera.overlapping_views import (
+    OverlappingViews as OverlappingViews,
+    find_overlapping as find_overlapping,
+    overlap_table as overlap_table,
+    views_of as views_of,
+)

@@ -11,34 +11,23 @@ null model, in which arrivals have nothing to do with departures.
 
 from __future__ import annotations
 
-from camtopod.learn.traffic.background_rate import NullRates, local_rates
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.learn.traffic.labelled_events import Scene, ZoneRef, label_events
-from camtopod.learn.traffic.speed import (
-    NO_PERSISTENCE,
-    SURE_RESPONSIBILITY,
-    Persistence,
-    adjusted_lag,
-    agreement,
-    estimate_persistence,
-    mean_slowness,
-    usual_dwell_times,
+from camtopod.learn.traffic.background_rate import (
+    NullRates as NullRates,
+    local_rates as local_rates,
 )
-
-__all__ = [
-    "NO_PERSISTENCE",
-    "SURE_RESPONSIBILITY",
-    "Arrivals",
-    "Departures",
-    "NullRates",
-    "Persistence",
-    "Scene",
-    "ZoneRef",
-    "adjusted_lag",
-    "agreement",
-    "estimate_persistence",
-    "label_events",
-    "local_rates",
-    "mean_slowness",
-    "usual_dwell_times",
-]
+from camtopod.learn.traffic.events import Arrivals as Arrivals, Departures as Departures
+from camtopod.learn.traffic.labelled_events import (
+    Scene as Scene,
+    ZoneRef as ZoneRef,
+    label_events as label_events,
+)
+from camtopod.learn.traffic.speed import (
+    NO_PERSISTENCE as NO_PERSISTENCE,
+    SURE_RESPONSIBILITY as SURE_RESPONSIBILITY,
+    Persistence as Persistence,
+    adjusted_lag as adjusted_lag,
+    agreement as agreement,
+    estimate_persistence as estimate_persistence,
+    mean_slowness as mean_slowness,
+    usual_dwell_times as usual_dwell_times,
+)

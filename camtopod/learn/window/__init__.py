@@ -9,18 +9,13 @@ sums positions per camera and grid cell, and removes events that are too old or 
 from __future__ import annotations
 
 from camtopod.learn.window.reorder_buffer import (
-    EVENTS_PER_SECOND_MAX,
-    ReorderBuffer,
-    ReorderBufferState,
+    EVENTS_PER_SECOND_MAX as EVENTS_PER_SECOND_MAX,
+    ReorderBuffer as ReorderBuffer,
+    ReorderBufferState as ReorderBufferState,
 )
-from camtopod.learn.window.sliding_window import FORGOTTEN, Window, WindowState, cells_of
-
-__all__ = [
-    "EVENTS_PER_SECOND_MAX",
-    "FORGOTTEN",
-    "ReorderBuffer",
-    "ReorderBufferState",
-    "Window",
-    "WindowState",
-    "cells_of",
-]
+from camtopod.learn.window.sliding_window import (
+    FORGOTTEN as FORGOTTEN,
+    Window as Window,
+    WindowState as WindowState,
+    cells_of as cells_of,
+)

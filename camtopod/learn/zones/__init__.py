@@ -17,22 +17,12 @@ Last, `mixture` assigns every cell of the grid to one of the zones found, or to 
 
 from __future__ import annotations
 
-from camtopod.learn.zones.cell_sums import GridSums
-from camtopod.learn.zones.daspec import kernel_1d
+from camtopod.learn.zones.cell_sums import GridSums as GridSums
+from camtopod.learn.zones.daspec import kernel_1d as kernel_1d
 from camtopod.learn.zones.zone_map import (
-    CellSums,
-    ZoneMap,
-    ZoneShape,
-    find_zones,
-    refresh_zones,
+    CellSums as CellSums,
+    ZoneMap as ZoneMap,
+    ZoneShape as ZoneShape,
+    find_zones as find_zones,
+    refresh_zones as refresh_zones,
 )
-
-__all__ = [
-    "CellSums",
-    "GridSums",
-    "ZoneMap",
-    "ZoneShape",
-    "find_zones",
-    "kernel_1d",
-    "refresh_zones",
-]

@@ -9,43 +9,24 @@ serve the daemon: `access` (who may connect), `sockets` (options that zenoh does
 
 from __future__ import annotations
 
-from camtopod.serve.bus import access, session
-from camtopod.serve.bus.access import certificate_by_camera
+from camtopod.serve.bus import access as access, session as session
+from camtopod.serve.bus.access import certificate_by_camera as certificate_by_camera
 from camtopod.serve.bus.session import (
-    JSON,
-    SLOW_PUBLICATION_SECONDS,
-    Bus,
-    BusError,
-    Heard,
-    OnMessage,
-    QueryError,
-    Subscription,
-    dial,
-    log_to_standard_output,
-    open_daemon_session,
+    JSON as JSON,
+    SLOW_PUBLICATION_SECONDS as SLOW_PUBLICATION_SECONDS,
+    Bus as Bus,
+    BusError as BusError,
+    Heard as Heard,
+    OnMessage as OnMessage,
+    QueryError as QueryError,
+    Subscription as Subscription,
+    dial as dial,
+    log_to_standard_output as log_to_standard_output,
+    open_daemon_session as open_daemon_session,
 )
-from camtopod.serve.bus.single_daemon import ROLE, OtherDaemons
-from camtopod.serve.bus.site_choice import sites_instead, take_only_site
-from camtopod.serve.bus.topology_subscriber import TopologySubscriber
-
-__all__ = [
-    "JSON",
-    "ROLE",
-    "SLOW_PUBLICATION_SECONDS",
-    "Bus",
-    "BusError",
-    "Heard",
-    "OnMessage",
-    "OtherDaemons",
-    "QueryError",
-    "Subscription",
-    "TopologySubscriber",
-    "access",
-    "certificate_by_camera",
-    "dial",
-    "log_to_standard_output",
-    "open_daemon_session",
-    "session",
-    "sites_instead",
-    "take_only_site",
-]
+from camtopod.serve.bus.single_daemon import ROLE as ROLE, OtherDaemons as OtherDaemons
+from camtopod.serve.bus.site_choice import (
+    sites_instead as sites_instead,
+    take_only_site as take_only_site,
+)
+from camtopod.serve.bus.topology_subscriber import TopologySubscriber as TopologySubscriber

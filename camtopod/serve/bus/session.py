@@ -24,7 +24,7 @@ import zenoh
 
 from camtopod import codec
 from camtopod.config import BusSettings, Config
-from camtopod.keys import PREFIX
+from camtopod.keys.rules import PREFIX
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
 from camtopod.serve.bus import access, sockets

@@ -10,7 +10,7 @@ import queue
 import time
 
 from camtopod import codec
-from camtopod.keys import STATUS
+from camtopod.keys.rules import STATUS
 from camtopod.records import DaemonStatus, Delta, Topology
 from camtopod.serve.bus.session import Bus, QueryError
 from camtopod.topology import apply_delta

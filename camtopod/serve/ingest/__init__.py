@@ -11,22 +11,12 @@ come.
 
 from __future__ import annotations
 
-from camtopod.serve.ingest.camera_registry import Received
+from camtopod.serve.ingest.camera_registry import Received as Received
 from camtopod.serve.ingest.names import (
-    CommandRefused,
-    Names,
-    known_site,
-    read_names,
+    CommandRefused as CommandRefused,
+    Names as Names,
+    known_site as known_site,
+    read_names as read_names,
 )
-from camtopod.serve.ingest.puller import Puller
-from camtopod.serve.ingest.receiver import Receiver
-
-__all__ = [
-    "CommandRefused",
-    "Names",
-    "Puller",
-    "Received",
-    "Receiver",
-    "known_site",
-    "read_names",
-]
+from camtopod.serve.ingest.puller import Puller as Puller
+from camtopod.serve.ingest.receiver import Receiver as Receiver

@@ -57,8 +57,7 @@ import msgspec
 
 from camtopod.admin import Command, Reset
 from camtopod.config import Limits
-from camtopod.event_time import MICROSECONDS
-from camtopod.event_time import EventTime as LearnedTime
+from camtopod.event_time import MICROSECONDS, EventTime as LearnedTime
 from camtopod.records import Topology
 from camtopod.serve.bus import Bus, Heard, Subscription
 from camtopod.serve.ingest.acks import Acks

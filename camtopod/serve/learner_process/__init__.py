@@ -7,20 +7,11 @@ journal at the start.
 
 from __future__ import annotations
 
-from camtopod.serve.learner_process.feeder import LearnerFeeder
-from camtopod.serve.learner_process.process import LearnerProcess
+from camtopod.serve.learner_process.feeder import LearnerFeeder as LearnerFeeder
+from camtopod.serve.learner_process.process import LearnerProcess as LearnerProcess
 from camtopod.serve.learner_process.recovery import (
-    Recovered,
-    newest_topology,
-    recent_events,
-    recover,
+    Recovered as Recovered,
+    newest_topology as newest_topology,
+    recent_events as recent_events,
+    recover as recover,
 )
-
-__all__ = [
-    "LearnerFeeder",
-    "LearnerProcess",
-    "Recovered",
-    "newest_topology",
-    "recent_events",
-    "recover",
-]

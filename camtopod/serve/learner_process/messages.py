@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from camtopod.admin import Command
 from camtopod.event_time import EventTimeState
-from camtopod.learn import Settings
+from camtopod.learn.settings import Settings
 from camtopod.serve.storage import Rewind
 
 INPUTS_MAX = 4_000

@@ -15,7 +15,7 @@ import msgspec
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename
-from camtopod.learn import Settings
+from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
 from camtopod.serve.learner_process.messages import (
     Begin,

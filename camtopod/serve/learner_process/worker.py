@@ -20,16 +20,10 @@ from multiprocessing.connection import Connection
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
-from camtopod.learn import (
-    Learner,
-    LearnerState,
-    NewerSnapshot,
-    SnapshotError,
-    pack,
-    rename,
-    rewind,
-    unpack,
-)
+from camtopod.learn.learner import Learner
+from camtopod.learn.renaming import rename
+from camtopod.learn.rewinding import rewind
+from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
 from camtopod.records import Topology
 from camtopod.serve.learner_process.messages import (
     Answer,

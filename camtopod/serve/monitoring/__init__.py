@@ -6,8 +6,3 @@ daemon.
 """
 
 from __future__ import annotations
-
-__all__ = [
-    "health",
-    "metrics",
-]

@@ -7,12 +7,9 @@ queries for events it has missed. `spool` keeps events on disk until they are ac
 
 from __future__ import annotations
 
-from camtopod.serve.outbox.publisher import Publisher
-from camtopod.serve.outbox.spool import SpoolBatch, open_spool, spool_path
-
-__all__ = [
-    "Publisher",
-    "SpoolBatch",
-    "open_spool",
-    "spool_path",
-]
+from camtopod.serve.outbox.publisher import Publisher as Publisher
+from camtopod.serve.outbox.spool import (
+    SpoolBatch as SpoolBatch,
+    open_spool as open_spool,
+    spool_path as spool_path,
+)

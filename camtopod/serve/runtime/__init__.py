@@ -7,25 +7,19 @@ compares configurations.
 
 from __future__ import annotations
 
-from camtopod.serve.runtime import clock, systemd
-from camtopod.serve.runtime.clock import Clock, steady_clock_for, ulid, wall
-from camtopod.serve.runtime.progress import Beat, Heartbeat, Progress, no_beat
-from camtopod.serve.runtime.rejects import Rejects
-from camtopod.serve.runtime.reload import changed_settings
-from camtopod.serve.runtime.systemd import SOCKET_VARIABLE
-
-__all__ = [
-    "SOCKET_VARIABLE",
-    "Beat",
-    "Clock",
-    "Heartbeat",
-    "Progress",
-    "Rejects",
-    "changed_settings",
-    "clock",
-    "no_beat",
-    "steady_clock_for",
-    "systemd",
-    "ulid",
-    "wall",
-]
+from camtopod.serve.runtime import clock as clock, systemd as systemd
+from camtopod.serve.runtime.clock import (
+    Clock as Clock,
+    steady_clock_for as steady_clock_for,
+    ulid as ulid,
+    wall as wall,
+)
+from camtopod.serve.runtime.progress import (
+    Beat as Beat,
+    Heartbeat as Heartbeat,
+    Progress as Progress,
+    no_beat as no_beat,
+)
+from camtopod.serve.runtime.rejects import Rejects as Rejects
+from camtopod.serve.runtime.reload import changed_settings as changed_settings
+from camtopod.serve.runtime.systemd import SOCKET_VARIABLE as SOCKET_VARIABLE

@@ -9,42 +9,28 @@ that revise what was learned, and `packed_version` is a topology on its way into
 
 from __future__ import annotations
 
-from camtopod.serve.storage import sqlite_file
+from camtopod.serve.storage import sqlite_file as sqlite_file
 from camtopod.serve.storage.corrections import (
-    Rewind,
-    command_entry,
-    epoch_after,
-    read_command,
-    read_reset,
-    read_rewind,
-    reset_entry,
-    rewind,
+    Rewind as Rewind,
+    command_entry as command_entry,
+    epoch_after as epoch_after,
+    read_command as read_command,
+    read_reset as read_reset,
+    read_rewind as read_rewind,
+    reset_entry as reset_entry,
+    rewind as rewind,
 )
-from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
-from camtopod.serve.storage.journal_schema import NAMES_KEY
-from camtopod.serve.storage.journal_writer import JournalWriter
-from camtopod.serve.storage.packed_version import CurrentVersion, Version, head_of
-from camtopod.serve.storage.sqlite_file import StateError, lock_reason
-
-__all__ = [
-    "NAMES_KEY",
-    "CurrentVersion",
-    "Entry",
-    "Journal",
-    "JournalWriter",
-    "Rewind",
-    "Snapshot",
-    "StateError",
-    "StoredVersion",
-    "Version",
-    "command_entry",
-    "epoch_after",
-    "head_of",
-    "lock_reason",
-    "read_command",
-    "read_reset",
-    "read_rewind",
-    "reset_entry",
-    "rewind",
-    "sqlite_file",
-]
+from camtopod.serve.storage.journal import (
+    Entry as Entry,
+    Journal as Journal,
+    Snapshot as Snapshot,
+    StoredVersion as StoredVersion,
+)
+from camtopod.serve.storage.journal_schema import NAMES_KEY as NAMES_KEY
+from camtopod.serve.storage.journal_writer import JournalWriter as JournalWriter
+from camtopod.serve.storage.packed_version import (
+    CurrentVersion as CurrentVersion,
+    Version as Version,
+    head_of as head_of,
+)
+from camtopod.serve.storage.sqlite_file import StateError as StateError, lock_reason as lock_reason

@@ -7,8 +7,7 @@ foot point), `heads` (how many people a blob shows).
 """
 
 from camtopod.vision.detect.background import Luma as Luma
-from camtopod.vision.detect.blobs import Blob as Blob
-from camtopod.vision.detect.blobs import find_blobs as find_blobs
+from camtopod.vision.detect.blobs import Blob as Blob, find_blobs as find_blobs
 from camtopod.vision.detect.motion import MotionDetector as MotionDetector
 from camtopod.vision.detect.shrink import shrunk as shrunk
 from camtopod.vision.detect.watched import ignored_share as ignored_share

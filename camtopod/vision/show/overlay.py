@@ -18,7 +18,7 @@ import numpy as np
 from camtopod.records import Event
 from camtopod.vision.analysis import Analysis
 from camtopod.vision.detect import Luma
-from camtopod.vision.detector import DetectorResult
+from camtopod.vision.detector.detector import DetectorResult
 from camtopod.vision.settings import Polygon, VisionSettings
 from camtopod.vision.show.shown_file import Picture
 from camtopod.vision.track import Decision, Track

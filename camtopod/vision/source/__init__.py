@@ -8,19 +8,24 @@ smaller one is; `probe` describes a source for people, with a picture from `sett
 `errors` has the exceptions.
 """
 
-from camtopod.vision.source.ffmpeg_log import FfmpegLog as FfmpegLog
-from camtopod.vision.source.ffmpeg_log import captured_log as captured_log
+from camtopod.vision.source.ffmpeg_log import FfmpegLog as FfmpegLog, captured_log as captured_log
 from camtopod.vision.source.live import LiveSource as LiveSource
 from camtopod.vision.source.makers import streams_by_maker as streams_by_maker
-from camtopod.vision.source.probe import PROBE_SECONDS as PROBE_SECONDS
-from camtopod.vision.source.probe import Probe as Probe
-from camtopod.vision.source.probe import ProbeRequest as ProbeRequest
-from camtopod.vision.source.probe import decoders as decoders
+from camtopod.vision.source.probe import (
+    PROBE_SECONDS as PROBE_SECONDS,
+    Probe as Probe,
+    ProbeRequest as ProbeRequest,
+    decoders as decoders,
+)
 from camtopod.vision.source.recorded import RecordedSource as RecordedSource
 from camtopod.vision.source.settled_picture import SETTLE_SECONDS_MAX as SETTLE_SECONDS_MAX
-from camtopod.vision.source.source_url import RETRY_SEPARATOR as RETRY_SEPARATOR
-from camtopod.vision.source.source_url import kind_of as kind_of
-from camtopod.vision.source.source_url import percent_encoded as percent_encoded
-from camtopod.vision.source.substreams import ENOUGH_FPS as ENOUGH_FPS
-from camtopod.vision.source.substreams import ENOUGH_HEIGHT as ENOUGH_HEIGHT
-from camtopod.vision.source.substreams import smaller_stream as smaller_stream
+from camtopod.vision.source.source_url import (
+    RETRY_SEPARATOR as RETRY_SEPARATOR,
+    kind_of as kind_of,
+    percent_encoded as percent_encoded,
+)
+from camtopod.vision.source.substreams import (
+    ENOUGH_FPS as ENOUGH_FPS,
+    ENOUGH_HEIGHT as ENOUGH_HEIGHT,
+    smaller_stream as smaller_stream,
+)

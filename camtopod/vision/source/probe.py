@@ -18,7 +18,7 @@ import cv2
 import msgspec
 from msgspec import Struct
 
-from camtopod.vision.detector import ModelReport, try_model
+from camtopod.vision.detector.model_report import ModelReport, try_model
 from camtopod.vision.settings import DetectorSettings, VisionSettings
 from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log

@@ -9,9 +9,7 @@ them out.
 """
 
 from camtopod.vision.track.crossings import Crossings as Crossings
-from camtopod.vision.track.decisions import Decision as Decision
-from camtopod.vision.track.decisions import Edge as Edge
-from camtopod.vision.track.decisions import Reason as Reason
+from camtopod.vision.track.decisions import Decision as Decision, Edge as Edge, Reason as Reason
 from camtopod.vision.track.ignored_areas import IgnoredAreas as IgnoredAreas
 from camtopod.vision.track.recorder import Recorder as Recorder
 from camtopod.vision.track.track import Track as Track

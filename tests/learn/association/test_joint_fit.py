@@ -6,11 +6,9 @@ import naive
 import numpy as np
 import pytest
 import scipy.stats
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from camtopod.learn.association import candidates as candidates_module
-from camtopod.learn.association import em
+from camtopod.learn.association import candidates as candidates_module, em
 from camtopod.learn.association.candidates import (
     Candidates,
     excess_over_null,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import naive
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from camtopod.learn.association import screening as module
 from camtopod.learn.association.candidates import (

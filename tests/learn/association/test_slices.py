@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from synthetic_events import Views, fit_posterior
 
 from camtopod.arrays import ROWS_AT_ONCE, row_slices

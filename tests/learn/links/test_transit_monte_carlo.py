@@ -6,8 +6,7 @@ import naive
 import numpy as np
 import pytest
 import scipy.stats
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from camtopod.learn.links import mahalanobis, monte_carlo
 from camtopod.learn.links.transit_time import WEIGHT_MIN, peak, transit_figures, weighted_quantiles

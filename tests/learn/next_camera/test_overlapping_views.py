@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import naive
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 from synthetic_events import learned_from, passage
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 import naive
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from prediction_quality import prediction_quality
 from synthetic_events import Views, fit_posterior
 
 from bench.regimes import REGIMES
 from camtopod.learn.association.candidates import Candidates, find_candidates, number_pairs
-from camtopod.learn.next_camera import fit, skip_rate
-from camtopod.learn.next_camera import skipped_cameras as module
+from camtopod.learn.next_camera import fit, skip_rate, skipped_cameras as module
 from camtopod.learn.next_camera.fit import Posterior
 from camtopod.learn.next_camera.skipped_cameras import (
     Legs,

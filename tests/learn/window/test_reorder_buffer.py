@@ -7,8 +7,7 @@ import random
 
 import msgspec
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from camtopod.event_time import BEHIND_EVENTS, MICROSECONDS, microseconds
 from camtopod.learn.window import reorder_buffer as module

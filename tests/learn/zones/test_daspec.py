@@ -5,8 +5,7 @@ from __future__ import annotations
 import naive
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from bench.support.thesis_tables import FIGURE_4_4_ZONES, TABLE_5_1, figure_4_4
 from bench.thesis import authors_bandwidth

@@ -9,13 +9,14 @@ import msgspec
 import naive
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from bench.support.thesis_tables import FIGURE_4_4_ZONES, figure_4_4
-from camtopod.learn.zones import clutter as clutter_module
-from camtopod.learn.zones import marginal_likelihood as likelihood_module
-from camtopod.learn.zones import separation as valley_module
+from camtopod.learn.zones import (
+    clutter as clutter_module,
+    marginal_likelihood as likelihood_module,
+    separation as valley_module,
+)
 from camtopod.learn.zones.clutter import clutter_rate, clutter_rates, dense_cells
 from camtopod.learn.zones.marginal_likelihood import SHARE_PRIOR, gaussians, log_zone, moments
 from camtopod.learn.zones.separation import are_far_apart, valley_log_ratio
