@@ -324,8 +324,7 @@ def test_a_stream_that_flaps_is_tried_with_patience_and_comes_back(
     ("kind", "said", "number"),
     [
         ("secret", "the camera refuses the user name or password (401)", signal.SIGTERM),
-        ("closed", "nothing listens at this address and port", signal.SIGINT),
-        ("silent", "the host does not answer", signal.SIGTERM),
+        ("silent", "the host does not answer", signal.SIGINT),
     ],
 )
 def test_lines_to_standard_output_say_what_is_wrong_with_the_camera(

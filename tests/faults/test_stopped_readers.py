@@ -284,20 +284,18 @@ def walks_beside(
     return walks, reader
 
 
-@pytest.mark.parametrize("secured", [False, True], ids=["open", "tls"])
-def test_readers_that_stop_and_come_back_hold_up_nobody(scene: Scene, secured: bool) -> None:
+def test_readers_that_stop_and_come_back_hold_up_nobody(scene: Scene) -> None:
     walks, reader = walks_beside(
-        scene, secured, readers=4, questions=QUESTIONS, per_second=5, turns=2, seconds=4
+        scene, True, readers=4, questions=QUESTIONS, per_second=5, turns=2, seconds=4
     )
     assert not walks.late()
     assert TopologySubscriber(reader).wait_for(1, WAIT_SECONDS) is not None
 
 
-@pytest.mark.parametrize("secured", [False, True], ids=["open", "tls"])
-def test_many_that_stop_hold_up_nobody_where_many_walk(scene: Scene, secured: bool) -> None:
+def test_many_that_stop_hold_up_nobody_where_many_walk(scene: Scene) -> None:
     """Nor when the bus gives them up, after its lease of ten seconds."""
     walks, _ = walks_beside(
-        scene, secured, readers=8, questions=3, per_second=400, turns=1, seconds=14
+        scene, False, readers=8, questions=3, per_second=400, turns=1, seconds=14
     )
     assert not walks.late()
     assert walks.skipped == 0 or walks.held_up > BUSY_SECONDS

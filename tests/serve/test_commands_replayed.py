@@ -64,8 +64,9 @@ def unbroken(directory: Path, command: Command) -> list[tuple[str, int, str]]:
         return one.published
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda one: type(one).__name__)
-@pytest.mark.parametrize("snapshot_events", [50, 10**9])
+@pytest.mark.parametrize(
+    ("command", "snapshot_events"), list(zip(COMMANDS, (50, 10**9, 50, 10**9), strict=True))
+)
 def test_killed_after_a_command_the_versions_are_the_same(
     command: Command, snapshot_events: int, start: Start, tmp_path: Path
 ) -> None:
