@@ -21,7 +21,6 @@ from collections.abc import Callable, Set
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.admin import Forget
 from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
 from camtopod.learn import refit as refits
 from camtopod.learn.assemble import assemble, empty_topology, link_records, zone_id
@@ -223,17 +222,11 @@ class Learner:
         self._publishers, self._doubled = state.publishers, state.doubled
         self._followed, self._retired = state.followed, state.left
 
-    def administer(self, command: Forget) -> None:
-        """Apply an operator's command, and make a version at once if it changes anything.
-
-        A camera is forgotten with its alarms and its events that wait for the watermark; what they
-        have taught about other cameras is kept. `camtopod.learn.rename` renames a camera.
-        """
-        if self.erase({command.camera}):
-            self.make_version()
-
     def erase(self, names: Set[str]) -> bool:
-        """Forget cameras with their alarms and held events; return False if unknown."""
+        """Forget cameras with their alarms and held events; return False if unknown.
+
+        What they have taught about other cameras is kept. `camtopod.learn.rename` renames a camera.
+        """
         known = names & {*self._window.cameras, *self._intake.cameras, *self._retired}
         self._intake.drop_held(names)
         self.forget(names)

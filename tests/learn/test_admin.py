@@ -11,7 +11,6 @@ from msgspec.structs import replace
 from test_snapshot import SETTINGS, events_of, restored
 
 from camtopod import codec
-from camtopod.admin import Forget
 from camtopod.learn.learner import Learner
 from camtopod.learn.renaming import rename
 from camtopod.learn.snapshot import pack
@@ -26,7 +25,8 @@ HALF = len(events_of("hard")) // 2
 
 def forget(camera: str) -> Change:
     def change(learner: Learner) -> Learner:
-        learner.administer(Forget(camera))
+        if learner.erase({camera}):
+            learner.make_version()
         return learner
 
     return change

@@ -159,7 +159,7 @@ class Worker:
         fresh.begin_empty(command.t, after)
         self._learner = fresh
 
-    def _administer(self, command: Command) -> None:
+    def _apply(self, command: Command) -> None:
         """Apply an operator's command."""
         match command:
             case Reset():
@@ -168,8 +168,9 @@ class Worker:
                 self._learner.erase({new})
                 self._change(lambda state: rename(state, old, new))
                 self._learner.make_version()
-            case Forget():
-                self._learner.administer(command)
+            case Forget(camera):
+                if self._learner.erase({camera}):
+                    self._learner.make_version()
             case TakeBack():
                 pass  # only the daemon refuses events
 
@@ -192,7 +193,7 @@ class Worker:
             elif isinstance(given, float):
                 self._learner.advance(given)
             elif given is not None:
-                self._administer(given)
+                self._apply(given)
 
             # Send new versions, and stop if time is short.
             self._take_versions()
