@@ -3,7 +3,7 @@
     python -m bench ingest [--cameras 100] [--events 200000] [--rounds 5] [--json FILE]
 
 One process publishes, another receives. The receiver is the real `camtopod run`: it orders,
-journals, acknowledges, learns and predicts (predictions are skipped when it lags, and counted). A
+journals, answers, learns and predicts (predictions are skipped when it lags, and counted). A
 round is valid only if every event published has been stored once. The site has learned before. ``no
 version due`` leaves out the learner's fits. ``a version a minute`` has them, by default settings:
 50 events of a camera stand for a second of event time, as with a backlog.
@@ -91,12 +91,12 @@ def bare(folder: Path, events: str, count: int) -> float:
 
 
 def daemon(folder: Path, learned: Path, events: str, count: int, learn: str) -> float:
-    """Return the microseconds an event until it is acknowledged."""
+    """Return the microseconds an event until it is stored."""
     shutil.rmtree(folder / "state", ignore_errors=True)
     shutil.copytree(learned, folder / "state")
     with running(folder, learn) as (endpoint, _):
         learned_status(endpoint)
-        with client("put_flood", folder, endpoint=endpoint, events=events) as sender:
+        with client("deliver", folder, endpoint=endpoint, events=events) as sender:
             sent = result(sender)
         status = status_of(endpoint)
     if status.events.stored != count:

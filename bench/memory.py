@@ -34,8 +34,6 @@ MEGABYTES_MAX = {100: 400.0, 1_000: 1_000.0, 10_000: 4_000.0}
 """Targets of the peak by number of cameras, megabytes."""
 LEARN_SECONDS_MAX = 3_600.0
 """Longest wait for the learner, seconds."""
-STRANGERS_WINDOW = 2_000
-"""Most events in flight: cameras not yet known share one queue of the inbox, which is smaller."""
 
 
 class Taken(NamedTuple):
@@ -103,9 +101,7 @@ def measure(cameras: int, count: int) -> Taken:
             running(folder, limits=f"cameras_max = {cameras + 100}") as (endpoint, pid),
             peak_memory(pid) as most,
         ):
-            with client(
-                "put_flood", folder, endpoint=endpoint, events=events, window=STRANGERS_WINDOW
-            ) as sender:
+            with client("deliver", folder, endpoint=endpoint, events=events) as sender:
                 result(sender)
             status = learned_status(endpoint, LEARN_SECONDS_MAX)
             settled, added = resident(pid) / 1e6, resident(pid, most=True) / 1e6

@@ -57,8 +57,6 @@ BESIDE_BYTES = {"journal": 2**20, "spool": 5 * 2**18}
 """Bytes on disk beyond a bound: writes before its next check; the spool's log of 1 MiB."""
 REACHED_SHARE = 0.8
 """Share of its bound that the disk has to reach; otherwise the bound is not tested."""
-BATCH_EVENTS = 500
-"""Events in a message."""
 BATCH_SECONDS = 7200.0
 """Simulated seconds that come at once, cameras in any order; half the learner's lateness."""
 WAIT_SECONDS = 300.0
@@ -267,7 +265,7 @@ class Soak:
             state=StateSettings(str(folder / "state")),
             learn=learn,
             keep=keep,
-            limits=Limits(spool_bytes_max=SPOOL_BYTES, spool_kept_events=100_000),
+            limits=Limits(spool_bytes_max=SPOOL_BYTES),
         )
         self.bounds = {"journal": keep.journal_bytes_max, "spool": SPOOL_BYTES}
         rate = events / DAY_SECONDS / 12.0  # objects a second; each makes about twelve events
@@ -282,11 +280,8 @@ class Soak:
         self._stored: Counter[tuple[str, int]] = Counter()
         self._read = 0  # entries of the journal
         self._bus: Bus | None = None
-        limits = self._config.limits
-        self._spool = Spool(
-            folder / "spool.db", "boot", 100_000, limits.spool_bytes_max, limits.spool_kept_events
-        )
-        self._publisher = Publisher(self._spool, BATCH_EVENTS)
+        self._spool = Spool(folder / "spool.db", "boot", 100_000, SPOOL_BYTES, kept_max=100_000)
+        self._publisher = Publisher(self._spool)
         self._folder = folder
         self.days: list[Day] = []
 
@@ -309,8 +304,8 @@ class Soak:
             self._twin.send(batch)
             self._publisher.publish(*batch)
             self._sent.update(event.camera for event in batch)
-            if not self._publisher.wait_acknowledged(WAIT_SECONDS):
-                raise TimeoutError("events are not acknowledged")
+            if not self._publisher.wait_stored(WAIT_SECONDS):
+                raise TimeoutError("events are not stored")
             self._expected |= self._twin.receive()
             self._count()
 
@@ -336,6 +331,7 @@ class Soak:
 
     def close(self) -> None:
         """End all processes."""
+        self._publisher.close()
         if self._bus is not None:
             self._bus.close()
         self._home.close()

@@ -533,29 +533,6 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next
     """
 
 
-class Ack(Struct, frozen=True, omit_defaults=True):
-    """Acknowledgement that the events of ``camera`` and ``boot`` up to ``seq`` are stored.
-
-    The counters are of the events of this boot since the daemon's start.
-
-    accepted: events that are learned from.
-    late: events that were older than the watermark, so are not learned from.
-    duplicate: events that were received before.
-    refused: events that are acknowledged but not learned from, as their camera flooded or their
-        time was in the future.
-    """
-
-    camera: str
-    boot: str
-    seq: int
-    daemon: str = ""
-    """Name of the daemon; it is kept with its state directory."""
-    accepted: int | None = None
-    late: int | None = None
-    duplicate: int | None = None
-    refused: int | None = None
-
-
 class Status(Struct, frozen=True):
     """State of the daemon or of the program that publishes a camera's events.
 
@@ -643,7 +620,6 @@ class DaemonStatus(Status, frozen=True):
     dropped: publications dropped for lack of room, by camera.
     learner: the learner's counts and sizes, as of its last step.
     catching_up: None if the learner is up to date.
-    pulls: queries to spools.
     """
 
     site: str = ""
@@ -661,6 +637,5 @@ class DaemonStatus(Status, frozen=True):
     score: SelfScore | None = None
     alarms: list[Alarm] = []
     names: NamesStatus = NamesStatus()
-    pulls: int = 0
     journal: JournalStatus = JournalStatus()
     cameras: dict[str, CameraFigures] = {}

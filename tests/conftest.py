@@ -25,6 +25,7 @@ import pytest
 from chromium import Browser, chromium
 from hypothesis import HealthCheck, settings
 
+from camtopod.serve.ingest import merge
 from camtopod.serve.learner_process import process
 
 DATA = "CAMTOPOD_TEST_DATA"
@@ -42,6 +43,9 @@ if (
     signal.signal(
         signal.SIGINT, signal.default_int_handler
     )  # else all programs that tests start would ignore it, too
+
+
+merge.SETTLE_SECONDS = 0.0  # daemons in this process store at once, and wait for no backlogs
 
 
 @pytest.fixture(autouse=True)

@@ -25,21 +25,22 @@ import zenoh
 from bench.support.site import Status
 from camtopod.codec import to_msgpack
 from camtopod.config.settings import BusSettings, Config
-from camtopod.records import Ack, Event, Prediction
+from camtopod.records import Event, Prediction
 from camtopod.serve.bus.session import Bus, dial, open_daemon_session
+from camtopod.serve.requests import ANSWER_SECONDS_MAX, Answer, Batch, Hello
 
 PREFIX = "camtopo/site"
 """Key prefix of a site on the bus."""
-ACK_SECONDS = 0.2
-"""Interval of the bare receiver's acknowledgements, seconds."""
+COUNT_SECONDS = 0.2
+"""Interval at which the bare receiver tells its count, seconds."""
 WINDOW_EVENTS = 40_000
-"""Most events in flight (not acknowledged); fewer than the daemon's inbox holds."""
+"""Most events in flight to the bare receiver."""
 QUIET_SECONDS = 300.0
-"""Longest wait for an acknowledgement; after it events count as lost."""
+"""Longest wait for a count; after it events count as lost."""
 START_SECONDS = 300.0
 """Longest wait for a daemon to make its first version, seconds."""
 ENDED = b"ended"
-"""Payload that ends a round, and the boot of acknowledgements by the bare receiver."""
+"""Payload that ends a round."""
 
 
 def put_paced(endpoint: str, events: str, bare: bool) -> dict[str, Any]:
@@ -73,57 +74,84 @@ def put_paced(endpoint: str, events: str, bare: bool) -> dict[str, Any]:
     return {"put": len(batch), "late_ms": 1000 * sorted(late)[len(late) // 2]}
 
 
-def put_flood(endpoint: str, events: str, window: int = WINDOW_EVENTS) -> dict[str, Any]:
-    """Publish as fast as the window allows; return the seconds until all is acknowledged."""
+def put_flood(endpoint: str, events: str) -> dict[str, Any]:
+    """Publish as fast as the bare receiver counts; return the seconds until it has all."""
     bus = _dialled(endpoint)
     batch = _read(events)
-
-    # Prepare numbered messages.
-    boot = f"boot-{time.time()}"
-    seqs = dict.fromkeys({event.camera for event in batch}, 0)
-    messages = []
     puts = _publishers(bus, batch)
-    later = time.time() - batch[-1].t - 1.0
-    for event in batch:
-        seq = seqs[event.camera] = seqs[event.camera] + 1
-        numbered = msgspec.structs.replace(event, t=event.t + later, boot=boot, seq=seq)
-        messages.append((puts[event.camera], to_msgpack(numbered)))
+    messages = [(puts[event.camera], to_msgpack(event)) for event in batch]
+    counted, changed = [0, 0.0], threading.Condition()
 
-    # Count acknowledgements.
-    stored = dict.fromkeys(seqs, 0)
-    acked, changed = [0, 0.0], threading.Condition()
-
-    def on_ack(sample: zenoh.Sample) -> None:
-        ack = msgspec.msgpack.decode(sample.payload.to_bytes(), type=Ack)
+    def on_count(sample: zenoh.Sample) -> None:
         with changed:
-            if ack.boot == boot:
-                acked[0] += ack.seq - stored[ack.camera]
-                stored[ack.camera] = ack.seq
-            elif ack.boot == ENDED.decode():
-                acked[0] = max(acked[0], ack.seq)
-            acked[1] = time.monotonic()
+            counted[:] = max(counted[0], int(sample.payload.to_string())), time.monotonic()
             changed.notify_all()
 
-    subscriber = bus._session.declare_subscriber(f"{PREFIX}/ack/*", on_ack)
+    subscriber = bus._session.declare_subscriber(f"{PREFIX}/bench/received", on_count)
     time.sleep(1.0)
 
     # Publish; wait whenever the window is full.
     begun = time.monotonic()
     for number, (publisher, message) in enumerate(messages):
-        if number % 256 == 0 and number - acked[0] > window:
+        if number % 256 == 0 and number - counted[0] > WINDOW_EVENTS:
             with changed:
-                wanted = number - window
-                if not changed.wait_for(lambda wanted=wanted: acked[0] >= wanted, QUIET_SECONDS):  # type: ignore[misc]
+                wanted = number - WINDOW_EVENTS
+                if not changed.wait_for(lambda wanted=wanted: counted[0] >= wanted, QUIET_SECONDS):  # type: ignore[misc]
                     break
         publisher.put(message)
 
     # Wait for the rest.
-    put = time.monotonic()
     with changed:
-        changed.wait_for(lambda: acked[0] >= len(messages), QUIET_SECONDS)
+        changed.wait_for(lambda: counted[0] >= len(messages), QUIET_SECONDS)
     subscriber.undeclare()  # type: ignore[no-untyped-call]
     bus.close()
-    return {"acknowledged": acked[0], "put_seconds": put - begun, "seconds": acked[1] - begun}
+    return {"seconds": counted[1] - begun}
+
+
+def deliver(endpoint: str, events: str) -> dict[str, Any]:
+    """Deliver as the spools of all cameras would; return the seconds until all is stored."""
+    bus = _dialled(endpoint)
+    batch = _read(events)
+    boot = f"boot-{time.time()}"
+    later = time.time() - batch[-1].t - 1.0
+    waiting: dict[str, list[tuple[int, bytes]]] = {}
+    for event in batch:
+        queue = waiting.setdefault(event.camera, [])
+        stamped = msgspec.structs.replace(event, t=event.t + later, boot=boot, seq=len(queue) + 1)
+        queue.append((len(queue) + 1, to_msgpack(stamped)))
+    changed = threading.Condition()
+    decoder = msgspec.msgpack.Decoder(Answer)
+
+    def ask(camera: str, request: Hello | Batch) -> None:
+        bus.ask(
+            f"store/{camera}",
+            to_msgpack(request),
+            ANSWER_SECONDS_MAX,
+            lambda content: on_answer(camera, content),
+        )
+
+    def on_answer(camera: str, content: bytes | None) -> None:
+        answer = decoder.decode(content or b"")
+        have = answer.have.get(boot, 0)
+        rest = waiting[camera] = [one for one in waiting[camera] if one[0] > have]
+        if rest:
+            if answer.reason:
+                time.sleep(0.1)
+            now = rest[: min(answer.batch, 300)]
+            ask(camera, Batch("bench", boot, have, now, len(rest) - len(now)))
+        else:
+            with changed:
+                del waiting[camera]
+                changed.notify_all()
+
+    begun = time.monotonic()
+    for camera in list(waiting):
+        ask(camera, Hello("bench", [boot]))
+    with changed:
+        changed.wait_for(lambda: not waiting, QUIET_SECONDS)
+    took = time.monotonic() - begun
+    bus.close()
+    return {"seconds": took}
 
 
 def sink(endpoint: str, ready: str, dials: bool = False) -> dict[str, Any]:
@@ -138,9 +166,8 @@ def sink(endpoint: str, ready: str, dials: bool = False) -> dict[str, Any]:
     bus._session.declare_subscriber(f"{PREFIX}/event/*", on_event)
     _end_with_input(done)
     _say_ready(bus, ready)
-    while not done.wait(ACK_SECONDS):
-        ack = Ack("all", ENDED.decode(), count[0])
-        bus._session.put(f"{PREFIX}/ack/all", to_msgpack(ack))
+    while not done.wait(COUNT_SECONDS):
+        bus._session.put(f"{PREFIX}/bench/received", str(count[0]))
     bus.close()
     return {"received": count[0]}
 
@@ -311,6 +338,7 @@ def _end_with_input(done: threading.Event) -> None:
 ROLES: dict[str, Any] = {
     "put_paced": put_paced,
     "put_flood": put_flood,
+    "deliver": deliver,
     "sink": sink,
     "echo": echo,
     "hear": hear,

@@ -17,6 +17,7 @@ from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN, Event
 from camtopod.serve.bus import Bus, BusError, dial
 from camtopod.serve.outbox import Publisher as Outbox, open_spool
+from camtopod.serve.storage import StateError
 
 ATTEMPT_SECONDS = 2.0
 """Longest attempt to connect; `Publisher.close` waits until the present one has ended."""
@@ -59,7 +60,7 @@ class Publisher:
         directory = settings.state_directory if state is None else Path(state)
         self.camera = camera
         self._spool = open_spool(directory, settings.site.name, camera, settings.limits)
-        self._outbox = Outbox(self._spool, settings.limits.spool_batch_events)
+        self._outbox = Outbox(self._spool)
         self._mutex = threading.Lock()  # of the outbox, the bus and the spool
         self._bus: Bus | None = None
         self._closing = threading.Event()
@@ -86,17 +87,17 @@ class Publisher:
 
     def wait_stored(self, seconds: float) -> bool:
         """Wait until a daemon has stored all events; return False if not within ``seconds``."""
-        return self._outbox.wait_acknowledged(seconds)
+        return self._outbox.wait_stored(seconds)
 
     @property
     def waiting(self) -> int:
         """Number of events that are not known to be stored by a daemon."""
-        return self._outbox.unacknowledged
+        return self._outbox.waiting
 
     @property
     def dropped(self) -> int:
         """Number of events lost because the spool was full, or could not be written for long."""
-        return self._outbox.statistics()["dropped"]
+        return self._outbox.dropped
 
     def close(self) -> None:
         """Leave the bus; events that no daemon has stored stay in the spool."""
@@ -106,8 +107,9 @@ class Publisher:
         self._closing.set()
         self._thread.join()
         with self._mutex:
+            self._outbox.close()
             if self._bus is not None:
-                self._bus.close()  # before the spool, which answers queries until then
+                self._bus.close()
             self._spool.close()
 
     def __enter__(self) -> Publisher:
@@ -126,7 +128,8 @@ class Publisher:
                     self._use(dial(settings))
             with self._mutex:
                 if not self._closing.is_set():
-                    self._outbox.retry()
+                    with contextlib.suppress(StateError):  # the next `publish` raises it
+                        self._outbox.retry()
             self._closing.wait(RETRY_SECONDS)
 
     def _use(self, bus: Bus) -> None:

@@ -154,12 +154,6 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     """Events stamped further ahead of this machine's clock are stored but not learned; those less
     far ahead wait until their time.
     """
-    inbox_events_max: Count = 50_000
-    """Maximum number of events received and not yet stored; further ones are dropped, and pulled
-    from the spool later.
-    """
-    inbox_camera_events_max: Count = 5_000
-    """The same for one camera, so that a flooding camera leaves room for the others."""
     camera_events_per_second_max: Count = 200
     """Maximum number of events of one camera within a second of event time; further ones are
     counted, not learned.
@@ -174,26 +168,6 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     """Time that a transaction waits for more events; predictions do not wait for it. Raise it on an
     SD card (0.05).
     """
-    learn_events_max: Count = 2_000_000
-    """Maximum number of events stored and not yet learned, nearly all of them only in the journal;
-    beyond it storing waits.
-    """
-    held_events_max: Count = 5_000
-    """Maximum number of events of one camera that wait behind a gap; further ones are dropped and
-    pulled later.
-    """
-    streams_max: Count = 20_000
-    """Maximum number of streams, that is (camera, boot) pairs, at most 16 of one camera; beyond it
-    those without events for longest are no longer followed.
-    """
-    gap_seconds: Positive = 5.0
-    """Time until a gap that no spool can fill is given up."""
-    pull_seconds: Positive = 1.0
-    """Interval at which each grabber's spool is asked for missing events."""
-    pull_events_max: Count = 1_000
-    """Maximum number of events in one answer of a spool."""
-    ack_seconds: Positive = 0.2
-    """Interval of acknowledgements."""
     status_seconds: Positive = 1.0
     """Interval of the published status."""
     settle_seconds: Positive = 10.0
@@ -206,10 +180,6 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     """The same limit for the size of the spool's file; a transaction more, and 1 MiB of log, may be
     on the disk.
     """
-    spool_kept_events: Annotated[int, Meta(ge=0)] = 10_000
-    """Number of acknowledged events that a grabber keeps, in case the journal is damaged."""
-    spool_batch_events: Count = 500
-    """Number of events in one transaction of a spool when many come at once."""
 
 
 class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):

@@ -35,7 +35,23 @@ _ELSEWHERE = {
     "area": "min_height",
 }
 """Names of similar settings in Frigate and Viseron -> their names here."""
-GONE = frozenset({"hardware_decoding", "shards"})
+GONE = frozenset(
+    {
+        "ack_seconds",
+        "gap_seconds",
+        "hardware_decoding",
+        "held_events_max",
+        "inbox_camera_events_max",
+        "inbox_events_max",
+        "learn_events_max",
+        "pull_events_max",
+        "pull_seconds",
+        "shards",
+        "spool_batch_events",
+        "spool_kept_events",
+        "streams_max",
+    }
+)
 """Names of settings and tables of earlier versions that have gone without a replacement."""
 _T = TypeVar("_T", bound=Struct)
 

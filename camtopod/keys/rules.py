@@ -2,8 +2,8 @@
 
 Each program that connects shows a certificate of the site's authority, whose common name decides
 what it may do. Everything that no rule allows is denied, in both directions: a camera's box
-publishes its own events and receives its own acknowledgements. The functions are pure: they take
-names and return settings of zenoh.
+publishes and delivers its own events and hears what is stored of them. The functions are pure:
+they take names and return settings of zenoh.
 """
 
 from __future__ import annotations
@@ -29,15 +29,12 @@ Larger ones are dropped; those too long for an event, but not for the bus, are c
 """
 STATUS_BYTES_MAX = 1024 * 1024
 """Largest status that the bus lets through, in bytes."""
-QUERY_BYTES_MAX = 4 * 1024
-"""Largest payload of a query, beside its parameters, in bytes."""
-SPOOLED_BYTES_MAX = 1536
-"""More than a valid event takes in a spool's answer, in bytes.
-
-Ids have up to 64 or 128 characters of at most 4 bytes.
+QUERY_BYTES_MAX = 320 * 1024
+"""Largest content of a query, in bytes: more than a batch, or a hello of 1,000 boots, takes
+(`camtopod.serve.requests`).
 """
-RECEIVED_BYTES_MIN = 1024 * 1024
-"""The meeting point accepts at least messages of this size, in bytes."""
+RECEIVED_BYTES_MAX = 1024 * 1024
+"""Largest message that the meeting point accepts, in bytes."""
 RECONNECT_MILLISECONDS = (250, 1000)
 """First and largest wait of a box until it reconnects, so that it soon finds a restarted daemon."""
 
@@ -65,8 +62,6 @@ _LIMITS = (
     ("query", "**", QUERY_BYTES_MAX),
 )
 """Kind of message, key, and largest size in bytes."""
-PRIORITY_LIMITS = {"background": _LIMITS[0], "data_low": _LIMITS[1], "data_high": _LIMITS[2]}
-"""Priority given to messages that exceed a limit -> that limit; see `priorities`."""
 ANSWERS = "interactive_low"
 """Priority of readers' queries, and so of the answers."""
 
@@ -142,12 +137,11 @@ def mutual_tls(ca: str, certificate: str, private_key: str) -> Settings:
     }
 
 
-def size_limits(site: str, pull_events_max: int) -> Settings:
+def size_limits(site: str) -> Settings:
     """Return settings that drop messages that are too large where they come in.
 
     Topologies only go out, so they are not limited here.
     """
-    limits = [*_LIMITS, ("reply", "spool/*", spool_bytes_max(pull_events_max))]
     return {
         "low_pass_filter": [
             {
@@ -156,7 +150,7 @@ def size_limits(site: str, pull_events_max: int) -> Settings:
                 "key_exprs": [_key(site, key)],
                 "size_limit": size,
             }
-            for message, key, size in limits
+            for message, key, size in _LIMITS
         ]
     }
 
@@ -164,44 +158,17 @@ def size_limits(site: str, pull_events_max: int) -> Settings:
 def priorities(site: str) -> Settings:
     """Return settings for the priorities that the meeting point gives to others' messages.
 
-    Messages that `size_limits` will drop get one priority for each limit. zenoh logs such a change
-    of priority, which tells the exceeded limit; when it drops a message, it logs neither the key
-    nor the reason. Answers cannot be marked so, but an answer that is too large for a spool is too
-    large for the meeting point to receive. Attachments do not count here, as they do in
-    `size_limits`; those of events have some tens of bytes.
-
     Queries of readers, and so the answers, get a priority of their own, which has its own queue on
     every link: in the queue of publications, an answer to a reader that has stopped reading would
     delay the publications to all others. Of these messages at most one waits.
     """
-    # Mark messages that are too large.
-    marks = [
-        {
-            "flows": ["ingress"],
-            "messages": [message],
-            "key_exprs": [_key(site, key)],
-            "payload_size": f"{size + 1}..",
-            "overwrite": {"priority": priority},
-        }
-        for priority, (message, key, size) in PRIORITY_LIMITS.items()
-    ]
-
-    # Keep readers' queries apart from publications.
     answers = {
         "flows": ["ingress"],
         "messages": ["query"],
         "key_exprs": [_key(site, key) for key in READABLE],
         "overwrite": {"priority": ANSWERS, "congestion_control": "block_first"},
     }
-    return {"qos/network": [*marks, answers]}
-
-
-def spool_bytes_max(pull_events_max: int) -> int:
-    """Return the largest size of a spool's answer, in bytes.
-
-    It is the largest message that the meeting point has to accept.
-    """
-    return max(RECEIVED_BYTES_MIN, pull_events_max * SPOOLED_BYTES_MAX)
+    return {"qos/network": [answers]}
 
 
 def session_settings(mode: str) -> Settings:
@@ -219,9 +186,7 @@ def session_settings(mode: str) -> Settings:
     }
 
 
-def router_json5(
-    access: Access, listen: list[str], message_bytes_max: int, pull_events_max: int
-) -> str:
+def router_json5(access: Access, listen: list[str], message_bytes_max: int) -> str:
     """Return the configuration file of a separate router.
 
     It is started in a folder with the daemon's certificate and key.
@@ -229,7 +194,7 @@ def router_json5(
     # Collect the settings.
     settings = session_settings("router") | {"listen/endpoints": listen}
     settings |= mutual_tls("ca.pem", "certificate.pem", "private.key") | access_control(access)
-    settings |= size_limits(access.site, pull_events_max) | priorities(access.site)
+    settings |= size_limits(access.site) | priorities(access.site)
     settings |= {"transport/link/rx/max_message_size": message_bytes_max}
 
     # Nest them by the parts of their paths.
@@ -266,20 +231,21 @@ def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:
             "key_exprs": [_key(site, key) for key in keys],
         }
 
-    come, go = ["ingress"], ["egress"]
+    come = ["ingress"]
+    go = ["egress"]
     if certificate.role == "daemon":
         return [rule("everything", come + go, _EVERYTHING, "**")]
+    watching = [
+        rule(
+            "watches", come, ("declare_liveliness_subscriber", "liveliness_query"), "alive/daemon/*"
+        ),
+        rule("sees", go, ("liveliness_token",), "alive/daemon/*"),
+    ]
     if certificate.role == "reader":
         return [
             rule("asks", come, ("declare_subscriber", "query"), *READABLE),
             rule("hears", go, ("put", "reply"), *READABLE),
-            rule(
-                "watches",
-                come,
-                ("declare_liveliness_subscriber", "liveliness_query"),
-                "alive/daemon/*",
-            ),
-            rule("sees", go, ("liveliness_token",), "alive/daemon/*"),
+            *watching,
         ]
     cameras = certificate.cameras or [certificate.camera]
 
@@ -287,13 +253,14 @@ def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:
         return [f"{key}/{camera}" for camera in cameras for key in keys]
 
     return [
-        rule("says", come, ("put",), *of_each("event", "status")),
+        rule("publishes", come, ("put",), *of_each("event", "status")),
+        rule("delivers", come, ("query",), *of_each("store")),
+        rule("hears", go, ("reply",), *of_each("store")),
         # A query for the status of all cameras reaches this one too, which answers with its own.
-        rule("is asked", go, ("query",), *of_each("spool", "status"), "status/*"),
-        rule("answers", come, ("declare_queryable", "reply"), *of_each("spool", "status")),
-        rule("listens", come, ("declare_subscriber",), *of_each("ack")),
-        rule("hears", go, ("put",), *of_each("ack")),
+        rule("is asked", go, ("query",), *of_each("status"), "status/*"),
+        rule("answers", come, ("declare_queryable", "reply"), *of_each("status")),
         rule("is there", come, ("liveliness_token",), *of_each("alive/grabber")),
+        *watching,
     ]
 
 

@@ -2,23 +2,21 @@
 
 Theory of operation. Besides the bus's own there are these threads:
 
-- *listen* puts published events in order, and answers exits with the newest version;
-- *receive* does the same for events that are left over, pulled, or due without a message;
-- *store* owns the journal: it commits ordered events, queues them for the learner, acknowledges
-  them, and stores each version before it is published;
+- *receive* decodes what comes, merges it by time, and answers exits with the newest version;
+- *store* owns the journal: it commits events, queues them for the learner, answers the grabbers'
+  requests, and stores each version before it is published;
 - *learn* passes committed events, in the journal's order, to the learner, which runs in its own
   process;
-- *pull* asks the publishers' spools for missing events;
 - *status* publishes the status;
-- *bus* checks the bus if this process is its meeting point.
 
-All queues between them are bounded; when one is full, events stay in the spools.
+All queues between them are bounded; when one is full, events stay in the grabbers' spools.
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import re
 import sqlite3
 import threading
@@ -29,10 +27,11 @@ import msgspec
 from msgspec.structs import replace
 
 from camtopod import codec
+from camtopod.admin import Reset
 from camtopod.config import Config
-from camtopod.event_time import EventTime, microseconds
+from camtopod.event_time import MICROSECONDS, EventTime, microseconds
 from camtopod.keys.rules import STATUS
-from camtopod.records import CAMERA_PATTERN, DaemonStatus, Prediction, Topology
+from camtopod.records import DaemonStatus, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
 from camtopod.serve.bus import (
@@ -41,10 +40,20 @@ from camtopod.serve.bus import (
     Bus,
     OtherDaemons,
     QueryError,
-    certificate_by_camera,
     open_daemon_session,
 )
-from camtopod.serve.ingest import CommandRefused, Puller, Receiver
+from camtopod.serve.ingest import (
+    Cameras,
+    CommandRefused,
+    EventClock,
+    Intake,
+    Merger,
+    Names,
+    Numbers,
+    Received,
+    execute,
+    read_names,
+)
 from camtopod.serve.learner_process import (
     LearnerFeeder,
     LearnerProcess,
@@ -55,7 +64,16 @@ from camtopod.serve.learner_process import (
 )
 from camtopod.serve.live_predictions import Live
 from camtopod.serve.runtime import Heartbeat, Progress, changed_settings, clock as clocks
-from camtopod.serve.storage import CurrentVersion, Journal, StateError, Version, head_of
+from camtopod.serve.storage import (
+    NAMES_KEY,
+    CurrentVersion,
+    Journal,
+    JournalWriter,
+    StateError,
+    Version,
+    head_of,
+    rewind,
+)
 from camtopod.topology import links_in_words, waiting_for_links
 
 log = logging.getLogger(__name__)
@@ -164,22 +182,15 @@ class Daemon:
             self._bus.publish("topology", self.newest.raw, "topology")
         health, limits, stall = config.health, config.limits, config.health.stall_seconds
         self._start_thread(
-            "receive", lambda mark: self._receiver.work(self._stopping, mark.beat), stall
+            "receive", lambda mark: self._intake.work(self._stopping, mark.beat), stall
         )
-        # No limit for "listen": when it stalls, so does "receive".
-        self._start_thread("listen", lambda mark: self._receiver.listen(), float("inf"))
         self._start_thread(
-            "store", lambda mark: self._receiver.store(self._stopping, mark.beat), stall
+            "store", lambda mark: self._intake.store(self._stopping, mark.beat), stall
         )
         self._start_thread(
             "learn",
             lambda mark: self._learning.work(self._stopping, mark.beat),
             health.learn_seconds,
-        )
-        self._start_thread(
-            "pull",
-            lambda mark: self._puller.work(self._stopping, mark),
-            limits.pull_seconds + stall,
         )
         self._start_thread("status", self._publish_status, limits.status_seconds + stall)
         self.progress.unwatch("start")
@@ -212,7 +223,7 @@ class Daemon:
             self._process.kill()
         if "store" not in running:
             if self.started and "learn" not in running:
-                self._receiver.storing.store_remaining(
+                self._intake.writer.store_remaining(
                     None if self._failed.is_set() else self._learning.snapshot()
                 )
             self._journal.close()
@@ -250,30 +261,27 @@ class Daemon:
         limits, waiting = changed_settings(self._config, config)
         self._config = msgspec.structs.replace(self._config, limits=limits)
         stall = self._config.health.stall_seconds
-        self.progress.set_limit("pull", limits.pull_seconds + stall)
         self.progress.set_limit("status", limits.status_seconds + stall)
-        self._receiver.set_limits(limits)
-        self._puller.set_limits(limits)
+        self._intake.limits = limits
         return waiting
 
     def status(self) -> DaemonStatus:
         """Return the contents of ``status/daemon``: state, reason and counters."""
         # Cameras whose grabber is there, perhaps under the camera's old name.
-        names = self._receiver.names
-        alive = {names.state.aliases.get(name, name) for name in self._puller.alive.copy()}
+        intake, learning = self._intake, self._learning
+        aliases = intake.names.state.aliases
+        counted = intake.cameras.status({aliases.get(name, name) for name in intake.alive.copy()})
 
         # The first reason found is given.
-        receiver, learning, head = self._receiver, self._learning, self.newest and self.newest.head
-        reason = self._reason or self._rivals.reason or "; ".join(self.failing())
-        now, cameras = self._steady(), receiver.cameras
-        counted = cameras.status()
-        newest = [one.newest for one in counted.values() if one.newest is not None]
+        head = self.newest and self.newest.head
         reason = (
-            reason
-            or receiver.duplicates.reason
-            or cameras.fast_clocks_reason(now)
-            or cameras.double_publishers_reason(now)
+            self._reason
+            or self._rivals.reason
+            or "; ".join(self.failing())
+            or intake.cameras.fast_clocks_reason(self._config.limits.future_seconds_max)
+            or intake.cameras.doubled_reason(self._steady())
         )
+        newest = max((one.newest or 0.0 for one in counted.values()), default=0.0)
         return DaemonStatus(
             state="degraded" if reason else "running",
             reason=redact(reason),
@@ -282,46 +290,38 @@ class Daemon:
             version=0 if head is None else head.version,
             t=self._clock(),
             events={
-                **receiver.counts,
-                "lost": receiver.streams.lost,
-                "unknown": receiver.streams.unknown,
-                "contradicted": receiver.duplicates.contradicted,
+                **intake.counts,
+                "lost": intake.numbers.lost,
                 "waiting": learning.waiting,
-                "early": receiver.cameras.waiting,
-                "merging": receiver.merge.waiting,
+                "merging": intake.merger.waiting,
             },
-            rejects=dict(receiver.rejects.counts),
-            reject_samples=receiver.rejects.samples(),
-            dropped=receiver.dropped,
+            rejects=dict(intake.rejects.counts),
+            reject_samples=intake.rejects.samples(),
+            dropped=dict(intake.dropped),
             learner=learning.statistics,
-            catching_up=learning.catching_up(min(self._clock(), max(newest, default=0.0))),
+            catching_up=learning.catching_up(min(self._clock(), newest)),
             predictions=self._live.counts["predictions"],
             predictions_skipped=self._live.counts["predictions_skipped"],
             questions_refused=self._live.counts["questions_refused"],
             score=None if head is None else head.score,
             alarms=[] if head is None else head.alarms[-STATUS_ALARMS:],
-            names=names.status(),
-            pulls=self._puller.pulls,
+            names=intake.names.status(),
             journal=replace(self._journal.status(), damaged=self._learning.damaged),
-            cameras={
-                camera: replace(figures, alive=camera in alive)
-                for camera, figures in sorted(counted.items())
-            },
+            cameras=counted,
         )
 
     @property
     def _reason(self) -> str:
         """Why events are not stored, or not learned, at the moment; "" if they are."""
-        receiver, watermark = self._receiver, self._learning.statistics["watermark"]
-        seconds, key = self._bus.slowest_publication if self._bus is not None else (0.0, "")
-        hanging = (
-            f"publishing on {key} takes {seconds:.0f} s"
-            if seconds > SLOW_PUBLICATION_SECONDS
-            else ""
+        intake = self._intake
+        seconds, key = (0.0, "") if self._bus is None else self._bus.slowest_publication
+        return (
+            intake.writer.reason
+            or (f"publishing on {key} takes {seconds:.0f} s" * (seconds > SLOW_PUBLICATION_SECONDS))
+            or intake.event_clock.reason(self._clock())
+            or intake.cameras.refused_reason(self._steady())
+            or self._learning.refused_reason
         )
-        reason = receiver.storing.reason or hanging
-        reason = reason or receiver.cameras.clock_reason(watermark, self._clock())
-        return reason or receiver.refused_reason or self._learning.refused_reason
 
     def __enter__(self) -> Daemon:
         self.start()
@@ -345,13 +345,24 @@ class Daemon:
         self._journal.set_meta("epoch", epoch)
         return epoch
 
-    def _begin_corrected_epoch(self, to: float) -> tuple[str, str]:
-        """Begin an epoch as event time goes back to ``to``, or the site anew at it (Unix seconds).
-
-        Return the epoch that ends, and the one that begins.
-        """
+    def _begin_reset(self) -> Reset:
+        """Begin an epoch with nothing; return the whole command."""
         self._live.forget()
-        return self._journal.meta("epoch") or self._learning.epoch, self._new_epoch()
+        ended = self._journal.meta("epoch") or self._learning.epoch
+        return Reset(self._clock(), ended, self._new_epoch())
+
+    def _rewound(self, to: float) -> Received:
+        """Begin an epoch as event time is taken back to ``to`` (Unix seconds); return its entry."""
+        self._live.forget()
+        ended = self._journal.meta("epoch") or self._learning.epoch
+        begun = self._new_epoch()
+        log.error(
+            "this machine's clock was set back: what was learned of later events is dropped, and"
+            " event time continues from the clock, in epoch %s",
+            begun,
+        )
+        entry, for_learner = rewind(to, ended, begun)
+        return Received(entry, rewind=for_learner)
 
     def _build(self, bus: Bus, recovered: Recovered, process: LearnerProcess) -> None:
         """Create the parts from the recovered state and connect them."""
@@ -365,53 +376,48 @@ class Daemon:
 
         # Event time as the learner knows it; the newest events may be newer than the snapshot.
         recent = recent_events(self._journal)
-        learned_time = EventTime(
-            self._config.learn.lateness_seconds, self._config.learn.ahead_seconds_max
-        )
-        learned_time.load(recovered.progress.event_time)
+        lateness = self._config.learn.lateness_seconds
+        learned = EventTime(lateness, self._config.learn.ahead_seconds_max)
+        learned.load(recovered.progress.event_time)
         for event in recent:
-            learned_time.note(microseconds(event.t), event.camera)
+            learned.note(microseconds(event.t), event.camera)
+        newest = -math.inf if learned.newest_us is None else learned.newest_us / MICROSECONDS
 
-        # Receiving, storing and learning.
-        self._receiver = Receiver(
-            self._journal,
-            bus,
+        # Receiving and storing.
+        numbers = Numbers(*self._journal.numbers())
+        cameras = Cameras(limits.cameras_max, limits.camera_events_per_second_max)
+        wall, now = self._clock(), self._steady()
+        for camera in numbers.cameras[-limits.cameras_max :]:
+            cameras.register(camera, now)
+        self._intake = Intake(
+            numbers,
+            cameras,
+            Names(read_names(self._journal.meta(NAMES_KEY)), self._clock),
+            Merger(lateness, limits.future_seconds_max, newest, now),
+            EventClock(
+                learned, newest, limits.future_seconds_max, limits.settle_seconds, wall, now
+            ),
+            JournalWriter(self._journal, self._clock, self._announce),
             limits,
-            self._clock,
-            learn=lambda batch: self._learning.feed(batch),
-            room=lambda: self._learning.room(),
-            publish=self._announce,
             see=self._live.see,
-            daemon=self._name(),
-            learned_time=learned_time,
-            boxes=certificate_by_camera(self._config),
-            corrected=self._begin_corrected_epoch,
+            learn=lambda stored: self._learning.feed(stored),
+            rewound=self._rewound,
+            clock=self._clock,
+            steady=self._steady,
         )
-        storing = self._receiver.storing
+
+        # Learning, and what predictions remember.
         self._learning = LearnerFeeder(
             recovered,
             process,
             self._journal,
-            limits.learn_events_max,
             self._config.keep.snapshot_events,
             self._on_version,
-            storing.on_snapshot,
-            self._receiver.on_deadline,
+            self._intake.writer.on_snapshot,
+            self._on_deadline,
             self._new_epoch,
         )
-
-        # What predictions remember, and pulling.
         self._live.remember(recent)
-        receiver = self._receiver
-        self._puller = Puller(
-            bus,
-            limits,
-            receiver.streams.next_to_pull,
-            receiver.on_answer,
-            receiver.gap,
-            receiver.rejects,
-            self._name(),
-        )
 
     def _join_bus(self, bus: Bus) -> None:
         """Answer queries and subscribe to events; then other programs may see the daemon."""
@@ -421,10 +427,9 @@ class Daemon:
         bus.answer_queries("admin/*", self._administer, "done")
         bus.answer_queries("predict/*", self._live.answer, "prediction")
         bus.answer_queries(STATUS, lambda key, parameters: self.status(), "status")
-        self._receiver.subscription = bus.open_subscription(
-            "event/*", self._config.limits.inbox_events_max
-        )
+        bus.subscribe("event/*", self._intake.on_event)
         bus.watch_alive("grabber", self._on_alive)
+        bus.answer_requests("store/*", self._intake.on_request)
         self._rivals.appear()
 
     def _name(self) -> str:
@@ -436,15 +441,16 @@ class Daemon:
         return name
 
     def _on_alive(self, camera: str, alive: bool) -> None:
-        """Take note that a publisher has appeared or vanished."""
-        known = self._receiver.with_spool
-        if not re.match(CAMERA_PATTERN, camera) or (
-            camera not in known and len(known) >= self._config.limits.streams_max
-        ):
-            return
-        if alive:
-            self._receiver.on_alive(camera)
-        self._puller.on_alive(camera, alive)
+        """Take note that a grabber has appeared or vanished."""
+        grabbers = self._intake.alive
+        if not alive:
+            grabbers.discard(camera)
+        elif len(grabbers) < self._config.limits.cameras_max:
+            grabbers.add(camera)
+
+    def _on_deadline(self, deadline: float | None) -> None:
+        """Take note of the event time that the learner waits for."""
+        self._intake.event_clock.deadline = deadline
 
     def _version(self, parameters: dict[str, str]) -> Topology | msgspec.Raw:
         """Return the newest version, or an older one of the epoch (``version``) if it is kept.
@@ -473,7 +479,7 @@ class Daemon:
         """Execute the operator's command of a query. Raises `QueryError`."""
         command = command_of(key, parameters)
         try:
-            return Done(self._receiver.administer(command, self.topology))
+            return Done(execute(self._intake, command, self.topology, self._begin_reset))
         except CommandRefused as error:
             raise QueryError(str(error)) from None
         except (sqlite3.Error, StateError) as error:
@@ -482,7 +488,7 @@ class Daemon:
     def _on_version(self, version: Version) -> None:
         """Prepare predictions with a version that was learned, and store it."""
         self._live.prepare(version.packed)
-        self._receiver.storing.on_version(version)
+        self._intake.writer.on_version(version)
 
     def _announce(self, version: Version) -> None:
         """Predict with a version that is stored and publish it, with its delta and its alarms."""

@@ -50,7 +50,7 @@ def _carry_out(journal: Journal, command: Command, now: float) -> str:
     content = journal.newest_version()
     topology = None if content is None else codec.read(Topology, content)
     received = {event.camera for event in recent_events(journal)}
-    heard = (camera for camera, _ in journal.streams())
+    heard = {camera for camera, _ in journal.numbers()[0]}
     site = known_site(topology, received, heard, names.state.since)
 
     # Store the command, and with it the epoch that a reset begins.

@@ -35,12 +35,12 @@ Boot = Annotated[str, Meta(min_length=1, max_length=64)]
 """Incarnation of a publisher."""
 Number = Annotated[str, Meta(min_length=1, max_length=32, pattern=CAMERA_PATTERN)]
 """Random text that a grabber draws for each hello."""
-Reason = Literal["", "hello", "held", "busy", "clock", "cameras", "stopping"]
+Reason = Literal["", "malformed", "hello", "held", "busy", "clock", "cameras"]
 """Why nothing more is taken.
 
-hello: the batch has the number of another hello. held: the batch is taken and waits to be stored.
-busy: there is no room. clock: the daemon's clock is behind the events. cameras: ``cameras_max`` is
-reached. stopping: the daemon stops, or its journal cannot be written any more.
+malformed: the request cannot be read. hello: the batch has the number of another hello. held: the
+batch is taken and waits to be stored. busy: there is no room. clock: the daemon's clock is behind
+the events. cameras: ``cameras_max`` is reached.
 """
 
 

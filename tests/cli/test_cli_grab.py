@@ -228,7 +228,7 @@ def test_without_a_daemon_events_wait_in_the_spool(
     arguments = grab_to(meeting.endpoint, tmp_path)
     assert main(arguments) == 1
     assert (
-        "20 events are not acknowledged: is `camtopod run` running for site site?"
+        "20 events are not stored: is `camtopod run` running for site site?"
         in capsys.readouterr().err
     )
     with Daemon(small_config(tmp_path / "daemon"), meeting) as daemon:
@@ -245,7 +245,7 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
     """If it ended as failed, it would be started again, and all events would be duplicated."""
     monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", 0.05)
     receiver, said, looks = HeartbeatReceiver(), [], 0
-    really_drained = Publisher.wait_acknowledged
+    really_drained = Publisher.wait_stored
 
     def drained(publisher: Publisher, seconds: float, most: int = 0) -> bool:
         nonlocal looks
@@ -255,7 +255,7 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
             daemon.start()
         return really_drained(publisher, serving.WAIT_SECONDS if looks >= 4 else seconds, most)
 
-    monkeypatch.setattr(Publisher, "wait_acknowledged", drained)
+    monkeypatch.setattr(Publisher, "wait_stored", drained)
     with contextlib.ExitStack() as stack:
         meeting = stack.enter_context(buses.open_daemon_session(small_config(tmp_path)))
         daemon = Daemon(small_config(tmp_path / "daemon"), meeting)
@@ -267,7 +267,7 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
             monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
         assert main(arguments) == 0
         assert daemon.status().events["stored"] == len(EVENTS)
-    assert (Heartbeat("ended", "waiting for the daemon to acknowledge 20 events") in said) == (
+    assert (Heartbeat("ended", "waiting for the daemon to store 20 events") in said) == (
         above == "supervisor"
     )
     os.close(receiver.child_fd)

@@ -52,7 +52,7 @@ def test_an_editor_finds_it_from_the_example() -> None:
         ('[site]\nname = "a/b"', "site.name"),
         ('[learn]\nwindow_hours = "x"', "learn.window_hours"),
         ("[limits]\ncommit_seconds = -1", "limits.commit_seconds"),
-        ("[limits]\npull_seconds = 0", "limits.pull_seconds"),
+        ("[limits]\nstatus_seconds = 0", "limits.status_seconds"),
         ('[bus]\nlisten = ["localhost"]', "bus.listen.0"),
         ('[bus.tls]\nkey = "x"', "bus.tls"),
         ("[cameras.lobby]\nspeed = 0", "cameras.lobby.speed"),

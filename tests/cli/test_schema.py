@@ -29,6 +29,7 @@ from camtopod.cli.main import main
 from camtopod.codec import to_json
 from camtopod.records import Event
 from camtopod.serve.bus import dial
+from camtopod.serve.requests import Answer, Batch, Hello
 
 
 def validator(name: str) -> Any:
@@ -84,7 +85,6 @@ def test_what_is_on_the_bus_is_valid(tmp_path: Path) -> None:
             "delta": "topology/delta",
             "prediction": "prediction/*",
             "status": "status/*",
-            "ack": "ack/*",
         }.items():
             bus.subscribe(key, hear(name))
         bus.query("status/daemon")  # the daemon has the subscriptions once it has answered
@@ -97,7 +97,11 @@ def test_what_is_on_the_bus_is_valid(tmp_path: Path) -> None:
         try:
             wait_for(
                 lambda: (
-                    all(heard[name] for name in NAMES if name not in ("configuration", "topology"))
+                    all(
+                        heard[name]
+                        for name in NAMES
+                        if name not in ("configuration", "store", "topology")
+                    )
                     and any("camera" in status for status in heard["status"])
                 ),
                 f"one message of each kind, {[name for name in NAMES if not heard[name]]}",
@@ -109,6 +113,14 @@ def test_what_is_on_the_bus_is_valid(tmp_path: Path) -> None:
         heard["topology"].append(msgspec.msgpack.decode(whole))
 
     assert any("version" in status for status in heard["status"])
+    heard["store"] = [
+        msgspec.json.decode(to_json(one))
+        for one in (
+            Hello("n1", ["b1"]),
+            Batch("n1", "b1", 0, [(1, b"event")], 2),
+            Answer({"b1": 1}, 500, "held", "a sentence", 1, 1),
+        )
+    ]
     for name, messages in heard.items():
         for message in messages:
             validator(name).validate(json.loads(msgspec.json.encode(message)))

@@ -85,7 +85,7 @@ transit_max_seconds = inf
 [limts]
 a = 1
 [limits]
-inbox_events_max = 0
+commit_events_max = 0
 """
 
 
@@ -104,7 +104,7 @@ def test_every_mistake_at_once_with_its_line() -> None:
         (16, "learn.future_seconds_max: no such key; it belongs in [limits]"),
         (17, "learn.transit_max_seconds: expected a finite number"),
         (18, "limts: no such table; did you mean 'limits'?"),
-        (21, "limits.inbox_events_max: expected a whole number >= 1"),
+        (21, "limits.commit_events_max: expected a whole number >= 1"),
     ]
 
 
@@ -527,9 +527,9 @@ def test_numbers_that_would_end_the_daemon_later_are_refused_here() -> None:
         (4, "learn.publish_q_max: expected a number <= 1.0"),
     ]
     assert mistakes(
-        "[learn]\nversion_seconds = 0\n[limits]\npull_seconds = 1e15\ncommit_seconds = -1"
+        "[learn]\nversion_seconds = 0\n[limits]\nstatus_seconds = 1e15\ncommit_seconds = -1"
     ) == [
         (2, "learn.version_seconds: expected a number > 0.0"),
-        (4, "limits.pull_seconds: expected at most 9e+09"),
+        (4, "limits.status_seconds: expected at most 9e+09"),
         (5, "limits.commit_seconds: must not be negative"),
     ]

@@ -123,7 +123,7 @@ class Site:
         return program in self.processes and self.processes[program].poll() is None
 
     def finish(self, seconds: float = 600.0) -> dict[str, Any]:
-        """Wait until all events are acknowledged and learned, and end the daemon.
+        """Wait until all events are stored and learned, and end the daemon.
 
         Returns the daemon's last status.
         """
@@ -237,7 +237,7 @@ class Site:
             f'[bus]\nconnect = ["{self.at_daemon}"]\nconnect_seconds = 30.0\n'
             f'[state]\ndirectory = "{self.directory}/state"\n'
             f"[learn]\nlateness_seconds = {OUTAGE_SECONDS_MAX * self.speed}\nrefit_share = 0.5\n"
-            "[limits]\npull_seconds = 0.3\nack_seconds = 0.05\nstatus_seconds = 0.5\n"
+            "[limits]\nstatus_seconds = 0.5\n"
         )
 
     def has_heard(self, newest: int) -> bool:

@@ -68,8 +68,8 @@ def spool_content(directory: Path) -> Content:
     rows: dict[object, object] = {}
     with contextlib.closing(Spool(directory / "spool.db", "boot-2", 10_000)) as spool:
         for camera in CAMERAS:
-            batch = spool.batch(camera, None, 0, 10_000)
-            rows |= {(camera, seq): raw for seq, raw in batch.events}
+            batch = spool.next_batch(camera, 10_000)
+            rows |= {(camera, seq): raw for seq, raw in (batch[1] if batch else [])}
         reported = spool.statistics()["damaged_files"] > 0
     return Content(rows, reported)
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import msgspec
 import pytest
+from camtopod.serve.ingest.camera_registry import Received
+from camtopod.serve.ingest.receiver import Receiver
 from hypothesis import given, settings, strategies as st
 from serving import numbered
 from sizes import size
@@ -18,8 +20,6 @@ from camtopod.config.settings import Limits
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Ack, Event
-from camtopod.serve.ingest.camera_registry import Received
-from camtopod.serve.ingest.receiver import Receiver
 
 LATENESS = Settings().lateness_seconds
 SPAN_SECONDS = 600.0

@@ -63,7 +63,7 @@ class Grabber:
     def __init__(self, directory: Path) -> None:
         self._directory = directory
         self._spool = Spool(directory / "spool.db", "boot-1", 10_000)
-        self.publisher = Publisher(self._spool, 100)
+        self.publisher = Publisher(self._spool)
         self.made = 0
 
     def publish(self, count: int) -> None:
@@ -78,7 +78,7 @@ class Grabber:
     def at(self, endpoint: str) -> Iterator[Bus]:
         """Attach to a daemon's bus with a new publisher, as after a restart."""
         with contextlib.closing(dial(small_config(self._directory, endpoint))) as bus:
-            self.publisher = Publisher(self._spool, 100)
+            self.publisher = Publisher(self._spool)
             self.publisher.attach(bus, ["lobby"])
             yield bus
 
@@ -99,7 +99,7 @@ def test_nothing_is_acknowledged_from_then_on_and_what_the_spools_have_comes_bac
     state = tmp_path / "state"
     with Daemon(small_config(state), clock=lambda: NOW) as daemon, grabber.at(daemon.endpoint):
         grabber.publish(BEFORE)
-        assert grabber.publisher.wait_acknowledged(20)
+        assert grabber.publisher.wait_stored(20)
         endpoint = daemon.endpoint
 
         harm(state)
@@ -114,12 +114,12 @@ def test_nothing_is_acknowledged_from_then_on_and_what_the_spools_have_comes_bac
         assert daemon.unready() == [reason]
         assert daemon.failing() == [], "a restart by a supervisor would make the loss final"
         assert caplog.text.count("cannot write the journal, so nothing is acknowledged") == 1
-    assert grabber.publisher.unacknowledged == AFTER
+    assert grabber.publisher.waiting == AFTER
 
     # A spool recognises its daemon by its endpoint.
     config = msgspec.structs.replace(small_config(state), bus=BusSettings(listen=(endpoint,)))
     with Daemon(config, clock=lambda: NOW) as again, grabber.at(again.endpoint):
-        assert grabber.publisher.wait_acknowledged(20)
+        assert grabber.publisher.wait_stored(20)
         wait_for(lambda: len(again._journal) >= BEFORE + AFTER, "all events to be there again")
         assert again.status().state == "running"
     assert [seq for seq, _ in raws(state)] == list(range(1, BEFORE + AFTER + 1))
@@ -136,7 +136,7 @@ def test_it_goes_on_by_itself_when_the_file_is_back(
         grabber.at(daemon.endpoint),
     ):
         grabber.publish(BEFORE)
-        assert grabber.publisher.wait_acknowledged(20)
+        assert grabber.publisher.wait_stored(20)
         harm(state)
         wait_for(lambda: daemon.status().state == "degraded", "it to notice")
         grabber.publish(AFTER)
@@ -144,7 +144,7 @@ def test_it_goes_on_by_itself_when_the_file_is_back(
             (state / "elsewhere.db").rename(state / "journal.db")
         else:
             (tmp_path / "elsewhere").rename(state)
-        assert grabber.publisher.wait_acknowledged(20)
+        assert grabber.publisher.wait_stored(20)
         assert daemon.status().state == "running"
         epoch = daemon.epoch
     assert "the journal can be written again" in caplog.text
@@ -193,5 +193,5 @@ def test_the_status_is_answered_while_the_disk_hangs(
             assert daemon.unready() != []
         finally:
             let_out.set()
-        assert grabber.publisher.wait_acknowledged(20)
+        assert grabber.publisher.wait_stored(20)
         wait_for(lambda: daemon.status().state == "running", "the disk to answer again")

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import pytest
+from camtopod.serve.ingest.inbox import Inbox, Message
 from serving import camtopod, free_endpoint, wait_for
 from site_of import HERE
 from sizes import size
@@ -24,7 +25,6 @@ from bench.support.site import resident
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus.session import Bus, dial
-from camtopod.serve.ingest.inbox import Inbox, Message
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
 
@@ -279,10 +279,10 @@ def test_invented_names_keep_no_camera_out(flooded: Flooded, tmp_path: Path) -> 
     assert "raise limits.cameras_max" in reasons[0]
 
     spool = Spool(tmp_path / "spool.db", "boot", 1_000)
-    publisher = Publisher(spool, 100)
+    publisher = Publisher(spool)
     publisher.attach(flooded.bus, ["lobby"])
     publisher.publish(*(Event("lobby", "entry", time.time(), 0.5, 0.5) for _ in range(10)))
-    assert publisher.wait_acknowledged(30.0), "all are acknowledged"
+    assert publisher.wait_stored(30.0), "all are acknowledged"
     wait_for(lambda: flooded.stored("lobby") == 10, "the camera with a grabber to be stored")
     flooded.quiet()
     wait_for(lambda: flooded.stored(QUIET[-1]) == 2, "the quiet cameras to be stored as before")

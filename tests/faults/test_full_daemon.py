@@ -36,12 +36,12 @@ class Box:
     def __init__(self, directory: Path) -> None:
         self._directory = directory
         self._spool = Spool(directory / "spool.db", "b1", 100_000)
-        self.publisher = Publisher(self._spool, AT_A_TIME)
+        self.publisher = Publisher(self._spool)
         self.made = 0
 
     @property
     def acknowledged(self) -> int:
-        return self.made - self.publisher.unacknowledged
+        return self.made - self.publisher.waiting
 
     def publish(self, count: int = AT_A_TIME) -> None:
         events = [
@@ -54,9 +54,10 @@ class Box:
     def at(self, daemon: Daemon) -> Iterator[None]:
         """Attach to this daemon's bus with a new publisher, as after a restart of the box."""
         with contextlib.closing(dial(small_config(self._directory, daemon.endpoint))) as bus:
-            self.publisher = Publisher(self._spool, AT_A_TIME)
+            self.publisher = Publisher(self._spool)
             self.publisher.attach(bus, ["lobby"])
             yield
+            self.publisher.close()
 
     def close(self) -> None:
         self._spool.close()
@@ -77,7 +78,7 @@ def through_a_full_disk(disk: Path, box: Box, elsewhere: Path) -> None:
     config = small_config(disk / "state")
     with Daemon(config, clock=lambda: NOW) as daemon, box.at(daemon):
         box.publish()
-        assert box.publisher.wait_acknowledged(WAIT_SECONDS)
+        assert box.publisher.wait_stored(WAIT_SECONDS)
         with full(disk):
 
             def degraded() -> bool:
@@ -100,7 +101,7 @@ def through_a_full_disk(disk: Path, box: Box, elsewhere: Path) -> None:
                 wait_for(lambda: again.status().state == "degraded", "it to notice")
                 assert box.acknowledged == acknowledged
     with Daemon(config, clock=lambda: NOW) as daemon, box.at(daemon):
-        assert box.publisher.wait_acknowledged(WAIT_SECONDS)
+        assert box.publisher.wait_stored(WAIT_SECONDS)
         assert daemon.status().state == "running"
     assert stored(disk / "state", elsewhere / "afterwards") == list(range(1, box.made + 1))
     print(
@@ -139,5 +140,5 @@ def test_the_harness_sees_what_is_acknowledged_and_not_there(
         with full(small_disk):
             for _ in range(20):
                 box.publish()
-            assert box.publisher.wait_acknowledged(WAIT_SECONDS)
+            assert box.publisher.wait_stored(WAIT_SECONDS)
         assert len(stored(small_disk / "state", tmp_path / "copy")) < box.acknowledged

@@ -27,7 +27,8 @@ from camtopod.config.settings import KeepSettings, SiteSettings
 from camtopod.serve.bus.session import dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
-from camtopod.serve.outbox.spool import Spool, spool_path
+from camtopod.serve.outbox.spool import Spool
+from camtopod.serve.outbox.spool_files import spool_path
 from camtopod.serve.storage.journal import Journal
 
 CAMERA = "lobby"
@@ -129,9 +130,9 @@ def send_the_rest(path: Path, daemon: Daemon, directory: Path) -> None:
         contextlib.closing(spool),
         contextlib.closing(dial(small_config(directory, daemon.endpoint))) as bus,
     ):
-        publisher = Publisher(spool, 100)
+        publisher = Publisher(spool)
         publisher.attach(bus, [CAMERA])
-        assert publisher.wait_acknowledged(WAIT_SECONDS)
+        assert publisher.wait_stored(WAIT_SECONDS)
 
 
 def await_events(daemon: Daemon, count: int) -> None:

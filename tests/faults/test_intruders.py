@@ -695,7 +695,7 @@ def test_an_authenticated_site_works_as_one_without(
     for camera in ("a", "b", "c", "late"):
         spool = spools[camera] = Spool(tmp_path / f"{camera}.db", f"boot-{camera}", 100_000)
         cleanup.callback(spool.close)
-    publishers = {camera: Publisher(spool, 100) for camera, spool in spools.items()}
+    publishers = {camera: Publisher(spool) for camera, spool in spools.items()}
     for event in events[:100]:
         publishers[event.camera].publish(event)  # before there is a bus: these have to be pulled
     daemon.start()
@@ -711,9 +711,9 @@ def test_an_authenticated_site_works_as_one_without(
     reader = dial(msgspec.structs.replace(plain, bus=keys.bus("reader/wall", daemon.endpoint)))
     cleanup.callback(reader.close)
     for camera, publisher in publishers.items():
-        assert publisher.wait_acknowledged(WAIT_SECONDS), f"{camera} is not acknowledged"
+        assert publisher.wait_stored(WAIT_SECONDS), f"{camera} is not acknowledged"
     publishers["late"].publish(closing_event())  # not before: who comes behind it is late
-    assert publishers["late"].wait_acknowledged(WAIT_SECONDS)
+    assert publishers["late"].wait_stored(WAIT_SECONDS)
     view = TopologySubscriber(reader)
     assert view.wait_for(1, WAIT_SECONDS) is not None
     assert daemon.status().events["stored"] == len(events) + 1

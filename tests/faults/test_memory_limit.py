@@ -105,7 +105,7 @@ def test_cameras_just_below_the_flood_limit_end_nothing(cameras: int, tmp_path: 
         dial(client) as bus,
         contextlib.closing(Spool(tmp_path / "spool.db", "boot", 1_000_000)) as spool,
     ):
-        publisher = Publisher(spool, 500)
+        publisher = Publisher(spool)
         publisher.attach(bus)
         publisher.publish(*known)
         wait_for(lambda: learned(bus, len(known)), "what is known to be learned", 120)

@@ -123,7 +123,7 @@ class Poisoner:
         elsewhere = msgspec.structs.replace(config, site=SiteSettings("elsewhere"))
         self.spool = Spool(directory / "spool.db", "b1", 1000)
         stack.callback(self.spool.close)
-        self.publisher = Publisher(self.spool, 100)
+        self.publisher = Publisher(self.spool)
         self.publisher.attach(
             self._dial(stack, elsewhere)
         )  # a site without a daemon: nobody acknowledges

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from serving import T0, small_config, wait_for
+from serving import T0, small_config
 
 from camtopod.records import Event
 from camtopod.serve.bus import session as buses
@@ -31,7 +31,7 @@ def raws(directory: Path) -> list[tuple[int | None, bytes]]:
 
 def publish(publisher: Publisher, start: int, stop: int) -> None:
     publisher.publish(*[Event("lobby", "entry", T0 + n) for n in range(start, stop)])
-    assert publisher.wait_acknowledged(20)
+    assert publisher.wait_stored(20)
 
 
 def taken_back(state: Path, earlier: Path) -> None:
@@ -52,14 +52,14 @@ def rubbish(state: Path, earlier: Path) -> None:
 
 
 def before_and_after(
-    damage: Callable[[Path, Path], None], directory: Path, kept_events_max: int
+    damage: Callable[[Path, Path], None], directory: Path, kept_max: int
 ) -> tuple[list[tuple[int | None, bytes]], list[tuple[int | None, bytes]], int]:
     """Return the journal before ``damage``, after the next daemon, and the events
     that one recovered.
     """
     state, earlier = directory / "state", directory / "earlier"
-    spool = Spool(directory / "spool.db", "boot-1", 1000, kept_events_max=kept_events_max)
-    publisher = Publisher(spool, 100)
+    spool = Spool(directory / "spool.db", "boot-1", 1000, kept_max=kept_max)
+    publisher = Publisher(spool)
     first = Daemon(small_config(state), clock=lambda: T0 + 100)
     first.start()
     bus = buses.dial(small_config(directory, first.endpoint))
@@ -71,17 +71,18 @@ def before_and_after(
     publish(publisher, EVENTS // 2, EVENTS)
     publish(publisher, EVENTS, EVENTS + 1)
     first.stop()
+    publisher.close()
     bus.close()
     before = raws(state)
     assert len(before) == EVENTS + 1
     damage(state, earlier)
-    again = Publisher(spool, 100)
+    again = Publisher(spool)
     with Daemon(small_config(state), clock=lambda: T0 + 100) as second:
         bus = buses.dial(small_config(directory, second.endpoint))
         again.attach(bus, ["lobby"])
-        wait_for(lambda: second.status().events["refilled"] > 0, "the journal to be filled again")
         publish(again, EVENTS + 1, EVENTS + 2)
-        refilled = second.status().events["refilled"]
+        refilled = second.status().events["stored"] - 1
+        again.close()
         bus.close()
     spool.close()
     return before, raws(state), refilled
@@ -93,7 +94,7 @@ def test_the_daemon_gets_back_what_its_journal_lost(
 ) -> None:
     with caplog.at_level(logging.ERROR):
         before, after, refilled = before_and_after(damage, tmp_path, 1000)
-    assert refilled > EVENTS // 2
+    assert refilled >= EVENTS // 2
     assert "older than it was" in caplog.text
     assert after[:-1] == before
 

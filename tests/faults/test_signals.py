@@ -132,13 +132,13 @@ def daemon_at_many_moments(under: Under, count: int, seed: int) -> None:
     with Daemon(journal_config) as daemon:
         assert daemon._bus is not None
         spool = Spool(under.directory / "first.db", "b1", 100_000)
-        first = Publisher(spool, 100)
+        first = Publisher(spool)
         first.attach(daemon._bus, ["a", "b", "c"])
         first.publish(*before)
-        assert first.wait_acknowledged(WAIT_SECONDS)
+        assert first.wait_stored(WAIT_SECONDS)
         spool.close()
     spool = Spool(under.directory / "spool.db", "stream", 100_000)
-    publisher, stop, published = Publisher(spool, 100), threading.Event(), 0
+    publisher, stop, published = Publisher(spool), threading.Event(), 0
 
     def publish() -> None:
         nonlocal published
@@ -163,9 +163,9 @@ def daemon_at_many_moments(under: Under, count: int, seed: int) -> None:
             thread.join()
     with Daemon(small_config(state)) as daemon:
         assert daemon._bus is not None
-        last = Publisher(spool, 100)
+        last = Publisher(spool)
         last.attach(daemon._bus, ["lobby"])
-        assert last.wait_acknowledged(WAIT_SECONDS)
+        assert last.wait_stored(WAIT_SECONDS)
         assert daemon.failing() == []
     spool.close()
     if publisher._bus is not None:

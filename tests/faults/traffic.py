@@ -3,7 +3,7 @@
 `traffic.py ENDPOINT SPOOL CAMERA COUNT SPAN SPEED BEGAN` publishes camera CAMERA's part of
 `crossings(COUNT, SPAN)`, SPEED times faster than it happened, as if the first event had happened at
 BEGAN (Unix seconds). A restarted publisher continues after the events its spool has had. It ends
-when all events are acknowledged. With SPOOL "-" there is no spool: each event is published once.
+when all events are stored. With SPOOL "-" there is no spool: each event is published once.
 """
 
 from __future__ import annotations
@@ -62,14 +62,14 @@ def published_so_far(path: Path) -> int:
     if not path.exists():
         return 0
     with contextlib.closing(sqlite3.connect(path)) as database:
-        row = database.execute("SELECT seq FROM sqlite_sequence WHERE name = 'event'").fetchone()
-    return int(row[0]) if row else 0
+        [last] = database.execute("SELECT COALESCE(MAX(id), 0) FROM event").fetchone()
+    return int(last)
 
 
 def publish(
     endpoint: str, spool: str, camera: str, events: list[Event], speed: float, began: float
 ) -> None:
-    """Publish events until all are acknowledged, or published if there is no spool."""
+    """Publish events until all are stored, or published if there is no spool."""
     config = Config(bus=BusSettings(connect=(endpoint,)))
     while True:
         try:
@@ -80,7 +80,7 @@ def publish(
 
     # Continue after the spool's newest event.
     keep = None if spool == "-" else Spool(Path(spool), os.urandom(8).hex(), 1_000_000)
-    publisher = None if keep is None else Publisher(keep, 500)
+    publisher = None if keep is None else Publisher(keep)
     if publisher is not None:
         publisher.attach(bus, [camera])
     done = 0 if keep is None else published_so_far(Path(spool))
@@ -100,10 +100,11 @@ def publish(
         done += len(due)
         time.sleep(0.005)
 
-    # Wait for acknowledgements.
+    # Wait until all are stored.
     if publisher is not None and keep is not None:
-        while not publisher.wait_acknowledged(0.5):
+        while not publisher.wait_stored(0.5):
             publisher.retry()
+        publisher.close()
         keep.close()
     bus.close()
 

@@ -82,7 +82,7 @@ class WrittenJournal:
             entries,
             contents,
             tuple(self.journal.snapshots()),
-            tuple(sorted(self.journal.streams().items())),
+            tuple(sorted(self.journal.numbers()[0].items())),
             len(self.journal),
         )
 
@@ -130,15 +130,13 @@ def step_of(number: int, last: int) -> tuple[list[Entry], list[StoredVersion], S
 
 
 class WrittenSpool:
-    """A spool with events of some cameras, most of them acknowledged at once."""
+    """A spool with events of some cameras, most of them stored at once."""
 
     events_max, kept_max = 150, 40
 
     def __init__(self, directory: Path) -> None:
         boot = f"boot-{time.monotonic_ns()}" if (directory / "spool.db").exists() else "boot-0"
-        self.spool = Spool(
-            directory / "spool.db", boot, self.events_max, kept_events_max=self.kept_max
-        )
+        self.spool = Spool(directory / "spool.db", boot, self.events_max, kept_max=self.kept_max)
         self.damaged = bool(self.spool.statistics()["damaged_files"])
         self._appended: tuple[int, list[Event]] = (0, [])
 
@@ -148,7 +146,7 @@ class WrittenSpool:
             self._appended = number, self.spool.append(events)
         if number % 5 != 0:
             last = self._appended[1][-1]
-            self.spool.ack(last.camera, str(last.boot), int(last.seq or 0))
+            self.spool.have(last.camera, str(last.boot), int(last.seq or 0))
 
     def state(self) -> State:
         database: sqlite3.Connection = self.spool._db

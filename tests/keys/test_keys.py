@@ -21,12 +21,13 @@ from camtopod.cli import exits, main
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError
 from camtopod.config import secret_files
-from camtopod.config.settings import ConfigError, Limits, load, parse
+from camtopod.config.settings import ConfigError, load, parse
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority, KeysError
 from camtopod.records import Event
 from camtopod.serve.bus import access
 from camtopod.serve.bus.session import open_daemon_session
+from camtopod.serve.requests import BATCH_BYTES_MAX, BATCH_EVENTS_MAX
 
 NOW = 1_800_000_000.0
 DAY = 86400.0
@@ -332,9 +333,9 @@ def test_rules_name_exact_keys_only(authority: Authority) -> None:
         for key in (
             "event/lobby",
             "status/lobby",
-            "spool/lobby",
-            "ack/lobby",
+            "store/lobby",
             "alive/grabber/lobby",
+            "alive/daemon/*",
             "status/*",
         )
     }
@@ -343,7 +344,15 @@ def test_rules_name_exact_keys_only(authority: Authority) -> None:
         "what all are asked; it answers for itself"
     )
     said = {m for rule in of_camera if "ingress" in rule["flows"] for m in rule["messages"]}
-    assert said == {"put", "declare_queryable", "reply", "declare_subscriber", "liveliness_token"}
+    assert said == {
+        "put",
+        "query",
+        "declare_queryable",
+        "reply",
+        "liveliness_token",
+        "declare_liveliness_subscriber",
+        "liveliness_query",
+    }
     of_reader = [rule for rule in control["rules"] if rule["id"].startswith("reader:wall ")]
     assert not {"put", "delete", "declare_queryable"} & {
         m for rule in of_reader if "ingress" in rule["flows"] for m in rule["messages"]
@@ -364,9 +373,12 @@ def test_one_certificate_for_several_cameras(authority: Authority) -> None:
     for name in ("nvr", "nvr~2"):
         control = rules.access_control(authority.access)["access_control"]
         theirs = [rule for rule in control["rules"] if rule["id"].startswith(f"{name} ")]
-        assert {key for rule in theirs for key in rule["key_exprs"]} - {"camtopo/hq/status/*"} == {
+        assert {key for rule in theirs for key in rule["key_exprs"]} - {
+            "camtopo/hq/status/*",
+            "camtopo/hq/alive/daemon/*",
+        } == {
             f"camtopo/hq/{key}/{camera}"
-            for key in ("event", "status", "spool", "ack", "alive/grabber")
+            for key in ("event", "status", "store", "alive/grabber")
             for camera in ("hall", "door.1")
         }
         assert len({rule["id"] for rule in control["rules"]}) == len(control["rules"])
@@ -394,7 +406,7 @@ def test_a_certificate_for_several_cameras_by_command(
 
 
 def test_the_router_s_file_has_the_same_rules(authority: Authority) -> None:
-    text = rules.router_json5(authority.access, ["tls/[::]:7447"], 1 << 24, 1000)
+    text = rules.router_json5(authority.access, ["tls/[::]:7447"], 1 << 24)
     router = json.loads(text.partition("\n")[2])
     assert router["access_control"] == rules.access_control(authority.access)["access_control"]
     assert router["transport"]["link"]["tls"]["enable_mtls"] is True
@@ -418,11 +430,9 @@ def test_the_largest_valid_event_fits_everywhere() -> None:
     event = Event(
         "c" * 64, "entry", 1.7e9 + 0.123456, 0.1, 0.2, wide * 128, wide * 64, 2**63 - 1, 0.3
     )
-    size = len(codec.to_msgpack(event))
     assert codec.event_from_msgpack(codec.to_msgpack(event)) == event
-    assert size + 64 < rules.SPOOLED_BYTES_MAX, "with what a spool's answer adds"
     assert codec.EVENT_BYTES_MAX < rules.EVENT_BYTES_MAX, "so that there is something to count"
-    assert rules.spool_bytes_max(Limits().pull_events_max) < 2 * 1024 * 1024
+    assert BATCH_BYTES_MAX + 16 * BATCH_EVENTS_MAX < rules.QUERY_BYTES_MAX
 
 
 def test_what_expires_is_known_in_advance(authority: Authority) -> None:

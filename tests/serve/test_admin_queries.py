@@ -15,11 +15,11 @@ from test_daemon import NOW, Site, journal_of, put
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
-from camtopod.records import Ack, CameraFigures, Event
+from camtopod.records import CameraFigures, Event
 from camtopod.serve.admin_queries import Done, command_of, parameters_of
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.ingest import names as names_module, receiver as receiver_module
+from camtopod.serve.ingest import commands, names as names_module
 
 
 @pytest.fixture
@@ -75,15 +75,13 @@ def test_a_forgotten_camera_leaves_at_once_and_its_spool_empties(
     wait_for(lambda: followed(view, daemon), "it to be followed")
     assert "b" not in daemon.status().cameras
 
-    # Its events are refused and acknowledged; those of others are not.
-    publisher, spool = site.publisher(site.client(daemon))
-    acks = []
-    publisher.on_ack = acks.append
+    # Its events are refused, and leave the spool; those of others are learned.
+    publisher = site.publisher()
+    publisher.attach(site.client(daemon))
     with caplog.at_level(logging.WARNING):
         publisher.publish(*(fresh("b", n) for n in range(20)), *(fresh("a", n) for n in range(5)))
-        assert publisher.wait_acknowledged(10)
-    assert len(spool) == 0
-    assert max(ack.refused for ack in acks if (ack.camera, ack.boot) == ("b", spool.boot)) == 20
+        assert publisher.wait_stored(10)
+    assert publisher.outcome() == (0, 20)
     assert caplog.text.count("events of b are refused, as this name is forgotten") == 1
     status = daemon.status()
     assert status.names.forgotten == {"b": 20}
@@ -133,17 +131,14 @@ def test_a_renamed_camera_goes_on_whichever_name_its_grabber_uses(site: Site) ->
     renamed = {zone.id.replace("yard/", "b/") for zone in topology.zones if zone.camera == "yard"}
     assert renamed == zones
 
-    # Its grabber still has the old name, and publishes an event twice.
-    publisher, spool = site.publisher(site.client(daemon))
-    acks: list[Ack] = []
-    publisher.on_ack = acks.append
+    # Its grabber still has the old name, and an event comes twice.
+    publisher = site.publisher()
+    publisher.attach(site.client(daemon))
     publisher.publish(*(fresh("b", n) for n in range(10)))
-    assert publisher.wait_acknowledged(10), "acknowledged under the old name"
-    last = max(ack.seq for ack in acks if (ack.camera, ack.boot) == ("b", spool.boot))
+    assert publisher.wait_stored(10), "stored under the number of the old name"
     before = daemon.status().cameras["yard"].events
-    put(bus, msgspec.structs.replace(fresh("b", 9), boot=spool.boot, seq=last))
+    put(bus, msgspec.structs.replace(fresh("b", 9), boot="boot-spool", seq=10))
     wait_for(lambda: daemon.status().events["duplicate"] == 1, "the duplicate")
-    wait_for(lambda: not daemon._receiver.duplicates._waiting, "it to be compared")
     status = daemon.status()
     assert (status.cameras["yard"].events, status.cameras["yard"].alive) == (before, True)
     assert "b" not in status.cameras
@@ -155,7 +150,6 @@ def test_a_renamed_camera_goes_on_whichever_name_its_grabber_uses(site: Site) ->
     status = daemon.status()
     assert status.names.renamed == {}
     assert status.cameras["yard"].events == before + 1
-    assert status.events["contradicted"] == 0
     kinds = [row[0] for row in journal_of_stopped(site, daemon)]
     assert kinds[-4:] == ["event", "command", "event", "refused"]
 
@@ -270,10 +264,11 @@ def test_a_reset_begins_anew_and_events_of_before_do_not_count(site: Site) -> No
     with pytest.raises(QueryError, match="none is known yet"):
         ask(bus, Forget("x"))
 
-    # What was in a spool or under way is acknowledged and not learned.
-    publisher, _ = site.publisher(site.client(daemon))
+    # What was in a spool or under way is stored and not learned.
+    publisher = site.publisher()
+    publisher.attach(site.client(daemon))
     publisher.publish(*(fresh("a", n) for n in range(5)))
-    assert publisher.wait_acknowledged(10)
+    assert publisher.wait_stored(10)
     assert daemon.status().names.before_reset == 5
     assert daemon.status().cameras == {}
 
@@ -295,7 +290,7 @@ def test_a_reset_begins_anew_and_events_of_before_do_not_count(site: Site) -> No
 def test_other_queries_are_answered_while_a_command_waits_for_the_disk(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(receiver_module, "STORED_SECONDS_MAX", 1.0)
+    monkeypatch.setattr(commands, "STORED_SECONDS_MAX", 1.0)
     daemon = site.daemon()
     bus = site.client(daemon)
     learned(daemon, bus)
@@ -310,7 +305,7 @@ def test_other_queries_are_answered_while_a_command_waits_for_the_disk(
     with daemon._journal._mutex:  # the disk does not answer
         asking = threading.Thread(target=try_to)
         asking.start()
-        wait_for(lambda: daemon._receiver._queue.waiting > 0, "the command to be queued")
+        wait_for(lambda: daemon._intake.queue.waiting > 0, "the command to be queued")
         began = time.monotonic()
         assert site.client(daemon).query("topology", one=True)
         assert time.monotonic() - began < 1.0

@@ -48,9 +48,10 @@ def test_a_backup_of_a_running_daemon_is_whole_and_can_be_restored(
     assert daemon.failing() == []
 
     # More comes after the backup.
-    publisher, _ = site.publisher(site.client(daemon))
+    publisher = site.publisher()
+    publisher.attach(site.client(daemon))
     publisher.publish(*(closing_event() for _ in range(5)))
-    assert publisher.wait_acknowledged(10)
+    assert publisher.wait_stored(10)
     epoch, newest = daemon.epoch, daemon.topology
     assert newest is not None
     daemon.stop()

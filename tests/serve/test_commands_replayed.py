@@ -24,7 +24,7 @@ COMMANDS = [Forget("b"), Rename("b", "yard"), TakeBack("x"), RESET]
 
 
 def give(one: Installation, command: Command, learn: bool = True) -> None:
-    """Store a command as the receiver does, and learn it."""
+    """Store a command as the daemon does, and learn it."""
     site = known_site(None, "abc", "abcx", None)
     if isinstance(command, Reset):
         command = Reset(command.t, one.learning.epoch, one.new_epoch())
@@ -42,7 +42,7 @@ def give(one: Installation, command: Command, learn: bool = True) -> None:
 
 
 def rest(one: Installation) -> None:
-    """Learn the other events, as far as the receiver would pass them on."""
+    """Learn the other events, as far as the daemon would pass them on."""
     names = Names(read_names(one.journal.meta(NAMES_KEY)), lambda: 1.0)
     passed = [
         entry
@@ -116,7 +116,7 @@ def test_a_renamed_camera_goes_on_in_the_journal(start: Start) -> None:
     rest(one)
     assert {camera.id for camera in newest(one).cameras} == {"a", "c", "yard"}
     assert "b" not in {event.camera for event in recent_events(one.journal)}
-    streams = {camera for camera, _ in one.journal.streams()}
+    streams = {camera for camera, _ in one.journal.numbers()[0]}
     assert "b" in streams, "acknowledged under the old name"
     assert "yard" not in streams
 

@@ -7,7 +7,6 @@ import os
 import random
 import signal
 import sqlite3
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -29,17 +28,15 @@ from serving import (
 
 from camtopod import codec
 from camtopod.learn.learner import Learner
-from camtopod.records import Ack, Event, Prediction, Topology
+from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import Bus, BusError, QueryError
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.runtime.clock import ulid
-from camtopod.serve.storage.journal import Entry, Journal
-from camtopod.serve.storage.sqlite_file import crc
+from camtopod.serve.storage.journal import Journal
 from camtopod.topology.versions import digest_of, make_delta
 
 NOW = T0 + 20 * serving.SPAN_SECONDS
@@ -66,12 +63,11 @@ class Site:
         self._open.append(bus.close)
         return bus
 
-    def publisher(self, bus: Bus, name: str = "spool") -> tuple[Publisher, Spool]:
+    def publisher(self, name: str = "spool") -> Publisher:
         spool = Spool(self.directory / f"{name}.db", f"boot-{name}", 100_000)
-        publisher = Publisher(spool, 100)
-        publisher.attach(bus)
-        self._open.append(spool.close)
-        return publisher, spool
+        publisher = Publisher(spool)
+        self._open += [spool.close, publisher.close]
+        return publisher
 
     def close(self) -> None:
         for close in reversed(self._open):
@@ -393,200 +389,50 @@ def test_garbage_is_counted_quoted_once_and_survived(
     assert journal_of(site) == [("event", "hall", None, None), ("event", "lobby", None, None)]
 
 
-def test_an_event_from_the_future_is_set_aside(site: Site) -> None:
-    daemon = site.daemon(future_seconds_max=60)
-    bus = site.client(daemon)
-    first, wild, third = numbered(
-        [Event("lobby", "entry", t) for t in (NOW - 5, NOW + 3600, NOW + 50)]
-    )
-    acks: list[Ack] = []
-    bus.subscribe("ack/lobby", lambda key, raw: acks.append(codec.read(Ack, raw, pack=True)))
-    put(bus, first, wild, third)
-    wait_for(lambda: daemon.status().events["early"] == 1, "the third to wait for its time")
-    stored(daemon, 1)
-    site.now += 50
-    stored(daemon, 2)
-    assert daemon.status().events["future"] == 1
-    wait_for(
-        lambda: bool(acks) and (acks[-1].boot, acks[-1].seq) == ("b1", 3),
-        "the ack of all three: none is asked for again",
-    )
-    assert (acks[-1].accepted, acks[-1].late, acks[-1].duplicate, acks[-1].refused) == (2, 0, 0, 1)
-    daemon.stop()
-    assert [kind for kind, *_ in journal_of(site)] == ["event", "future", "event"]
+def sorted_by_time(events: list[Event]) -> list[Event]:
+    return sorted(events, key=lambda event: event.t)
 
 
-def test_an_event_time_that_is_ahead_of_the_clock_is_said_with_what_to_do(site: Site) -> None:
-    """The clock is before the last stored event; nothing is dropped until a camera shows which is
-    wrong.
-    """
+def test_a_clock_behind_the_newest_event_is_said_with_what_to_do(site: Site) -> None:
     first = site.daemon()
     put(site.client(first), *(Event(camera, "entry", NOW) for camera in "ab"))
     wait_for(lambda: first.status().learner.get("accepted") == 2, "the events to be learned")
-    assert (first.status().reason, first.unready()) == ("", [])
     first.stop()
+
     site.now = NOW - 86_400.0
     again = site.daemon()
-    wait_for(
-        lambda: again.status().reason != "" and not again.status().events["waiting"],
-        "the reason",
-    )
-    status, ahead = again.status(), 86_400.0 - 2 * serving.SPAN_SECONDS
+
+    status = again.status()
     assert status.state == "degraded"
-    assert f"event time is {ahead:.0f} s ahead of this machine's clock" in status.reason
-    assert "if that clock is wrong, set it" in status.reason
+    assert "clock is 86400 s behind the newest event: nothing is taken" in status.reason
     assert again.unready() == [status.reason]
     assert again.failing() == [], "to start it again changes nothing"
     site.now = NOW
     assert (again.status().reason, again.unready()) == ("", [])
 
 
-def test_event_time_that_a_wrong_clock_took_along_comes_back(
-    site: Site, caplog: pytest.LogCaptureFixture
-) -> None:
-    """As with an older program: three cameras of one box were a day ahead, so all
-    others were late.
-    """
-    good = [*numbered(walkers(120)), *numbered(walkers(40, seed=2), "b2")]
-    ahead = [
-        Event(camera, "entry", NOW + 86_400.0 + n, boot="w", seq=n)
-        for n in range(20)
-        for camera in ("x", "y", "z")
-    ]
-    journal = Journal(site.directory / "state")
-    entries = [
-        Entry("event", e.camera, e.boot, e.seq, codec.to_msgpack(e))
-        for e in [*sorted_by_time(good), *ahead]
-    ]
-    journal.commit(entries, now=NOW)
-    journal.close()
-
-    daemon = site.daemon()
-    wait_for(lambda: not daemon.status().events["waiting"], "what was stored to be learned")
-    bus = site.client(daemon)
-    assert "event time is" in daemon.status().reason
-    before = daemon.epoch
-    site.now += 11.0
-    wait_for(lambda: daemon.epoch != before, "event time to be taken back")
-    wait_for(lambda: daemon.status().learner["watermark"] == site.now, "that to be learned")
-    assert "are dropped, and event time continues from that clock" in caplog.text
-    assert daemon.status().learner["window"] == len(good), "everything else is kept"
-    wait_for(
-        lambda: daemon.topology is not None and daemon.topology.epoch == daemon.epoch,
-        "a version of it",
-    )
-    assert daemon.topology is not None
-    assert {camera.id for camera in daemon.topology.cameras} >= set("abc")
-
-    later = [
-        msgspec.structs.replace(e, t=e.t - T0 + site.now, boot="b3") for e in numbered(walkers(20))
-    ]
-    site.now += 1300.0
-    put(bus, *sorted_by_time(later))
-    wait_for(
-        lambda: daemon.status().learner["accepted"] >= len(good) + len(later),
-        "them to be learned",
-    )
-    assert daemon.status().learner["late"] == 0
-    assert daemon.status().reason == ""
-    version, epoch = daemon.status().version, daemon.epoch
-    daemon.stop()
-    again = site.daemon()
-    assert (again.status().version, again.epoch) == (version, epoch)
-
-
-def sorted_by_time(events: list[Event]) -> list[Event]:
-    return sorted(events, key=lambda event: event.t)
-
-
-def test_a_publisher_without_spool_loses_only_what_was_lost(site: Site) -> None:
-    daemon = site.daemon(gap_seconds=0.2)
-    bus = site.client(daemon)
-    events = numbered([Event("lobby", "entry", T0 + n) for n in range(6)])
-    put(bus, *events[:2], *events[4:])
-    stored(daemon, 4)
-    assert daemon.status().events["lost"] == 2
-
-
 # --- nothing is lost ------------------------------------------------------------------------------
-
-
-def test_what_the_network_lost_is_pulled_from_the_spool(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    daemon = site.daemon()
-    bus = site.client(daemon)
-    publisher, spool = site.publisher(bus)
-    deliver, chance = bus.publish_raw, random.Random(3)
-    monkeypatch.setattr(
-        bus, "publish_raw", lambda *given: deliver(*given) if chance.random() < 0.5 else None
-    )
-    events = walkers(50)
-    for event in events:
-        publisher.publish(event)
-    assert publisher.wait_acknowledged(20), "everything is acknowledged"
-    stored(daemon, len(events))
-    assert (daemon.status().events["lost"], daemon.status().events["unknown"]) == (0, 0)
-    daemon.stop()
-    rows = journal_of(site)
-    for camera in "abc":
-        seqs = [seq for _, where, _, seq in rows if where == camera]
-        assert seqs == list(range(1, len(seqs) + 1)), "in order, without gap or repetition"
-    assert len(rows) == len(events)
-    assert len(spool) == 0
 
 
 def test_events_from_before_the_daemon_wait_in_the_spool(site: Site) -> None:
     daemon = site.daemon()
-    spool = Spool(site.directory / "early.db", "boot-early", 1000)
-    publisher = Publisher(spool, 100)
+    publisher = site.publisher()
     events = [Event("lobby", "entry", T0 + n) for n in range(250)]
     publisher.publish(*events)
-    assert publisher.unacknowledged == 250
+    assert publisher.waiting == 250
+
     publisher.attach(site.client(daemon))
-    assert publisher.wait_acknowledged(20)
+
+    assert publisher.wait_stored(20)
     stored(daemon, 250)
-    spool.close()
 
 
-def test_a_lost_ack_is_given_again(site: Site) -> None:
-    daemon = site.daemon()
-    events = [Event("lobby", "entry", T0 + n) for n in range(5)]
-    publisher, spool = site.publisher(site.client(daemon))
-    sent = numbered(events, spool.boot)
-    put(site.client(daemon), *sent)  # stored and acknowledged before this spool has the events
-    stored(daemon, 5)
-    time.sleep(0.2)  # the ack has gone by
-    publisher.publish(*events)
-    assert publisher.wait_acknowledged(20)
-    stored(daemon, 5)
-
-
-def test_poison_in_a_spool_does_not_stop_the_stream(site: Site) -> None:
-    daemon = site.daemon()
-    publisher, spool = site.publisher(site.client(daemon))
-    good = numbered([Event("lobby", "entry", T0 + n) for n in range(4)], spool.boot)
-    spool.append([Event("lobby", "entry", event.t) for event in good])
-    row = ("lobby", spool.boot, 2, b"\xc1\xff")
-    spool._db.execute("UPDATE event SET raw = ?, crc = ? WHERE seq = 2", (row[3], crc(*row)))
-    publisher.attach(site.client(daemon), ["lobby"])
-    assert publisher.wait_acknowledged(20)
-    stored(daemon, 3)
-    assert daemon.status().rejects == {"malformed": 1}
-    daemon.stop()
-    assert [(kind, seq) for kind, _, _, seq in journal_of(site)] == [
-        ("event", 1),
-        ("refused", 2),
-        ("event", 3),
-        ("event", 4),
-    ]
-
-
-def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(
+def test_a_disk_that_is_full_stops_the_answers_and_nothing_else(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     daemon = site.daemon()
-    publisher, _ = site.publisher(site.client(daemon))
+    publisher = site.publisher()
+    publisher.attach(site.client(daemon))
     full = True
     commit = daemon._journal.commit
 
@@ -599,9 +445,9 @@ def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(
     publisher.publish(*(Event("lobby", "entry", T0 + n) for n in range(20)))
     wait_for(lambda: daemon.status().state == "degraded", "the status to say so")
     assert "disk is full" in daemon.status().reason
-    assert publisher.unacknowledged == 20
+    assert publisher.waiting == 20
     full = False
-    assert publisher.wait_acknowledged(20)
+    assert publisher.wait_stored(20)
     assert daemon.status().state == "running"
     stored(daemon, 20)
 
@@ -629,16 +475,6 @@ def test_a_disk_that_cannot_be_read_for_a_while_ends_nothing(
             bus.query("topology", older)
     wait_for(lambda: (daemon.status().journal.bytes or 0) > 0, "the disk to be read again")
     assert bus.query("topology", older)
-
-
-def test_what_waits_for_other_backlogs_is_in_the_status(site: Site) -> None:
-    daemon = site.daemon()
-    receiver = daemon._receiver
-    assert daemon.status().events["merging"] == 0
-    receiver.merge.note_answer("lobby", [T0, T0 + 60], True, 0.0)
-    receiver.merge.release([Received(Entry("refused", "lobby", "b", 1, b""))], 0.0, lambda: 10)
-    assert receiver.merge.waiting == 1
-    assert daemon.status().events["merging"] == 1
 
 
 # --- the bus itself -------------------------------------------------------------------------------

@@ -25,7 +25,6 @@ from camtopod.config.settings import Config, HealthSettings, parse
 from camtopod.records import Event
 from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.ingest.puller import Puller
 from camtopod.serve.live_predictions import Live
 from camtopod.serve.monitoring import health
 from camtopod.serve.runtime import systemd
@@ -131,8 +130,8 @@ def test_a_long_refit_has_its_own_limit(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("part", "name", "loop"),
     [
-        *(("_receiver", "_see", "receive"), ("_receiver", "_round", "receive")),
-        *(("_journal", "commit", "store"), ("_receiver", "_store", "store")),
+        *(("_intake", "_see", "receive"), ("_intake", "step", "receive")),
+        *(("_journal", "commit", "store"), ("_intake", "store_waiting", "store")),
     ],
 )
 def test_each_loop_is_watched(
@@ -144,19 +143,6 @@ def test_each_loop_is_watched(
         lambda: [reason.split()[0] for reason in daemon.failing()] == [loop], f"{loop} to be named"
     )
     let_go()
-    wait_for(lambda: daemon.failing() == [], "it to go on")
-
-
-def test_a_question_to_a_spool_that_never_ends_is_seen(
-    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    let_go = stuck_in(daemon._bus, "query", monkeypatch)
-    daemon._puller.on_alive("lobby", True)
-    wait_for(
-        lambda: [reason.split()[0] for reason in daemon.failing()] == ["pull"], "pull to be named"
-    )
-    let_go()
-    daemon._puller.on_alive("lobby", False)
     wait_for(lambda: daemon.failing() == [], "it to go on")
 
 
@@ -454,15 +440,17 @@ def test_the_daemon_under_systemd_from_start_to_end(program: Program) -> None:
     assert connection.getresponse().status == 200
     connection.close()
 
-    program.configure("[limits]\nack_seconds = 0.7\nstreams_max = 50\n[learn]\nwindow_hours = 12\n")
+    program.configure(
+        "[limits]\nstatus_seconds = 0.7\ncameras_max = 50\n[learn]\nwindow_hours = 12\n"
+    )
     program.signal(signal.SIGHUP)
     wait_for(lambda: "these need a restart" in program.log, "the report")
-    assert "learn.window_hours, limits.streams_max" in program.log
+    assert "learn.window_hours, limits.cameras_max" in program.log
     program.systemd.wait_for("RELOADING=1")
-    program.file.write_text("[limits]\nack_second = 0.7\n")
+    program.file.write_text("[limits]\nstatus_second = 0.7\n")
     program.signal(signal.SIGHUP)
     wait_for(lambda: "the old configuration stays" in program.log, "the report")
-    assert "did you mean 'ack_seconds'?" in program.log
+    assert "did you mean 'status_seconds'?" in program.log
     for _ in range(50):
         program.signal(signal.SIGHUP)
     program.systemd.told.clear()
@@ -504,20 +492,18 @@ def test_a_grabber_under_systemd_and_one_that_is_stopped(program: Program) -> No
 def test_what_changes_while_it_runs_and_what_needs_a_restart(tmp_path: Path) -> None:
     config = small_config(tmp_path)
     limits = msgspec.structs.replace(
-        config.limits, ack_seconds=0.9, pull_seconds=77.0, learn_events_max=7
+        config.limits, commit_seconds=0.9, status_seconds=77.0, cameras_max=7
     )
     new = msgspec.structs.replace(
         config, limits=limits, health=HealthSettings(listen="127.0.0.1:1")
     )
     obeyed, waiting = changed_settings(config, new)
-    assert waiting == ["limits.learn_events_max", "health.listen"]
-    assert (obeyed.ack_seconds, obeyed.learn_events_max) == (0.9, config.limits.learn_events_max)
+    assert waiting == ["limits.cameras_max", "health.listen"]
+    assert (obeyed.commit_seconds, obeyed.cameras_max) == (0.9, config.limits.cameras_max)
     assert changed_settings(config, config) == (config.limits, [])
     with Daemon(config) as daemon:
         assert daemon.reconfigure(new) == waiting
         assert daemon.reconfigure(new) == waiting, "they still wait"
-        assert daemon._receiver._limits.ack_seconds == 0.9
-        assert daemon._puller._limits.pull_seconds == 77.0
+        assert daemon._intake.limits.commit_seconds == 0.9
         assert daemon.reconfigure(config) == []
         assert isinstance(daemon._live, Live)
-        assert isinstance(daemon._puller, Puller)

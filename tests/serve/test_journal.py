@@ -16,7 +16,6 @@ from serving import Failing
 from camtopod.config.settings import KeepSettings
 from camtopod.serve.storage import journal as journals
 from camtopod.serve.storage.journal import (
-    BOOTS_KEPT_MAX,
     DAY_SECONDS,
     Entry,
     Journal,
@@ -60,7 +59,7 @@ def test_it_gives_back_what_was_committed_in_order(journal: Journal, tmp_path: P
     with closing(Journal(tmp_path)) as again:
         assert [one for _, one in again.entries()] == expected
         assert [one for _, one in again.entries(after=1, up_to=3)] == expected[1:3]
-        assert again.streams() == {("lobby", "b1"): 3}
+        assert again.numbers() == ({("lobby", "b1"): 3}, set())
         assert again.versions("E") == {1: "d1"}
         assert again.version("E", 1) == again.version("E") == again.newest_version() == b"{}"
         assert again.version("E", 2) is None
@@ -123,7 +122,7 @@ def test_other_damaged_rows_are_reported_and_not_used(
     journal._db.execute("UPDATE meta SET value = 'F' WHERE key = 'epoch'")
     assert [one.position for one in journal.snapshots()] == [1]
     assert journal.version("E", 2) is None
-    assert journal.streams() == {}
+    assert journal.numbers() == ({("lobby", "b1"): 2}, set()), "that of the newest entry"
     assert journal.meta("epoch") is None
     assert len([record for record in caplog.records if "damaged" in record.message]) == 4
 
@@ -159,8 +158,8 @@ def test_what_can_be_read_of_a_damaged_journal_goes_on(journal: Journal, tmp_pat
         assert (anew.meta("epoch"), anew.meta("epoch before")) == (None, "E"), (
             "a later line of versions begins"
         )
-        assert anew.status().damaged_files == [anew.set_aside.name]
-        assert anew.streams() == {}, "publishers are asked for what they still have"
+        assert anew.status()["damaged_files"] == [anew.set_aside.name]
+        assert anew.numbers() == ({("lobby", "b1"): 399}, set()), "there is no hole"
         anew.commit([entry(400)])
         assert kept(anew)[-1] == 400
     with closing(Journal(tmp_path)) as again:
@@ -221,14 +220,6 @@ def test_a_commit_that_raises_may_be_repeated(journal: Journal, durable: bool) -
     assert [one.position for one in journal.snapshots()] == [2]
 
 
-def test_old_boots_of_a_camera_are_forgotten(journal: Journal) -> None:
-    for number in range(3 * BOOTS_KEPT_MAX):
-        journal.commit([entry(1, boot=f"b{number}")])
-    journal.commit([entry(2, boot=f"b{2 * BOOTS_KEPT_MAX}")])
-    assert len(journal.streams()) == BOOTS_KEPT_MAX
-    assert list(journal.streams())[-1] == ("lobby", f"b{2 * BOOTS_KEPT_MAX}")
-
-
 def test_entries_are_forgotten_by_age_behind_both_snapshots(tmp_path: Path) -> None:
     with closing(Journal(tmp_path, KeepSettings(journal_days=2.0))) as journal:
         for day in range(6):
@@ -245,7 +236,7 @@ def test_entries_are_forgotten_by_age_behind_both_snapshots(tmp_path: Path) -> N
         journal.commit([], snapshot=Snapshot(61, "E", b""))
         journal.prune(NOW + 50 * DAY_SECONDS)
         assert kept(journal) == []
-        assert journal.streams() == {("lobby", "b1"): 60}
+        assert journal.numbers() == ({("lobby", "b1"): 60}, set())
     with closing(Journal(tmp_path)) as again:
         again.commit([entry(61)])
         assert kept(again) == [62], "numbers are never given twice"
@@ -262,7 +253,7 @@ def test_a_transaction_of_any_size_is_there_as_it_was_given(
         for first, last in ((0, 1), (1, 10), (10, 19), (19, 1_234), (1_234, 2_345)):
             journal.commit(given[first:last])
         assert [one for _, one in journal.entries()] == given
-        assert journal.streams() == {(f"c{k % 130}", "b1"): k for k in range(2_345)}
+        assert journal.numbers()[0] == {(f"c{k % 130}", "b1"): k for k in range(2_345)}
 
 
 def test_the_file_stays_within_its_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -289,36 +280,6 @@ def versions_left(journal: Journal, clocks: list[tuple[float, float]]) -> list[i
         storing.prune()
         left.append(len(journal.versions("E")))
     return left
-
-
-def test_a_clock_that_is_wrong_for_a_while_makes_nothing_old(journal: Journal) -> None:
-    for day in range(50):
-        journal.commit([entry(day)], [version(day)], now=NOW + day * DAY_SECONDS)
-    today, years, hour = NOW + 50 * DAY_SECONDS, 3650 * DAY_SECONDS, 3600
-    assert (
-        versions_left(
-            journal, [(today, 0), (today + years, 60), (today + 120, 120), (today + years, 130)]
-        )
-        == [50] * 4
-    )
-    wrong_from_the_start = [(today + years + n * hour, n * hour) for n in range(12)]
-    assert versions_left(journal, wrong_from_the_start) == [50] * 12
-    assert len(list(journal.entries())) == 50
-
-
-def test_a_clock_that_runs_evenly_for_a_day_is_believed(journal: Journal) -> None:
-    """As after a year on a shelf."""
-    for day in range(50):
-        journal.commit([entry(day)], [version(day)], now=NOW + day * DAY_SECONDS)
-    later = NOW + 400 * DAY_SECONDS
-    assert versions_left(
-        journal, [(later + n * DAY_SECONDS / 2, n * DAY_SECONDS / 2) for n in range(4)]
-    ) == [
-        50,
-        50,
-        1,
-        1,
-    ]
 
 
 def test_what_is_left_to_forget_is_said_whatever_is_missing(
@@ -367,7 +328,7 @@ def test_how_far_made_up_cameras_had_come_is_forgotten(
     for number in range(30):
         journal.commit([Entry("event", f"name{number}", "b1", 1, b"raw")])
     journal.prune(NOW)
-    assert journal.streams() == {(f"name{number}", "b1"): 1 for number in range(20, 30)}
+    assert journal.numbers()[0] == {(f"name{number}", "b1"): 1 for number in range(20, 30)}
 
 
 def test_damage_while_it_is_open_is_noticed_at_the_next_read(

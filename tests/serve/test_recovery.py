@@ -19,7 +19,7 @@ from camtopod.codec import to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
-from camtopod.serve.ingest.camera_registry import Received
+from camtopod.serve.ingest import Received
 from camtopod.serve.learner_process import recovery
 from camtopod.serve.learner_process.feeder import CATCHING_UP_SECONDS, LearnerFeeder
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
@@ -62,7 +62,6 @@ class Installation:
             recovered,
             self.process,
             self.journal,
-            10**6,
             snapshot_events,
             self._versions.append,
             self._snapshot.append,
@@ -77,7 +76,7 @@ class Installation:
         return epoch
 
     def store(self, events: list[Event]) -> list[Received]:
-        """Store events in the journal, as the receiver does."""
+        """Store events in the journal, as the daemon does."""
         received = [
             Received(Entry("event", e.camera, e.boot, e.seq, to_msgpack(e)), e) for e in events
         ]

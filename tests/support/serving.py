@@ -58,18 +58,11 @@ def small_config(state: Path, connect: str | None = None, **limits: float) -> Co
     bus = BusSettings(listen=("tcp/127.0.0.1:0",))
     if connect:
         bus = BusSettings(connect=(connect,), connect_seconds=WAIT_SECONDS)
-    quick = {
-        "pull_seconds": 0.2,
-        "ack_seconds": 0.05,
-        "status_seconds": 0.1,
-        "gap_seconds": 0.5,
-        **limits,
-    }
     return Config(
         bus=bus,
         state=StateSettings(str(state)),
         learn=Settings(lateness_seconds=2 * SPAN_SECONDS, refit_share=0.5),
-        limits=Limits(**quick),
+        limits=Limits(**{"status_seconds": 0.1, **limits}),
     )
 
 

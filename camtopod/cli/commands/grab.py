@@ -51,10 +51,10 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 DRAIN_SECONDS = 10.0
-"""Time that the grabber of a file waits at its end for acknowledgements, unless it is supervised.
-"""
+"""Time that the grabber of a file waits at its end until its events are stored, unless it is
+supervised."""
 _DRAIN_LOOK_SECONDS = 0.2
-"""Interval at which it checks for acknowledgements."""
+"""Interval at which it looks whether they are."""
 DAEMON_SECONDS = 5.0
 """Time after connecting to the bus until a missing daemon is reported."""
 _DAEMON_LOOK_SECONDS = 0.5
@@ -356,7 +356,7 @@ def _to_bus(
     told: SignalRequests,
     heart: HeartbeatSender,
 ) -> int:
-    """Publish the camera's events, and wait for acknowledgements at the end of a file."""
+    """Publish the camera's events, and wait at the end of a file until they are stored."""
     from camtopod.serve.bus import BusError, dial
     from camtopod.serve.outbox import Publisher, open_spool
     from camtopod.serve.storage import StateError
@@ -368,7 +368,7 @@ def _to_bus(
         except StateError as error:
             raise CommandError(str(error), exits.STATE) from None
         stack.callback(spool.close)
-        publisher = Publisher(spool, config.limits.spool_batch_events)
+        publisher = Publisher(spool)
 
         # Connect: a live camera does not wait for the bus, a file can.
         connection = _Connection(config, grabber, publisher, args)
@@ -381,14 +381,14 @@ def _to_bus(
             except BusError as error:
                 raise CommandError(str(error), exits.BUS) from None
 
-        # Publish, then wait for acknowledgements.
+        # Publish, then wait until all is stored.
         _publish_all(grabber, publisher, connection, config, told, heart)
         _drain(grabber, publisher, connection, args, told, heart)
-        if publisher.unacknowledged and not told.stop.is_set():
+        if publisher.waiting and not told.stop.is_set():
             raise CommandError(
-                f"{publisher.unacknowledged} events are not acknowledged: is `camtopod run` "
-                f"running for site {config.site.name}? They are kept in {spool.path} and published "
-                f"when this camera is grabbed again{connection.other_site()}"
+                f"{publisher.waiting} events are not stored: is `camtopod run` running for site "
+                f"{config.site.name}? They are kept in {spool.path} and published when this camera "
+                f"is grabbed again{connection.other_site()}"
             )
     return exits.DONE
 
@@ -438,21 +438,21 @@ def _drain(
     told: SignalRequests,
     heart: HeartbeatSender,
 ) -> None:
-    """Wait at the end of a file until its events are acknowledged, for at most `DRAIN_SECONDS`.
+    """Wait at the end of a file until its events are stored, for at most `DRAIN_SECONDS`.
 
     A supervised process waits for as long as it takes: it would be started again, and its events
     would count twice.
     """
     looked_after = args.beat_fd is not None or systemd.SOCKET_VARIABLE in os.environ
     deadline = time.monotonic() + DRAIN_SECONDS
-    while not told.stop.is_set() and not publisher.wait_acknowledged(_DRAIN_LOOK_SECONDS):
+    while not told.stop.is_set() and not publisher.wait_stored(_DRAIN_LOOK_SECONDS):
         if not looked_after and time.monotonic() >= deadline:
             return
         publisher.retry()
         connection.tell_status()
         heart.beat(
             grabber.state,
-            f"waiting for the daemon to acknowledge {publisher.unacknowledged} events",
+            f"waiting for the daemon to store {publisher.waiting} events",
         )
 
 
@@ -484,8 +484,7 @@ class _Connection:
             bus.answer_queries(
                 f"status/{self._grabber.camera}", lambda key, parameters: self.status(), "status"
             )
-            if not self._config.bus.tls.ca:  # a camera's certificate does not allow this
-                bus.watch_alive("daemon", self._on_daemon)
+            bus.watch_alive("daemon", self._on_daemon)
             self._bus = bus
         threading.Thread(target=self._look, args=[bus], name="reach", daemon=True).start()
 
@@ -514,7 +513,7 @@ class _Connection:
             if not bus.connected:
                 reached_at = math.inf
                 self._note(f"the connection to the daemon at {bus.endpoint} is lost")
-            elif self._daemons or self._config.bus.tls.ca:
+            elif self._daemons:
                 other = None
                 self._note("")
             else:
@@ -566,5 +565,6 @@ class _Connection:
         """Close the bus, now or as soon as it is connected."""
         self._closed.set()
         with self._mutex:
+            self._publisher.close()
             if self._bus is not None:
                 self._bus.close()

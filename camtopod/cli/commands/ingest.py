@@ -22,7 +22,6 @@ from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.events.event_lines import LineReader, open_input
 from camtopod.cli.events.input_formats import add_options, events
-from camtopod.cli.events.publish_outcome import KNOWN_SECONDS, Outcome
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.site_choice import right_site
 from camtopod.cli.terminal import Progress
@@ -30,26 +29,26 @@ from camtopod.codec import to_json
 from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN, Event
 from camtopod.serve.bus import Bus, BusError, dial
-from camtopod.serve.outbox import Publisher, open_spool
+from camtopod.serve.outbox import TRANSACTION_EVENTS_MAX, Publisher, open_ingest_spool
 from camtopod.serve.storage import StateError
 
 log = logging.getLogger(__name__)
 
-UNACKNOWLEDGED_MAX = 2_000
-"""Reading pauses while this many events are not acknowledged.
+WAITING_EVENTS_MAX = 100_000
+"""Reading pauses while this many events are not stored, or a half of what the spool may hold.
 
-A daemon that does not know the cameras yet has room for `limits.inbox_camera_events_max` events of
-all of them together. Those beyond it come later from the spool, when events of other cameras may
-have been learned that are newer: they would be late.
+The more of them are in the spool, the better the daemon knows for which cameras it has to wait.
 """
+WAITING_EVENT_BYTES = 1_000
+"""More than an event takes in the spool, in bytes."""
 PATIENCE_SECONDS = 10.0
-"""Time without an acknowledgement after which a daemon that is not visible counts as absent.
+"""Time without a stored event after which a daemon that is not visible counts as absent.
 
 A visible daemon is waited for: it may be busy with a refit, or its disk may be full, as its status
 says.
 """
 _TICK_SECONDS = 0.2
-"""Interval at which input, acknowledgements and progress are checked."""
+"""Interval at which input, stored events and progress are checked."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -92,7 +91,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read events and publish them until all are acknowledged, or write them to a file."""
+    """Read events and publish them until all are stored, or write them to a file."""
     start_logging(args)
     config = configuration(args)
     if args.boot is not None and args.anew:
@@ -113,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
         source = events(args, reader, stack, stop)
         if (boot := args.boot or _digest(args)) is not None:
             source = numbered_by(boot, source)
-        read = batches(source, config.limits.spool_batch_events, stop, tell)
+        read = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
         status = exits.DONE
         if args.out is not None:
             _write(args.out, read)
@@ -148,12 +147,12 @@ def _digest(args: argparse.Namespace) -> str | None:
 
 
 def numbered_by(boot: str, source: Iterator[Event]) -> Iterator[Event]:
-    """Number each camera's events from 0 under ``boot``, except those that have a boot already."""
+    """Number each camera's events from 1 under ``boot``, except those that have a boot already."""
     counts: Counter[str] = Counter()
     for event in source:
         if event.boot is None:
-            yield msgspec.structs.replace(event, boot=boot, seq=counts[event.camera])
             counts[event.camera] += 1
+            yield msgspec.structs.replace(event, boot=boot, seq=counts[event.camera])
         else:
             yield event
 
@@ -182,7 +181,7 @@ def _publish(
     """Publish events, wait until all are stored and log the outcome; return the exit status."""
     # Open the spool and connect to the bus.
     try:
-        spool = open_spool(config.state_directory, config.site.name, "ingest", config.limits)
+        spool = open_ingest_spool(config.state_directory, config.site.name, config.limits)
     except StateError as error:
         raise CommandError(str(error), exits.STATE) from None
     stack.callback(spool.close)
@@ -190,34 +189,43 @@ def _publish(
         bus = dial(config)
     except BusError as error:
         raise CommandError(str(error), exits.BUS) from None
-    stack.callback(bus.close)  # closed before the spool, which answers queries until then
-    outcome = Outcome()
-    publisher = Publisher(spool, config.limits.spool_batch_events, outcome.on_ack)
+    stack.callback(bus.close)
+    publisher = Publisher(spool)
+    stack.callback(publisher.close)
     publisher.attach(bus)
     daemons: set[str] = set()
     bus.watch_alive("daemon", lambda name, alive: (daemons.add if alive else daemons.discard)(name))
 
-    # Publish batch by batch. Events with a boot may be stored already: first let the daemon report
-    # its counts of new cameras.
+    # Publish batch by batch. Events that earlier runs have left are sent, too, but not waited for.
+    limits = config.limits
+    most = min(
+        WAITING_EVENTS_MAX,
+        limits.spool_events_max // 2,
+        limits.spool_bytes_max // 2 // WAITING_EVENT_BYTES,
+    )
     for batch in source:
-        if new := outcome.new_cameras(batch):
-            publisher.attach(bus, sorted(new))
-            if any(event.boot is not None for event in batch):
-                stop.wait(KNOWN_SECONDS)
-        outcome.publishing(batch, spool.boot)
         publisher.publish(*batch)
-        _wait(publisher, UNACKNOWLEDGED_MAX, stop, bus, config, daemons, progress)
+        _wait(publisher, most, stop, bus, config, daemons, progress)
     _wait(publisher, 0, stop, bus, config, daemons, progress)
 
     # Report the outcome.
-    log.info(
-        "%d events published, %d not acknowledged", publisher.published, publisher.unacknowledged
-    )
-    if not outcome.told:
-        return exits.DONE
-    accepted, late, refused, _ = outcome.counted()
-    log.info("of these %s", outcome.in_words())
-    return exits.FAILED if late + refused and not accepted else exits.DONE
+    late, refused = publisher.outcome()
+    waiting = publisher.count_waiting(own=True)
+    stored = max(0, publisher.published - waiting - publisher.dropped)
+    log.info("%s", _outcome(stored, waiting, late, refused))
+    return exits.FAILED if late + refused and late + refused >= stored else exits.DONE
+
+
+def _outcome(stored: int, waiting: int, late: int, refused: int) -> str:
+    """Return in words what became of the events."""
+    parts = [f"{stored} events stored"]
+    if late:
+        parts.append(f"{late} of them late (older than the events learned last: not learned)")
+    if refused:
+        parts.append(f"{refused} refused (malformed, too many of one camera, or in the future)")
+    if waiting:
+        parts.append(f"{waiting} wait in the spool and are published with the next ingest")
+    return ", ".join(parts)
 
 
 def batches(
@@ -274,24 +282,30 @@ def _wait(
     daemons: set[str],
     progress: Progress,
 ) -> None:
-    """Wait until at most ``most`` events are not acknowledged.
+    """Wait until at most ``most`` of the events of this run are not stored.
 
-    Raises `CommandError` if no daemon acknowledges any.
+    Raises `CommandError` if no daemon stores any, or if it does not take one of the cameras.
     """
-    patience, before = PATIENCE_SECONDS, publisher.unacknowledged
+    patience = PATIENCE_SECONDS
+    before = publisher.count_waiting(own=True)
     while not stop.is_set():
-        progress.show(
-            "%d events published, %d not yet stored", publisher.published, publisher.unacknowledged
-        )
-        if publisher.wait_acknowledged(_TICK_SECONDS, most):
+        progress.show("%d events published, %d not yet stored", publisher.published, before)
+        if publisher.wait_stored(_TICK_SECONDS, most, own=True):
             return
+        if refused := publisher.own_cameras_without_room():
+            for camera in refused:
+                publisher.drop(camera)
+            raise CommandError(
+                f"camera {', '.join(refused)}: {next(iter(refused.values()))}; "
+                f"{publisher.dropped} events are dropped"
+            )
         publisher.retry()
-        now = publisher.unacknowledged
+        now = publisher.count_waiting(own=True)
         patience = PATIENCE_SECONDS if now < before or daemons else patience - _TICK_SECONDS
         before = now
         if patience <= 0:
             raise CommandError(
-                f"{now} events are not acknowledged: is `camtopod run` running for site "
+                f"{now} events are not stored: is `camtopod run` running for site "
                 f"{bus.site}? They are kept in the spool and published with the next ingest of "
                 f"this site{right_site(bus, config)}",
                 exits.BUS,

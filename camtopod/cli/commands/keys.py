@@ -258,9 +258,7 @@ def _write_access(authority: Authority, config: Config) -> None:
     listen = [endpoint for endpoint in config.bus.listen if endpoint.startswith("tls/")] or [
         "tls/[::]:7447"
     ]
-    text = rules.router_json5(
-        authority.access, listen, config.bus.message_bytes_max, config.limits.pull_events_max
-    )
+    text = rules.router_json5(authority.access, listen, config.bus.message_bytes_max)
     write_public(folder / "router.json5", text)
 
 

@@ -1,6 +1,5 @@
 """Input of recorded and foreign events for `learn`, `predict`, `report` and `ingest`.
 
 `event_lines` reads and checks event lines, `input_formats` selects the adapter for another
-program's format, `broker_options` has the options of an MQTT broker, and `publish_outcome` counts
-what the daemon did with published events.
+program's format, and `broker_options` has the options of an MQTT broker.
 """

@@ -15,27 +15,30 @@ from camtopod.cli.generated.example_config import attribute_docs
 from camtopod.records import (
     DELTA_SCHEMA,
     TOPOLOGY_SCHEMA,
-    Ack,
     Delta,
     Event,
     Prediction,
     Status,
     Topology,
 )
+from camtopod.serve.requests import Answer, Batch, Hello
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _NONE = re.compile(r"\bNone\b")
 
-
-MESSAGES: dict[str, type[Struct]] = {
-    "event": Event,
-    "topology": Topology,
-    "delta": Delta,
-    "prediction": Prediction,
-    "status": Status,
-    "ack": Ack,
+MESSAGES: dict[str, list[Any]] = {
+    "event": [Event],
+    "topology": [Topology],
+    "delta": [Delta],
+    "prediction": [Prediction],
+    "status": [Status],
+    "store": [Hello | Batch, Answer],
 }
-"""The messages on the bus, by name."""
+"""The messages on the bus, by name; ``store`` is a request of a spool, or its answer."""
+_TYPES: dict[str, type[Struct]] = {
+    **vars(records),
+    **{kind.__name__: kind for kind in (Hello, Batch, Answer)},
+}
 NAMES = (*MESSAGES, "configuration")
 """Names of the schemas."""
 
@@ -52,11 +55,11 @@ def message_schema(name: str) -> dict[str, Any]:
     """
     if name == "configuration":
         return configuration_schema()
-    [reference], types = msgspec.json.schema_components(
-        [MESSAGES[name]], ref_template="#/$defs/{name}"
+    references, types = msgspec.json.schema_components(
+        MESSAGES[name], ref_template="#/$defs/{name}"
     )
     for kind, described in types.items():
-        _describe(described, Status if kind == "Status" else getattr(records, kind))
+        _describe(described, _TYPES[kind])
 
     # Rules that the types cannot express.
     if "Event" in types:  # a position has both coordinates
@@ -64,6 +67,7 @@ def message_schema(name: str) -> dict[str, Any]:
     for kind, schema in (("Topology", TOPOLOGY_SCHEMA), ("Delta", DELTA_SCHEMA)):
         if kind in types:
             types[kind]["properties"]["schema"] = {"const": schema}
+    reference = references[0] if len(references) == 1 else {"anyOf": list(references)}
     content: dict[str, Any] = _portable({**reference, "$defs": types})
     return {"$schema": _DIALECT, "title": f"camtopod {name}", **content}
 

@@ -10,7 +10,6 @@ serve the daemon: `access` (who may connect), `sockets` (options that zenoh does
 from __future__ import annotations
 
 from camtopod.serve.bus import access as access, session as session
-from camtopod.serve.bus.access import certificate_by_camera as certificate_by_camera
 from camtopod.serve.bus.session import (
     JSON as JSON,
     SLOW_PUBLICATION_SECONDS as SLOW_PUBLICATION_SECONDS,

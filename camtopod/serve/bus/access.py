@@ -38,10 +38,8 @@ def settings(config: Config, mode: str, access: rules.Access | None = None) -> r
     largest = config.bus.message_bytes_max
     if mode == "router":
         # It receives no topology: nothing large.
-        largest = min(largest, rules.spool_bytes_max(config.limits.pull_events_max))
-        values |= rules.size_limits(
-            config.site.name, config.limits.pull_events_max
-        ) | rules.priorities(config.site.name)
+        largest = min(largest, rules.RECEIVED_BYTES_MAX)
+        values |= rules.size_limits(config.site.name) | rules.priorities(config.site.name)
         if access is not None:
             values |= rules.access_control(access)
     values["transport/link/rx/max_message_size"] = largest
@@ -74,25 +72,6 @@ def read_access(config: Config, clock: Clock) -> rules.Access | None:
             "the certificate of %s %s: make another with `camtopod keys`", certificate.name, when
         )
     return access
-
-
-def certificate_by_camera(config: Config) -> dict[str, str]:
-    """Return, by camera, the name of the certificate under which its events are published.
-
-    Empty without authentication. Raises `AccessError`.
-    """
-    if not config.bus.tls.access:
-        return {}
-    try:
-        access = rules.read_access(Path(config.bus.tls.access).read_bytes())
-    except (OSError, ValueError) as error:
-        raise AccessError(f"cannot read the access list {config.bus.tls.access}: {error}") from None
-    return {
-        camera: certificate.name
-        for certificate in access.certificates
-        for camera in certificate.cameras or [certificate.camera]
-        if camera
-    }
 
 
 def check_files(config: Config) -> None:

@@ -40,7 +40,7 @@ _TAKEN_MAX = 10_000
 """Most messages that `HeartbeatReceiver.take` returns at a time."""
 _REPLIES_MAX = 4096
 """Most answers to one query that are kept; closing the channel drops the rest."""
-_PROMPT = ("prediction", "ack", "status")
+_PROMPT = ("prediction", "status")
 """Schemas of small and urgent messages, which never wait behind a topology on the same link."""
 SLOW_PUBLICATION_SECONDS = 1.0
 """A publication that takes longer than this, in seconds, shows in the status."""
@@ -162,14 +162,12 @@ class Bus:
         """Publish a struct as MessagePack, without confirmation (see `camtopod.serve.outbox`)."""
         self.publish_raw(key, codec.to_msgpack(noun), schema)
 
-    def publish_raw(
-        self, key: str, payload: bytes, schema: str, attachment: bytes | None = None
-    ) -> None:
+    def publish_raw(self, key: str, payload: bytes, schema: str, droppable: bool = False) -> None:
         """Publish bytes that are MessagePack already. Does nothing once the bus is closed.
 
         key: key below the site.
         schema: name of the payload's type; it also decides how the message is sent.
-        attachment: bytes to send beside the payload.
+        droppable: drop the message, whatever it is, for a link that is full.
 
         Only events wait for a subscriber that has stopped reading. Other messages for its
         full link are dropped, except one topology, which is sent when the link has room; the
@@ -188,12 +186,11 @@ class Bus:
                 payload,
                 encoding=_encoding(schema),
                 congestion_control=_DROP
-                if schema in _PROMPT
+                if droppable or schema in _PROMPT
                 else _WAIT
                 if schema == "event"
                 else _ONE_WAITS,
                 priority=_FIRST if schema in _PROMPT else _USUAL,
-                attachment=attachment,
             )
         except zenoh.ZError as error:
             if not self._closed.is_set():

@@ -1,22 +1,23 @@
-"""Events from the bus to the journal: received, ordered, stored once each, and acknowledged.
+"""The path of events from the bus into the journal.
 
-Read the head of `receiver` first: it describes the path of an event, and the threads. `stages` has
-the steps of the path. An event passes `inbox` (a fair queue, if it has to wait), `admission`
-(decoding; which events are accepted), `sequencing` (order within a stream), `camera_registry`
-(clocks, floods, number of cameras), `backlog` (order across cameras), `names` (forgotten and
-renamed cameras) and `store_queue`; then `acks` acknowledges it. `puller` asks spools for missing
-events, `duplicates` compares repeated ones, and `idle_time` advances event time when no events
-come.
+Start with `intake`, which has the whole path. `numbers` knows what was taken and stored of each
+camera, `cameras` which cameras there are, `merge` puts events in order of time, `names` knows
+forgotten and renamed cameras, `event_clock` compares event time with this machine's clock, and
+`answers` ends the grabbers' requests. `commands` executes an operator's commands.
 """
 
 from __future__ import annotations
 
-from camtopod.serve.ingest.camera_registry import Received as Received
+from camtopod.serve.ingest.cameras import Cameras as Cameras
+from camtopod.serve.ingest.commands import execute as execute
+from camtopod.serve.ingest.event_clock import EventClock as EventClock
+from camtopod.serve.ingest.intake import Intake as Intake
+from camtopod.serve.ingest.merge import Merger as Merger
 from camtopod.serve.ingest.names import (
     CommandRefused as CommandRefused,
     Names as Names,
     known_site as known_site,
     read_names as read_names,
 )
-from camtopod.serve.ingest.puller import Puller as Puller
-from camtopod.serve.ingest.receiver import Receiver as Receiver
+from camtopod.serve.ingest.numbers import Numbers as Numbers
+from camtopod.serve.ingest.received import Received as Received

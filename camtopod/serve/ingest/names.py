@@ -22,7 +22,7 @@ from msgspec.structs import replace
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
 from camtopod.records import NamesStatus, Topology
-from camtopod.serve.ingest.camera_registry import Received
+from camtopod.serve.ingest.received import Received
 from camtopod.serve.storage import Entry, command_entry, reset_entry
 
 log = logging.getLogger(__name__)

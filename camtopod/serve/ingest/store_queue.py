@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Sequence
 
-from camtopod.serve.ingest.camera_registry import Received
+from camtopod.serve.ingest.received import Received
 
 
 class StoreQueue:

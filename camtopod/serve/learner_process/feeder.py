@@ -85,7 +85,6 @@ class LearnerFeeder:
         recovered: Recovered,
         process: LearnerProcess,
         journal: Journal,
-        events_max: int,
         snapshot_events: int,
         on_version: Callable[[Version], None],
         on_snapshot: Callable[[Snapshot], None],
@@ -96,7 +95,6 @@ class LearnerFeeder:
         self.epoch = recovered.epoch
         self._process = process
         self._journal = journal
-        self._events_max = events_max
         self._snapshot_events = snapshot_events
         self._on_version = on_version
         self._on_snapshot = on_snapshot
@@ -135,10 +133,6 @@ class LearnerFeeder:
                 for one in batch
             ]
         )
-
-    def room(self) -> int:
-        """Return how many events may be fed at the moment."""
-        return self._events_max - self.waiting
 
     @property
     def waiting(self) -> int:

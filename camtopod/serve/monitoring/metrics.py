@@ -46,7 +46,7 @@ class Metric(NamedTuple):
 
 
 SITE = (
-    Metric("events_received_total", "events.received", "Publications of events received"),
+    Metric("events_received_total", "events.received", "Events received"),
     Metric("events_stored_total", "events.stored", "Events in the journal since the start"),
     Metric("events_duplicate_total", "events.duplicate", "Events received again"),
     Metric(
@@ -57,22 +57,7 @@ SITE = (
     Metric(
         "events_flood_total", "events.flood", "Events beyond what one view can show, not learned"
     ),
-    Metric(
-        "events_put_off_total",
-        "events.held_full",
-        "Events put off as too many of their camera were waiting; pulled later",
-    ),
-    Metric(
-        "events_refilled_total",
-        "events.refilled",
-        "Events restored from a spool after damage to the journal",
-    ),
-    Metric("events_lost_total", "events.lost", "Events that no spool had any more"),
-    Metric(
-        "events_unknown_total",
-        "events.unknown",
-        "Events discarded because their spool has never had them",
-    ),
+    Metric("events_lost_total", "events.lost", "Events missing between others"),
     Metric("events_learned_total", "learner.learned", "Events learned in this epoch"),
     Metric(
         "events_late_total",
@@ -85,8 +70,7 @@ SITE = (
         "Events of too many cameras or incarnations, not learned",
     ),
     Metric("events_waiting", "events.waiting", "Events stored and not learned yet"),
-    Metric("events_early", "events.early", "Events ahead of the clock that wait for their time"),
-    Metric("events_merging", "events.merging", "Events of backlogs that wait for each other"),
+    Metric("events_merging", "events.merging", "Events that wait for others or their time"),
     Metric(
         "learner_held_events",
         "learner.held",
@@ -109,7 +93,6 @@ SITE = (
         "questions_refused",
         "Queries for a prediction that could not be answered",
     ),
-    Metric("pulls_total", "pulls", "Queries to the cameras' spools"),
     Metric("journal_entries_total", "journal.entries", "Entries the journal has ever had"),
     Metric("journal_bytes", "journal.bytes", "Size of the journal"),
     Metric("journal_damaged_entries", "journal.damaged", "Damaged entries that were left out"),
@@ -189,7 +172,7 @@ GRABBER = (
     Metric("grabber_entries_total", "entries", "Entries of objects"),
     Metric("grabber_exits_total", "exits", "Exits of objects"),
     Metric("grabber_frame_timestamp_seconds", "last_frame_t", "Capture time of the latest frame"),
-    Metric("spool_events", "unacknowledged", "Events that the daemon has not stored yet"),
+    Metric("spool_events", "waiting", "Events that the daemon has not stored yet"),
     Metric("spool_dropped_total", "dropped", "Events lost because the spool was full"),
     Metric("spool_damaged_files", "damaged_files", "Files of the spool set aside for damage"),
 )

@@ -1,19 +1,25 @@
-"""Publish events without losing any: store them in the spool, publish them, answer queries."""
+"""Publish events without losing any: store them in the spool, and deliver them to the daemon."""
 
 from __future__ import annotations
 
-import functools
 import logging
+import math
+import secrets
 import sqlite3
 import threading
+import time
 from collections.abc import Callable, Sequence
 
+from msgspec.structs import replace
+
 from camtopod import codec
-from camtopod.records import Ack, Event
-from camtopod.serve.bus import Bus, QueryError
-from camtopod.serve.outbox.spool import Spool, SpoolBatch
-from camtopod.serve.runtime import Rejects, clock
-from camtopod.serve.storage import StateError
+from camtopod.records import Event
+from camtopod.serve.bus import Bus
+from camtopod.serve.outbox.delivery import Delivery
+from camtopod.serve.outbox.spool import Spool
+from camtopod.serve.requests import ANSWER_SECONDS_MAX, Answer, Batch, Hello
+from camtopod.serve.runtime import Rejects
+from camtopod.serve.storage import StateError, sqlite_file
 
 log = logging.getLogger(__name__)
 
@@ -22,49 +28,56 @@ PENDING_EVENTS_MAX = 10_000
 
 Beyond it the newest are dropped.
 """
-SEQ_MAX = 2**63 - 1
-"""Largest sequence number."""
-NAME_CHARACTERS_MAX = 64
-"""Longest part of a daemon's name that is used, in characters."""
+TRANSACTION_EVENTS_MAX = 500
+"""Most events stored in one transaction when many come at once."""
+_UNREADABLE_SECONDS = 2.0
+"""Wait after the spool could not be read."""
 
 
 class Publisher:
     """Publish the events of some cameras. Call `publish` and `retry` from one thread.
 
-    spool: belongs to the caller, who closes the bus before it.
-    limit_batch_events: most events stored in one transaction.
-    on_ack: called with each acknowledgement, from a thread of the bus.
+    spool: belongs to the caller, who closes this publisher before the bus and the spool.
 
     Without a bus, events wait in the spool until `attach`. `publish` and `retry` raise
     `sqlite_file.Damaged`.
     """
 
-    def __init__(
-        self, spool: Spool, limit_batch_events: int, on_ack: Callable[[Ack], None] | None = None
-    ) -> None:
-        self._spool, self.on_ack = spool, on_ack
-        self._box = clock.machine_id().encode()
+    def __init__(self, spool: Spool) -> None:
+        self._spool = spool
         self._bus: Bus | None = None
-        self._batch_max = limit_batch_events
         self._pending: list[Event] = []
-        self._introduced: set[str] = set()
-        self._acked = threading.Condition()
         self._unwritable = False
-        self.rejects = Rejects()
-        """Acknowledgements and queries that were rejected."""
+        self._dropped = 0
         self.published = 0
-        """Events stored in the spool (and published, if there is a bus) since the start."""
-        self.dropped = 0
-        """Events lost because the spool could not be written for too long."""
+        """Events stored in the spool since the start; those that were in it already do not count.
+        """
+        self.rejects = Rejects()
+        """Answers that could not be read."""
+
+        # What callbacks leave for the delivering thread.
+        self._changed = threading.Condition()
+        self._due: set[str] = set()
+        self._answers: list[tuple[str, Hello | Batch, bytes | None]] = []
+        self._daemon_appeared = False
+        self._closing = False
+
+        # The delivering thread's own.
+        self._deliveries: dict[str, Delivery] = {}
+        self._deadlines: dict[str, float] = {}
+        self._damage: StateError | None = None
+        self._thread = threading.Thread(target=self._deliver, name="deliver", daemon=True)
 
     def attach(self, bus: Bus, cameras: Sequence[str] = ()) -> None:
         """From now on publish on ``bus``, for these cameras and for those with events in the spool.
 
-        Further cameras are added with their first event.
+        Further cameras are added with their first event. Call it once.
         """
+        self._bus = bus
         for camera in {*cameras, *self._spool.cameras()}:
             self._introduce(bus, camera)
-        self._bus = bus
+        bus.watch_alive("daemon", self._on_daemon)
+        self._thread.start()
 
     def publish(self, *events: Event) -> None:
         """Store events in the spool and publish them.
@@ -73,17 +86,17 @@ class Publisher:
         """
         room = PENDING_EVENTS_MAX - len(self._pending)
         self._pending.extend(events[:room])
-        self.dropped += max(0, len(events) - room)
+        self._dropped += max(0, len(events) - room)
         self.retry()
 
     def retry(self) -> None:
         """Store and publish the events that could not be stored yet; cheap if there are none."""
+        if self._damage is not None:
+            raise self._damage
         while self._pending:
-            batch = self._pending[: self._batch_max]
-
             # Store a batch, or keep it in memory.
             try:
-                numbered = self._spool.append(batch)
+                numbered = self._spool.append(self._pending[:TRANSACTION_EVENTS_MAX])
             except sqlite3.Error as error:
                 if not self._unwritable:
                     self._unwritable = True
@@ -92,87 +105,176 @@ class Publisher:
             if self._unwritable:
                 self._unwritable = False
                 log.info("the spool can be written again")
-
-            # Publish the batch.
-            del self._pending[: self._batch_max]
+            del self._pending[:TRANSACTION_EVENTS_MAX]
             self.published += len(numbered)
+
+            # Have it delivered, and publish it for who looks on.
             if self._bus is not None:
+                for camera in {event.camera for event in numbered}:
+                    self._introduce(self._bus, camera)
                 for event in numbered:
-                    self._introduce(self._bus, event.camera)
                     self._bus.publish_raw(
-                        f"event/{event.camera}", codec.to_msgpack(event), "event", self._box
+                        f"event/{event.camera}",
+                        codec.to_msgpack(replace(event, spooled=True)),
+                        "event",
+                        droppable=True,
                     )
 
-    def wait_acknowledged(self, seconds: float, most: int = 0) -> bool:
-        """Wait until at most ``most`` events are unacknowledged; return False after ``seconds``."""
-        with self._acked:
-            return self._acked.wait_for(lambda: self.unacknowledged <= most, seconds)
+    def wait_stored(self, seconds: float, most: int = 0, own: bool = False) -> bool:
+        """Wait until at most ``most`` events wait; return False if not within ``seconds``.
+
+        own: count only those of boots of which this process was given events.
+        """
+        with self._changed:
+            return self._changed.wait_for(lambda: self.count_waiting(own) <= most, seconds)
+
+    def count_waiting(self, own: bool = False) -> int:
+        """Return the number of events that are not known to be stored by the daemon.
+
+        own: as for `wait_stored`.
+        """
+        return self._spool.waiting(own=own) + len(self._pending)
 
     @property
-    def unacknowledged(self) -> int:
-        """Number of events that are not known to be stored by a daemon."""
-        return len(self._spool) + len(self._pending)
+    def waiting(self) -> int:
+        """Number of events that are not known to be stored by the daemon."""
+        return self.count_waiting()
+
+    def outcome(self) -> tuple[int, int]:
+        """Return how many events of this process came too late to be learned, and were refused."""
+        late = 0
+        refused = self._spool.rejects.counts.total()
+        for camera, delivery in self._deliveries.copy().items():
+            for boot in {*delivery.late, *delivery.refused}:
+                if self._spool.is_own(camera, boot):
+                    late += delivery.late[boot]
+                    refused += delivery.refused[boot]
+        return late, refused
+
+    def own_cameras_without_room(self) -> dict[str, str]:
+        """Return this process's cameras that are too many for the daemon, each with its reason."""
+        return {
+            camera: delivery.no_room
+            for camera, delivery in self._deliveries.copy().items()
+            if delivery.no_room and self._spool.is_own(camera)
+        }
+
+    def drop(self, camera: str) -> None:
+        """Delete the events of a camera that wait in the spool, and count them as dropped."""
+        self._spool.drop(camera)
+
+    @property
+    def dropped(self) -> int:
+        """Events lost as the spool was full or could not be written, or by `drop`."""
+        return self._dropped + self._spool.dropped
 
     def statistics(self) -> dict[str, int]:
         """Return counters for the status."""
+        counters = self._spool.statistics()
         return {
-            **self._spool.statistics(),
+            **counters,
             "published": self.published,
-            "unacknowledged": self.unacknowledged,
-            "dropped": self.dropped + self._spool.dropped,
+            "waiting": counters["waiting"] + len(self._pending),
+            "dropped": self.dropped,
             "rejected": self.rejects.counts.total(),
         }
 
+    def close(self) -> None:
+        """End the delivery; may be called twice."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        if self._thread.is_alive():
+            self._thread.join()
+
     def _introduce(self, bus: Bus, camera: str) -> None:
-        """Answer for a camera's spool, receive its acknowledgements, and appear on the bus."""
-        if camera not in self._introduced:
-            self._introduced.add(camera)
-            bus.answer_queries(
-                f"spool/{camera}", functools.partial(self._answer, bus.endpoint), "spool"
-            )
-            bus.subscribe(f"ack/{camera}", functools.partial(self._on_ack, bus.endpoint))
+        """Deliver the events of a camera from now on, or have its delivery look for new ones."""
+        new = camera not in self._deliveries
+        if new:
+            self._deliveries[camera] = Delivery(camera, self._spool, lambda: secrets.token_hex(8))
+        with self._changed:
+            self._due.add(camera)
+            self._changed.notify_all()
+        if new:
             bus.announce("grabber", camera)
 
-    def _answer(self, endpoint: str, key: str, parameters: dict[str, str]) -> SpoolBatch:
-        """Answer a query for events of a camera, from the seq ``from`` of the boot ``boot`` on."""
-        try:
-            start, most = int(parameters.get("from", "0")), int(parameters.get("max", "1000"))
-        except ValueError:
-            raise self._refusal(key, parameters, "from and max are whole numbers") from None
-        if not -1 <= start <= SEQ_MAX:
-            raise self._refusal(key, parameters, "from is not a sequence number")
-        camera = key.removeprefix("spool/")
-        try:
-            self._spool.note_daemon(parameters.get("daemon", "")[:NAME_CHARACTERS_MAX], endpoint)
-            return self._spool.batch(
-                camera, parameters.get("boot"), start, max(1, min(most, 10_000))
-            )
-        except (sqlite3.Error, StateError) as error:
-            raise QueryError(f"the spool cannot be read: {error}") from None
+    def _on_daemon(self, name: str, alive: bool) -> None:
+        """Note that a daemon has appeared; called on a thread of the bus."""
+        if alive:
+            with self._changed:
+                self._daemon_appeared = True
+                self._changed.notify_all()
 
-    def _refusal(self, key: str, parameters: dict[str, str], what: str) -> QueryError:
-        """Count a malformed query, and return the error to answer with."""
-        self.rejects.add("bad-question", key, what, str(parameters))
-        return QueryError(what)
+    def _deliver(self) -> None:
+        """Send requests and take answers until the end."""
+        while True:
+            # Wait for something to do.
+            with self._changed:
+                while not self._closing:
+                    now = time.monotonic()
+                    due = {*self._due, *(c for c, at in self._deadlines.items() if at <= now)}
+                    if due or self._answers or self._daemon_appeared:
+                        break
+                    first = min(self._deadlines.values(), default=math.inf)
+                    self._changed.wait(min(first - now, threading.TIMEOUT_MAX))
+                if self._closing:
+                    return
+                answers = self._answers
+                appeared = self._daemon_appeared
+                self._answers = []
+                self._daemon_appeared = False
+                self._due.clear()
 
-    def _on_ack(self, endpoint: str, key: str, payload: bytes) -> None:
-        """Check an acknowledgement and pass it to the spool."""
+            # Tell the deliveries, and send what they ask for.
+            if appeared:
+                due.update(self._deliveries)
+                for delivery in self._deliveries.copy().values():
+                    delivery.on_daemon(now)
+            for camera, request, payload in answers:
+                due.add(camera)
+                self._guard(camera, self._take, self._deliveries[camera], request, payload)
+            for camera in due:
+                self._guard(camera, self._send, self._deliveries[camera])
+            with self._changed:
+                self._changed.notify_all()
+
+    def _guard(self, camera: str, step: Callable[..., None], *given: object) -> None:
+        """Carry out a step of a delivery; try again later if the spool cannot be read."""
         try:
-            ack = codec.read(Ack, payload, pack=True)
-            if ack.camera != key.removeprefix("ack/"):
-                raise codec.Rejected("wrong-camera", f"says camera {ack.camera!r}")
-            if not 0 <= ack.seq <= SEQ_MAX:
-                raise codec.Rejected("bad-value", "seq is not a sequence number")
-            self._spool.note_daemon(ack.daemon[:NAME_CHARACTERS_MAX], endpoint)
-            if not self._spool.ack(ack.camera, ack.boot, ack.seq):
-                raise codec.Rejected("beyond", "seq is above the highest one of this boot")
-            if self.on_ack is not None:
-                self.on_ack(ack)
-        except codec.Rejected as error:
-            self.rejects.add(error.reason, key, str(error), payload)
-            return
+            step(*given)
+        except sqlite_file.Damaged as damage:
+            self._damage = damage
+            self._deadlines[camera] = math.inf
         except (sqlite3.Error, StateError) as error:
-            log.debug("cannot write the spool: %s; the ack will come again", error)
+            log.debug("cannot use the spool: %s", error)
+            self._deadlines[camera] = time.monotonic() + _UNREADABLE_SECONDS
+
+    def _take(self, delivery: Delivery, request: Hello | Batch, payload: bytes | None) -> None:
+        """Take the answer to a request."""
+        camera = delivery.camera
+        answer: Answer | None = None
+        if payload is not None:
+            try:
+                answer = codec.read(Answer, payload, pack=True)
+            except codec.Rejected as error:
+                self.rejects.add(error.reason, f"store/{camera}", str(error), payload)
+        before = delivery.no_room
+        delivery.on_answer(request, answer, time.monotonic())
+        if delivery.no_room and not before:
+            log.error("camera %s: %s", camera, delivery.no_room)
+
+    def _send(self, delivery: Delivery) -> None:
+        """Send the next request of a camera, if there is one."""
+        camera = delivery.camera
+        request = delivery.next_request(time.monotonic())
+        self._deadlines[camera] = delivery.deadline
+        if request is None or self._bus is None:
             return
-        with self._acked:
-            self._acked.notify_all()
+
+        def on_answer(payload: bytes | None) -> None:
+            with self._changed:
+                self._answers.append((camera, request, payload))
+                self._changed.notify_all()
+
+        content = codec.to_msgpack(request)
+        self._bus.ask(f"store/{camera}", content, ANSWER_SECONDS_MAX, on_answer)

@@ -1,13 +1,12 @@
-"""A publisher's spool: each event is stored here before it is published, until it is acknowledged.
+"""A publisher's spool: events wait here, on disk, until the daemon has stored them.
 
-Publishing an event does not show whether the daemon has received it; so the daemon queries the
-spool for events it has missed. Each time a spool is opened a new ``boot`` begins, and each camera's
-events are counted within it, so that a file restored from an older copy never gives the same number
-to a second event. An event that brings its own boot and seq keeps them.
+Each camera has one queue over all boots, in the order of storing. A new *boot* begins each time a
+spool is opened, and the events of each camera are numbered within it, so that a file restored from
+an older copy never gives the same number to a second event. Of each boot the spool keeps a mark:
+the number up to which the daemon has the events. It moves as the daemon says, forwards or
+backwards: the newest stored events are kept, for a daemon whose journal came back older.
 
-A spool belongs to one site. The newest acknowledged events are kept for a while, for the daemon
-that acknowledged them, and each answer contains the highest acknowledged seq. So a daemon whose
-journal was set back notices, and gets the events again.
+A spool belongs to one site.
 """
 
 from __future__ import annotations
@@ -16,66 +15,72 @@ import contextlib
 import logging
 import sqlite3
 import threading
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
 
-import msgspec
-from msgspec import Meta, Struct
+from msgspec import Struct
+from msgspec.structs import replace
 
 from camtopod import codec
 from camtopod.config import Limits
-from camtopod.records import CameraId, Event
-from camtopod.serve.outbox import spool_schema
-from camtopod.serve.runtime import clock
-from camtopod.serve.storage import sqlite_file
+from camtopod.records import Event
+from camtopod.serve.outbox import spool_tables
+from camtopod.serve.requests import BATCH_BYTES_MAX, BOOTS_MAX
+from camtopod.serve.runtime import Rejects
+from camtopod.serve.storage import StateError, sqlite_file
 
 log = logging.getLogger(__name__)
 
-_DEFAULT = Limits()
+KEPT_EVENTS_MAX = 10_000
+"""Maximum number of stored events of one camera that are kept, the newest."""
 _DELETED_MAX = 5_000
 """Most events deleted at a time, as the log grows with the transaction; a full spool adds fewer."""
-_INSERT = "INSERT OR IGNORE INTO event (camera, boot, seq, raw, crc) VALUES (?, ?, ?, ?, ?)"
+_DEFAULT = Limits()
 
-PROMISED = ("promised to", "promised at")
-"""Keys of the table ``meta``: name and endpoint of the daemon that last acknowledged or asked."""
+_LOAD = """
+SELECT event.camera, event.boot, COALESCE(have, 0), SUM(seq > COALESCE(have, 0)),
+    SUM(seq <= COALESCE(have, 0))
+FROM event LEFT JOIN mark USING (camera, boot) GROUP BY camera, boot ORDER BY MIN(id)
+"""
+_DELETE = """
+DELETE FROM event WHERE id IN (
+    SELECT id FROM (
+        SELECT id, event.camera, seq <= COALESCE(have, 0) AS stored
+        FROM event LEFT JOIN mark USING (camera, boot))
+    WHERE {} ORDER BY id LIMIT ?)
+RETURNING camera, boot, seq
+"""
+_WAITING = "FROM event WHERE camera = ? AND boot = ? AND seq > ? ORDER BY seq"
 
-Seq = Annotated[int, Meta(ge=0, le=2**63 - 1)]
-"""A sequence number."""
-Stream = tuple[str, str]
-"""(camera, boot)."""
 
+class _Boot(Struct):
+    """The mark of one boot of a camera, and how many of its events are above it, and not."""
 
-class SpoolBatch(Struct, frozen=True):
-    """Events of one (camera, boot) by rising seq, each as the bytes that were published.
+    have: int = 0
+    waiting: int = 0
+    stored: int = 0
 
-    first: the lowest seq of this boot that the spool has or will give next. Those below it were
-        acknowledged, or dropped because the spool was full.
-    dropped: number of events that were dropped, of all cameras together.
-    more: True if this boot has further events.
-    acked: the highest seq of this boot that a daemon has acknowledged; a daemon whose journal has
-        less has lost it. None: nothing yet, or the grabber does not tell.
-    """
-
-    camera: CameraId
-    boot: Annotated[str, Meta(max_length=64)]
-    first: Seq
-    dropped: int
-    more: bool
-    events: list[tuple[Seq, bytes]]
-    acked: Seq | None = None
+    def count(self, seq: int, change: int) -> None:
+        """Count an event that was added (``change`` 1) or deleted (-1)."""
+        if seq > self.have:
+            self.waiting += change
+        else:
+            self.stored += change
 
 
 class Spool:
     """A spool file, for one publishing process. Thread-safe.
 
-    boot: the name of the boot that begins.
-    events_max: most events.
+    boot: name of the boot that begins.
+    events_max: maximum number of events in the file.
     bytes_max: largest size of the file, in bytes.
-    kept_events_max: most of the events that are acknowledged.
+    kept_max: maximum number of stored events of one camera that are kept.
 
-    A damaged file is set aside, and its readable events are copied to the new one. Raises
-    `sqlite_file.StateError` on opening, and `sqlite_file.Damaged` as soon as damage shows.
+    When the file is full the oldest stored events are deleted, then the oldest that wait, counted
+    in `dropped`. A damaged file is set aside, and its readable events are copied to the new one.
+    Raises `StateError` on opening, and `sqlite_file.Damaged` as soon as damage shows; methods that
+    read or write the file raise `sqlite3.Error`.
     """
 
     def __init__(
@@ -84,435 +89,353 @@ class Spool:
         boot: str,
         events_max: int,
         bytes_max: int = _DEFAULT.spool_bytes_max,
-        kept_events_max: int = _DEFAULT.spool_kept_events,
+        kept_max: int = KEPT_EVENTS_MAX,
     ) -> None:
-        self._mutex = threading.Lock()
         self.path = path
         """Path of the file."""
-        self._events_max, self._bytes_max, self._kept_max = events_max, bytes_max, kept_events_max
+        self.dropped = 0
+        """Events that were deleted before they were stored, since the start."""
+        self.damaged = 0
+        """Damaged events that were found, since the start."""
+        self.rejects = Rejects()
+        """Events that were refused, as the daemon would reject them."""
+        self._events_max = events_max
+        self._bytes_max = bytes_max
+        self._kept_max = kept_max
+        self._first_boot = boot
+        self._later_boots: dict[str, str] = {}
+        self._boots: defaultdict[str, dict[str, _Boot]] = defaultdict(dict)
+        # (camera, boot) of which this process was given events -> the highest number of them.
+        self._tops: dict[tuple[str, str], int] = {}
+        self._unwritten: set[tuple[str, str]] = set()
+        self._sure = False
+        self._said_full = False
+        self._mutex = threading.Lock()
         self._lock = sqlite_file.Lock(path.with_suffix(".lock"))
 
         # Open the file; release everything after an error.
         with contextlib.ExitStack() as undo:
             undo.callback(self._lock.close)
             try:
-                with sqlite_file.damage_noticed(path):
-                    self._db, rescued = spool_schema.open_file(path)
-                    undo.callback(self._db.close)
-                    self._acked = spool_schema.acked(self._db)
-                    self._promised = tuple(spool_schema.meta(self._db, key) for key in PROMISED)
-                    self._recount()
+                self._db = spool_tables.open_file(path)
+                undo.callback(self._db.close)
+                with self._using():
+                    pass
             except sqlite3.Error as error:
-                raise sqlite_file.StateError(
-                    f"cannot read {path}: {error}; it is left as it is"
-                ) from None
+                raise StateError(f"cannot read {path}: {error}; it is left as it is") from None
             undo.pop_all()
 
-        # Begin a boot.
-        self.boot = self._first_boot = boot
-        """Name of the current boot."""
-        self.rescued = rescued
-        """Number of events read out of a damaged file on opening."""
-        self._seqs: dict[str, int] = {}
-        self._boot_written = False
-        self._boots_begun = 0
-        self._unwritten: set[Stream] = set()
-        self._damaged: set[int] = set()
-        self._sure = True
-        self._said_full = False
-        self._asked_last = False
-
     def append(self, events: Sequence[Event]) -> list[Event]:
-        """Store events in one transaction; return them with boot and seq. Raises `sqlite3.Error`.
+        """Store events in one transaction; return the new ones with boot and seq.
 
-        An event that is in the spool already (same camera, boot and seq) is stored once. After an
-        error the same call may be repeated: it looks in the file whether the events are stored
-        after all.
+        Each gets this spool's boot and the next number, unless it brings a boot of its own and a
+        number that is above the earlier ones of that boot. An event that is here already (same
+        camera, boot and seq) is not stored again. What the daemon would reject is refused.
+
+        After an error the events may be stored or not, and the next call must repeat them first.
         """
-        with self._mutex, sqlite_file.damage_noticed(self.path):
-            if not self._sure:
-                self._ask_the_file(self._number(events)[0])
+        with self._using():
+            numbered, refused = self._number(events)
+            rows = [spool_tables.row(event) for event in numbered]
+            with self._writing():
+                added = self._db.executemany(spool_tables.INSERT, rows).rowcount
+                for camera, boot, seq, *_ in rows:
+                    self._boots[camera].setdefault(boot, _Boot()).count(seq, 1)
+                self._make_room()
+            self._sure = not rows or added == len(rows)
+            self._tops.update(((camera, boot), seq) for camera, boot, seq, *_ in rows)
 
-            # Store the events, and delete others if there are too many.
-            numbered, seqs = self._number(events)
-            self._sure = False  # after an error the rows may be there or not
-            with sqlite_file.transaction(self._db):
-                self._write_down()
-                added = self._db.executemany(_INSERT, [_row(event) for event in numbered]).rowcount
-                for camera in seqs.keys() & {event.camera for event in numbered}:
-                    spool_schema.set_row(self._db, "count", camera, seqs[camera])
-                forgotten, dropped = self._make_room(self._held + added)
+        # Say what was left out.
+        for camera, error in refused:
+            self.rejects.add(error.reason, f"event of {camera}", str(error))
+        if self.dropped and not self._said_full:
+            self._said_full = True
+            log.error("the spool %s is full: its oldest events are dropped", self.path)
+        return numbered
 
-            # Update the counts.
-            self._seqs, self._sure = seqs, True
-            self._held += added - forgotten - dropped
-            self._kept -= forgotten
-            self.dropped += dropped
-            if dropped and not self._said_full:
-                self._said_full = True
-                log.error(
-                    "the spool %s is full: its oldest events are dropped, %d so far",
-                    self.path,
-                    self.dropped,
-                )
-            self._boot_written = True
-            self._unwritten.clear()
-            if forgotten:
-                self._acked = spool_schema.acked(self._db)
-            return numbered
+    def boot(self, camera: str) -> str:
+        """Return the boot in which this process numbers the events of ``camera``."""
+        return self._later_boots.get(camera, self._first_boot)
 
-    def note_daemon(self, daemon: str, endpoint: str) -> None:
-        """Note that a daemon, reached at ``endpoint``, queries or acknowledges events.
+    def boots(self, camera: str) -> list[str]:
+        """Return the boots of ``camera`` in the spool, oldest first; the one it numbers is last.
 
-        The acknowledged events are kept for the daemon that has acknowledged them, or its successor
-        at the same endpoint. They are deleted when another daemon at another endpoint comes: it
-        would take them for its own. Raises `sqlite3.Error`.
+        At most `BOOTS_MAX`, the newest.
         """
-        with self._mutex, sqlite_file.damage_noticed(self.path):
-            if self._promised == (daemon, endpoint):
-                return
-            same = (daemon and daemon == self._promised[0]) or endpoint == self._promised[1]
-            with sqlite_file.transaction(self._db):
-                self._write_down()
-                forgotten = 0 if same else self._forget(self._kept)
-                for key, value in zip(PROMISED, (daemon, endpoint), strict=True):
-                    spool_schema.set_row(self._db, "meta", key, value)
-            self._boot_written = True
-            self._unwritten.clear()
-            self._promised = daemon, endpoint
-            self._kept -= forgotten
-            self._held -= forgotten
-            self._acked = spool_schema.acked(self._db)
-
-    def ack(self, camera: str, boot: str, seq: int) -> bool:
-        """Record that the events of (camera, boot) up to ``seq`` are stored by a daemon.
-
-        Returns False if ``seq`` is above the highest one of the current boot: then another program
-        has used this boot, as happens when a machine is restored to an earlier moment. Nothing is
-        acknowledged then, and a new boot begins.
-
-        For the current boot this is written with the next events, or on closing. If it is lost
-        before, the daemon is sent these events once more, and acknowledges them again. For an older
-        boot it is written at once: a daemon recognises only the newest boots of a camera, and there
-        may be many after a time without a daemon.
-
-        Raises `sqlite3.Error`.
-        """
-        with self._mutex, sqlite_file.damage_noticed(self.path):
-            before = self._acked.get((camera, boot), -1)
-            given = max(before, self._given(camera, boot))
-            if seq > given and boot == self.boot:
-                self._begin_boot()
-                return False
-
-            # Count what is newly acknowledged.
-            seq = min(seq, given)
-            newly = self._count(
-                "camera = ? AND boot = ? AND seq > ? AND seq <= ?", camera, boot, before, seq
-            )
-            if newly:
-                self._kept += newly
-                self._acked[camera, boot] = seq
-                self._unwritten.add((camera, boot))
-                if boot != self.boot:
-                    # Without room it is written with the next events.
-                    with contextlib.suppress(sqlite3.OperationalError):
-                        self._write_acks()
-            return True
-
-    def batch(self, camera: str, boot: str | None, from_seq: int, events_max: int) -> SpoolBatch:
-        """Return events of ``camera`` for a daemon, at most ``events_max``.
-
-        They are those of ``boot`` from ``from_seq`` on, acknowledged or not, or those of the oldest
-        other boot that are not acknowledged; by turns if there are both. Without ``boot`` they are
-        those of the oldest boot.
-        """
-        with self._mutex, sqlite_file.damage_noticed(self.path):
-            chosen, start = self._choose(camera, boot, from_seq)
-            acked = self._acked.get((camera, chosen))
-            rows, more = self._good_rows(camera, chosen, start, events_max)
-            return SpoolBatch(
-                camera=camera,
-                boot=chosen,
-                first=self._first(camera, chosen, -1 if acked is None or start <= acked else acked),
-                dropped=self.dropped,
-                more=more,
-                events=rows,
-                acked=acked,
-            )
+        with self._using():
+            names = [name for name in self._boots[camera] if name != self.boot(camera)]
+            return [*names[1 - BOOTS_MAX :], self.boot(camera)]
 
     def cameras(self) -> list[str]:
-        """Return the cameras with events that are not acknowledged."""
-        with self._mutex, sqlite_file.damage_noticed(self.path):
-            cameras = self._db.execute("SELECT DISTINCT camera FROM event").fetchall()
-            return [camera for (camera,) in cameras if self._waiting(camera)]
+        """Return the cameras with events in the spool."""
+        with self._using():
+            return [camera for camera, boots in self._boots.items() if boots]
+
+    def mark(self, camera: str, boot: str) -> int:
+        """Return the number up to which the daemon has stored a boot, as far as is known."""
+        with self._using():
+            return self._boots[camera].get(boot, _Boot()).have
+
+    def is_own(self, camera: str, boot: str | None = None) -> bool:
+        """Return True if this process was given events of a boot, or of any boot of a camera."""
+        if boot is None:
+            return any(name == camera for name, _ in self._tops.copy())
+        return (camera, boot) in self._tops
+
+    def waiting(self, camera: str | None = None, own: bool = False) -> int:
+        """Return the number of events that are not stored by the daemon, as far as is known.
+
+        own: only those of boots of which this process was given events.
+        """
+        with self._using():
+            return sum(
+                boot.waiting
+                for name in (self._boots if camera is None else [camera])
+                for boot_name, boot in self._boots[name].items()
+                if not own or (name, boot_name) in self._tops
+            )
+
+    def next_batch(self, camera: str, most: int) -> tuple[str, list[tuple[int, bytes]]] | None:
+        """Return boot and (seq, bytes) of the events of ``camera`` to be sent next, by rising seq.
+
+        They are at most ``most`` and `BATCH_BYTES_MAX`, of the boot of the oldest event that waits.
+        A damaged event is logged and deleted. None if no event waits.
+        """
+        with self._using():
+            while (boot := self._oldest_boot(camera)) is not None:
+                events: list[tuple[int, bytes]] = []
+                damaged = []
+                size = 0
+                above = camera, boot, self._boots[camera][boot].have
+                for id_, *row, crc in self._db.execute(f"SELECT * {_WAITING}", above):
+                    if sqlite_file.crc(*row) != crc:
+                        damaged.append((id_,))
+                        continue
+                    size += len(row[-1])
+                    if len(events) == most or (events and size > BATCH_BYTES_MAX):
+                        break
+                    events.append((row[-2], row[-1]))
+
+                if damaged:
+                    with self._writing():
+                        self._db.executemany("DELETE FROM event WHERE id = ?", damaged)
+                    self._load()
+                    self.damaged += len(damaged)
+                    log.error("%s: %d events of %s are damaged", self.path, len(damaged), camera)
+                if events:
+                    return boot, events
+            return None
+
+    def have(self, camera: str, boot: str, seq: int) -> None:
+        """Note that the daemon has stored a boot up to ``seq``, and nothing beyond it.
+
+        This is written with the next events or on closing: after a kill the daemon says it again.
+        """
+        with self._using():
+            self._move_mark(camera, boot, seq)
+
+    def begin_boot(self, camera: str) -> None:
+        """Begin another boot for ``camera``, and number what waits of the present one within it."""
+        with self._using():
+            old = self.boot(camera)
+            new = f"{self._first_boot}.{len(self._later_boots) + 1}"
+            above = camera, old, self._boots[camera].get(old, _Boot()).have
+            rows = self._db.execute(f"SELECT * {_WAITING}", above).fetchall()
+            good = [row for row in rows if sqlite_file.crc(*row[1:-1]) == row[-1]]
+            with self._writing():
+                for seq, (id_, *_, raw, _) in enumerate(good, 1):
+                    event = replace(codec.event_from_bytes(raw), boot=new, seq=seq)
+                    self._db.execute(
+                        "UPDATE event SET boot = ?, seq = ?, raw = ?, crc = ? WHERE id = ?",
+                        (*spool_tables.row(event)[1:], id_),
+                    )
+            self._later_boots[camera] = new
+            self._tops[camera, new] = len(good)
+            self._load()
+        log.error("%s: the daemon has later events of %s: a new boot begins", self.path, camera)
+
+    def drop(self, camera: str) -> None:
+        """Delete the events of ``camera`` that wait, and count them as dropped."""
+        with self._using(), self._writing():
+            while self._delete("camera = ? AND NOT stored", camera):
+                pass
+
+    def adopt(self, path: Path) -> None:
+        """Move the events of another spool, which no process has open, into this one."""
+        with contextlib.closing(Spool(path, self._first_boot, self._events_max)) as other:
+            with self._using(), self._writing():
+                spool_tables.copy(
+                    self._db,
+                    other._db.execute("SELECT * FROM event ORDER BY id"),
+                    other._db.execute("SELECT * FROM mark"),
+                )
+            self._sure = False
+        for suffix in ("", "-wal", "-shm"):
+            Path(f"{path}{suffix}").unlink(missing_ok=True)
 
     def statistics(self) -> dict[str, int]:
         """Return counters for the status."""
-        with self._mutex, sqlite_file.damage_noticed(self.path):
+        with self._using():
+            boots = [boot for boots in self._boots.values() for boot in boots.values()]
             return {
-                "unacknowledged": self._held - self._kept,
-                "kept": self._kept,
+                "waiting": sum(boot.waiting for boot in boots),
+                "kept": sum(boot.stored for boot in boots),
                 "dropped": self.dropped,
-                "damaged_events": len(self._damaged),
+                "refused": self.rejects.counts.total(),
+                "damaged_events": self.damaged,
                 "damaged_files": len(sqlite_file.damaged_files(self.path)),
             }
 
-    def __len__(self) -> int:
-        """Return the number of events that are not acknowledged."""
-        with self._mutex, sqlite_file.damage_noticed(self.path):
-            return self._held - self._kept
-
     def close(self) -> None:
-        """Close the file; its events stay for the next time."""
+        """Close the file; its events stay for the next time. May be called twice."""
+        try:
+            with self._using(), self._writing():
+                pass
+        except sqlite3.ProgrammingError:
+            pass  # closed already
+        except (sqlite3.Error, StateError) as error:
+            log.warning("the spool %s could not be closed properly: %s", self.path, error)
+        self._db.close()
+        self._lock.close()
+
+    @contextlib.contextmanager
+    def _using(self) -> Iterator[None]:
+        """Run the block with the spool's lock, and counts that agree with the file."""
         with self._mutex, sqlite_file.damage_noticed(self.path):
-            try:
-                with sqlite_file.transaction(self._db):
-                    self._write_down()
-            except sqlite3.ProgrammingError:
-                pass  # closed already
-            except sqlite3.Error as error:
-                log.warning("the spool %s could not be closed properly: %s", self.path, error)
-            self._db.close()
-            self._lock.close()
+            if not self._sure:
+                self._load()
+            yield
 
-    def _number(self, events: Sequence[Event]) -> tuple[list[Event], dict[str, int]]:
-        """Return the events with boot and seq, and the highest seq by camera."""
-        seqs = dict(self._seqs)
-        numbered = []
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Run the block in a transaction, which writes the marks that have moved, too."""
+        self._sure = False  # after an error the rows may be there or not
+        dropped = self.dropped
+        try:
+            with sqlite_file.transaction(self._db):
+                for camera, boot in self._unwritten:
+                    if known := self._boots[camera].get(boot):
+                        spool_tables.set_row(self._db, "mark", camera, boot, known.have)
+                yield
+            self._unwritten.clear()
+            self._sure = True
+        finally:
+            if not self._sure:
+                self.dropped = dropped
+
+    def _load(self) -> None:
+        """Read the marks, but for those that are to be written, and count the events."""
+        moved = [
+            (camera, boot, self._boots[camera].get(boot, _Boot()).have)
+            for camera, boot in self._unwritten
+        ]
+        self._boots.clear()
+        for camera, boot, *known in self._db.execute(_LOAD):
+            self._boots[camera][boot] = _Boot(*known)
+        for camera, boot, have in moved:
+            self._move_mark(camera, boot, have)
+        self._sure = True
+
+    def _move_mark(self, camera: str, boot: str, seq: int) -> None:
+        known = self._boots[camera].get(boot)
+        if known is None or seq == known.have:
+            return
+        between = self._db.execute(
+            "SELECT COUNT(*) FROM event WHERE camera = ? AND boot = ? AND seq > ? AND seq <= ?",
+            (camera, boot, *sorted((seq, known.have))),
+        ).fetchone()[0]
+        newly = between if seq > known.have else -between
+        known.waiting -= newly
+        known.stored += newly
+        known.have = seq
+        self._unwritten.add((camera, boot))
+
+    def _number(
+        self, events: Sequence[Event]
+    ) -> tuple[list[Event], list[tuple[str, codec.Rejected]]]:
+        """Return the new events with boot and seq, and (camera, error) of those refused."""
+        tops = self._tops.copy()
+        numbered: dict[tuple[str, str, int], Event] = {}
+        refused = []
         for event in events:
-            if event.boot is None or event.seq is None:
-                seq = seqs[event.camera] = seqs.get(event.camera, 0) + 1
-                event = msgspec.structs.replace(event, boot=self.boot, seq=seq)
-            numbered.append(event)
-        return numbered, seqs
+            camera, boot, seq = event.camera, event.boot, event.seq
+            if boot and seq is not None:
+                if (camera, boot, seq) in numbered or self._holds(camera, boot, seq):
+                    self._tops.setdefault((camera, boot), 0)
+                    continue
+                if seq <= tops.get((camera, boot), 0):
+                    boot = None
+            if not boot or seq is None:
+                boot = self.boot(camera)
+                seq = 1 + tops.get((camera, boot), 0)
+            event = replace(event, boot=boot, seq=seq, spooled=False)
+            try:
+                codec.event_from_bytes(codec.to_msgpack(event))  # as the daemon does
+            except codec.Rejected as error:
+                refused.append((camera, error))
+                continue
+            tops[camera, boot] = seq
+            numbered[camera, boot, seq] = event
+        return list(numbered.values()), refused
 
-    def _given(self, camera: str, boot: str) -> int:
-        """Return the highest seq of a boot, stored or given in the current boot; -1 if none."""
-        numbered = self._seqs.get(camera, 0) if boot == self.boot else -1
-        newest = "SELECT COALESCE(MAX(seq), -1) FROM event WHERE camera = ? AND boot = ?"
-        return max(numbered, int(self._db.execute(newest, (camera, boot)).fetchone()[0]))
+    def _holds(self, camera: str, boot: str, seq: int) -> bool:
+        """Return True if an event with this number is in the file."""
+        statement = "SELECT 1 FROM event WHERE camera = ? AND boot = ? AND seq = ?"
+        return self._db.execute(statement, (camera, boot, seq)).fetchone() is not None
 
-    def _begin_boot(self) -> None:
-        """Begin a new boot, after events were acknowledged that the current one never had."""
-        self._boots_begun += 1
-        self.boot, self._seqs, self._boot_written = (
-            f"{self._first_boot}.{self._boots_begun}",
-            {},
-            False,
-        )
-        log.error(
-            "more events of the spool %s are acknowledged than this boot has had "
-            "(was this machine restored?): a new boot begins",
-            self.path,
-        )
+    def _oldest_boot(self, camera: str) -> str | None:
+        """Return the boot of the oldest event of ``camera`` that waits."""
+        ages: list[tuple[int, str]] = []
+        for boot, known in self._boots[camera].items():
+            if known.waiting:
+                above = camera, boot, known.have
+                row = self._db.execute(f"SELECT id {_WAITING}", above).fetchone()
+                if row is None:  # a damaged name
+                    known.waiting = 0
+                else:
+                    ages.append((row[0], boot))
+        return min(ages)[1] if ages else None
 
-    def _write_down(self) -> None:
-        """Write the boot and acknowledgements not in the file yet, within a transaction."""
-        if not self._boot_written:
-            spool_schema.write_boot(self._db, self.boot)
-        for camera, boot in self._unwritten:
-            spool_schema.set_row(self._db, "acked", camera, boot, self._acked[camera, boot])
+    def _make_room(self) -> None:
+        """Delete surplus events, within a transaction."""
+        # Stored events of each camera beyond their limit, with some slack so that this is rare.
+        for camera, boots in list(self._boots.items()):
+            stored = sum(boot.stored for boot in boots.values())
+            if stored > self._kept_max * 9 // 8:
+                self._delete("camera = ? AND stored", camera, most=stored - self._kept_max)
 
-    def _write_acks(self) -> None:
-        """Write them in a transaction of their own."""
-        with sqlite_file.transaction(self._db):
-            self._write_down()
-        self._boot_written = True
-        self._unwritten.clear()
+        # The oldest ones if there are too many events or bytes.
+        if surplus := self._surplus():
+            self._delete("stored", most=surplus)
+            if surplus := self._surplus():
+                self._delete("NOT stored", most=surplus)
 
-    def _ask_the_file(self, again: list[Event]) -> None:
-        """After an error, look which events were stored after all, and keep their numbers.
-
-        again: the events to be stored next; if the stored ones are among them, they get the same
-            numbers again.
-        """
-        given = {_row(event) for event in again}
-        self._boot_written = spool_schema.meta(self._db, "boot") == self.boot
-        stored = spool_schema.counts(self._db) if self._boot_written else {}
-        for camera, last in stored.items():
-            ahead = self._db.execute(
-                "SELECT camera, boot, seq, raw, crc FROM event"
-                " WHERE camera = ? AND boot = ? AND seq > ?",
-                (camera, self.boot, self._seqs.get(camera, 0)),
-            )
-            if not given.issuperset(ahead):
-                self._seqs[camera] = last
-        self._recount()
-
-    def _make_room(self, held: int) -> tuple[int, int]:
-        """Delete surplus events, within a transaction.
-
-        Returns how many acknowledged and how many other events were deleted.
-        """
-
-        # First acknowledged events beyond their limit, with some slack so that this is rare.
-        surplus = 0 if self._kept <= self._kept_max * 9 // 8 else self._kept - self._kept_max
-        forgotten = self._forget(min(surplus, _DELETED_MAX))
-
-        # Then acknowledged events, if there are too many events or bytes.
-        surplus = min(self._surplus(held - forgotten), _DELETED_MAX)
-        forgotten += self._forget(min(surplus, self._kept - forgotten))
-
-        # Then the oldest events of all.
-        only_others = surplus > 0 and forgotten == self._kept
-        dropped = min(self._surplus(held - forgotten), _DELETED_MAX) if only_others else 0
-        if dropped:
-            self._db.execute(
-                "DELETE FROM event WHERE id IN (SELECT id FROM event ORDER BY id LIMIT ?)",
-                (dropped,),
-            )
-            spool_schema.set_row(self._db, "meta", "dropped", str(self.dropped + dropped))
-        return forgotten, dropped
-
-    def _forget(self, count: int) -> int:
-        """Delete the oldest acknowledged events, at most ``count``; return how many."""
-        if count <= 0:
-            return 0
-        gone = self._db.execute(
-            "DELETE FROM event WHERE id IN"
-            " (SELECT event.id FROM event JOIN acked USING (camera, boot)"
-            " WHERE event.seq <= acked.seq ORDER BY event.id LIMIT ?)",
-            (count,),
-        ).rowcount
-        self._db.execute(
-            "DELETE FROM acked WHERE boot != ? AND NOT EXISTS"
-            " (SELECT 1 FROM event WHERE event.camera = acked.camera AND event.boot = acked.boot)",
-            (self.boot,),
-        )
-        return gone
-
-    def _surplus(self, held: int) -> int:
+    def _surplus(self) -> int:
         """Return the number of events to delete to keep to the limits of events and bytes."""
+        held = sum(
+            boot.waiting + boot.stored for boots in self._boots.values() for boot in boots.values()
+        )
         pages, free, size = (
             self._db.execute(f"PRAGMA {name}").fetchone()[0]
             for name in ("page_count", "freelist_count", "page_size")
         )
         used = (pages - free) * size
-        too_large = -(-held * (used - self._bytes_max) // used) if used > self._bytes_max else 0
+        too_large = int(-(-held * (used - self._bytes_max) // used))
         return min(held, max(held - self._events_max, too_large, 0))
 
-    def _choose(self, camera: str, boot: str | None, from_seq: int) -> tuple[str, int]:
-        """Return the boot to answer from, and the first seq of it."""
-        if boot is None:
-            ages = [(self._oldest(camera, one, -1), one) for one in self._boots(camera)]
-            return min(ages)[1] if ages else self.boot, -1
-        others = [one for one in self._waiting(camera) if one != boot]
-        mine = self._oldest(camera, boot, from_seq - 1) is not None
-        self._asked_last = mine and not (others and self._asked_last)
-        if self._asked_last or not others:
-            return boot, from_seq
-        return others[0], self._acked.get((camera, others[0]), -1) + 1
+    def _delete(self, where: str, *parameters: str, most: int = _DELETED_MAX) -> int:
+        """Delete the oldest events that satisfy ``where``, within a transaction; return how many.
 
-    def _waiting(self, camera: str) -> list[str]:
-        """Return the boots with unacknowledged events of ``camera``, the oldest first."""
-        found = []
-        for boot in self._boots(camera):
-            oldest = self._oldest(camera, boot, self._acked.get((camera, boot), -1))
-            if oldest is not None:
-                found.append((oldest, boot))
-        return [boot for _, boot in sorted(found)]
-
-    def _boots(self, camera: str) -> list[str]:
-        """Return the boots with events of ``camera``; each takes one look-up in the index."""
-        boots: list[str] = []
-        following = "SELECT MIN(boot) FROM event WHERE camera = ? AND boot >= ''"
-        while (
-            boot := self._db.execute(following, (camera, *boots[-1:])).fetchone()[0]
-        ) is not None:
-            boots.append(boot)
-            following = "SELECT MIN(boot) FROM event WHERE camera = ? AND boot > ?"
-        return boots
-
-    def _oldest(self, camera: str, boot: str, after_seq: int) -> int | None:
-        """Return the id of the first event after ``after_seq``; None if there is none."""
-        row = self._db.execute(
-            "SELECT id FROM event WHERE camera = ? AND boot = ? AND seq > ? ORDER BY seq LIMIT 1",
-            (camera, boot, after_seq),
-        ).fetchone()
-        return None if row is None else int(row[0])
-
-    def _first(self, camera: str, boot: str, after_seq: int) -> int:
-        """Return the lowest seq after ``after_seq`` that is stored or will be given next."""
-        row = self._db.execute(
-            "SELECT MIN(seq) FROM event WHERE camera = ? AND boot = ? AND seq > ?",
-            (camera, boot, after_seq),
-        ).fetchone()
-        if row[0] is not None:
-            return int(row[0])
-        known = self._acked.get((camera, boot), -1)
-        return 1 + (max(known, self._seqs.get(camera, 0)) if boot == self.boot else known)
-
-    def _good_rows(
-        self, camera: str, boot: str, start: int, events_max: int
-    ) -> tuple[list[tuple[int, bytes]], bool]:
-        """Return at most ``events_max`` undamaged events as (seq, bytes); and if there are more.
-
-        Each damaged event is logged once and left out.
+        most: how many to delete, at most `_DELETED_MAX`.
         """
-        rows: list[tuple[int, bytes]] = []
-        for id_, *row in self._db.execute(
-            "SELECT id, camera, boot, seq, raw, crc FROM event"
-            " WHERE camera = ? AND boot = ? AND seq >= ? ORDER BY seq",
-            (camera, boot, start),
-        ):
-            if sqlite_file.crc(*row[:-1]) != row[-1]:
-                if id_ not in self._damaged:
-                    self._damaged.add(id_)
-                    log.error(
-                        "event %s of camera %s in the spool %s is damaged",
-                        row[2],
-                        camera,
-                        self.path,
-                    )
-            elif len(rows) == events_max:
-                return rows, True
-            else:
-                rows.append((row[2], row[3]))
-        return rows, False
-
-    def _recount(self) -> None:
-        """Count the events in the file."""
-        self._held = self._count("TRUE")
-        self._kept = sum(
-            self._count("camera = ? AND boot = ? AND seq <= ?", *stream, seq)
-            for stream, seq in self._acked.items()
-        )
-        self.dropped = int(spool_schema.meta(self._db, "dropped") or 0)
-        """Events dropped because the spool was full, since its file was created."""
-
-    def _count(self, where: str, *parameters: str | int) -> int:
-        """Return the number of events that satisfy an SQL condition."""
-        return int(
-            self._db.execute(f"SELECT COUNT(*) FROM event WHERE {where}", parameters).fetchone()[0]
-        )
-
-
-def _row(event: Event) -> tuple[str, str | None, int | None, bytes, int]:
-    """Return the row of the table ``event`` for an event."""
-    raw = codec.to_msgpack(event)
-    return (
-        event.camera,
-        event.boot,
-        event.seq,
-        raw,
-        sqlite_file.crc(event.camera, event.boot, event.seq, raw),
-    )
-
-
-def spool_path(directory: Path, site: str, name: str) -> Path:
-    """Return the path of the spool ``name`` of a site, below the state directory ``directory``."""
-    return directory / f"spools-of-{site}" / f"{name}.db"
-
-
-def open_spool(directory: Path, site: str, name: str, limits: Limits) -> Spool:
-    """Open the spool of a publishing process, below the state directory. Raises `StateError`.
-
-    name: name of the spool.
-    limits: the limits of events and bytes.
-    """
-    path = spool_path(directory, site, name)
-    boot = clock.ulid(clock.wall())
-    return Spool(
-        path, boot, limits.spool_events_max, limits.spool_bytes_max, limits.spool_kept_events
-    )
+        given = (*parameters, min(most, _DELETED_MAX))
+        gone = self._db.execute(_DELETE.format(where), given).fetchall()
+        for camera, boot, seq in gone:
+            known = self._boots[camera][boot]
+            known.count(seq, -1)
+            if seq > known.have:
+                self.dropped += 1
+            if not known.waiting and not known.stored and (camera, boot) not in self._tops:
+                del self._boots[camera][boot]
+                self._db.execute("DELETE FROM mark WHERE camera = ? AND boot = ?", (camera, boot))
+        return len(gone)

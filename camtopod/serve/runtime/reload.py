@@ -9,15 +9,9 @@ import msgspec
 from camtopod.config import TABLES, Config, Limits
 
 WHILE_RUNNING = (
-    "future_seconds_max",
     "commit_events_max",
     "commit_seconds",
-    "gap_seconds",
-    "pull_seconds",
-    "pull_events_max",
-    "ack_seconds",
     "status_seconds",
-    "settle_seconds",
 )
 """Settings of [limits] that are read at every use, so that a change takes effect at once."""
 _OF_OTHERS = ("vision",)

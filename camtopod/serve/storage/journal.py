@@ -14,7 +14,6 @@ import functools
 import logging
 import math
 import sqlite3
-import statistics
 import threading
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -36,17 +35,10 @@ log = logging.getLogger(__name__)
 
 SNAPSHOTS_KEPT = 2
 """Snapshots kept, the newest ones; the second is for the case that the newest is damaged."""
-BOOTS_KEPT_MAX = 16
-"""Most boots of each camera whose stored seq is kept; older ones send nothing any more."""
 STREAMS_KEPT_MAX = 100_000
 """Most (camera, boot) whose stored seq is kept, over all cameras, as anyone can invent names."""
 PRUNED_ROWS_MAX = 5_000
 """Most entries deleted at a time, so that a transaction stays short."""
-MEDIAN_ENTRIES = 1_000
-"""Number of newest entries whose median storing time is used.
-
-More than half of them would have to be stored under a wrong clock for it to be trusted.
-"""
 CHUNK_ENTRIES = 1_000
 """Entries read at a time; a long read would keep SQLite from checkpointing the log."""
 DAY_SECONDS = 86_400
@@ -71,6 +63,10 @@ EntryKind = Literal[
 `camtopod.serve.storage.corrections`. ``command``: another command of the operator.
 ``skipped``: the learner died of it twice.
 """
+
+
+Stream = tuple[str, str]
+"""(camera, boot)."""
 
 
 class Entry(Struct, frozen=True, gc=False):
@@ -116,8 +112,8 @@ class Journal:
         self._lock = sqlite_file.Lock(directory / "journal.lock")
         self._witness = Witness(self._lock)
         self._path = directory / "journal.db"
-        # (camera, boot) that had entries since the start.
-        self._followed: set[tuple[str, str | None]] = set()
+        # Streams that have no entries above their number.
+        self._without_holes: set[Stream] = set()
         self._seen = JournalStatus()
         self._sure = True  # False after a transaction that raised an error
         self.set_aside: Path | None = None
@@ -181,6 +177,38 @@ class Journal:
             journal_schema.write_meta(self._db, key, value)
             self._witness.note(journal_schema.how_far(self._db))
 
+    def new_entries(self, entries: Sequence[Entry]) -> Sequence[Entry]:
+        """Return the entries whose number (boot, seq) no stored entry has.
+
+        That is all of them, except after a rescue, when entries may be stored behind a hole that
+        the spools fill now. Raises `sqlite3.Error`.
+        """
+        lowest: dict[Stream, int] = {}
+        for one in entries:
+            if one.boot is not None and one.seq is not None:
+                stream = (one.camera, one.boot)
+                if stream not in self._without_holes:
+                    lowest[stream] = min(one.seq, lowest.get(stream, one.seq))
+        if not lowest:
+            return entries
+
+        # Look up the streams that may have further entries.
+        stored: set[tuple[str, str | None, int | None]] = set()
+        with self._mutex, sqlite_file.damage_noticed(self._path):
+            for (camera, boot), seq in lowest.items():
+                further = self._db.execute(
+                    "SELECT seq FROM entry WHERE camera = ? AND boot = ? AND seq >= ?",
+                    (camera, boot, seq),
+                ).fetchall()
+                stored.update((camera, boot, number) for (number,) in further)
+                if not further:
+                    self._without_holes.add((camera, boot))
+        if len(self._without_holes) > STREAMS_KEPT_MAX:
+            self._without_holes.clear()
+        if not stored:
+            return entries
+        return [one for one in entries if (one.camera, one.boot, one.seq) not in stored]
+
     def commit(
         self,
         entries: Sequence[Entry],
@@ -188,12 +216,16 @@ class Journal:
         snapshot: Snapshot | None = None,
         now: float = 0.0,
         meta: Mapping[str, str] | None = None,
+        numbers: Mapping[Stream, int] | None = None,
+        forgotten: Sequence[Stream] = (),
     ) -> None:
         """Store everything in one transaction, or nothing.
 
         entries: appended in this order.
-        meta: values to store under their keys, as `set_meta` does; only together with entries.
         now (Unix seconds): when they are stored.
+        meta: values to store under their keys, as `set_meta` does.
+        numbers: the highest number of streams that count as stored further than these entries say.
+        forgotten: streams whose number is deleted.
 
         Raises `sqlite3.Error`; then the same call may be repeated. A commit can fail although its
         rows are durable, so a repeated call first looks whether they are there. Without anything to
@@ -201,15 +233,22 @@ class Journal:
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
             self._db.check()
-            if not entries and not versions and snapshot is None:
+            if not (entries or versions or snapshot or meta or numbers or forgotten):
                 return
 
             # Write, unless an earlier attempt did.
-            streams: Iterable[tuple[str, str | None]] = ()
             if not entries or not self._has(len(entries)):
                 self._sure = False  # an error leaves open whether the rows are there
                 with sqlite_file.transaction(self._db):
-                    streams = self._add_entries(entries, int(now))
+                    self._add_entries(entries, int(now))
+                    highest = highest_numbers(entries) | dict(numbers or {})
+                    self._insert(
+                        "INSERT OR REPLACE INTO stream",
+                        [(*one, seq, self._last + len(entries)) for one, seq in highest.items()],
+                    )
+                    self._db.executemany(
+                        "DELETE FROM stream WHERE camera = ? AND boot = ?", forgotten
+                    )
                     for version in versions:
                         self._add_version(version, int(now))
                     if snapshot is not None:
@@ -224,22 +263,6 @@ class Journal:
             known = self._witness.known
             newest = journal_schema.last_version(self._db) if versions else known.versions
             self._witness.note(known._replace(entries=self._last, versions=newest))
-            if len(self._followed) > STREAMS_KEPT_MAX:
-                self._followed.clear()
-            self._followed.update(streams)
-
-    def median_stored_time(self) -> float | None:
-        """Return when the newest entries (or else versions) were stored, in Unix seconds.
-
-        It is the median, as a clock may have been wrong for a few. Returns None if there are
-        neither. Raises `sqlite3.Error`.
-        """
-        with self._mutex, sqlite_file.damage_noticed(self._path):
-            for table in ("entry", "version"):
-                newest = f"SELECT stored FROM {table} ORDER BY id DESC LIMIT ?"
-                if rows := self._db.execute(newest, (MEDIAN_ENTRIES,)).fetchall():
-                    return float(statistics.median(stored for (stored,) in rows))
-        return None
 
     def prune(self, now: float) -> bool:
         """Delete entries, streams and versions beyond the retention; return True if more are left.
@@ -328,34 +351,30 @@ class Journal:
             )
             return True
 
-    def find_entry(self, camera: str, boot: str, seq: int) -> Entry | None:
-        """Return the entry with this number; None if it was deleted or is damaged.
+    def numbers(self) -> tuple[dict[Stream, int], set[Stream]]:
+        """Return the highest stored number of each stream, in the order of their last entries.
 
-        Raises `sqlite3.Error`.
+        A damaged one is that of the newest entry. The second value has the streams without
+        one: the publisher tells how far it has come.
         """
+        numbers: dict[Stream, int] = {}
+        unknown: set[Stream] = set()
         with self._mutex, sqlite_file.damage_noticed(self._path):
-            numbered = "SELECT * FROM entry WHERE camera = ? AND boot = ? AND seq = ?"
-            row = self._db.execute(numbered, (camera, boot, seq)).fetchone()
-        return Entry(*row[2:7]) if row is not None and crc(*row[:7]) == row[7] else None
-
-    def streams(self) -> dict[tuple[str, str], int]:
-        """Return the highest stored seq of each (camera, boot), in the order of their last entries.
-
-        Damaged rows are left out: the publisher sends those events again, as far as it has them,
-        and they count once.
-        """
-        with self._mutex, sqlite_file.damage_noticed(self._path):
-            rows = self._db.execute(
+            for *row, checksum in self._db.execute(
                 "SELECT camera, boot, seq, entry, crc FROM stream ORDER BY entry"
-            ).fetchall()
-        damaged = sum(crc(*row[:4]) != row[4] for row in rows)
-        if damaged:
-            log.error(
-                "the journal has %d damaged rows of stored sequence numbers: they are ignored, "
-                "and those cameras' events are asked for again",
-                damaged,
-            )
-        return {(row[0], row[1]): row[2] for row in rows if crc(*row[:4]) == row[4]}
+            ).fetchall():
+                stream = (row[0], row[1])
+                seq = row[2]
+                if crc(*row) != checksum:
+                    [seq] = self._db.execute(
+                        "SELECT MAX(seq) FROM entry WHERE camera = ? AND boot = ?", stream
+                    ).fetchone()
+                    log.error("a number of camera %s in the journal is damaged", row[0])
+                if seq is None:
+                    unknown.add(stream)
+                else:
+                    numbers[stream] = seq
+        return numbers, unknown
 
     def versions(self, epoch: str) -> dict[int, str]:
         """Return version -> digest for the versions of an epoch, which may have been published."""
@@ -459,32 +478,13 @@ class Journal:
             )
         return False
 
-    def _add_entries(
-        self, entries: Sequence[Entry], stored: int
-    ) -> Iterable[tuple[str, str | None]]:
-        """Insert entries, and return the streams they belong to."""
-
-        # Insert the entries.
+    def _add_entries(self, entries: Sequence[Entry], stored: int) -> None:
+        """Insert entries; ``stored``: Unix seconds."""
         rows = [
             (number, stored, one.kind, one.camera, one.boot, one.seq, one.raw)
             for number, one in enumerate(entries, start=self._last + 1)
         ]
         self._insert("INSERT INTO entry", rows)
-
-        # Store the highest seq of each stream.
-        newest = {
-            (row[3], row[4]): (row[3], row[4], row[5], row[0]) for row in rows if row[4] is not None
-        }
-        self._insert("INSERT OR REPLACE INTO stream", [*newest.values()])
-
-        # Delete the oldest boots of cameras that have a new one.
-        for camera in {camera for camera, _ in newest.keys() - self._followed}:
-            self._db.execute(
-                "DELETE FROM stream WHERE camera = ? AND boot NOT IN "
-                "(SELECT boot FROM stream WHERE camera = ? ORDER BY entry DESC LIMIT ?)",
-                (camera, camera, BOOTS_KEPT_MAX),
-            )
-        return newest.keys()
 
     def _insert(self, insert: str, rows: Sequence[tuple[Any, ...]]) -> None:
         """Insert rows of equal length, each with its checksum."""
@@ -556,6 +556,16 @@ class Journal:
 
     def _pragma(self, name: str) -> int:
         return int(self._db.execute(f"PRAGMA {name}").fetchone()[0])
+
+
+def highest_numbers(entries: Iterable[Entry]) -> dict[Stream, int]:
+    """Return the highest number of each stream among entries."""
+    highest: dict[Stream, int] = {}
+    for one in entries:
+        if one.boot is not None and one.seq is not None:
+            stream = (one.camera, one.boot)
+            highest[stream] = max(one.seq, highest.get(stream, 0))
+    return highest
 
 
 @functools.cache

@@ -15,7 +15,7 @@ from camtopod.serve.storage.witness import JournalExtent
 
 log = logging.getLogger(__name__)
 
-FORMAT = 2
+FORMAT = 3
 """Format of the tables; a journal of another format is refused."""
 
 NAMES_KEY = "names"
@@ -27,7 +27,7 @@ CREATE TABLE IF NOT EXISTS meta (
 CREATE TABLE IF NOT EXISTS entry (
     id INTEGER PRIMARY KEY, stored INTEGER NOT NULL, kind TEXT NOT NULL, camera TEXT NOT NULL,
     boot TEXT, seq INTEGER, raw BLOB NOT NULL, crc INTEGER NOT NULL);
-CREATE INDEX IF NOT EXISTS entry_number ON entry (camera, boot, seq) WHERE boot IS NOT NULL;
+CREATE UNIQUE INDEX IF NOT EXISTS entry_number ON entry (camera, boot, seq) WHERE boot IS NOT NULL;
 CREATE TABLE IF NOT EXISTS stream (
     camera TEXT NOT NULL, boot TEXT NOT NULL, seq INTEGER NOT NULL, entry INTEGER NOT NULL,
     crc INTEGER NOT NULL, PRIMARY KEY (camera, boot)) WITHOUT ROWID;
@@ -52,8 +52,8 @@ def rescue(database: sqlite3.Connection, aside: Path) -> int:
     """Copy what is undamaged in a journal that was set aside; return the number of entries.
 
     The epoch is not continued, as the next versions may differ from some that were published.
-    Stored sequence numbers are not copied: what the publishers still have is sent again, fills the
-    gaps, and counts once.
+    What the publishers still have is sent again from the first hole in their numbers on, and counts
+    once.
     """
 
     # Keep the epoch as the one before, and the names that an operator has changed.
@@ -78,7 +78,23 @@ def rescue(database: sqlite3.Connection, aside: Path) -> int:
                     f"INSERT OR IGNORE INTO {table} VALUES ({places})", row
                 ).rowcount
                 entries += added if table == "entry" else 0
+    _number_again(database)
     return entries
+
+
+def _number_again(database: sqlite3.Connection) -> None:
+    """Store the number of each stream: that before its first hole."""
+    numbers: dict[tuple[str, str], tuple[int, int]] = {}
+    for camera, boot, seq, number in database.execute(
+        "SELECT camera, boot, seq, id FROM entry WHERE boot IS NOT NULL ORDER BY camera, boot, seq"
+    ):
+        highest, _ = numbers.get((camera, boot), (0, 0))
+        numbers[camera, boot] = (seq if seq == highest + 1 else highest, number)
+    for stream, row in numbers.items():
+        database.execute(
+            "INSERT OR REPLACE INTO stream VALUES (?, ?, ?, ?, ?)",
+            (*stream, *row, crc(*stream, *row)),
+        )
 
 
 def meta_row(key: str, value: str) -> tuple[str, str, int]:

@@ -16,7 +16,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from camtopod.serve.runtime import Beat, Clock, no_beat
-from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.storage.journal import (
+    Entry,
+    Journal,
+    Snapshot,
+    StoredVersion,
+    Stream,
+    highest_numbers,
+)
 from camtopod.serve.storage.packed_version import Version
 from camtopod.serve.storage.sqlite_file import StateError
 
@@ -29,13 +36,6 @@ SLOW_SECONDS = 5.0
 
 On a slow memory card one can take several seconds.
 """
-TRUSTED_SECONDS = 86_400.0
-"""A wall clock that has run evenly for this many seconds is trusted.
-
-Until then it ages the rows of the journal by at most this much.
-"""
-CLOCK_STEP_SECONDS = 60.0
-"""Change of the wall clock's offset from the steady clock that counts as a step, in seconds."""
 
 
 class JournalWriter:
@@ -44,16 +44,10 @@ class JournalWriter:
     Raises `sqlite3.Error`.
     """
 
-    def __init__(
-        self, journal: Journal, clock: Clock, steady: Clock, publish: Callable[[Version], None]
-    ) -> None:
-        self._journal, self._clock, self._steady, self._publish = journal, clock, steady, publish
-        wall, now = clock(), steady()
-        usual = journal.median_stored_time()
-        # Trusted time: (wall clock, steady clock).
-        self._believed = (wall if usual is None else usual, now)
-        # (offset of the wall clock from the steady clock, steady clock since when).
-        self._even = (wall - now, now)
+    def __init__(self, journal: Journal, clock: Clock, publish: Callable[[Version], None]) -> None:
+        self._journal = journal
+        self._clock = clock
+        self._publish = publish
         self._versions: collections.deque[Version] = collections.deque()
         self._snapshots: collections.deque[Snapshot] = collections.deque(maxlen=1)
         # True if the journal may hold more than its retention.
@@ -91,13 +85,15 @@ class JournalWriter:
         stopping: threading.Event,
         beat: Beat = no_beat,
         meta: Mapping[str, str] | None = None,
-    ) -> bool:
+        forgotten: Sequence[Stream] = (),
+    ) -> Sequence[Entry] | None:
         """Commit ``entries`` and what the learner handed over, retrying as needed; then publish.
 
-        meta: values to store with the entries; see `Journal.commit`.
+        meta, forgotten: see `Journal.commit`.
 
-        Returns False only if the daemon stops before it succeeds; then nothing may be stored after
-        ``entries``. Raises `sqlite_file.Damaged`, where retrying would not help.
+        Returns the entries that were not in the journal before, which are nearly always all; None
+        only if the daemon stops before it succeeds: then nothing may be stored after ``entries``.
+        Raises `sqlite_file.Damaged`, where retrying would not help.
         """
         # Take the snapshot before the versions: it must not be stored before any of them.
         snapshot = self._snapshots.popleft() if self._snapshots else None
@@ -108,10 +104,16 @@ class JournalWriter:
         ]
 
         # Retry until it succeeds, or until the daemon stops.
+        new: Sequence[Entry] | None = None
+        numbers = highest_numbers(entries)
         while True:
             try:
                 with self._timed():
-                    self._journal.commit(entries, stored, snapshot, self._clock(), meta)
+                    if new is None:
+                        new = self._journal.new_entries(entries)
+                    self._journal.commit(
+                        new, stored, snapshot, self._clock(), meta, numbers, forgotten
+                    )
                 break
             except sqlite3.Error as error:
                 if not self._failure:
@@ -121,7 +123,7 @@ class JournalWriter:
                 if stopping.wait(_RETRY_SECONDS):
                     # The next snapshot includes these versions, so they have to come before it.
                     self._versions.extendleft(reversed(versions))
-                    return False
+                    return None
         if self._failure:
             log.info("the journal can be written again")
             self._failure = ""
@@ -130,7 +132,7 @@ class JournalWriter:
         for version in versions:
             self._publish(version)
         self._too_much = self._too_much or snapshot is not None
-        return True
+        return new
 
     def prune(self) -> None:
         """After a snapshot, delete some of what exceeds the retention, the rest in later calls."""
@@ -139,7 +141,7 @@ class JournalWriter:
         self._too_much = False
         try:
             with self._timed():
-                self._too_much = self._journal.prune(self._believable_time())
+                self._too_much = self._journal.prune(self._clock())
         except sqlite3.Error as error:
             log.warning("cannot delete old entries of the journal: %s; trying again later", error)
 
@@ -151,22 +153,6 @@ class JournalWriter:
             yield
         finally:
             self._began = None
-
-    def _believable_time(self) -> float:
-        """Return Unix seconds: the wall clock, limited to what can be trusted.
-
-        It is limited to the trusted time plus the time since plus `TRUSTED_SECONDS`. Otherwise a
-        single wrong reading of the clock would make everything in the journal too old to keep.
-        """
-        wall, now = self._clock(), self._steady()
-        apart, since = self._even
-        if abs(wall - now - apart) > CLOCK_STEP_SECONDS:
-            self._even = (wall - now, now)
-        elif now - since >= TRUSTED_SECONDS:
-            self._believed, self._even = (wall, now), (wall - now, since)  # it may drift
-
-        then, at = self._believed
-        return min(wall, then + (now - at) + TRUSTED_SECONDS)
 
     def store_remaining(self, snapshot: Snapshot | None) -> None:
         """Store what the learner has handed over at the end, after both threads have ended."""

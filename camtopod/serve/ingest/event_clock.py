@@ -1,0 +1,109 @@
+"""Event time beside this machine's clock.
+
+Event time is that of the newest event that is to be learned. NTP is believed: an event further
+ahead of this machine's clock is stored and not learned, and while the clock is behind event time
+nothing is taken, as one of the two is wrong. Only a step back that is seen takes event time back.
+"""
+
+from __future__ import annotations
+
+from camtopod.admin import Command, Forget, Rename, Reset
+from camtopod.event_time import EventTime, EventTimeState, microseconds
+from camtopod.serve.ingest.received import Received
+from camtopod.serve.storage import Entry
+
+STEP_SECONDS_MIN = 60.0
+"""A step back of this machine's clock by more than this takes event time back."""
+
+
+class EventClock:
+    """Follows event time, and tells what this machine's clock means for it.
+
+    In all methods ``wall`` is this machine's time in Unix seconds, ``now`` that of a clock that
+    never steps.
+
+    learned: event time as the learner has it after the stored entries.
+    newest: event time of the newest event to be learned, Unix seconds.
+    behind_max: how far (seconds) this machine's clock may be behind event time.
+    settle: how far (seconds) event time stays behind the clock when no events come.
+    """
+
+    def __init__(
+        self,
+        learned: EventTime,
+        newest: float,
+        behind_max: float,
+        settle: float,
+        wall: float,
+        now: float,
+    ) -> None:
+        self._learned = learned
+        self.newest = newest
+        self._behind_max = behind_max
+        self._settle = settle
+        self._beside = wall - now  # this machine's clock minus the steady one
+        self._quiet_since = now
+        self.deadline: float | None = None
+        """Event time (Unix seconds) that the learner waits for; set from any thread."""
+
+    def reason(self, wall: float) -> str:
+        """Return why nothing is taken, and what to do; "" if events are taken. Any thread."""
+        behind = self.newest - wall
+        if behind <= self._behind_max:
+            return ""
+        return (
+            f"this machine's clock is {behind:.0f} s behind the newest event: nothing is taken, and"
+            " the grabbers keep their events until the clock has passed it; set the clock if it is"
+            " wrong; if it is right, `camtopod reset` begins the site anew"
+        )
+
+    def was_set_back(self, wall: float, now: float) -> bool:
+        """Return True if this machine's clock was set back since the last call."""
+        step = wall - now - self._beside
+        self._beside = wall - now
+        return step < -STEP_SECONDS_MIN
+
+    def note_released(self, ready: list[Received], wall: float, now: float) -> Received | None:
+        """Follow the events to be learned; return an entry if event time has to follow the clock.
+
+        It does when no events come, the learner waits for it, and the last events were of the
+        present.
+        """
+        if ready:
+            times = [received.event.t for received in ready if received.event is not None]
+            self.newest = max([self.newest, *times])
+            self._quiet_since = now
+            return None
+        deadline, quiet = self.deadline, now - self._quiet_since
+        to = wall - self._settle
+        if deadline is None or quiet < self._settle or to < max(deadline, self.newest):
+            return None
+        if abs(self.newest - (wall - quiet)) > self._behind_max + self._settle:
+            return None
+        self.deadline = None  # until the learner sets another: it may take long to get here
+        self.newest = to
+        return Received(Entry("advance", "", None, None, repr(to).encode()), advance=to)
+
+    def note_stored(self, received: Received) -> bool:
+        """Follow event time as the learner does; return True if an event is too late for it."""
+        if received.event is not None:
+            return not self._learned.note(microseconds(received.event.t), received.event.camera)
+        if received.advance is not None:
+            self._learned.advance(microseconds(received.advance))
+        elif received.rewind is not None:
+            self._learned.rewind(microseconds(received.rewind.to))
+        elif received.command is not None:
+            self._apply(received.command)
+        return False
+
+    def _apply(self, command: Command) -> None:
+        """Change event time as an operator's command does in the learner."""
+        match command:
+            case Forget(camera):
+                self._learned.forget({camera})
+            case Rename(old, new):
+                self._learned.rename(old, new)
+            case Reset():
+                self._learned.load(EventTimeState())
+            case _:
+                pass

@@ -1,0 +1,316 @@
+"""The path of an event from the bus into the journal: decode, merge, predict, store, answer.
+
+Events come in requests of grabbers' spools (`camtopod.serve.requests`), one at a time for each
+camera, or as publications of other programs. `Intake.step` moves what has come as far as the queue
+of what is to be stored, and `Intake.store_waiting` from there into the journal:
+
+1. a request is admitted, and its events are decoded; what is not valid is stored under its number,
+   so that the spool is rid of it, and not learned;
+2. events of all cameras are merged by time (`merge`);
+3. forgotten and renamed cameras are looked after (`names`), floods are cut (`cameras`), and event
+   time follows the clock when no events come (`event_clock`);
+4. predictions are made. They do not wait for the disk, as they promise nothing;
+5. the events are committed to the journal, many in one transaction, and handed to the learner;
+6. each request whose events are all stored is answered (`answers`).
+
+Guarantees. An answer names the highest number that is on disk. A camera's events are taken,
+released, stored and learned in the order of their numbers, so everything below is on disk, too.
+Every request is answered: at once if nothing is taken, with the reason; with ``held`` if its events
+are not stored after a minute. What is held in memory is bounded by `EVENTS_MAX`.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+from camtopod import codec
+from camtopod.config import Limits
+from camtopod.serve.ingest import decode
+from camtopod.serve.ingest.answers import Answers
+from camtopod.serve.ingest.cameras import Cameras, Pending
+from camtopod.serve.ingest.event_clock import EventClock
+from camtopod.serve.ingest.merge import Merger
+from camtopod.serve.ingest.names import Names
+from camtopod.serve.ingest.numbers import Numbers
+from camtopod.serve.ingest.received import Received
+from camtopod.serve.ingest.store_queue import StoreQueue
+from camtopod.serve.requests import Hello
+from camtopod.serve.runtime import Beat, Clock, Rejects, no_beat
+from camtopod.serve.storage import NAMES_KEY, Entry, JournalWriter
+
+EVENTS_MAX = 50_000
+"""Most events in memory, received and not yet stored; further requests are answered ``busy``."""
+PUBLISHED_MAX = 1_000
+"""Most publications of one camera that wait to be decoded; further ones are dropped and counted."""
+PREDICT_SECONDS_MAX = 0.25
+"""Longest time for the predictions of one step; the exits after that get none."""
+PREDICT_SECONDS_BUSY = 0.002
+"""The same while many events wait: storing comes first, and late predictions help nobody."""
+BUSY_EVENTS = 1_000
+"""Number of events from which on many wait."""
+TICK_SECONDS = 0.05
+"""Longest wait of a thread for something to do."""
+
+Reply = Callable[[bytes], None]
+"""Sends the answer to a request."""
+
+
+class Intake:
+    """Takes events into the journal. `on_request` and `on_event` may be called from any thread.
+
+    Run `work` and `store`, each in a thread; or call `step` and `store_waiting`.
+
+    see: predicts from entries about to be stored, within a number of seconds.
+    learn: takes stored entries, in the journal's order. It must not block.
+    rewound: begins an epoch, as event time is taken back to the given Unix seconds; returns the
+        entry for it.
+    steady: a clock that never steps.
+    """
+
+    def __init__(
+        self,
+        numbers: Numbers,
+        cameras: Cameras,
+        names: Names,
+        merger: Merger,
+        event_clock: EventClock,
+        writer: JournalWriter,
+        limits: Limits,
+        see: Callable[[list[Received], float], None],
+        learn: Callable[[list[Received]], None],
+        rewound: Callable[[float], Received],
+        clock: Clock,
+        steady: Clock,
+    ) -> None:
+        self.numbers = numbers
+        self.cameras = cameras
+        self.names = names
+        self.merger = merger
+        self.event_clock = event_clock
+        self.writer = writer
+        self.limits = limits
+        self._see = see
+        self._learn = learn
+        self._rewound = rewound
+        self._clock = clock
+        self._steady = steady
+        self.alive: set[str] = set()
+        """Cameras whose grabber is on the bus."""
+        self.rejects = Rejects()
+        self.counts = Counter(received=0, stored=0, duplicate=0, future=0, flood=0, late=0)
+        self.dropped: Counter[str] = Counter()
+        """Number of publications dropped for lack of room, by camera; "": of unknown ones."""
+        self.turn = threading.Lock()
+        """Held by `step`, and by an operator's command between two steps."""
+        self.queue = StoreQueue()
+        self._answers = Answers(numbers, cameras, self._room, self.alive, steady)
+        self._inbox: list[tuple[str, bytes, Reply | None]] = []  # not looked at yet
+        self._published: Counter[str] = Counter()  # publications among them, by camera
+        self._received = threading.Condition()
+
+    def on_request(self, key: str, content: bytes, reply: Reply) -> None:
+        """Receive a request on ``store/{camera}``; never blocks."""
+        with self._received:
+            self._inbox.append((key.removeprefix("store/"), content, reply))
+            self._received.notify()
+
+    def on_event(self, key: str, content: bytes) -> None:
+        """Receive a publication on ``event/{camera}``; dropped if its camera has too many."""
+        camera = key.removeprefix("event/")
+        with self._received:
+            known = camera if camera in self.cameras else ""  # invented names share one room
+            self._published[known] += 1
+            if self._published[known] > PUBLISHED_MAX:
+                self.dropped[known] += 1
+                return
+            self._inbox.append((camera, content[: codec.EVENT_BYTES_MAX + 1], None))
+            self._received.notify()
+
+    def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
+        """Move what is received on until ``stopping``, and once more at the end."""
+        while not stopping.is_set():
+            with self._received:
+                if not self._inbox:
+                    self._received.wait(TICK_SECONDS)
+            self.step()
+            beat()
+        self.step()
+        self.queue.close()
+
+    def store(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
+        """Store what is in the queue until `work` has ended, or storing has failed for good."""
+        while not self.queue.is_finished and self.store_waiting(stopping, beat):
+            beat()
+
+    def step(self) -> None:
+        """Move what was received on, up to the queue of what is to be stored."""
+        with self.turn:
+            wall = self._clock()
+            now = self._steady()
+            if self.event_clock.was_set_back(wall, now):
+                self._rewind(wall)
+
+            # 1. Take requests and publications.
+            with self._received:
+                inbox, self._inbox = self._inbox, []
+                self._published.clear()
+            for camera, content, reply in inbox:
+                if reply is None:
+                    self._take_published(camera, content, wall, now)
+                else:
+                    self._take(camera, content, reply, wall, now)
+            self._answers.end_held(now)
+
+            # 2. Merge by time.
+            room = max(0, 2 * self.limits.commit_events_max - self.queue.waiting)
+            released = self.merger.release(wall, now, room)
+
+            # 3. Names, floods, and time that passes without events.
+            named = [one for received in released for one in self.names.apply(received)]
+            ready = [one for received in named for one in self._cut_flood(received)]
+            advance = self.event_clock.note_released(ready, wall, now)
+            if advance is not None and not self.merger.waiting:
+                ready = [advance]
+
+            # 4. Predict, and leave the rest to `store_waiting`.
+            if ready:
+                busy = self.merger.waiting > BUSY_EVENTS
+                self._see(ready, PREDICT_SECONDS_BUSY if busy else PREDICT_SECONDS_MAX)
+                self.queue.put(ready)
+
+    def store_waiting(
+        self, stopping: threading.Event, beat: Beat = no_beat, seconds: float = TICK_SECONDS
+    ) -> bool:
+        """Store one transaction's worth and answer; return False if that failed for good.
+
+        seconds: longest wait for something to store.
+        """
+        # 5. Store.
+        limits = self.limits
+        ready = self.queue.take(limits.commit_events_max, seconds, limits.commit_seconds)
+        entries = [received.entry for received in ready]
+        names = [received.names for received in ready if received.names is not None]
+        meta = {NAMES_KEY: names[-1]} if names else None
+        delivered = {entry.camera for entry in entries if entry.boot is not None}
+        surplus = [(name, boot) for name in delivered for boot in self.numbers.forget_surplus(name)]
+        new = self.writer.store(entries, stopping, beat, meta, surplus)
+        if new is None:
+            return False
+        if len(new) < len(entries):  # after a rescue, some may be there already
+            added = set(map(id, new))
+            ready = [received for received in ready if id(received.entry) in added]
+
+        # Hand it to the learner.
+        self._count_stored(ready)
+        if ready:
+            self._learn(ready)
+        for received in ready:
+            if received.stored is not None:
+                received.stored.set()
+
+        # 6. Answer.
+        for entry in entries:
+            if entry.boot is not None and entry.seq is not None:
+                self.numbers.note_stored(entry.camera, entry.boot, entry.seq)
+        self.queue.done()
+        for name in delivered:
+            self._answers.note_stored(name)
+        self.writer.prune()
+        return True
+
+    def _take(self, name: str, content: bytes, reply: Reply, wall: float, now: float) -> None:
+        """Take a request's events; answer it at once if there is nothing to wait for."""
+        answers = self._answers
+        try:
+            request = decode.request(name, content)
+        except codec.Rejected as error:
+            self.rejects.add(error.reason, f"store/{name}", str(error), content)
+            reply(answers.encode({}, "malformed", str(error)))
+            return
+        camera = self.cameras.register(name, now, spooled=True)
+        if camera is None:
+            reply(answers.encode({}, "cameras", self.cameras.refused_reason(now)))
+            return
+        if reason := self.event_clock.reason(wall):
+            reply(answers.encode({}, "clock", reason))
+            return
+        if isinstance(request, Hello):
+            self.merger.note_hello()
+            reply(answers.greet(camera, request))
+            return
+        if refusal := answers.refuse(camera, request, now):
+            reply(refusal)
+            return
+
+        # Take the events, unless some before them were never taken.
+        new = self.numbers.take(name, request)
+        if new is None:
+            reply(answers.encode({request.boot: self.numbers.stored(name, request.boot)}))
+            return
+        up_to = request.events[-1][0] if request.events else request.after
+        answers.wait_for_storage(camera, Pending(request.boot, up_to, reply, now))
+        self.counts["received"] += len(request.events)
+        self.counts["duplicate"] += len(request.events) - len(new)
+        entries = [decode.entry(name, request.boot, seq, raw, self.rejects) for seq, raw in new]
+        self.merger.add(camera, entries, wall)
+        self.merger.note_request(camera, request.more, wall, now)
+        answers.note_stored(name)
+
+    def _take_published(self, name: str, content: bytes, wall: float, now: float) -> None:
+        """Take a publication, unless a spool delivers it as well."""
+        try:
+            event = decode.published(name, content)
+            if event.spooled:
+                return
+            camera = self.cameras.register(name, now)
+            if camera is None:
+                raise codec.Rejected("too-many-cameras", "limits.cameras_max is reached")
+            if reason := self.event_clock.reason(wall):
+                raise codec.Rejected("clock", reason)
+            if self._room() < 1:
+                raise codec.Rejected("busy", "too many events wait to be stored")
+        except codec.Rejected as error:
+            self.counts["received"] += 1
+            self.rejects.add(error.reason, f"event/{name}", str(error), content)
+            return
+        self.counts["received"] += 1
+        boot, seq = event.boot, event.seq
+        if boot is not None and seq is not None and not self.numbers.take_one(name, boot, seq):
+            self.counts["duplicate"] += 1
+            return
+        self.merger.add(camera, [Received(Entry("event", name, boot, seq, content), event)], wall)
+
+    def _cut_flood(self, received: Received) -> list[Received]:
+        """Return the entry; if its camera sends too much, one with the number alone, if any."""
+        entry = received.entry
+        self.counts["future"] += entry.kind == "future"
+        if received.event is None or self.cameras.count(received.event):
+            return [received]
+        self.counts["flood"] += 1
+        if entry.seq is None:
+            return []
+        return [Received(Entry("refused", entry.camera, entry.boot, entry.seq, b""))]
+
+    def _rewind(self, wall: float) -> None:
+        """Take event time back, as this machine's clock was set back to ``wall``."""
+        self.merger.rewind(self.cameras.all(), wall)
+        if self.event_clock.newest > wall:
+            self.event_clock.newest = wall
+            self.queue.put([self._rewound(wall)])
+
+    def _count_stored(self, ready: Sequence[Received]) -> None:
+        """Count what is stored: for the status, and for the answer to its request."""
+        for received in ready:
+            late = self.event_clock.note_stored(received)
+            self.counts["stored"] += received.event is not None
+            self.counts["late"] += late
+            camera = self.cameras.get(received.entry.camera)
+            if camera is not None and (pending := camera.pending) is not None:
+                pending.late += late
+                pending.refused += received.entry.kind in ("refused", "future")
+
+    def _room(self) -> int:
+        """Return how many further events may be taken."""
+        return EVENTS_MAX - self.merger.waiting - self.queue.waiting

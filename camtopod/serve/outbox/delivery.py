@@ -1,0 +1,199 @@
+"""Delivery of one camera's events from its spool to the daemon, one request at a time.
+
+The daemon's word counts: its answers say how far it has stored each boot, and the queue goes on
+behind that, forwards or backwards. The next request is a hello at the start, when a daemon appears,
+and after a request without an answer; otherwise a batch. This is a state machine without I/O,
+clock, or threads.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from typing import Protocol
+
+from camtopod.serve.requests import ANSWER_SECONDS_MAX, Answer, Batch, Hello
+
+RETRY_SECONDS = 2.0
+"""Wait after a request that was of no use; it doubles with each one in a row."""
+RETRY_SECONDS_MAX = 30.0
+"""Longest such wait, and the wait after the reason ``cameras``."""
+SLOW_SECONDS = 5.0
+"""An answer that took longer is followed by a request at once, even by an empty one.
+
+The daemon waits for a camera's next request that long before it goes on without the camera.
+"""
+
+
+class Queue(Protocol):
+    """The events of cameras that wait: what is needed of `camtopod.serve.outbox.spool.Spool`."""
+
+    def boot(self, camera: str) -> str:
+        """Return the boot in which this process numbers the events of ``camera``."""
+
+    def boots(self, camera: str) -> list[str]:
+        """Return the boots of ``camera``, oldest first."""
+
+    def mark(self, camera: str, boot: str) -> int:
+        """Return the number up to which the daemon has stored a boot."""
+
+    def waiting(self, camera: str) -> int:
+        """Return the number of events above the marks."""
+
+    def next_batch(self, camera: str, most: int) -> tuple[str, list[tuple[int, bytes]]] | None:
+        """Return the boot and the (seq, bytes) of the events to be sent next; None if none wait."""
+
+    def have(self, camera: str, boot: str, seq: int) -> None:
+        """Set the mark of a boot."""
+
+    def begin_boot(self, camera: str) -> None:
+        """Begin another boot, and number what waits of the present one within it."""
+
+
+class Delivery:
+    """The requests for the events of ``camera`` in ``queue``; times are monotonic seconds.
+
+    draw_number: returns a random text for a hello (`camtopod.serve.requests.Number`).
+    """
+
+    def __init__(self, camera: str, queue: Queue, draw_number: Callable[[], str]) -> None:
+        self.camera = camera
+        self.late: Counter[str] = Counter()
+        """Boot -> number of events that came too late to be learned."""
+        self.refused: Counter[str] = Counter()
+        """Boot -> number of events that the daemon has refused."""
+        self.no_room = ""
+        """Why the daemon does not take this camera, which is one too many; "" if it does."""
+        self._queue = queue
+        self._draw_number = draw_number
+        self._number = ""
+        self._greeted = False
+        self._request: Hello | Batch | None = None
+        self._sent_at = 0.0
+        self._retry_at = -math.inf
+        self._retry_seconds = RETRY_SECONDS
+        self._batch_max = 1
+        self._sent: tuple[str, int] = ("", 0)
+        self._held: tuple[str, int] | None = None
+        self._slow_boot = ""
+
+    def next_request(self, now: float) -> Hello | Batch | None:
+        """Return the request to send now; None if there is none. Its answer is `on_answer`'s."""
+        if self._request is not None and now >= self._sent_at + ANSWER_SECONDS_MAX:
+            self.on_answer(self._request, None, now)
+        if self._request is not None or now < self._retry_at:
+            return None
+        if self._greeted:
+            self._request = self._next_batch()
+        else:
+            self._number = self._draw_number()
+            self._request = Hello(self._number, self._queue.boots(self.camera))
+        self._sent_at = now
+        return self._request
+
+    def on_answer(self, request: Hello | Batch, answer: Answer | None, now: float) -> None:
+        """Take the answer to a request; None if it ended without one. A late one is ignored."""
+        if request is not self._request:
+            return
+        was_held = self._held is not None
+        slow = now - self._sent_at > SLOW_SECONDS
+        self._request = None
+        self._held = None
+        self._slow_boot = ""
+        if answer is None:
+            self._greeted = False
+            self._wait(now)
+            return
+
+        # Take what it says.
+        self._batch_max = answer.batch
+        moved = self._note_marks(request, answer)
+        if isinstance(request, Batch):
+            self.late[request.boot] += answer.late
+            self.refused[request.boot] += answer.refused
+
+        # Decide what is next, and when.
+        self.no_room = ""
+        if answer.reason == "cameras":
+            self.no_room = answer.detail or "the daemon has as many cameras as cameras_max allows"
+        if moved:
+            self._retry_seconds = RETRY_SECONDS
+        if isinstance(request, Hello):
+            self._greeted = not answer.reason
+            useful = self._greeted
+        elif answer.reason == "held":
+            self._held = request.boot, _last(request)
+            useful = slow
+        else:
+            self._greeted = answer.reason not in ("hello", "cameras")
+            useful = not answer.reason and (moved or not (request.events or was_held))
+            if useful and slow:
+                self._slow_boot = request.boot
+        if not useful:
+            self._wait(now)
+
+    def on_daemon(self, now: float) -> None:
+        """A daemon has appeared: end the request under way and the waiting."""
+        self._request = None
+        self._held = None
+        self._slow_boot = ""
+        self._greeted = False
+        self._retry_at = now
+        self._retry_seconds = RETRY_SECONDS
+
+    @property
+    def deadline(self) -> float:
+        """When to call `next_request` though nothing happens; infinite if not at all."""
+        if self._request is not None:
+            return self._sent_at + ANSWER_SECONDS_MAX
+        due = not self._greeted or self._held or self._slow_boot or self._queue.waiting(self.camera)
+        return self._retry_at if due else math.inf
+
+    def _next_batch(self) -> Batch | None:
+        """Return the batch to send: a repetition without bytes, the next events, or an empty one.
+
+        None if there is nothing to send.
+        """
+        if self._held is not None:
+            boot, after = self._held
+            return Batch(self._number, boot, after, [], self._queue.waiting(self.camera))
+        found = self._queue.next_batch(self.camera, self._batch_max)
+        if found is None:
+            if not self._slow_boot:
+                return None
+            after = self._queue.mark(self.camera, self._slow_boot)
+            return Batch(self._number, self._slow_boot, after, [])
+        boot, events = found
+        last = events[-1][0]
+        if boot == self._queue.boot(self.camera):
+            self._sent = boot, max(last, self._sent_of(boot))
+        after = min(self._queue.mark(self.camera, boot), events[0][0] - 1)
+        more = max(0, self._queue.waiting(self.camera) - len(events))
+        return Batch(self._number, boot, after, events, more)
+
+    def _note_marks(self, request: Hello | Batch, answer: Answer) -> bool:
+        """Move the marks to where the answer says; return True if that of the request has moved."""
+        boot = request.boot if isinstance(request, Batch) else self._queue.boot(self.camera)
+        before = self._queue.boot(self.camera), self._queue.mark(self.camera, boot)
+        for name, have in answer.have.items():
+            if name == self._queue.boot(self.camera) and have > self._sent_of(name):
+                # A machine that was set back has given these numbers before.
+                self._queue.begin_boot(self.camera)
+            self._queue.have(self.camera, name, have)
+        return before != (self._queue.boot(self.camera), self._queue.mark(self.camera, boot))
+
+    def _sent_of(self, boot: str) -> int:
+        """Return the highest number that was sent of the boot that this process numbers."""
+        return self._sent[1] if self._sent[0] == boot else 0
+
+    def _wait(self, now: float) -> None:
+        """Wait until the next request."""
+        seconds = RETRY_SECONDS_MAX if self.no_room else self._retry_seconds
+        self._retry_at = now + seconds
+        self._retry_seconds = min(RETRY_SECONDS_MAX, 2 * self._retry_seconds)
+
+
+def _last(batch: Batch) -> int:
+    """Return the number of the last event that a batch is about."""
+    return batch.events[-1][0] if batch.events else batch.after

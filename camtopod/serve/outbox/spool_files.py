@@ -1,0 +1,53 @@
+"""Where the spools of a site are: one for each camera, and one for each process of `ingest`."""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+from pathlib import Path
+
+from camtopod.config import Limits
+from camtopod.serve.outbox.spool import Spool
+from camtopod.serve.runtime import clock
+from camtopod.serve.storage import StateError, lock_reason
+
+log = logging.getLogger(__name__)
+
+_INGEST_SPOOLS_MAX = 100
+"""Most spools of `camtopod ingest` of one site, that is of its processes at the same time."""
+
+
+def spool_path(directory: Path, site: str, name: str) -> Path:
+    """Return the path of the spool ``name`` of a site, below the state directory ``directory``."""
+    return directory / f"spools-of-{site}" / f"{name}.db"
+
+
+def open_spool(directory: Path, site: str, name: str, limits: Limits) -> Spool:
+    """Open the spool of a publishing process, below the state directory. Raises `StateError`."""
+    return Spool(
+        spool_path(directory, site, name),
+        clock.ulid(clock.wall()),
+        limits.spool_events_max,
+        limits.spool_bytes_max,
+    )
+
+
+def open_ingest_spool(directory: Path, site: str, limits: Limits) -> Spool:
+    """Open a spool for `camtopod ingest`, and move into it those of its processes that have ended.
+
+    Raises `StateError`.
+    """
+    # Take the first one that no other process has.
+    names = ("ingest", *(f"ingest@{number}" for number in range(2, _INGEST_SPOOLS_MAX + 1)))
+    paths = {name: spool_path(directory, site, name) for name in names}
+    name = next((name for name in names if not lock_reason(paths[name])), names[0])
+    spool = open_spool(directory, site, name, limits)
+
+    # Move the others.
+    for path in paths.values():
+        if path != spool.path and path.exists() and not lock_reason(path):
+            try:
+                spool.adopt(path)
+            except (StateError, sqlite3.Error) as error:
+                log.warning("the events in %s are not published: %s", path, error)
+    return spool

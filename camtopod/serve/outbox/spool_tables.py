@@ -1,0 +1,94 @@
+"""The tables of a spool: create and check them, and read them out of a damaged file."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sqlite3
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from camtopod import codec
+from camtopod.records import Event
+from camtopod.serve.storage import sqlite_file
+
+log = logging.getLogger(__name__)
+
+FORMAT = 3
+"""Format of the tables; a spool of another format is refused."""
+SCHEMA = """
+CREATE TABLE meta (
+    key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER NOT NULL) WITHOUT ROWID;
+CREATE TABLE mark (
+    camera TEXT NOT NULL, boot TEXT NOT NULL, have INTEGER NOT NULL, crc INTEGER NOT NULL,
+    PRIMARY KEY (camera, boot)) WITHOUT ROWID;
+CREATE TABLE event (
+    id INTEGER PRIMARY KEY, camera TEXT NOT NULL, boot TEXT NOT NULL, seq INTEGER NOT NULL,
+    raw BLOB NOT NULL, crc INTEGER NOT NULL);
+CREATE UNIQUE INDEX event_stream ON event (camera, boot, seq)
+"""
+"""The tables.
+
+mark: the highest number of each (camera, boot) that the daemon has stored.
+event: the events, in the order in which they came into the spool.
+"""
+INSERT = "INSERT OR IGNORE INTO event (camera, boot, seq, raw, crc) VALUES (?, ?, ?, ?, ?)"
+
+
+def open_file(path: Path) -> sqlite_file.Connection:
+    """Open or create a spool's file; a damaged one is set aside, and what can be read is copied.
+
+    An existing file is not written to, so that it can be opened on a full disk. Raises `StateError`
+    and `sqlite3.Error`.
+    """
+    database, _ = sqlite_file.connect_or_recreate(
+        path, SCHEMA, FORMAT, needed_tables=("meta", "mark")
+    )
+    with contextlib.ExitStack() as undo:
+        undo.callback(database.close)
+        for aside in sqlite_file.damaged_files(path)[-1:]:
+            done = "rescued", aside.name
+            if not database.execute(
+                "SELECT 1 FROM meta WHERE key = ? AND value = ?", done
+            ).fetchone():
+                with sqlite_file.transaction(database):
+                    events = copy(
+                        database,
+                        sqlite_file.readable(aside, "event", "id"),
+                        sqlite_file.readable(aside, "mark", "camera"),
+                    )
+                    set_row(database, "meta", *done)
+                log.error("%d events were read out of the damaged spool %s", events, aside)
+        undo.pop_all()
+    return database
+
+
+def copy(
+    database: sqlite3.Connection, events: Iterable[Sequence[Any]], marks: Iterable[Sequence[Any]]
+) -> int:
+    """Insert the undamaged rows of another spool; return the number of new events."""
+    copied = 0
+    for _, *columns in events:
+        if len(columns) == 5 and sqlite_file.crc(*columns[:-1]) == columns[-1]:
+            copied += database.execute(INSERT, columns).rowcount
+    for mark in marks:
+        if len(mark) == 4 and sqlite_file.crc(*mark[:-1]) == mark[-1]:
+            database.execute("INSERT OR IGNORE INTO mark VALUES (?, ?, ?, ?)", mark)
+    return copied
+
+
+def row(event: Event) -> tuple[str, str, int, bytes, int]:
+    """Return the columns of a numbered event: camera, boot, seq, bytes and checksum."""
+    assert event.boot is not None
+    assert event.seq is not None
+    columns = event.camera, event.boot, event.seq, codec.to_msgpack(event)
+    return (*columns, sqlite_file.crc(*columns))
+
+
+def set_row(database: sqlite3.Connection, table: str, *columns: str | int) -> None:
+    """Insert or replace a row of a table, with its checksum."""
+    values = (*columns, sqlite_file.crc(*columns))
+    database.execute(
+        f"INSERT OR REPLACE INTO {table} VALUES ({', '.join('?' * len(values))})", values
+    )

@@ -1,0 +1,116 @@
+"""`camtopod ingest` beside real daemons: which daemon takes an event, and the reported outcome."""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+from serving import T0, closing_event, small_config, walkers
+
+from camtopod import codec
+from camtopod.cli.main import main
+from camtopod.config import Limits
+from camtopod.config.settings import SiteSettings
+from camtopod.records import Event
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.outbox.spool_files import open_ingest_spool
+
+
+@contextlib.contextmanager
+def site(folder: Path, name: str, **limits: float) -> Iterator[Daemon]:
+    """Run a daemon of a site, with a state directory of its own."""
+    config = small_config(folder / name, **limits)
+    config = msgspec.structs.replace(config, site=SiteSettings(name))
+    with Daemon(config, clock=lambda: T0 + 100_000.0) as daemon:
+        yield daemon
+
+
+def ingest(daemon: Daemon, folder: Path, file: Path, *more: str) -> int:
+    where = ["--connect", daemon.endpoint, "--site", daemon.bus.site]
+    return main([*where, "ingest", "jsonl", str(file), "--state", str(folder / "here"), *more])
+
+
+def lines(path: Path, events: list[Event]) -> Path:
+    path.write_bytes(b"".join(codec.to_json(event) + b"\n" for event in events))
+    return path
+
+
+def stored(folder: Path, name: str) -> int:
+    """Return the number of events in the journal of a daemon."""
+    with contextlib.closing(sqlite3.connect(folder / name / "journal.db")) as journal:
+        found = journal.execute("SELECT COUNT(*) FROM entry WHERE kind = 'event'").fetchone()
+        return int(found[0])
+
+
+def test_each_of_two_sites_has_its_own_events_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = lines(tmp_path / "a.jsonl", [Event("lobby", "entry", T0 + n) for n in range(60)])
+    second = lines(tmp_path / "b.jsonl", [Event("lobby", "entry", T0 + 0.5)])
+
+    with site(tmp_path, "a") as a, site(tmp_path, "b") as b:
+        assert ingest(a, tmp_path, first) == 0
+        assert ingest(b, tmp_path, second) == 0
+        assert ingest(a, tmp_path, second) == 0
+
+    assert (stored(tmp_path, "a"), stored(tmp_path, "b")) == (61, 1)
+    assert "60 events stored\n" in capsys.readouterr().err
+
+
+def test_what_became_of_the_events_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = lines(tmp_path / "walks.jsonl", [*walkers(30), closing_event()])
+    events = len(recording.read_bytes().splitlines())
+    old = lines(
+        tmp_path / "old.jsonl", [Event("lobby", "entry", T0 - 50_000.0 - n) for n in range(20)]
+    )
+    both = lines(
+        tmp_path / "both.jsonl",
+        [Event("lobby", "entry", T0 + 12_000.0), Event("lobby", "exit", T0 - 9e4)],
+    )
+    early = lines(tmp_path / "early.jsonl", [Event("hall", "entry", T0 + 300_000.0)])
+
+    with site(tmp_path, "a") as daemon:
+        assert ingest(daemon, tmp_path, recording) == 0
+        assert f"{events} events stored\n" in capsys.readouterr().err
+        assert ingest(daemon, tmp_path, recording) == 0
+        assert "0 events stored\n" in capsys.readouterr().err, "all of them before"
+        assert ingest(daemon, tmp_path, old) == 1
+        assert "20 events stored, 20 of them late" in capsys.readouterr().err
+        assert ingest(daemon, tmp_path, both) == 0
+        assert "2 events stored, 1 of them late" in capsys.readouterr().err
+        assert ingest(daemon, tmp_path, early) == 1
+        assert "1 refused" in capsys.readouterr().err
+        assert ingest(daemon, tmp_path, recording, "--anew") == 0
+        assert f"{events} events stored, {events - 1} of them late" in capsys.readouterr().err
+        assert daemon.status().events["stored"] == 2 * events + 22
+
+
+def test_a_camera_too_many_ends_it_and_left_events_of_one_hold_nothing_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    right = lines(tmp_path / "a.jsonl", [Event("lobby", "entry", T0 + n) for n in range(10)])
+    wrong = lines(tmp_path / "b.jsonl", [Event("invented", "entry", T0 + n) for n in range(5)])
+
+    with site(tmp_path, "a", cameras_max=1) as daemon:
+        assert ingest(daemon, tmp_path, right) == 0
+        assert ingest(daemon, tmp_path, wrong) == 1
+        assert "5 events are dropped" in capsys.readouterr().err
+        with contextlib.closing(open_ingest_spool(tmp_path / "here", "a", Limits())) as spool:
+            spool.append([Event("invented", "entry", T0)])
+        assert ingest(daemon, tmp_path, right, "--anew") == 0
+        with contextlib.closing(open_ingest_spool(tmp_path / "here", "a", Limits())) as spool:
+            assert (spool.waiting("lobby"), spool.waiting("invented")) == (0, 1)
+    assert stored(tmp_path, "a") == 20
+
+
+def test_no_line_that_fits_is_an_input_that_cannot_be_read(tmp_path: Path) -> None:
+    rubbish = tmp_path / "rubbish"
+    rubbish.write_bytes(b"nothing\n" * 3)
+    with site(tmp_path, "a") as daemon:
+        assert ingest(daemon, tmp_path, rubbish) == 66

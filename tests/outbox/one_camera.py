@@ -1,0 +1,412 @@
+"""A grabber of one camera and its daemon in simulated time, with faults on both sides.
+
+The grabber's side is the program's: `Spool` and `Delivery`. The daemon's side is a model that
+follows the rules of `camtopod.serve.requests`.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+import random
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from camtopod import codec
+from camtopod.records import Event
+from camtopod.serve.outbox.delivery import Delivery
+from camtopod.serve.outbox.spool import Spool
+from camtopod.serve.requests import Answer, Batch, Hello, Reason, read_request
+
+FAULTS = (
+    "restart",
+    "outage",
+    "older journal",
+    "erased journal",
+    "new boot",
+    "flapping",
+    "damage",
+    "burst",
+    "busy",
+    "slow",
+    "held",
+    "cut",
+    "older spool",
+    "lost number",
+    "slow network",
+    "replay",
+)
+SET_BACK = ("older journal", "erased journal")
+"""Faults of the daemon's machine, after which it cannot tell how far a boot was stored..."""
+NOT_BESIDE = {
+    "older spool": ("damage", *SET_BACK),
+    "lost number": SET_BACK,
+}
+"""... if it has lost the number as well; and what it has counted as lost stays so, though an older
+copy of the spool that still has it comes back. Fault -> those that do not happen beside it.
+"""
+FAULTS_SECONDS = 600.0
+"""Time in which faults happen."""
+END_SECONDS = FAULTS_SECONDS + 4000.0
+HELD_SECONDS = 60.0
+CAMERA = "lobby"
+SPOOL_EVENTS = 240
+KEPT_EVENTS = 60
+
+
+class ModelDaemon:
+    """The daemon: what it has on disk, has taken, and answers."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.journal: list[tuple[str, int, int]] = []
+        """(boot, seq, uid) of each stored event."""
+        self.numbers: dict[str, int] = {}
+        self.lost_numbers: set[str] = set()
+        self.released: Counter[tuple[int, int]] = Counter()
+        self.up = False
+        self.generation = 0
+
+    def start(self) -> None:
+        self.up = True
+        self.generation += 1
+        self.number = ""
+        self.taken: dict[str, int] = {}
+        self.released_until = 0.0
+        self.committed_until = 0.0
+        chance = self.world.chance
+        replay = self.world.kinds.count("replay") and chance.random() < 0.5
+        self.ready_at = self.world.now + (chance.uniform(1, 60) if replay else 0.0)
+        self.world.at(self.ready_at + chance.choice([0.3, 0.8]), self.world.appear)
+
+    def stop(self, seconds: float) -> None:
+        if self.up:
+            self.up = False
+            self.generation += 1
+            self.world.linked = False
+            self.world.at(self.world.now + seconds, self.start)
+
+    def go_back(self, rows: int) -> None:
+        """Stop, and come back with the first rows of the journal only."""
+        self.journal = self.journal[:rows]
+        self.numbers = {}
+        self.lost_numbers = set()
+        for boot, seq, _ in self.journal:
+            self.numbers[boot] = max(seq, self.numbers.get(boot, 0))
+        self.stop(1.0)
+
+    def lose_number(self, boot: str) -> None:
+        """Stop, and come back without the number of a boot.
+
+        It is the highest of its rows, if the older half that is deleted now does not have them all.
+        """
+        rows = self.journal[len(self.journal) // 2 :]
+        self.numbers[boot] = max((seq for name, seq, _ in rows if name == boot), default=0)
+        if not self.numbers[boot]:
+            del self.numbers[boot]
+            self.lost_numbers.add(boot)
+        self.stop(1.0)
+
+    def receive(self, payload: bytes, reply: Callable[[Answer], None]) -> None:
+        """Take a request, and answer it at once or later."""
+        if not self.up or self.world.now < self.ready_at:
+            return
+        request = read_request(payload)
+        room = self.world.chance.choice([1, 3, 10])
+        if isinstance(request, Hello):
+            self.number = request.number
+            known = {
+                boot: self.numbers.get(boot, 0)
+                for boot in request.boots
+                if boot not in self.lost_numbers
+            }
+            reply(Answer(known, room))
+        elif request.number != self.number:
+            reply(Answer({}, 1, "hello"))
+        elif self.world.now < self.world.until["busy"]:
+            reply(self._answer(request.boot, room, "busy"))
+        else:
+            self._take(request, room, reply)
+
+    def _answer(self, boot: str, room: int, reason: Reason = "") -> Answer:
+        known = {} if boot in self.lost_numbers else {boot: self.numbers.get(boot, 0)}
+        return Answer(known, room, reason)
+
+    def _take(self, batch: Batch, room: int, reply: Callable[[Answer], None]) -> None:
+        boot = batch.boot
+        if boot in self.lost_numbers:
+            self.lost_numbers.discard(boot)
+            self.numbers[boot] = batch.after
+        taken = max(self.taken.get(boot, 0), self.numbers.get(boot, 0))
+        if batch.after > taken:
+            reply(self._answer(boot, room))
+            return
+        new = []
+        for seq, raw in batch.events:
+            event = codec.event_from_bytes(raw)
+            assert (event.camera, event.boot, event.seq) == (CAMERA, boot, seq)
+            if seq > taken:
+                new.append((seq, int(str(event.track))))
+        self.taken[boot] = max(taken, *(seq for seq, _ in batch.events), 0)
+
+        # Release it in order, then commit it.
+        chance = self.world.chance
+        now = self.world.now
+        held = chance.uniform(0, 300) if now < self.world.until["held"] else chance.uniform(0, 0.5)
+        self.released_until = max(self.released_until, now + held)
+        generation = self.generation
+        answered = [False]
+
+        def once(answer: Answer) -> None:
+            if not answered[0]:
+                answered[0] = True
+                reply(answer)
+
+        def hold() -> None:
+            if generation == self.generation:
+                once(self._answer(boot, room, "held"))
+
+        self.world.at(now + HELD_SECONDS, hold)
+        self.world.at(self.released_until, self._release, generation, boot, new, room, once)
+
+    def _release(
+        self,
+        generation: int,
+        boot: str,
+        new: list[tuple[int, int]],
+        room: int,
+        reply: Callable[[Answer], None],
+    ) -> None:
+        if generation != self.generation:
+            return
+        for _, uid in new:
+            self.released[generation, uid] += 1
+        chance = self.world.chance
+        slow = self.world.now < self.world.until["slow"] and chance.random() < 0.3
+        seconds = chance.uniform(5, 200) if slow else chance.uniform(0, 0.1)
+        self.committed_until = max(self.committed_until, self.world.now + seconds)
+        self.world.at(self.committed_until, self._commit, generation, boot, new, room, reply)
+
+    def _commit(
+        self,
+        generation: int,
+        boot: str,
+        new: list[tuple[int, int]],
+        room: int,
+        reply: Callable[[Answer], None],
+    ) -> None:
+        if generation != self.generation:
+            return
+        there = {(name, seq) for name, seq, _ in self.journal}
+        self.journal += [(boot, seq, uid) for seq, uid in new if (boot, seq) not in there]
+        if new:
+            self.numbers[boot] = max(self.numbers.get(boot, 0), new[-1][0])
+        reply(self._answer(boot, room))
+
+
+class World:
+    """One history: events, faults and everything that follows from them."""
+
+    def __init__(self, seed: int, folder: Path, kinds: list[str] | None = None) -> None:
+        self.chance = random.Random(seed)
+        self.kinds = kinds or self.chance.sample(FAULTS, self.chance.randint(1, 5))
+        without = {kind for fault in self.kinds for kind in NOT_BESIDE.get(fault, ())}
+        self.kinds = [kind for kind in self.kinds if kind not in without]
+        self.lossy = self.chance.choice([0.0, 0.0, 0.02, 0.2])
+        self.now = 0.0
+        self.until = dict.fromkeys(("busy", "slow", "held", "slow network"), -1.0)
+        self.linked = False
+        self.calm_at: float | None = None
+        self.last_fault = 0.0
+        self.requests = 0
+        self.uid = 0
+        self._path = folder / "spool.db"
+        self._image = folder / "image.db"
+        self._boots = itertools.count(1)
+        self._heap: list[tuple[float, int, Callable[..., None], tuple[object, ...]]] = []
+        self._order = itertools.count()
+        self._grabber = 0
+        self._now_boot = ""
+        self.spool: Spool | None = None
+        self.daemon = ModelDaemon(self)
+
+    def at(self, t: float, step: Callable[..., None], *given: object) -> None:
+        heapq.heappush(self._heap, (t, next(self._order), step, given))
+
+    def start_grabber(self, kill: bool = True) -> None:
+        """End the grabber, by force or not, and start it again."""
+        if self.spool is not None and kill:
+            self.spool._db.close()
+            self.spool._lock.close()
+        elif self.spool is not None:
+            self.spool.close()
+        self._grabber += 1
+        boot = f"b{next(self._boots)}"
+        self.spool = Spool(self._path, boot, SPOOL_EVENTS, kept_max=KEPT_EVENTS)
+        numbers = (f"n{self._grabber}-{count}" for count in itertools.count())
+        self.delivery = Delivery(CAMERA, self.spool, lambda: next(numbers))
+        self.look()
+
+    def add(self) -> None:
+        """Let the grabber see one event more."""
+        assert self.spool is not None
+        self.uid += 1
+        self.spool.append([Event(CAMERA, "entry", float(self.uid), track=str(self.uid))])
+        self.look()
+
+    def look(self) -> None:
+        """Send what is to be sent now, and come again when the delivery asks for it."""
+        request = self.delivery.next_request(self.now)
+        if self.delivery.deadline < math.inf:
+            self.at(max(self.delivery.deadline, self.now + 0.001), self._look_again, self._grabber)
+        if request is None:
+            return
+        self.requests += 1
+        grabber, delivery = self._grabber, self.delivery
+
+        def answered(answer: Answer | None) -> None:
+            if grabber == self._grabber:
+                delivery.on_answer(request, answer, self.now)
+                self.look()
+
+        def reply(answer: Answer) -> None:
+            if not self._loses():
+                raw = codec.to_msgpack(answer)
+                self.at(self._arrival(), answered, codec.read(Answer, raw, pack=True))
+
+        if not self.linked:
+            self.at(self.now + 0.01, answered, None)
+        elif not self._loses():
+            self.at(self._arrival(), self.daemon.receive, codec.to_msgpack(request), reply)
+
+    def _look_again(self, grabber: int) -> None:
+        if grabber == self._grabber and self.now >= self.delivery.deadline:
+            self.look()
+
+    def _loses(self) -> bool:
+        return self.now < FAULTS_SECONDS and self.chance.random() < self.lossy
+
+    def _arrival(self) -> float:
+        slow = self.now < self.until["slow network"] and self.chance.random() < 0.3
+        return self.now + 0.01 + (self.chance.uniform(0, 400) if slow else 0.0)
+
+    def appear(self) -> None:
+        """Show the daemon's token to the grabber."""
+        if self.daemon.up:
+            self.linked = True
+            self.delivery.on_daemon(self.now)
+            self.look()
+
+    def fault(self) -> None:
+        """Let one fault happen, and plan the next."""
+        if self.now > FAULTS_SECONDS:
+            return
+        assert self.spool is not None
+        chance = self.chance
+        self.at(self.now + chance.expovariate(1 / 15), self.fault)
+        self.last_fault = self.now
+        kind = chance.choice(self.kinds)
+        rows = len(self.daemon.journal)
+        if kind in ("restart", "replay"):
+            self.daemon.stop(1.0)
+        elif kind == "outage":
+            self.daemon.stop(chance.uniform(3, 90))
+        elif kind == "older journal" and self.daemon.up:
+            self.daemon.go_back(chance.randint(rows // 3, rows))
+        elif kind == "erased journal" and self.daemon.up:
+            self.daemon.go_back(0)
+        elif kind == "new boot":
+            self.start_grabber(kill=chance.random() < 0.5)
+        elif kind == "flapping":
+            for _ in range(chance.randint(3, 8)):
+                self.start_grabber()
+                self.add()
+        elif kind == "damage":
+            self._damage()
+        elif kind == "burst":
+            for _ in range(chance.randint(5, 60)):
+                self.add()
+        elif kind == "cut" and self.daemon.up and self.linked:
+            self.linked = False
+            self.at(self.now + chance.uniform(0.5, 20), self.appear)
+        elif kind == "older spool":
+            self._restore()
+        elif kind == "lost number" and self.daemon.numbers and self.daemon.up:
+            self.daemon.lose_number(chance.choice(list(self.daemon.numbers)))
+        elif kind in self.until:
+            self.until[kind] = self.now + chance.uniform(1, 60)
+
+    def _damage(self) -> None:
+        """Flip the bytes of one event in the spool."""
+        assert self.spool is not None
+        self.spool._db.execute(
+            "UPDATE event SET raw = x'00' WHERE id ="
+            " (SELECT id FROM event ORDER BY id LIMIT 1 OFFSET ?)",
+            (self.chance.randrange(SPOOL_EVENTS),),
+        )
+
+    def _restore(self) -> None:
+        """Keep a copy of the spool, or go back to the one that was kept."""
+        assert self.spool is not None
+        if not self._image.exists():
+            self.spool._db.execute("VACUUM INTO ?", (str(self._image),))
+            return
+        self.spool.close()
+        self._image.replace(self._path)
+        self.start_grabber()
+
+    def live(self, rate: float, until: float) -> None:
+        """Add events at a rate."""
+        if self.now <= until:
+            self.add()
+            self.at(self.now + self.chance.expovariate(rate), self.live, rate, until)
+
+    def run(self) -> list[str]:
+        """Run the history; return what went wrong."""
+        self.start_grabber()
+        self.at(0.0, self.daemon.start)
+        self.at(5.0, self.fault)
+        self.at(0.0, self.live, self.chance.choice([0.02, 0.1, 0.5]), FAULTS_SECONDS)
+        if self.chance.random() < 0.5:
+            self.at(FAULTS_SECONDS, self.live, 0.02, FAULTS_SECONDS + 500)
+        steps = 0
+        while self._heap and self._heap[0][0] < END_SECONDS:
+            t, _, step, given = heapq.heappop(self._heap)
+            self.now = max(self.now, t)
+            step(*given)
+            steps += 1
+            if steps > 60_000:
+                return ["storm"]
+            if self.calm_at is None and self.now > FAULTS_SECONDS and self._is_calm():
+                self.calm_at = self.now
+        return self._wrongs()
+
+    def _is_calm(self) -> bool:
+        assert self.spool is not None
+        return (
+            self.daemon.up
+            and self.linked
+            and not self.spool.waiting()
+            and self.delivery.deadline == math.inf
+        )
+
+    def _wrongs(self) -> list[str]:
+        assert self.spool is not None
+        wrongs = []
+        if left := self.spool.waiting():
+            wrongs.append(f"{left} events wait at the end")
+        stored = Counter(uid for _, _, uid in self.daemon.journal)
+        rows = self.spool._db.execute("SELECT raw FROM event WHERE raw != x'00'")
+        kept = [int(str(codec.event_from_bytes(raw).track)) for (raw,) in rows]
+        if lost := [uid for uid in kept if uid not in stored]:
+            wrongs.append(f"{len(lost)} events lost")
+        if twice := [uid for uid, count in stored.items() if count > 1]:
+            wrongs.append(f"{len(twice)} events twice in the journal")
+        if any(count > 1 for count in self.daemon.released.values()):
+            wrongs.append("learned twice")
+        uids = list(dict.fromkeys(uid for _, _, uid in self.daemon.journal))
+        if uids != sorted(uids) and "older spool" not in self.kinds:
+            wrongs.append("order")
+        return wrongs

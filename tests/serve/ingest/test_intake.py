@@ -1,0 +1,460 @@
+"""Each rule of the daemon's side of a request, on a journal on disk."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+from intake_bench import IntakeBench, Request, event_bytes
+
+from camtopod import codec
+from camtopod.config import Limits
+from camtopod.serve.ingest import intake as intake_module, numbers as numbers_module
+from camtopod.serve.requests import BATCH_EVENTS_MAX, Batch, Hello
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> IntakeBench:
+    return IntakeBench(tmp_path)
+
+
+def test_a_batch_is_answered_when_it_is_on_disk(bench: IntakeBench) -> None:
+    bench.hello(boots=["b1"])
+
+    answer = bench.send(times={1: -0.2, 2: -0.1}).answer
+
+    assert answer is not None
+    assert (answer.have, answer.reason) == ({"b1": 2}, "")
+    assert bench.stored == [("event", "a", 1), ("event", "a", 2)]
+    assert [one.entry.seq for one in bench.learned] == [1, 2]
+    assert [one.entry.seq for one in bench.predicted] == [1, 2]
+
+
+def test_what_was_taken_is_skipped_and_counts_once(bench: IntakeBench) -> None:
+    bench.hello(boots=["b1"])
+    bench.send(times={1: -3, 2: -2})
+
+    answer = bench.send(times={1: -3, 2: -2, 3: -1}).answer
+
+    assert answer is not None
+    assert answer.have == {"b1": 3}
+    assert [seq for _, _, seq in bench.stored] == [1, 2, 3]
+    assert bench.intake.counts["duplicate"] == 2
+
+
+def test_a_hole_in_the_spool_is_counted_as_lost(bench: IntakeBench) -> None:
+    bench.hello(boots=["b1"])
+    bench.send(times={1: -3})
+
+    answer = bench.send(after=1, times={4: -2, 7: -1}).answer
+
+    assert answer is not None
+    assert answer.have == {"b1": 7}
+    assert bench.intake.numbers.lost == 4
+
+
+def test_events_before_the_first_of_a_boot_are_not_lost(bench: IntakeBench) -> None:
+    bench.hello(boots=["b1"])
+    bench.send(times={1041: -1})
+    assert bench.intake.numbers.lost == 0
+
+
+def test_a_batch_behind_events_that_were_never_taken_is_told_where_to_begin(
+    bench: IntakeBench,
+) -> None:
+    bench.hello(boots=["b1"])
+    bench.send(times={1: -3, 2: -2})
+
+    answer = bench.send(after=8, times={9: -1}).answer
+
+    assert answer is not None
+    assert answer.have == {"b1": 2}
+    assert len(bench.stored) == 2
+
+
+def test_an_erased_state_is_filled_again_from_the_beginning(
+    bench: IntakeBench, tmp_path: Path
+) -> None:
+    bench.hello(boots=["b1"])
+    bench.send(times={1: -3, 2: -2})
+    bench.stop()
+    for path in tmp_path.glob("journal*"):
+        path.unlink()
+    bench.start()
+
+    assert bench.hello(boots=["b1"], number="h2").have == {"b1": 0}
+    answer = bench.send(times={1: -3, 2: -2}, number="h2").answer
+    assert answer is not None
+    assert answer.have == {"b1": 2}
+
+
+def test_an_older_journal_says_how_far_it_has_come(bench: IntakeBench, tmp_path: Path) -> None:
+    bench.hello(boots=["b1"])
+    bench.send(times={1: -5, 2: -4})
+    with sqlite3.connect(tmp_path / "copy.db") as copy:
+        bench.journal._db.backup(copy)
+    copy.close()
+    bench.send(after=2, times={3: -1})
+    bench.stop()
+    for path in tmp_path.glob("journal.db*"):
+        path.unlink()
+    (tmp_path / "copy.db").rename(tmp_path / "journal.db")
+    bench.start()
+
+    assert bench.hello(boots=["b1"]).have == {"b1": 2}
+    assert bench.journal.missing == 1
+    answer = bench.send(after=2, times={3: -1}).answer
+    assert answer is not None
+    assert answer.have == {"b1": 3}
+
+
+def test_a_new_boot_comes_above_an_old_one(bench: IntakeBench) -> None:
+    bench.hello(boots=["b1"])
+    bench.send(times={1: -3})
+
+    assert bench.hello(boots=["b1", "b2"], number="h2").have == {"b1": 1, "b2": 0}
+    bench.send(boot="b1", after=1, times={2: -2}, number="h2")
+    bench.send(boot="b2", times={1: -1}, number="h2")
+
+    assert [(one.entry.boot, one.entry.seq) for one in bench.learned] == [
+        ("b1", 1),
+        ("b1", 2),
+        ("b2", 1),
+    ]
+
+
+def test_a_batch_of_another_hello_is_refused_and_the_status_names_the_camera(
+    bench: IntakeBench,
+) -> None:
+    bench.hello(number="h1")
+    bench.hello(number="h2")
+
+    answer = bench.send(times={1: -1}, number="h1").answer
+
+    assert answer is not None
+    assert answer.reason == "hello"
+    assert not bench.stored
+    assert "two programs at the same time publish camera a" in (
+        bench.intake.cameras.doubled_reason(bench.now)
+    )
+
+
+@pytest.mark.parametrize(
+    "raw", [b"\xff", event_bytes("other", 1.7e9), b"x" * 5000], ids=["malformed", "other", "long"]
+)
+def test_a_poisoned_event_is_stored_in_its_place_and_not_learned(
+    bench: IntakeBench, raw: bytes
+) -> None:
+    bench.hello()
+    events = [(1, event_bytes("a", bench.wall)), (2, raw), (3, event_bytes("a", bench.wall))]
+
+    answer = bench.ask("a", Batch("h1", "b1", 0, events)).answer
+
+    assert answer is not None
+    assert answer.have == {"b1": 3}
+    assert answer.refused == 1
+    assert [kind for kind, _, _ in bench.stored] == ["event", "refused", "event"]
+    assert [one.event is None for one in bench.learned] == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        b"\xc1",
+        Batch("h1", "b1", 5, [(4, b"")]),
+        Batch("h1", "b1", 0, [(2, b""), (1, b"")]),
+    ],
+    ids=["no MessagePack", "below after", "falling"],
+)
+def test_a_malformed_request_is_answered_and_counted(
+    bench: IntakeBench, request_: Batch | bytes
+) -> None:
+    bench.hello()
+    answer = bench.ask("a", request_).answer
+    assert answer is not None
+    assert answer.reason == "malformed"
+    assert bench.intake.rejects.counts.total() == 1
+
+
+def test_a_flood_is_stored_as_numbers(tmp_path: Path) -> None:
+    bench = IntakeBench(tmp_path, Limits(camera_events_per_second_max=2, commit_seconds=0.0))
+    bench.hello()
+
+    answer = bench.send(times=dict.fromkeys(range(1, 6), -1.0)).answer
+
+    assert answer is not None
+    assert (answer.have, answer.refused) == ({"b1": 5}, 3)
+    assert bench.intake.counts["flood"] == 3
+
+
+def test_an_event_a_little_ahead_waits_and_delays_its_own_camera_only(bench: IntakeBench) -> None:
+    bench.hello("a")
+    bench.hello("b")
+
+    fast = bench.send("a", times={1: 30.0, 2: 30.5})
+    right = bench.send("b", times={1: -0.1})
+
+    assert right.answer is not None
+    assert fast.answer is None
+    bench.tick(29.6)
+    assert fast.answer is not None
+    assert fast.answer.have == {"b1": 2}
+
+
+def test_an_event_far_ahead_is_stored_and_not_learned(bench: IntakeBench) -> None:
+    bench.hello()
+
+    answer = bench.send(times={1: 3600.0, 2: -0.1}).answer
+
+    assert answer is not None
+    assert (answer.have, answer.refused) == ({"b1": 2}, 1)
+    assert [kind for kind, _, _ in bench.stored] == ["future", "event"]
+
+
+def test_nothing_is_taken_while_the_clock_is_behind_event_time(bench: IntakeBench) -> None:
+    bench.hello()
+    bench.send(times={1: 0.0})
+    bench.stop()
+    bench.wall -= 3600.0
+    bench.start()
+
+    assert bench.hello().reason == "clock"
+    assert "camtopod reset" in bench.hello().detail
+
+    bench.tick(3600.0)
+    assert bench.hello().reason == ""
+
+
+def test_a_clock_that_is_set_back_while_the_daemon_runs_takes_event_time_back(
+    bench: IntakeBench,
+) -> None:
+    bench.hello()
+    bench.send(times={1: 0.0})
+
+    bench.wall -= 3600.0
+    bench.tick(0.1)
+    answer = bench.send(after=1, times={2: 0.0}).answer
+
+    assert answer is not None
+    assert answer.have == {"b1": 2}
+    assert [kind for kind, _, _ in bench.stored] == ["event", "rewind", "event"]
+
+
+def test_events_that_wait_when_the_clock_is_set_back_are_not_learned(bench: IntakeBench) -> None:
+    bench.hello()
+    waiting = bench.send(times={1: 50.0})
+    assert waiting.answer is None
+
+    bench.wall -= 3600.0
+    bench.tick(0.1)
+
+    assert waiting.answer is not None
+    assert [kind for kind, _, _ in bench.stored] == ["future"]
+
+
+def test_a_held_batch_is_answered_after_a_minute_and_stored_once(bench: IntakeBench) -> None:
+    bench.hello()
+    batch = Batch("h1", "b1", 0, [(1, event_bytes("a", bench.wall))])
+    sent = Request()
+    bench.intake.on_request("store/a", codec.to_msgpack(batch), sent.reply)
+    bench.intake.step()  # and the disk does not answer
+    bench.wall += 61.0
+    bench.now += 61.0
+    bench.intake.step()
+    assert sent.answer is not None
+    assert sent.answer.reason == "held"
+
+    again = bench.send(after=1)
+
+    assert again.answer is not None
+    assert again.answer.have == {"b1": 1}
+    assert [seq for _, _, seq in bench.stored] == [1]
+
+
+def test_a_camera_that_promises_more_and_dies_is_waited_for_five_seconds(
+    bench: IntakeBench,
+) -> None:
+    bench.hello("dies")
+    bench.hello("a")
+    bench.send("dies", times={1: -300.0}, more=100)
+    other = bench.send("a", times={1: -200.0})
+
+    seconds = 0
+    while other.answer is None:
+        bench.tick(1.0)
+        seconds += 1
+
+    # Five until others have told of backlogs, and five from its answer on.
+    assert seconds in (10, 11)
+    assert other.answer.have == {"b1": 1}
+
+
+def test_a_camera_that_comes_no_nearer_is_not_waited_for_for_ever(bench: IntakeBench) -> None:
+    bench.hello("stuck")
+    bench.hello("a")
+    bench.send("stuck", times={1: -300.0}, more=100)
+    bench.send("a", times={1: -50.0})
+
+    seconds = 0
+    while not any(one.entry.camera == "a" for one in bench.learned):
+        assert seconds < 300
+        bench.tick(1.0)
+        seconds += 1
+        bench.send("stuck", after=seconds, times={seconds + 1: -300.0}, more=100)
+
+    assert 110 < seconds < 150
+
+
+def test_backlogs_are_merged_by_time(bench: IntakeBench) -> None:
+    for camera in ("a", "b"):
+        bench.hello(camera)
+    bench.send("a", times={1: -100.0, 2: -80.0, 3: -60.0}, more=3)
+    bench.send("b", times={1: -90.0, 2: -70.0}, more=0)
+    bench.tick(5.1)
+    bench.send("a", after=3, times={4: -50.0, 5: -40.0})
+    bench.tick(5.1)
+
+    times = [round(one.event.t) for one in bench.learned if one.event is not None]
+    assert times == sorted(times)
+    assert len(times) == 7
+    assert bench.intake.counts["late"] == 0
+
+
+def test_the_room_is_shared_by_the_cameras_that_are_there(
+    bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert bench.hello().batch == BATCH_EVENTS_MAX
+    bench.intake.alive |= {f"c{n}" for n in range(1000)}
+    assert bench.hello().batch == 50
+
+    monkeypatch.setattr(intake_module, "EVENTS_MAX", 3)
+    answer = bench.send(times={1: 0.0, 2: 0.0, 3: 0.0, 4: 0.0}).answer
+    assert answer is not None
+    assert (answer.reason, answer.batch) == ("busy", 1)
+
+
+def test_above_cameras_max_nothing_is_taken(tmp_path: Path) -> None:
+    bench = IntakeBench(tmp_path, Limits(cameras_max=1, commit_seconds=0.0))
+    bench.publish("invented")
+    assert bench.hello("a").reason == ""  # a grabber comes before bare publications
+
+    refused = bench.hello("b")
+
+    assert refused.reason == "cameras"
+    assert "limits.cameras_max (1) is reached" in refused.detail
+
+
+def test_publications_count_once_and_those_of_spools_are_left_alone(bench: IntakeBench) -> None:
+    bench.publish("a", boot="b1", seq=1, spooled=True)
+    bench.publish("a", boot="b1", seq=1)
+    bench.publish("a", boot="b1", seq=1)
+    bench.publish("a")
+
+    assert bench.stored == [("event", "a", 1), ("event", "a", None)]
+
+
+def test_a_rescued_journal_is_filled_from_the_first_hole(
+    bench: IntakeBench, tmp_path: Path
+) -> None:
+    bench.hello()
+    bench.send(times={seq: seq - 10.0 for seq in range(1, 7)})
+    with bench.journal._db as database:
+        database.execute("UPDATE entry SET raw = 'damaged' WHERE seq = 3")
+        database.execute("UPDATE meta SET crc = 0 WHERE key = 'format'")
+    bench.restart()
+
+    have = bench.hello(boots=["b1"]).have
+    answer = bench.send(after=2, times={seq: seq - 10.0 for seq in range(3, 9)}).answer
+
+    assert have == {"b1": 2}
+    assert answer is not None
+    assert answer.have == {"b1": 8}
+    assert sorted(seq for _, _, seq in bench.stored if seq) == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert [one.entry.seq for one in bench.learned][-3:] == [3, 7, 8]
+
+
+def test_a_damaged_number_is_that_of_the_newest_entry(bench: IntakeBench) -> None:
+    bench.hello()
+    bench.send(times={1: -2.0, 2: -1.0})
+    bench.journal._db.execute("UPDATE stream SET seq = 9")
+    bench.restart()
+    assert bench.hello(boots=["b1"]).have == {"b1": 2}
+
+
+def test_a_boot_without_number_and_entries_is_left_to_the_spool(bench: IntakeBench) -> None:
+    bench.hello()
+    bench.send(times={1: -2.0, 2: -1.0})
+    bench.journal._db.execute("UPDATE stream SET seq = 9")
+    bench.journal._db.execute("DELETE FROM entry")
+    bench.restart()
+
+    assert bench.hello(boots=["b1"]).have == {}
+    answer = bench.send(after=2, times={3: -1.0}).answer
+    assert answer is not None
+    assert answer.have == {"b1": 3}
+
+
+def test_the_oldest_boots_that_the_spool_does_not_hold_are_forgotten(
+    bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(numbers_module, "BOOTS_MAX", 3)
+    for number in range(6):
+        bench.hello(boots=["boot-0", f"boot-{number}"])
+        bench.send(boot=f"boot-{number}", times={1: -1.0})
+
+    numbers, _ = bench.journal.numbers()
+
+    assert [boot for _, boot in numbers] == ["boot-0", "boot-3", "boot-4", "boot-5"]
+
+
+def test_a_thousand_cameras_come_back_at_once(bench: IntakeBench) -> None:
+    names = [f"c{number}" for number in range(1000)]
+    bench.intake.alive |= set(names)
+    batch = {name: bench.hello(name, ["b1"]).batch for name in names}
+    backlog = [seq - 61.0 for seq in range(1, 61)]  # one event a second, of the last minute
+    start = bench.wall
+    stored = dict.fromkeys(names, 0)
+    under_way: dict[str, Request] = {}
+
+    turns = 0
+    while min(stored.values()) < len(backlog):
+        turns += 1
+        assert turns < 50
+        for name in names:
+            after = stored[name]
+            if name not in under_way and after < len(backlog):
+                times = backlog[after : after + batch[name]]
+                events = [(after + n, event_bytes(name, start + t)) for n, t in enumerate(times, 1)]
+                more = len(backlog) - after - len(events)
+                under_way[name] = Request()
+                content = codec.to_msgpack(Batch("h1", "b1", after, events, more))
+                bench.intake.on_request(f"store/{name}", content, under_way[name].reply)
+        bench.tick(0.5)
+        for name, sent in list(under_way.items()):
+            if sent.answer is not None:
+                stored[name] = sent.answer.have.get("b1", stored[name])
+                batch[name] = sent.answer.batch
+                del under_way[name]
+
+    assert bench.intake.counts["stored"] == 60_000
+    assert bench.intake.counts["late"] == 0
+    assert turns < 40
+
+
+def test_idle_time_advances_for_the_learner(bench: IntakeBench) -> None:
+    bench.hello()
+    bench.send(times={1: 0.0})
+    bench.intake.event_clock.deadline = bench.wall + 5.0
+    bench.tick(9.0)
+    assert bench.stored[-1][0] == "event"
+
+    bench.tick(10.0)
+
+    assert bench.stored[-1][0] == "advance"
+    assert bench.learned[-1].advance == bench.wall - 10.0
+
+
+def test_a_hello_is_answered_again(bench: IntakeBench) -> None:
+    assert bench.ask("a", Hello("h1", [])).answer is not None
+    assert bench.ask("a", Hello("h2", [])).answer is not None

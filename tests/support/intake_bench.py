@@ -1,0 +1,166 @@
+"""The daemon's path of an event without threads, bus and learner: a journal on disk, and clocks
+that a test sets."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from camtopod import codec
+from camtopod.config import Limits
+from camtopod.event_time import EventTime
+from camtopod.records import Event
+from camtopod.serve.ingest import (
+    Cameras,
+    EventClock,
+    Intake,
+    Merger,
+    Names,
+    Numbers,
+    Received,
+    merge,
+    read_names,
+)
+from camtopod.serve.requests import Answer, Batch, Hello
+from camtopod.serve.storage import NAMES_KEY, Journal, JournalWriter, rewind
+
+START = 1_700_000_000.0
+"""Unix seconds at which the clocks of a test begin."""
+LATENESS = 5.0
+
+
+class Request:
+    """A request on its way: ``answer`` is None until it is answered."""
+
+    def __init__(self) -> None:
+        self.answer: Answer | None = None
+
+    def reply(self, content: bytes) -> None:
+        assert self.answer is None, "a request is answered once"
+        self.answer = msgspec.msgpack.decode(content, type=Answer)
+
+
+class IntakeBench:
+    """An `Intake` with its journal in ``directory``.
+
+    wall, now: this machine's clock and the steady one, set by the test.
+    learned: the entries that the learner has got, in order.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        limits: Limits | None = None,
+        wall: float = START,
+        settled: bool = True,
+    ) -> None:
+        self.directory = directory
+        self.limits = limits or Limits(commit_seconds=0.0)
+        self.wall = wall
+        self.now = 1_000.0
+        self.learned: list[Received] = []
+        self.predicted: list[Received] = []
+        self.start(settled)
+
+    def start(self, settled: bool = True) -> None:
+        """Start on what the journal has; ``settled``: the first seconds have passed already."""
+        self.journal = Journal(self.directory)
+        newest = max(
+            (
+                codec.event_from_bytes(entry.raw).t
+                for _, entry in self.journal.entries()
+                if entry is not None and entry.kind == "event"
+            ),
+            default=-math.inf,
+        )
+        future = self.limits.future_seconds_max
+        self.intake = Intake(
+            Numbers(*self.journal.numbers()),
+            Cameras(self.limits.cameras_max, self.limits.camera_events_per_second_max),
+            Names(read_names(self.journal.meta(NAMES_KEY)), lambda: self.wall),
+            Merger(LATENESS, future, newest, self.now - merge.SETTLE_SECONDS * settled),
+            EventClock(EventTime(LATENESS), newest, future, 10.0, self.wall, self.now),
+            JournalWriter(self.journal, lambda: self.wall, lambda version: None),
+            self.limits,
+            see=lambda ready, seconds: self.predicted.extend(ready),
+            learn=self.learned.extend,
+            rewound=self._rewound,
+            clock=lambda: self.wall,
+            steady=lambda: self.now,
+        )
+
+    def stop(self) -> None:
+        """Stop as a killed process does: what is not stored is gone."""
+        self.journal.close()
+
+    def restart(self) -> None:
+        self.stop()
+        self.start()
+
+    def tick(self, seconds: float) -> None:
+        """Let time pass on both clocks, and the daemon work."""
+        self.wall += seconds
+        self.now += seconds
+        self.work()
+
+    def work(self) -> None:
+        """Move everything on that can move on."""
+        self.intake.step()
+        while self.intake.queue.waiting:
+            assert self.intake.store_waiting(threading.Event(), seconds=0.0)
+            self.intake.step()
+
+    def ask(self, camera: str, request: Hello | Batch | bytes) -> Request:
+        """Send a request, and let the daemon work."""
+        sent = Request()
+        content = request if isinstance(request, bytes) else codec.to_msgpack(request)
+        self.intake.on_request(f"store/{camera}", content, sent.reply)
+        self.work()
+        return sent
+
+    def hello(self, camera: str = "a", boots: Sequence[str] = (), number: str = "h1") -> Answer:
+        answer = self.ask(camera, Hello(number, list(boots))).answer
+        assert answer is not None
+        return answer
+
+    def send(
+        self,
+        camera: str = "a",
+        boot: str = "b1",
+        after: int = 0,
+        times: dict[int, float] | None = None,
+        more: int = 0,
+        number: str = "h1",
+    ) -> Request:
+        """Send a batch of events, given as seq -> seconds after the present."""
+        events = [(seq, event_bytes(camera, self.wall + t)) for seq, t in (times or {}).items()]
+        return self.ask(camera, Batch(number, boot, after, events, more))
+
+    def publish(self, camera: str, **fields: object) -> None:
+        """Publish an event at the present, and let the daemon work."""
+        event = {"camera": camera, "kind": "entry", "t": self.wall, **fields}
+        self.intake.on_event(f"event/{camera}", codec.to_msgpack(event))
+        self.work()
+
+    @property
+    def stored(self) -> list[tuple[str, str, int | None]]:
+        """The journal's entries as (kind, camera, seq)."""
+        entries = [entry for _, entry in self.journal.entries() if entry is not None]
+        return [(entry.kind, entry.camera, entry.seq) for entry in entries]
+
+    def _rewound(self, to: float) -> Received:
+        entry, for_learner = rewind(to, "before", "after")
+        return Received(entry, rewind=for_learner)
+
+
+_tracks = itertools.count()
+
+
+def event_bytes(camera: str, t: float) -> bytes:
+    """Return an entry of ``camera`` at ``t``, with a track of its own."""
+    return codec.to_msgpack(Event(camera, "entry", t, track=str(next(_tracks))))
