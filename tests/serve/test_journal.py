@@ -158,7 +158,7 @@ def test_what_can_be_read_of_a_damaged_journal_goes_on(journal: Journal, tmp_pat
         assert (anew.meta("epoch"), anew.meta("epoch before")) == (None, "E"), (
             "a later line of versions begins"
         )
-        assert anew.status()["damaged_files"] == [anew.set_aside.name]
+        assert anew.status().damaged_files == [anew.set_aside.name]
         assert anew.numbers() == ({("lobby", "b1"): 399}, set()), "there is no hole"
         anew.commit([entry(400)])
         assert kept(anew)[-1] == 400
