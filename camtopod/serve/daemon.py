@@ -36,7 +36,6 @@ from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
 from camtopod.serve.bus import (
     JSON,
-    SLOW_PUBLICATION_SECONDS,
     Bus,
     OtherDaemons,
     QueryError,
@@ -233,9 +232,6 @@ class Daemon:
     def failing(self) -> list[str]:
         """Return the reasons for a restart; empty if all loops make progress."""
         reasons = ["a part of the daemon has failed"] if self._failed.is_set() else []
-        seconds, key = (0.0, "") if self._bus is None else self._bus.slowest_publication
-        if seconds > self._config.health.stall_seconds:
-            reasons.append(f"publishing on {key} has taken {seconds:.0f} s and does not end")
         return reasons + self.progress.stalled()
 
     def unready(self) -> list[str]:
@@ -314,10 +310,8 @@ class Daemon:
     def _reason(self) -> str:
         """Why events are not stored, or not learned, at the moment; "" if they are."""
         intake = self._intake
-        seconds, key = (0.0, "") if self._bus is None else self._bus.slowest_publication
         return (
             intake.writer.reason
-            or (f"publishing on {key} takes {seconds:.0f} s" * (seconds > SLOW_PUBLICATION_SECONDS))
             or intake.event_clock.reason(self._clock())
             or intake.cameras.refused_reason(self._steady())
             or self._learning.refused_reason

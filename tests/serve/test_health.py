@@ -37,7 +37,8 @@ from camtopod.serve.runtime.reload import changed_settings
 def test_a_loop_that_does_not_get_on_is_named_and_one_that_does_is_not() -> None:
     now = 100.0
     progress = Progress(lambda: now)
-    receive, learn = progress.watch("receive", 30.0), progress.watch("learn", 900.0)
+    receive = progress.watch("receive", 30.0)
+    learn = progress.watch("learn", 900.0)
     assert progress.stalled() == []
     now += 31.0
     learn.beat()
@@ -47,13 +48,12 @@ def test_a_loop_that_does_not_get_on_is_named_and_one_that_does_is_not() -> None
     assert progress.stalled() == []
     now += 1000.0
     assert [reason.split()[0] for reason in progress.stalled()] == ["learn", "receive"]
-    learn.beat_as_of(now - 10.0)
-    receive.beat_as_of(now - 31.0)
-    assert [reason.split()[0] for reason in progress.stalled()] == ["receive"]
-    progress.set_limit("receive", 60.0)
+
+    learn.beat()
+    progress.set_limit("receive", 2000.0)
     assert progress.stalled() == []
+
     now += 1e6
-    progress.unwatch("receive")
     progress.unwatch("receive")
     assert [reason.split()[0] for reason in progress.stalled()] == ["learn"]
 
@@ -117,62 +117,20 @@ def test_an_idle_daemon_is_healthy_and_a_stuck_learner_is_not(daemon: Daemon) ->
     assert daemon.status().state == "running"
 
 
-def test_a_long_refit_has_its_own_limit(tmp_path: Path) -> None:
-    with Daemon(strict(tmp_path, stall_seconds=0.3, learn_seconds=60.0)) as daemon:
-        let_go = stopped(daemon)
+def test_each_loop_is_watched(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+    for owner, name, loop in (
+        (daemon._intake, "step", "receive"),
+        (daemon._journal, "commit", "store"),
+    ):
+        let_go = stuck_in(owner, name, monkeypatch)
         put(daemon, Event("lobby", "entry", T0))
-        wait_for(lambda: daemon.status().events["waiting"] == 1, "it to be learned")
-        time.sleep(0.8)
-        assert daemon.failing() == []
+        wait_for(
+            lambda loop=loop: [reason.split()[0] for reason in daemon.failing()] == [loop],  # type: ignore[misc]
+            f"{loop} to be named",
+        )
+
         let_go()
-
-
-@pytest.mark.parametrize(
-    ("part", "name", "loop"),
-    [
-        *(("_intake", "_see", "receive"), ("_intake", "step", "receive")),
-        *(("_journal", "commit", "store"), ("_intake", "store_waiting", "store")),
-    ],
-)
-def test_each_loop_is_watched(
-    part: str, name: str, loop: str, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    let_go = stuck_in(getattr(daemon, part), name, monkeypatch)
-    put(daemon, Event("lobby", "entry", T0))
-    wait_for(
-        lambda: [reason.split()[0] for reason in daemon.failing()] == [loop], f"{loop} to be named"
-    )
-    let_go()
-    wait_for(lambda: daemon.failing() == [], "it to go on")
-
-
-class HangingSession:
-    """A session whose publications do not return before ``go``."""
-
-    def __init__(self, session: Any) -> None:
-        self._session, self.go = session, threading.Event()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._session, name)
-
-    def put(self, *given: Any, **named: Any) -> None:
-        assert self.go.wait(WAIT_SECONDS)
-        self._session.put(*given, **named)
-
-
-def test_a_publication_that_hangs_is_in_the_status_and_makes_it_unhealthy(daemon: Daemon) -> None:
-    bus = daemon.bus
-    session = bus._session = HangingSession(bus._session)  # type: ignore[assignment]
-    wait_for(
-        lambda: "publishing on status/daemon takes" in daemon.status().reason,
-        "the status to say so",
-    )
-    wait_for(
-        lambda: any("status/daemon has taken" in reason for reason in daemon.failing()),
-        "it to be unhealthy",
-    )
-    session.go.set()
-    wait_for(lambda: (daemon.failing(), daemon.status().reason) == ([], ""), "it to go on")
+        wait_for(lambda: daemon.failing() == [], "it to go on")
 
 
 def test_a_full_disk_is_not_ready_but_starting_again_would_not_help(

@@ -12,13 +12,10 @@ from __future__ import annotations
 from camtopod.serve.bus import access as access, session as session
 from camtopod.serve.bus.session import (
     JSON as JSON,
-    SLOW_PUBLICATION_SECONDS as SLOW_PUBLICATION_SECONDS,
     Bus as Bus,
     BusError as BusError,
-    Heard as Heard,
     OnMessage as OnMessage,
     QueryError as QueryError,
-    Subscription as Subscription,
     dial as dial,
     log_to_standard_output as log_to_standard_output,
     open_daemon_session as open_daemon_session,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ipaddress
 import logging
-import threading
 from pathlib import Path
 
 from camtopod.config import Config
@@ -88,12 +87,7 @@ def check_files(config: Config) -> None:
 
 
 def openness_warning(config: Config) -> str | None:
-    """Return a warning that names who has access and how to restrict it; None with ``bus.tls.ca``.
-
-    Without ``bus.tls.ca`` there is no authentication. The warning is then given for daemons that
-    connect to a router, and for those that listen, be it to this machine only: other programs of
-    the machine can reach them.
-    """
+    """Return who has access without authentication, and how to restrict it; None with it."""
     if config.bus.tls.ca:
         return None
     what = "write events, read everything learned and answer in the daemon's place"
@@ -130,21 +124,15 @@ class ConnectionWatch:
     """Log each certificate without rights that connects, once."""
 
     def __init__(self, access: rules.Access | None) -> None:
-        self._known = (
-            None if access is None else {certificate.name for certificate in access.certificates}
-        )
-        self._mutex = threading.Lock()
-        self._said: set[str | None] = set()
+        self._access = access
+        self._named: set[str | None] = set()
 
     def on_connection(self, name: str | None, address: str) -> None:
         """Take note of a new connection. Called from a thread of the bus."""
-        if self._known is None or name in self._known:
+        if self._access is None or name in {one.name for one in self._access.certificates}:
             return
-        with self._mutex:
-            first = name not in self._said and len(self._said) < UNLISTED_NAMED_MAX
-            if first:
-                self._said.add(name)
-        if first:
+        if name not in self._named and len(self._named) < UNLISTED_NAMED_MAX:
+            self._named.add(name)
             log.warning(
                 "certificate %r from %s is not on the access list: it can do nothing here",
                 name,

@@ -12,7 +12,6 @@ import contextlib
 import functools
 import json
 import logging
-import math
 import re
 import socket
 import threading
@@ -36,25 +35,16 @@ _PACK = "application/msgpack;schema=camtopod.{}.1"
 JSON = "application/json"
 _OPEN_RETRY_SECONDS = 0.2
 """Time between two attempts to open a session, in seconds."""
-_TAKEN_MAX = 10_000
-"""Most messages that `HeartbeatReceiver.take` returns at a time."""
 _REPLIES_MAX = 4096
 """Most answers to one query that are kept; closing the channel drops the rest."""
 _PROMPT = ("prediction", "status")
 """Schemas of small and urgent messages, which never wait behind a topology on the same link."""
-SLOW_PUBLICATION_SECONDS = 1.0
-"""A publication that takes longer than this, in seconds, shows in the status."""
 
-# What zenoh does with a message for a link that is full: make the caller wait (_WAIT); let one
-# message wait without the caller and drop further ones (_ONE_WAITS); drop it (_DROP).
-_WAIT, _ONE_WAITS = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.BLOCK_FIRST
-_DROP = zenoh.CongestionControl.DROP
-_FIRST, _USUAL, _ASKED = (
-    zenoh.Priority.INTERACTIVE_HIGH,
-    zenoh.Priority.DATA,
-    zenoh.Priority.INTERACTIVE_LOW,
-)
-"""Priorities, each a queue of its own on every link; _ASKED is that of queries and answers.
+# Priorities, each a queue of its own on every link.
+_FIRST = zenoh.Priority.INTERACTIVE_HIGH
+_USUAL = zenoh.Priority.DATA
+_ASKED = zenoh.Priority.INTERACTIVE_LOW
+"""That of queries and answers.
 
 The daemon that others connect to gives _ASKED to readers' queries, whatever they ask for
 (`camtopod.keys.rules.priorities`).
@@ -67,7 +57,6 @@ Answer = Callable[[str, dict[str, str]], Any]
 
 Returns the struct to answer with, or None for no answer; raises `QueryError` to refuse.
 """
-
 
 OnRequest = Callable[[str, bytes, Callable[[bytes], None]], None]
 """Callback with (key below the site, content, function that answers).
@@ -84,58 +73,6 @@ class QueryError(Exception):
     """A query that cannot be answered; ``str()`` is sent to the program that asked."""
 
 
-Heard = tuple[str, bytes, bytes]
-"""A received message: (key below the site, payload, the publisher's attachment)."""
-
-
-class Subscription:
-    """A subscription that one thread reads, instead of a callback.
-
-    Where many messages come, this is far cheaper than a callback for each, and a single message is
-    not delayed.
-    """
-
-    def __init__(self, subscriber: Any, above: str) -> None:
-        self._subscriber, self._messages, self._skipped = subscriber, subscriber.handler, len(above)
-        self._closing = threading.Lock()
-
-    def receive(self, wait: bool = True) -> list[Heard] | None:
-        """Return received messages; None when the subscription is closed and everything was taken.
-
-        wait: True waits for the next message and returns it alone; False returns all messages that
-            have come, at most `_TAKEN_MAX`, without waiting.
-        """
-        messages, skipped, put, heard = (
-            self._messages,
-            self._skipped,
-            zenoh.SampleKind.PUT,
-            list[Heard](),
-        )
-
-        # Read until the channel is empty; after one message if it was waited for.
-        try:
-            sample = messages.recv() if wait else messages.try_recv()
-            while sample is not None:
-                if sample.kind == put:
-                    note = sample.attachment
-                    heard.append(
-                        (
-                            str(sample.key_expr)[skipped:],
-                            sample.payload.to_bytes(),
-                            b"" if note is None else bytes(note),
-                        )
-                    )
-                sample = messages.try_recv() if not wait and len(heard) < _TAKEN_MAX else None
-        except zenoh.ZError:  # closed
-            return heard or None
-        return heard
-
-    def close(self) -> None:
-        """End the subscription. Thread-safe; may be called twice."""
-        with self._closing, contextlib.suppress(zenoh.ZError):
-            self._subscriber.undeclare()
-
-
 class Bus:
     """One session on the bus of one site.
 
@@ -150,17 +87,15 @@ class Bus:
         self.endpoint = endpoint
         """The endpoint listened on, with the actual port, or the first one connected to."""
         self._session = session
-        self._query_seconds, self._bytes_max = settings.query_seconds, settings.message_bytes_max
+        self._query_seconds = settings.query_seconds
+        self._bytes_max = settings.message_bytes_max
         self._too_large: set[str] = set()
         self._declared: list[Any] = []
-        self._subscriptions: list[Subscription] = []
         self._closed = threading.Event()
-        # By thread: (since when on the monotonic clock, key) of its publication under way.
-        self._putting: dict[int, tuple[float, str]] = {}
 
-    def publish(self, key: str, noun: Any, schema: str) -> None:
+    def publish(self, key: str, message: Any, schema: str) -> None:
         """Publish a struct as MessagePack, without confirmation (see `camtopod.serve.outbox`)."""
-        self.publish_raw(key, codec.to_msgpack(noun), schema)
+        self.publish_raw(key, codec.to_msgpack(message), schema)
 
     def publish_raw(self, key: str, payload: bytes, schema: str, droppable: bool = False) -> None:
         """Publish bytes that are MessagePack already. Does nothing once the bus is closed.
@@ -177,32 +112,25 @@ class Bus:
             return
         self._mind_size(key, payload)
 
-        # Publish, and note since when, for `slowest_publication`.
-        thread = threading.get_ident()
-        self._putting[thread] = time.monotonic(), key
+        # Decide what to do for a link that is full: drop the message, wait for room, or let one
+        # message wait without the caller and drop further ones.
+        control = zenoh.CongestionControl.BLOCK_FIRST
+        if droppable or schema in _PROMPT:
+            control = zenoh.CongestionControl.DROP
+        elif schema == "event":
+            control = zenoh.CongestionControl.BLOCK
+
         try:
             self._session.put(
                 self._full(key),
                 payload,
                 encoding=_encoding(schema),
-                congestion_control=_DROP
-                if droppable or schema in _PROMPT
-                else _WAIT
-                if schema == "event"
-                else _ONE_WAITS,
+                congestion_control=control,
                 priority=_FIRST if schema in _PROMPT else _USUAL,
             )
         except zenoh.ZError as error:
             if not self._closed.is_set():
                 log.warning("cannot publish on %s: %s", key, error)
-        finally:
-            del self._putting[thread]
-
-    @property
-    def slowest_publication(self) -> tuple[float, str]:
-        """(seconds, key) of the publication that has been under way longest; (0, "") if none."""
-        since, key = min(self._putting.copy().values(), default=(math.inf, ""))
-        return max(0.0, time.monotonic() - since), key
 
     def subscribe(self, key: str, on_message: OnMessage) -> Callable[[], None]:
         """Call ``on_message`` for every publication on ``key`` (may contain ``*``).
@@ -224,20 +152,6 @@ class Bus:
 
         return end
 
-    def open_subscription(self, key: str, most: int) -> Subscription:
-        """Subscribe to ``key`` (may contain ``*``) and return an `HeartbeatReceiver` for one thread
-        to read.
-
-        While more than ``most`` messages wait to be taken, nothing is delivered to the whole
-        session, so the thread has to take them whatever else it has to do.
-        """
-        subscriber = self._session.declare_subscriber(
-            self._full(key), zenoh.handlers.FifoChannel(most)
-        )
-        subscription = Subscription(subscriber, self._full(""))
-        self._subscriptions.append(subscription)
-        return subscription
-
     def answer_queries(self, key: str, answer: Answer, schema: str) -> None:
         """Answer queries on ``key`` (may contain ``*``) by calling ``answer``.
 
@@ -253,16 +167,16 @@ class Bus:
 
                 # Get the answer, or the refusal.
                 try:
-                    noun = answer(self._below(asked), parameters)
+                    answered = answer(self._below(asked), parameters)
                 except QueryError as error:
                     query.reply_err(redact(str(error)).encode(), encoding="text/plain")
                     return
-                if noun is None:
+                if answered is None:
                     return
 
                 # Encode and send it.
                 as_json = parameters.get("format") == JSON
-                payload = codec.to_json(noun) if as_json else codec.to_msgpack(noun)
+                payload = codec.to_json(answered) if as_json else codec.to_msgpack(answered)
                 self._mind_size(self._below(asked), payload)
                 query.reply(asked, payload, encoding=JSON if as_json else _PACK.format(schema))
 
@@ -430,8 +344,6 @@ class Bus:
         if self._closed.is_set():
             return
         self._closed.set()
-        for subscription in self._subscriptions:
-            subscription.close()
         for declared in self._declared:
             with contextlib.suppress(zenoh.ZError):
                 declared.undeclare()

@@ -14,10 +14,8 @@ from collections.abc import Callable, Sequence
 STALLED_SECONDS_MAX = 4.0
 """A program is disconnected when data has waited this many seconds for it; it may reconnect."""
 _DESCRIPTORS = "/proc/self/fd"
-_LISTENS, _LINGERS = (
-    (socket.SOL_SOCKET, socket.SO_ACCEPTCONN),
-    (socket.SOL_SOCKET, socket.SO_LINGER),
-)
+_LISTENS = socket.SOL_SOCKET, socket.SO_ACCEPTCONN
+_LINGERS = socket.SOL_SOCKET, socket.SO_LINGER
 _NO_LINGER = struct.pack("ii", 0, 0)
 
 

@@ -92,7 +92,8 @@ class TopologySubscriber:
         except codec.Rejected as error:
             log.debug("ignoring a malformed status of the daemon: %s", error)
             return
-        held, now = self.topology, time.monotonic()
+        held = self.topology
+        now = time.monotonic()
         if newest.version == 0 or (
             held is not None and (newest.epoch, newest.version) <= (held.epoch, held.version)
         ):
@@ -100,7 +101,8 @@ class TopologySubscriber:
         elif self._behind_since is None:
             self._behind_since = now
         elif now - self._behind_since >= BEHIND_SECONDS:
-            self._behind_since, self._stale = now, True
+            self._behind_since = now
+            self._stale = True
 
     def _apply(self, payload: bytes) -> None:
         """Apply a delta; if that is impossible, have the whole topology queried."""

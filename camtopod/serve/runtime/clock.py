@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import secrets
-import socket
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 Clock = Callable[[], float]
 """A function that returns seconds since the Unix epoch, or since any other fixed moment."""
@@ -30,16 +27,6 @@ def since_boot() -> float:
         if hasattr(time, "CLOCK_BOOTTIME")
         else time.monotonic()
     )
-
-
-def machine_id() -> str:
-    """Return an identifier shared by all programs that read this machine's clock, and by no others.
-
-    It is the boot id of the kernel, or the host name where there is none.
-    """
-    with contextlib.suppress(OSError):
-        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-    return socket.gethostname()
 
 
 def steady_clock_for(clock: Clock) -> Clock:

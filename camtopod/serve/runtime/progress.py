@@ -33,12 +33,6 @@ class Heartbeat:
         """Record that the loop makes progress now."""
         self._last = self._monotonic()
 
-    def beat_as_of(self, since: float) -> None:
-        """Record that the loop has been waiting since ``since`` (monotonic clock), if that is
-        newer.
-        """
-        self._last = max(self._last, min(since, self._monotonic()))
-
     def seconds_since_beat(self) -> float:
         """Return the seconds since the last beat."""
         return self._monotonic() - self._last
