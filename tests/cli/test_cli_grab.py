@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -160,10 +159,6 @@ def test_a_camera_s_own_settings_and_another_source(
     assert f"{config}:3: cameras.lobby: source is missing" in capsys.readouterr().err
 
 
-def test_an_output_that_cannot_be_written(tmp_path: Path) -> None:
-    assert main(["grab", "--camera", "lobby", "x", "--out", str(tmp_path / "none" / "e")]) == 1
-
-
 def test_no_bus_and_no_state(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = tmp_path / "c.toml"
     config.write_text('[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.2\n')
@@ -218,24 +213,6 @@ def test_it_tells_the_one_above_that_it_gets_on(
     assert heard == states
     os.close(receiver.child_fd)
     receiver.close()
-
-
-def test_without_a_daemon_events_wait_in_the_spool(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", 0.1)
-    meeting = buses.open_daemon_session(small_config(tmp_path))
-    arguments = grab_to(meeting.endpoint, tmp_path)
-    assert main(arguments) == 1
-    assert (
-        "20 events are not stored: is `camtopod run` running for site site?"
-        in capsys.readouterr().err
-    )
-    with Daemon(small_config(tmp_path / "daemon"), meeting) as daemon:
-        monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", serving.WAIT_SECONDS)
-        assert main(arguments) == 0
-        assert daemon.status().events["stored"] == 2 * len(EVENTS)
-    meeting.close()
 
 
 @pytest.mark.parametrize("above", ["supervisor", "systemd"])
@@ -308,28 +285,3 @@ def test_a_live_source_goes_on_while_the_bus_is_away(
     assert daemon.status().events["stored"] == len(EVENTS)
     assert FakeGrabber.made[0].source == "rtsp://h/x"
     daemon.stop()
-
-
-def test_ingest_counts_bad_lines_with_file_and_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "e.jsonl"
-    lines = [json.dumps({"camera": "lobby", "kind": "entry", "t": T0 + n}) for n in range(5)]
-    lines[1:1] = [
-        '{"camera":"lobby","kind":"entry"}',
-        "",
-        "nonsense rtsp://u:p@ss@h",
-        "more nonsense",
-    ]
-    path.write_text("\n".join(lines))
-    with Daemon(small_config(tmp_path / "daemon")) as daemon:
-        ingest = ["ingest", "jsonl", str(path), "--state", str(tmp_path)]
-        assert main(["--connect", daemon.endpoint, *ingest]) == 0
-        assert daemon.status().events["stored"] == 5
-    err = capsys.readouterr().err
-    assert f"{path}:2: " in err
-    assert f"{path}:4: " in err
-    assert f"{path}:5: " not in err, "one of a kind is enough"
-    assert "p@ss" not in err
-    assert "3 of 8 lines were rejected: bad-value 1, malformed 2" in err
-    assert main(["ingest", "jsonl", str(tmp_path / "none")]) == 66

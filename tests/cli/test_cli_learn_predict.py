@@ -21,7 +21,6 @@ from serving import camtopod
 from camtopod.cli import exits, main
 from camtopod.cli.commands.learn import EPOCH
 from camtopod.cli.events.event_lines import LineReader
-from camtopod.cli.terminal import progress
 from camtopod.codec import EVENT_BYTES_MAX, read, to_json
 from camtopod.records import Event, Prediction, Topology
 from camtopod.sim.simulation import SimSettings, simulate
@@ -96,23 +95,6 @@ def test_without_updates_there_is_one_version(run: Run, topology: Path) -> None:
     assert last.score is None, "it takes versions on the way"
 
 
-def test_learn_says_in_a_pipe_how_far_it_has_come(
-    run: Run, recording: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(progress, "PIPED_SECONDS", 0.0)
-    _, _, said = run("learn", recording)
-    assert re.search(r"^camtopod: \d+ lines, \d+ %, \d+ s left$", said, re.M)
-    assert re.search(r"^camtopod: version 1, step 4 of 8: joint fit$", said, re.M)
-    _, _, said = run("learn", "-", stdin=recording.read_bytes())
-    assert re.search(r"^camtopod: \d+ lines$", said, re.M), "nobody knows how much is to come"
-
-
-def test_learn_prints_the_topology_when_no_file_is_named(
-    run: Run, recording: Path, topology: Path
-) -> None:
-    assert run("learn", recording)[:2] == (0, topology.read_bytes())
-
-
 def test_learn_from_a_pipe_and_from_several_files(run: Run, topology: Path, tmp_path: Path) -> None:
     names = sorted({event.camera for event in EVENTS})
     for name in names:
@@ -185,15 +167,6 @@ def test_an_output_that_cannot_be_written(run: Run, recording: Path, tmp_path: P
         status, _, said = run("learn", recording, option, tmp_path / "no" / "folder")
         assert status == exits.FAILED
         assert "cannot write" in said
-
-
-def test_a_topology_that_cannot_be_written_is_said_before_the_work(
-    run: Run, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(LineReader, "merged", lambda *_: pytest.fail("it has begun to read"))
-    status, _, said = run("learn", recording, "--topology", tmp_path / "missing" / "topology.json")
-    assert status == exits.FAILED
-    assert "is no directory" in said
 
 
 # --- predict ---
@@ -271,24 +244,6 @@ def test_the_likeliest_and_the_sum_of_the_others(
     assert any(p.others for p in predictions(short)) == (most < 1000)
 
 
-@pytest.mark.parametrize("most", ["0", "1.5"])
-def test_a_wrong_number_of_the_likeliest(
-    most: str, topology: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main.main(["predict", str(topology), "-", f"--top={most}"])
-    assert caught.value.code == exits.USAGE
-    assert "at least 1" in capsys.readouterr().err
-
-
-def test_predict_counts_what_does_not_fit(run: Run, topology: Path) -> None:
-    status, printed, said = run("predict", topology, "-", stdin=b"nonsense\n" + lines(EVENTS[:20]))
-    assert status == 0
-    assert len(printed.splitlines()) == sum(event.kind == "exit" for event in EVENTS[:20])
-    assert "1 of 21 lines were rejected: malformed 1" in said
-    assert run("predict", topology, "-", stdin=b"")[:2] == (0, b"")
-
-
 def test_predict_needs_a_topology(run: Run, tmp_path: Path) -> None:
     for name, content in (
         ("none.json", None),
@@ -330,14 +285,6 @@ def test_long_lines_are_skipped_whole(capsys: pytest.CaptureFixture[str]) -> Non
     end = LineReader()
     assert list(end.lines("f", io.BytesIO(b"z" * 200_000))) == []
     assert end.rejected == {"too-long": 1}
-
-
-def test_secrets_in_a_quoted_line_stay_secret(capsys: pytest.CaptureFixture[str]) -> None:
-    reader = LineReader()
-    assert list(reader.lines("f", io.BytesIO(b"rtsp://admin:hunter2@cam/1\n"))) == []
-    assert "hunter2" not in capsys.readouterr().err
-    assert reader.summary() == "1 of 1 lines were rejected: malformed 1"
-    assert LineReader().summary() is None
 
 
 def test_a_terminal_gets_the_links_as_a_table(recording: Path) -> None:

@@ -96,18 +96,6 @@ def test_every_command_has_its_own_help(capsys: pytest.CaptureFixture[str]) -> N
         assert re.search(rf"example: camtopod .*\b{name}\b", out)
 
 
-def test_every_command_below_keys_has_an_example() -> None:
-    parser, _ = main.parser_of(["keys"])
-    [keys] = [one for one in parser._actions if isinstance(one, argparse._SubParsersAction)]
-    inner = [
-        one for one in keys.choices["keys"]._actions if isinstance(one, argparse._SubParsersAction)
-    ]
-    for name, command in inner[0].choices.items():
-        example = str(command.epilog).removeprefix("example: camtopod ")
-        assert example.startswith(f"keys {name}")
-        parser.parse_args(example.split())
-
-
 def test_alone_it_says_how_to_begin(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main.main([])
@@ -202,21 +190,6 @@ def test_the_last_message_has_the_form_of_the_log_too(
     assert json.loads(capsys.readouterr().err) == {"level": "error", "message": 'no "good"'}
     main.main(["probe", "--log-format", "logfmt"])
     assert capsys.readouterr().err == 'level=error message="no \\"good\\""\n'
-
-
-def test_linear_algebra_has_one_thread_unless_told_otherwise(
-    command: types.ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    assert main.main(["probe"]) == 0
-    assert (os.environ["OPENBLAS_NUM_THREADS"], os.environ["OMP_NUM_THREADS"]) == ("1", "3")
-
-
-def test_what_nobody_expects_is_not_hidden(command: types.ModuleType) -> None:
-    command.act = lambda args: 1 // 0  # type: ignore[attr-defined]
-    with pytest.raises(ZeroDivisionError):
-        main.main(["probe"])
 
 
 def test_a_package_that_is_missing_is_named(
@@ -357,24 +330,6 @@ def test_log_formats(form: str, capsys: pytest.CaptureFixture[str]) -> None:
         assert re.fullmatch(r't=\S+Z level=warning from=serve\.x message="says \\"no\\""', line)
 
 
-def test_the_journal_has_its_own_times(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    mine = os.fstat(2)
-    monkeypatch.setenv("JOURNAL_STREAM", f"{mine.st_dev}:{mine.st_ino}")
-    start_logging(arguments())
-    logging.getLogger("camtopod.x").info("runs")
-    logging.getLogger("camtopod.x").warning("stands")
-    assert capsys.readouterr().err == "runs\nwarning: stands\n"
-
-
-def test_log_levels(capsys: pytest.CaptureFixture[str]) -> None:
-    start_logging(arguments(log_level="warning"))
-    for level in main.LOG_LEVELS:
-        logging.getLogger("camtopod.x").log(logging.getLevelNamesMapping()[level.upper()], level)
-    assert len(capsys.readouterr().err.splitlines()) == 2
-
-
 # --- run
 # --------------------------------------------------------------------------------------------
 
@@ -457,18 +412,6 @@ def test_a_crash_shows_no_password_and_ends_with_a_status() -> None:
     assert "in thread other:" in done.stderr
     assert done.stderr.count("ValueError: rtsp://***@h/x is broken") == 2
     assert "hunter2" not in done.stderr
-
-
-def test_an_unknown_option_is_answered_with_the_usage_of_its_command(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    for command in (["run"], ["keys", "list"]):
-        with pytest.raises(SystemExit) as caught:
-            main.main([*command, "--nope"])
-        assert caught.value.code == exits.USAGE
-        said = capsys.readouterr().err
-        assert said.startswith(f"usage: camtopod {' '.join(command)} ")
-        assert "unrecognized arguments: --nope" in said
 
 
 def test_the_help_of_keys_needs_no_further_package(tmp_path: Path) -> None:

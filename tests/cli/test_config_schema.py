@@ -77,12 +77,6 @@ def test_a_mistake_is_found_where_it_is(toml: str, where: str) -> None:
     assert wrong(toml) == [where]
 
 
-def test_what_is_empty_is_not_there() -> None:
-    toml = '[cameras.lobby]\nsource = "0"\nsource_file = ""'
-    assert wrong(toml) == []
-    assert parse(toml).cameras["lobby"].source == "0"
-
-
 def test_settings_of_one_camera() -> None:
     toml = "[cameras.lobby]\nmin_height = 0.1\nignore = ['0,0,1,0,1,1', [[0, 0], [1, 0], [1, 1]]]\n"
     assert (

@@ -10,7 +10,6 @@ import pytest
 from serving import WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
 
 from camtopod.config.settings import BusSettings, Config
-from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 
 CAMERAS = ("hall", "lobby", "yard")
@@ -77,18 +76,6 @@ def test_a_daemon_that_is_missing_goes_or_comes_is_one_sentence(
     grabber.end()
 
 
-def test_a_bus_without_a_daemon_is_said(tmp_path: Path, started: list[Grabber]) -> None:
-    """By each of the cameras."""
-    with buses.open_daemon_session(small_config(tmp_path)) as bus:
-        started.append(grabber := Grabber(tmp_path, bus.endpoint))
-        wait_for(
-            lambda: len(grabber.said("no daemon of site site is there")) == len(CAMERAS),
-            "word that there is none",
-        )
-        with Daemon(small_config(tmp_path / "state"), bus):
-            wait_for(lambda: len(grabber.said(BACK)) == len(CAMERAS), "word that it is there")
-
-
 # --- a second one ---------------------------------------------------------------------------------
 
 
@@ -105,16 +92,3 @@ def test_a_second_one_says_so_once_and_ends(tmp_path: Path, started: list[Grabbe
     one = Grabber(tmp_path, endpoint, "--camera", "lobby", log="one")
     assert one.process.wait(WAIT_SECONDS) == 74
     assert len(one.said("spools-of-site/lobby.lock is held by another camtopod process")) == 1
-
-
-def test_one_that_is_started_again_after_a_kill_waits_for_the_processes_of_before(
-    tmp_path: Path, started: list[Grabber]
-) -> None:
-    endpoint = free_endpoint()
-    started.append(first := Grabber(tmp_path, endpoint))
-    wait_for(lambda: len(first.said("is connecting")) == len(CAMERAS), "all cameras")
-    first.process.kill()
-    first.process.wait()
-    started.append(second := Grabber(tmp_path, endpoint, log="second"))
-    wait_for(lambda: len(second.said("is connecting")) == len(CAMERAS), "all cameras again")
-    assert second.said("held by") == []

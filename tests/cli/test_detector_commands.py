@@ -12,8 +12,7 @@ from onnx_models import write_model
 from rendered_scenes import FPS, HEIGHT, WIDTH, Person, line
 
 from camtopod.cli.main import main
-from camtopod.config import detector_line
-from camtopod.config.settings import Config, ConfigError, load, parse
+from camtopod.config.settings import Config, ConfigError, parse
 from camtopod.vision.settings import DetectorSettings
 
 BUS = '[bus]\nconnect = ["tcp/127.0.0.1:9"]\nconnect_seconds = 0.1\n'
@@ -58,21 +57,6 @@ def test_a_camera_has_the_common_detector_one_of_its_own_or_none() -> None:
     assert Config().detector.model == ""
 
 
-def test_a_model_s_path_is_relative_to_the_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("MODELS", "/srv/models")
-    path = write(
-        tmp_path,
-        '[detector]\nmodel = "a.onnx"\n[cameras.b.detector]\nmodel = "$MODELS/b.onnx"\n'
-        "[cameras.c]\ndetector = false\n",
-    )
-    config = load(path)
-    assert config.detector.model == str(tmp_path / "a.onnx")
-    assert config.cameras["b"].detector.model == "/srv/models/b.onnx"
-    assert config.cameras["c"].detector.model == ""
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -101,29 +85,7 @@ def test_a_mistake_has_its_line(text: str, said: str) -> None:
     assert len(caught.value.problems) == 1
 
 
-def test_the_line_of_a_setting_is_that_of_the_nearest_table() -> None:
-    text = '[detector]\nmodel = "a"\n\n[cameras.b.detector]\nscore = 0.5\n'
-    assert detector_line(text, "b", "score") == (5, "cameras.b.detector.score")
-    assert detector_line(text, "b", "model") == (2, "detector.model")
-    assert detector_line(text, "c", "layout") == (1, "detector")
-
-
 # --- check ----------------------------------------------------------------------------------------
-
-
-def test_check_says_which_camera_has_which_detector(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_model(tmp_path / "person.onnx", "yolox")
-    path = write(
-        tmp_path,
-        '[detector]\nmodel = "person.onnx"\nlabels = ["person", "dog"]\n'
-        '[cameras.a]\nsource = "0"\n[cameras.b]\nsource = "1"\ndetector = false\n',
-    )
-    assert main(["check", str(path)]) == 0
-    said = capsys.readouterr().err
-    assert f"{path}:4: cameras.a: detector person.onnx (person, dog)\n" in said
-    assert f"{path}:6: cameras.b: detector = false\n" in said
 
 
 @pytest.mark.parametrize("content", [None, b"nothing of the kind"])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import stat
 from pathlib import Path
 from typing import NoReturn
@@ -154,42 +152,3 @@ def test_a_wrong_configuration_and_nothing_there(
     assert "journal.db: -rw-------, user" in text
     assert "== bus ==\nthe bus at tcp/192.0.2.1:7447 is away\n" in text
     assert main(["doctor", "--out", str(tmp_path / "none" / "x.txt")]) == 1
-
-
-class _Blind(contextlib.AbstractContextManager["_Blind"]):
-    """The bus as a camera's certificate allows."""
-
-    endpoint, site = "tls/hub:7447", "hq"
-
-    def list_alive(self, role: str) -> list[str]:
-        return []
-
-    def query(self, key: str) -> list[tuple[str, bytes]]:
-        return []
-
-    def __exit__(self, *_: object) -> None:
-        return
-
-
-def test_what_a_certificate_does_not_show_is_not_called_away(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "c.toml"
-    tls = '[bus.tls]\nca = "ca"\ncertificate = "c"\nprivate_key = "k"\n'
-    path.write_text(f'[bus]\nconnect = ["tls/hub:7447"]\n{tls}')
-    monkeypatch.setattr(doctor, "dial", lambda config: _Blind())
-    assert main(["--config", str(path), "doctor"]) == 0
-    text = capsys.readouterr().out
-    assert "daemons there: none seen, as a camera's certificate may not see this\n" in text
-    assert (
-        "no program answers a query for its status, as a camera's certificate may not see this\n"
-        in text
-    )
-
-
-def test_the_clock_s_keeper_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    program = tmp_path / "chronyc"
-    program.write_text("#!/bin/sh\necho 'System time : 0.000012 seconds fast of NTP time'\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    assert "chronyc: System time : 0.000012 seconds fast of NTP time" in list(doctor._clock())

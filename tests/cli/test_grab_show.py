@@ -45,12 +45,6 @@ def test_the_events_are_the_same_and_the_lines_say_why(
     assert any("no event: lower than min_height" in each for each in lines)
 
 
-def test_they_need_a_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "c.toml").write_text('[cameras.yard]\nsource = "0"\n')
-    assert main(["--config", str(tmp_path / "c.toml"), "grab", "--explain"]) == 2
-    assert "--show and --explain need a camera: add --camera ID" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("name", "why"),
     [("folder.jpg", "is a directory: name a file"), ("none/v.mp4", "No such file or directory")],

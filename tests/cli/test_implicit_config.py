@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from serving import camtopod
 
 from camtopod.cli import exits, implicit_config
 from camtopod.cli.main import main
@@ -84,19 +83,3 @@ def test_one_that_cannot_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert (site, "./camtopod.toml cannot be read (Is a directory)" in said) == ("site", True)
     assert main(["grab"]) == exits.INPUT
     assert "--config; none: no file" in capsys.readouterr().err
-
-
-def test_one_whose_existence_cannot_be_known(etc: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    etc.symlink_to(etc)
-    assert main(["run"]) == exits.INPUT
-    assert f"cannot read {etc}: Too many levels of symbolic links" in capsys.readouterr().err
-
-
-def test_commands_that_log_name_it_in_the_log(tmp_path: Path) -> None:
-    Path("camtopod.toml").write_text(
-        '[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.1\n'
-    )
-    watch = camtopod("--log-format", "logfmt", "watch", "--once", stderr=-1)
-    _, said = watch.communicate(timeout=60)
-    assert watch.returncode == exits.BUS
-    assert b'message="configuration: ./camtopod.toml"' in said.splitlines()[0]

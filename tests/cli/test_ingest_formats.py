@@ -10,13 +10,12 @@ from typing import Any
 
 import frigate_messages as says
 import pytest
-from serving import T0, small_config
+from serving import T0
 
 from camtopod.cli import exits
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json
 from camtopod.records import Event
-from camtopod.serve.daemon import Daemon
 
 
 def lines_of(path: Path) -> list[Event]:
@@ -80,24 +79,6 @@ def test_from_standard_input_to_standard_output(
         ("gate", "entry", 1001.4, 0.3375, 0.4, "4"),
         ("gate", "exit", 1003.8, 0.8175, 0.4, "4"),
     ]
-
-
-def test_onto_the_bus_and_once_however_often(recording: Path, tmp_path: Path) -> None:
-    with Daemon(small_config(tmp_path / "daemon")) as daemon:
-        base = [
-            "--connect",
-            daemon.endpoint,
-            "ingest",
-            "frigate",
-            str(recording),
-            "--state",
-            str(tmp_path),
-        ]
-        for _ in range(2):
-            assert main([*base, "--boot", "recording-1"]) == exits.DONE
-            assert daemon.status().events["stored"] == 20
-        assert main(base) == exits.DONE
-        assert daemon.status().events["stored"] == 40, "without a name they are others"
 
 
 @pytest.mark.parametrize(
@@ -206,13 +187,6 @@ def test_reading_that_fails_in_the_middle_is_no_success(
     err = capsys.readouterr().err
     assert "nobody expected this" in err
     assert "reading failed before the end" in err
-
-
-def test_what_adapters_write_is_what_learn_reads(recording: Path, tmp_path: Path) -> None:
-    out, topology = tmp_path / "events.jsonl", tmp_path / "topology.json"
-    assert main(["ingest", "frigate", str(recording), "--out", str(out)]) == exits.DONE
-    assert main(["learn", str(out), "--topology", str(topology)]) == exits.DONE
-    assert json.loads(topology.read_bytes())["events"] == 20
 
 
 def frames(names: list[str]) -> bytes:

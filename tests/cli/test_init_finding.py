@@ -99,11 +99,6 @@ def test_a_url_without_a_path_has_one_guess_for_each_maker(host: str) -> None:
         assert found == {maker: f"rtsp://{host}{path}" for maker, path in PATHS.items()}
 
 
-@pytest.mark.parametrize("source", ["rtsp://h/x", "rtsp://h?x", "film.mp4", "0", "http://h"])
-def test_other_sources_have_none(source: str) -> None:
-    assert streams_by_maker(source) == {}
-
-
 def test_the_path_that_opens_is_taken_where_the_camera_has_no_such_stream() -> None:
     sources = {name: f"rtsp://{name}" for name in ("found", "locked", "away", "none", "good")}
     sources["path"] = "rtsp://path/x"
@@ -144,8 +139,3 @@ def test_a_camera_that_refuses_is_left_out(
     assert "bad  left out: the camera refuses the user name" in capsys.readouterr().err
     assert "[cameras.good]" in out.read_text()
     assert "[cameras.bad]" not in out.read_text()
-
-
-def test_a_wrong_name_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["init", "my cam=rtsp://192.0.2.1/"]) == exits.USAGE
-    assert "my cam=rtsp://192.0.2.1/: a name has 1 to 64" in capsys.readouterr().err

@@ -188,23 +188,6 @@ def test_nobody_there_or_somebody_else(
     assert f"cannot reach 127.0.0.1:{port}" in capsys.readouterr().err
 
 
-def test_messages_that_wait_have_a_limit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with mosquitto(tmp_path) as broker:
-        source = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/frigate")
-        with contextlib.closing(
-            mqtt.MessageSubscription(source, "events", limit_messages=10)
-        ) as messages:
-            broker.publish([b"%d" % n for n in range(100)])
-            wait_for(lambda: messages.dropped == 90, "the messages")
-            stop = threading.Event()
-            read = messages.read(stop)
-            assert [next(read) for _ in range(10)] == [b"%d" % n for n in range(10)]
-            stop.set()
-            assert list(read) == []
-    assert "those beyond 10 are dropped" in caplog.text
-    assert "90 messages of frigate/events were dropped" in caplog.text
-
-
 def test_topics_tell_cameras_apart(tmp_path: Path) -> None:
     from paho.mqtt.publish import multiple
 
@@ -245,8 +228,6 @@ def test_bytes_that_wait_have_a_limit(
 
 # --- a message of 200 MB --------------------------------------------------------------------------
 
-HUGE = 200_000_000
-
 
 def packet(kind: int, content: bytes, more: int = 0) -> bytes:
     """Return the head of an MQTT packet; ``more`` bytes of content follow."""
@@ -260,35 +241,6 @@ def packet(kind: int, content: bytes, more: int = 0) -> bytes:
 
 def text(value: str) -> bytes:
     return len(value).to_bytes(2, "big") + value.encode()
-
-
-def publish_huge(connection: socket.socket) -> None:
-    """Publish a message of `HUGE` bytes without holding it in memory."""
-    topic = text("frigate/events")
-    connection.sendall(packet(0x30, topic, HUGE))
-    for _ in range(HUGE // 1_000_000):
-        connection.sendall(bytes(1_000_000))
-
-
-def peak_mebibytes(process: subprocess.Popen[bytes]) -> float:
-    status = Path(f"/proc/{process.pid}/status").read_text()
-    return int(status.partition("VmHWM:")[2].split()[0]) / 1024
-
-
-def test_a_broker_that_speaks_5_does_not_send_a_huge_message(tmp_path: Path) -> None:
-    with (
-        mosquitto(tmp_path) as broker,
-        Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest,
-    ):
-        with socket.create_connection(("127.0.0.1", broker.port), 30) as other:
-            other.sendall(packet(0x10, text("MQTT") + bytes([4, 2, 0, 60]) + text("other")))
-            assert other.recv(4) == b"\x20\x02\x00\x00"
-            publish_huge(other)
-        broker.publish(says.passage(1))
-        ingest.wait_for_lines(2)
-        assert ingest.said.count("subscribed to") == 1, "the connection is the same"
-        assert "lost" not in ingest.said
-        assert peak_mebibytes(ingest.process) < 150
 
 
 class Old:

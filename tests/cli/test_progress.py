@@ -20,20 +20,6 @@ def _at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "SHOW_SECONDS", 0.0)
 
 
-@pytest.mark.usefixtures("_at_once")
-def test_only_a_terminal_sees_it(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with Progress() as shown:
-        shown.show("%s", "half")
-    assert capsys.readouterr().err == ""
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with Progress() as shown:
-        shown.show("%s", "half")
-        assert capsys.readouterr().err == "\r\x1b[Khalf\r"
-    assert capsys.readouterr().err == "\r\x1b[K", "and then it is gone"
-
-
 def test_of_work_that_is_waited_for_a_pipe_hears_too(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

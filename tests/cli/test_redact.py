@@ -66,14 +66,6 @@ def test_parameters_are_hidden() -> None:
     assert "channel=1" in text
 
 
-def test_a_password_in_a_path_is_hidden() -> None:
-    text = redact.redact(
-        "rtsp://192.0.2.7:554/user=admin_password=hunter2_channel=1_stream=0.sdp is slow"
-    )
-    assert "hunter2" not in text
-    assert text.endswith("is slow")
-
-
 TOKENS = (
     "3f9c8a7be1d24c5d",
     "3f9c8a7b-e1d2-4c5d-9a7b-e1d24c5d8a7b",
@@ -148,12 +140,6 @@ def test_what_looks_like_a_token_outside_of_a_url_is_left_alone() -> None:
         '{"at":"rtsp://h/live","digest":"3f9c8a7be1d24c5d3f9c8a7be1d24c5d"}',
     ):
         assert redact.redact(text) == text
-
-
-def test_a_user_s_name_alone_is_no_secret() -> None:
-    assert not redact.holds_secret("rtsp://admin@192.0.2.7/live")
-    assert redact.holds_secret("rtsp://admin:a@192.0.2.7/live")
-    assert redact.holds_secret("https://192.0.2.7/live?api_key=abc")
 
 
 @pytest.mark.parametrize("before", ["1", "-", "...", "+", "x", "source="])

@@ -16,7 +16,7 @@ from synthetic_topology import synthetic_topology
 from camtopod import codec
 from camtopod.cli import exits, main
 from camtopod.records import Topology
-from camtopod.web import report, single_file
+from camtopod.web import single_file
 
 SITE = msgspec.structs.replace(synthetic_topology(12), version=3)
 
@@ -93,19 +93,6 @@ def test_pictures_are_in_it(tmp_path: Path) -> None:
         "cam0001": "data:image/png;base64," + base64.b64encode(b"a picture").decode()
     }
     assert [name for name, camera in data["cameras"].items() if camera["picture"]] == ["cam0001"]
-
-
-def test_a_large_sites_most_walked_links_are_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(report, "LINKS_MAX", 5)
-    told = held(written(tmp_path))["links"]
-    most = max(
-        (link for link in SITE.links if link.relation != "visible"),
-        key=lambda link: link.transitions,
-    )
-    assert len(told) == 5
-    assert next(iter(told)) == f"{most.from_} {most.to} {most.relation}"
 
 
 def test_every_module_is_in_the_script_before_those_that_use_it() -> None:

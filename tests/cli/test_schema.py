@@ -22,8 +22,6 @@ from serving import (
     walkers,
 )
 
-from camtopod.cli import exits
-from camtopod.cli.generated.config_schema import text
 from camtopod.cli.generated.message_schemas import NAMES, message_schema
 from camtopod.cli.main import main
 from camtopod.codec import to_json
@@ -46,20 +44,6 @@ def test_it_is_a_schema_and_is_printed(name: str, capsys: pytest.CaptureFixture[
     out = capsys.readouterr().out
     assert json.loads(out) == json.loads(json.dumps(message_schema(name)))
     assert r"\Z" not in out, "JavaScript does not know it"
-
-
-def test_that_of_the_configuration_is_the_one_of_check(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["schema", "configuration"]) == 0
-    assert capsys.readouterr().out == text()
-
-
-def test_a_wrong_name_is_answered_with_the_right_ones(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["schema", "events"])
-    assert caught.value.code == exits.USAGE
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert all(name in err for name in NAMES)
 
 
 def test_what_is_on_the_bus_is_valid(tmp_path: Path) -> None:

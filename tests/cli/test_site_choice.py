@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from fake_bus_daemon import running
 from msgspec.structs import replace
-from serving import camtopod, free_endpoint, small_config
+from serving import free_endpoint, small_config
 
 from camtopod.cli import exits
 from camtopod.cli.commands import ingest
@@ -77,14 +77,6 @@ def test_with_several_sites_none_is_taken(mall: Daemon, tmp_path: Path) -> None:
             assert site == "annex"
 
 
-def test_watch_shows_the_only_site(mall: Daemon) -> None:
-    watch = camtopod("--connect", mall.endpoint, "watch", "--once", stdout=-1, stderr=-1)
-    out, err = watch.communicate(timeout=60)
-    assert watch.returncode == 0
-    assert b"site mall" in out.splitlines()[0]
-    assert b"site mall, the only one on this bus" in err
-
-
 def test_ingest_takes_no_site_but_names_it(
     mall: Daemon,
     tmp_path: Path,
@@ -99,24 +91,6 @@ def test_ingest_takes_no_site_but_names_it(
     said = capsys.readouterr().err
     assert "running for site site?" in said
     assert "there is one of site mall: add --site mall" in said
-
-
-def test_grab_names_it_too(mall: Daemon, tmp_path: Path) -> None:
-    grab = camtopod(
-        "--connect", mall.endpoint, "grab", "--camera", "a", "4242", "--state", str(tmp_path),
-        stderr=-1,
-    )  # fmt: skip
-    assert grab.stderr is not None
-    try:
-        for line in grab.stderr:
-            if b"no daemon of site" in line:
-                assert b"there is one of site mall: add --site mall" in line
-                break
-        else:
-            pytest.fail("it ended")
-    finally:
-        grab.terminate()
-        grab.communicate(timeout=60)
 
 
 def test_the_client_takes_the_only_site_too(mall: Daemon) -> None:

@@ -23,9 +23,9 @@ from paths import ROOT
 from serving import WAIT_SECONDS, small_config, wait_for
 
 from camtopod.cli.cameras import camera_process, supervisor
-from camtopod.cli.cameras.camera_process import CameraProcess, exit_reason, with_restarts
+from camtopod.cli.cameras.camera_process import CameraProcess
 from camtopod.cli.cameras.heartbeat import Heartbeat, HeartbeatReceiver, HeartbeatSender
-from camtopod.cli.common import SignalRequests, ends_within, signals
+from camtopod.cli.common import SignalRequests, signals
 from camtopod.cli.exits import CommandError
 from camtopod.config import settings as configs
 from camtopod.config.settings import CameraSettings, HealthSettings
@@ -174,16 +174,6 @@ def test_a_camera_that_dies_or_hangs_is_restarted_and_delays_no_other(
     assert not any(is_running(box.pid(camera)) for camera in (*bad, "deaf", "good-stopped"))
 
 
-def test_the_worst_status_when_all_have_ended(box: Box) -> None:
-    box.configure("ends", "good", good="film.mp4")
-    box.start()
-    box.wait_for_beats("good")
-    os.kill(box.pid("good"), signal.SIGKILL)
-    wait_for(lambda: bool(box.statuses), "the end")
-    assert box.statuses == [1]
-    assert box.starts("ends") == box.starts("good") == 1
-
-
 def test_a_file_that_was_begun_is_not_begun_again(
     box: Box, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -317,14 +307,6 @@ def test_backoff_grows_has_jitter_and_starts_anew_after_a_steady_run(
     assert process.start_at == now + 0.5
 
 
-def test_words() -> None:
-    assert exit_reason(74) == "cannot write its state directory (status 74)"
-    assert (exit_reason(-9), exit_reason(-100)) == ("killed by SIGKILL", "killed by signal 100")
-    assert with_restarts(0, "", "stalled") == "stalled"
-    assert with_restarts(1, "failed", "") == "restarted once, last: failed"
-    assert with_restarts(3, "failed", "no frame") == "no frame; restarted 3 times, last: failed"
-
-
 def test_heartbeats() -> None:
     receiver = HeartbeatReceiver()
     sender = HeartbeatSender(receiver.child_fd)
@@ -393,15 +375,6 @@ def test_what_blocks_cannot_hold_up_the_end() -> None:
     process.terminate()
     assert process.wait(WAIT_SECONDS) == 0
     process.stdout.close()
-
-
-def test_whoever_has_lost_its_parent_is_told_to_stop() -> None:
-    stop = threading.Event()
-    with ends_within(stop, 10.0, parent=os.getppid() + 1):  # ours is another
-        assert stop.wait(WAIT_SECONDS)
-    other = threading.Event()
-    with ends_within(other, 10.0, parent=os.getppid()):
-        assert not other.wait(0.7)
 
 
 ENDS = """

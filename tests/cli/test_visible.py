@@ -8,7 +8,6 @@ import logging
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -16,12 +15,10 @@ import pytest
 import serving
 from hypothesis import given, strategies as st
 from serving import free_endpoint, small_config, wait_for
-from test_watch import Terminal
 
 from camtopod import codec
 from camtopod.cli.commands.watch import lines
 from camtopod.cli.common import _Formatter
-from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.main import main
 from camtopod.cli.terminal.site_state import SiteState
 from camtopod.records import (
@@ -35,8 +32,6 @@ from camtopod.records import (
     Transit,
 )
 from camtopod.serve.bus import session as buses
-from camtopod.serve.bus.session import Bus
-from camtopod.serve.daemon import Daemon
 from camtopod.visible import visible, visible_lines
 
 HOSTILE = "run\x1b[2Jning \x1b]0;OWNED\x07\x9b31m\u202eright\u2028to\u2066left\r\nerror: FORGED\x7f\ud800\x00"
@@ -66,20 +61,6 @@ def test_a_message_is_one_line_in_every_form(form: str) -> None:
     assert ACTING.search(line) is None, line
     if form == "json":
         assert json.loads(line)["message"] == f"rejected event/{HOSTILE}"
-
-
-@pytest.mark.parametrize("form", ["text", "logfmt", "json"])
-def test_a_traceback_is_indented(form: str) -> None:
-    try:
-        raise ValueError(HOSTILE)
-    except ValueError as error:
-        record = logging.LogRecord(
-            "x", logging.ERROR, "", 0, "it failed", (), (ValueError, error, error.__traceback__)
-        )
-    first, *others = _Formatter(form).format(record).split("\n")
-    assert "it failed" in first
-    assert all(line.startswith("    ") for line in others)
-    assert ACTING.search("".join([first, *others])) is None
 
 
 def full_of_it() -> tuple[SiteState, Topology]:
@@ -122,58 +103,6 @@ def test_watch_shows_it_and_does_not_obey_it() -> None:
     assert sum("FORGED" in line and line.startswith("error") for line in text) == 0
 
 
-@contextlib.contextmanager
-def hostile_site(folder: Path) -> Iterator[tuple[Bus, Daemon]]:
-    """Run a daemon, and a client on its open bus that publishes `HOSTILE` in every place."""
-    said = HOSTILE.replace("\ud800", "")
-    with (
-        Daemon(small_config(folder / "state")) as daemon,
-        contextlib.closing(buses.dial(small_config(folder, daemon.endpoint))) as bus,
-    ):
-        bus.answer_queries(
-            "status/cam1", lambda key, parameters: {"state": said, "reason": said}, "status"
-        )
-        bus.answer_queries(
-            "status/x\nFORGED", lambda key, parameters: {"state": said, said: said}, "status"
-        )
-        bus.announce("grabber", "y\x1b[2J\nFORGED")
-        bus.announce("daemon", "z\x1b[2J\nFORGED")
-        yield bus, daemon
-
-
-def test_a_terminal_and_the_doctor_get_none_of_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("TERM", "xterm-256color")
-    monkeypatch.delenv("COLUMNS", raising=False)
-    said = HOSTILE.replace("\ud800", "")
-    with hostile_site(tmp_path) as (bus, daemon):
-        terminal = Terminal("--connect", daemon.endpoint, "watch", columns=200, rows=50)
-
-        def shown() -> bool:
-            bus.publish(
-                "status/cam1", {"state": said, "reason": said}, "status"
-            )  # as grabbers do, again and again
-            return "OWNED" in terminal.text
-
-        wait_for(shown, "what it says of itself")
-        bus.publish(
-            "status/cam1",
-            {"state": "\x1b]52;c;ZWNobw==\x07", "reason": "\x1b]0;AGAIN\x07"},
-            "status",
-        )
-        wait_for(lambda: "AGAIN" in terminal.text, "what it says then")
-        assert terminal.close() == 0
-        assert main(["--connect", daemon.endpoint, "doctor"]) == 0
-    for written in ("\x1b]", "\x07", "\x9b", "\u202e", "\nFORGED", "\nerror"):
-        assert written not in terminal.text
-    report = capsys.readouterr().out
-    assert report.count("OWNED") >= 2
-    assert [
-        line for line in report.splitlines() if ACTING.search(line) or line.startswith("FORGED")
-    ] == []
-
-
 def test_no_name_on_the_bus_makes_a_line_of_the_log(tmp_path: Path) -> None:
     endpoint, log = free_endpoint(), tmp_path / "log"
     settings = tmp_path / "c.toml"
@@ -200,12 +129,6 @@ def test_no_name_on_the_bus_makes_a_line_of_the_log(tmp_path: Path) -> None:
     assert "FORGED" in text
     assert [line for line in text.split("\n") if not line.isprintable()] == []
     assert [line for line in text.splitlines() if line.startswith(("FORGED", "2026-01-01"))] == []
-
-
-def test_a_line_of_a_file_is_quoted_so(capsys: pytest.CaptureFixture[str]) -> None:
-    LineReader().reject("malformed", "events.jsonl:1: x", HOSTILE.encode("utf-8", "surrogatepass"))
-    (line,) = capsys.readouterr().err.splitlines()
-    assert ACTING.search(line) is None
 
 
 def test_what_ends_a_command_is_said_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
