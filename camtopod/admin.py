@@ -35,7 +35,6 @@ class Reset(Struct, frozen=True, tag="reset"):
 
     t (Unix seconds): earlier events are not learned.
     before, epoch: the epoch that ends, and the one that begins.
-    stored: digests of the versions of ``epoch`` that may have been published, by version.
 
     An operator's command has none of these: the daemon fills them in.
     """
@@ -43,7 +42,18 @@ class Reset(Struct, frozen=True, tag="reset"):
     t: float = 0.0
     before: str = ""
     epoch: str = ""
-    stored: dict[int, str] = {}
 
 
-Command = Forget | TakeBack | Rename | Reset
+class Rewind(Struct, frozen=True, tag="rewind"):
+    """Drop what was learned after a time; the daemon's own, when its clock was set back.
+
+    to (Unix seconds): everything later is dropped.
+    before, epoch: the epoch that ends, and the one that begins.
+    """
+
+    to: float
+    before: str
+    epoch: str
+
+
+Command = Forget | TakeBack | Rename | Reset | Rewind

@@ -27,7 +27,7 @@ import msgspec
 from msgspec.structs import replace
 
 from camtopod import codec
-from camtopod.admin import Reset
+from camtopod.admin import Reset, Rewind
 from camtopod.config import Config
 from camtopod.event_time import MICROSECONDS, EventTime, microseconds
 from camtopod.keys.rules import STATUS
@@ -70,8 +70,8 @@ from camtopod.serve.storage import (
     JournalWriter,
     StateError,
     Version,
+    command_entry,
     head_of,
-    rewind,
 )
 from camtopod.topology import links_in_words, waiting_for_links
 
@@ -355,8 +355,8 @@ class Daemon:
             " event time continues from the clock, in epoch %s",
             begun,
         )
-        entry, for_learner = rewind(to, ended, begun)
-        return Received(entry, rewind=for_learner)
+        command = Rewind(to, ended, begun)
+        return Received(command_entry(command), command=command)
 
     def _build(self, bus: Bus, recovered: Recovered, process: LearnerProcess) -> None:
         """Create the parts from the recovered state and connect them."""
@@ -364,7 +364,7 @@ class Daemon:
 
         # Predictions, from the newest version until there is another.
         self._live = Live(self._publish_prediction)
-        if (topology := newest_topology(self._journal, process)) is not None:
+        if (topology := newest_topology(self._journal)) is not None:
             self.newest = CurrentVersion(head_of(topology), codec.to_msgpack(topology))
             self._live.use(topology)
 

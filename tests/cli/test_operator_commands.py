@@ -25,11 +25,9 @@ from serving import (
 
 from camtopod.cli import exits
 from camtopod.cli.main import main
-from camtopod.config import KeepSettings
-from camtopod.serve.bus import dial
+from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest import read_names
-from camtopod.serve.recorded_state import RecordedState
 from camtopod.serve.storage import NAMES_KEY, Journal
 
 EVENTS = [*numbered(walkers(60)), closing_event()]
@@ -86,7 +84,7 @@ def test_what_the_daemon_refuses_is_said(
     hq = ("--connect", daemon.endpoint, "--site", "hq")
     status, out, err = told(capsys, *hq, "forget", "bb")
     assert (status, out) == (exits.FAILED, "")
-    assert "there is no camera bb; there are a, b, c" in err
+    assert "there is no camera bb; there are: a, b, c" in err
 
 
 @pytest.mark.parametrize(
@@ -117,104 +115,12 @@ def test_a_reset_has_to_be_confirmed(
     assert told(capsys, *hq, "reset")[0] == exits.DONE
 
 
-# --- without a daemon -----------------------------------------------------------------------------
-
-
-@pytest.fixture
-def state(tmp_path: Path) -> Path:
-    """Return the state directory of a daemon that has stopped."""
-    with (
-        running(tmp_path / "hq", free_endpoint()) as one,
-        dial(small_config(tmp_path, one.endpoint)) as bus,
-    ):
-        put(bus, *EVENTS)
-        wait_for(lambda: all_out(one, len(EVENTS)), "all to be learned")
-    return tmp_path / "hq" / "state"
-
-
-def restarted(state: Path) -> set[str]:
-    """Return the cameras that a daemon has which starts there again and learns the rest."""
-    journal = Journal(state)
-    entries = len(journal)
-    journal.close()
-    with running(state.parent, free_endpoint()) as one:
-        wait_for(lambda: one._learning.position >= entries, "the journal to be learned")
-        wait_for(
-            lambda: one.status().learner["version"] == one.status().version,
-            "the version to be published",
-        )
-        return cameras(one)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "left"),
-    [
-        (["forget", "b"], {"a", "c"}),
-        (["rename", "b", "yard"], {"a", "c", "yard"}),
-        (["reset", "--yes"], set()),
-    ],
-)
-def test_without_a_daemon_the_state_is_changed(
-    arguments: list[str], left: set[str], state: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, out, err = told(capsys, *arguments, "--state", str(state))
-    assert (status, err) == (0, "")
-    assert f"stored in {state}, for the next `camtopod run`" in out
-    assert restarted(state) == left
-
-
-def test_that_of_the_configuration_is_used_if_no_bus_is_reached(
-    state: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    config = tmp_path / "camtopod.toml"
-    config.write_text(
-        f'[state]\ndirectory = "{state}"\n'
-        f'[bus]\nlisten = ["{free_endpoint()}"]\nconnect_seconds = 0.1\n'
-    )
-    assert main(["--config", str(config), "forget", "b"]) == 0
-    assert str(state) in capsys.readouterr().out
-    assert restarted(state) == {"a", "c"}
-    # Another bus was named: its daemon cannot be replaced by the state on this machine.
-    elsewhere = ("--config", str(config), "--connect", free_endpoint())
-    assert main([*elsewhere, "forget", "c"]) == exits.BUS
-
-
-def test_commands_follow_each_other(state: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    there = ("--state", str(state))
-    assert told(capsys, "rename", "b", "yard", *there)[0] == 0
-    assert "b was renamed to yard" in told(capsys, "rename", "b", "x", *there)[2]
-    assert told(capsys, "forget", "yard", *there)[0] == 0
-    assert told(capsys, "reset", "--yes", *there)[0] == 0
-    assert "there is no camera x; none is known yet" in told(capsys, "forget", "x", *there)[2]
-    assert restarted(state) == set()
-
-
-def test_a_state_in_use_is_left_alone(
-    daemon: Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    state = tmp_path / "hq" / "state"
-    status, out, err = told(capsys, "forget", "b", "--state", str(state))
-    assert (status, out) == (exits.STATE, "")
-    assert f"a daemon uses {state}" in err
-
-
-def test_no_state_is_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    status, _, err = told(capsys, "forget", "b", "--state", str(tmp_path / "none"))
-    assert (status, "there is no state of a daemon" in err) == (exits.STATE, True)
-    assert not (tmp_path / "none").exists()
-
-
-def test_a_recorded_state_can_be_changed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with RecordedState(tmp_path / "state", KeepSettings(), 1.7e9) as recorded:
-        for event in EVENTS:
-            recorded.add(event)
-        recorded._commit()
-    assert told(capsys, "forget", "b", "--state", str(tmp_path / "state"))[0] == 0
-
-
 # --- kill -9 --------------------------------------------------------------------------------------
+
+
+def stored(bus: Bus) -> bytes:
+    """Return the daemon's status as JSON."""
+    return bus.query("status/daemon", {"format": "application/json"}, one=True)[0][1]
 
 
 def test_what_was_answered_survives_a_kill(tmp_path: Path) -> None:
@@ -228,6 +134,7 @@ def test_what_was_answered_survives_a_kill(tmp_path: Path) -> None:
     assert any(b"ready at" in line for line in run.stderr)
     with dial(small_config(tmp_path, endpoint)) as bus:
         put(bus, *EVENTS)
+        wait_for(lambda: b'"stored":0' not in stored(bus), "events to be stored")
     forget = camtopod("--connect", endpoint, "forget", "b", stdout=subprocess.PIPE)
     assert forget.stdout is not None
     assert forget.stdout.readline().startswith(b"b is forgotten")

@@ -91,7 +91,6 @@ HOMES = {
         "serve.storage",
         "serve.outbox",
         "serve.recorded_state",
-        "serve.offline_commands",
         "serve.daemon",
     ),
 }

@@ -46,8 +46,8 @@ def process() -> Iterator[LearnerProcess]:
     one.close()
 
 
-def event(track: str) -> bytes:
-    return to_msgpack(Event("a", "entry", T0, 0.5, 0.5, track))
+def event(track: str) -> tuple[str, bytes]:
+    return "event", to_msgpack(Event("a", "entry", T0, 0.5, 0.5, track))
 
 
 def alive(pid: int) -> bool:
@@ -113,7 +113,14 @@ def test_what_the_terminal_and_systemd_tell_the_group_is_not_for_it(
 def test_what_cannot_be_read_teaches_nothing_and_is_counted(process: LearnerProcess) -> None:
     answer = process.ask(
         LearnBatch(
-            0, [b"{}", None, T0, event("1"), b'{"camera":"a","kind":"exit","t":1700000000.0}']
+            0,
+            [
+                ("event", b"{}"),
+                ("skipped", b""),
+                ("advance", repr(T0).encode()),
+                event("1"),
+                ("event", b'{"camera":"a","kind":"exit","t":1700000000.0}'),
+            ],
         )
     )
     assert isinstance(answer, LearnProgress)

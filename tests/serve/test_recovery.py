@@ -15,6 +15,7 @@ import msgspec
 import pytest
 from serving import closing_event, numbered, small_config, walkers
 
+from camtopod.admin import Rewind
 from camtopod.codec import to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -25,7 +26,7 @@ from camtopod.serve.learner_process.feeder import CATCHING_UP_SECONDS, LearnerFe
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import recover
 from camtopod.serve.runtime.progress import no_beat
-from camtopod.serve.storage.corrections import rewind
+from camtopod.serve.storage import command_entry
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.packed_version import Version
 from camtopod.serve.storage.sqlite_file import StateError, crc
@@ -283,9 +284,9 @@ def test_a_rewind_is_replayed_like_an_event(start: Start, tmp_path: Path) -> Non
     one = start()
     one.learn([*EVENTS[:120], *wild])
     to = EVENTS[119].t + 1.0
-    entry, lesson = rewind(to, one.learning.epoch, one.new_epoch())
+    entry = command_entry(Rewind(to, one.learning.epoch, one.new_epoch()))
     one.journal.commit([entry])
-    one.learning.feed([Received(entry, rewind=lesson)])
+    one.learning.feed([Received(entry)])
     one.run()
     assert (one.learning.epoch, one.learning.statistics["watermark"]) == ("F", to)
     one.learn(EVENTS[120:])
@@ -420,11 +421,16 @@ def test_what_predictions_remember(start: Start) -> None:
         e for e in EVENTS[:50] if e.t > last - recovery.RECENT_SECONDS
     ]
     one.learn(EVENTS[50:])
-    newest = recovery.newest_topology(one.journal, one.process)
+    newest = recovery.newest_topology(one.journal)
     assert newest is not None
     assert newest.digest == one.published[-1][2]
-    one.journal._db.execute("DELETE FROM version")
-    assert recovery.newest_topology(one.journal, one.process) == newest, "as the learner has it"
+
+    one.journal._db.execute(
+        "UPDATE version SET digest = 'x' WHERE id = (SELECT MAX(id) FROM version)"
+    )
+    before = recovery.newest_topology(one.journal)
+    assert before is not None
+    assert before.version == newest.version - 1, "the newest is damaged"
 
 
 def test_a_closed_journal_can_be_opened_again(tmp_path: Path) -> None:

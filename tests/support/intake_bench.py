@@ -12,6 +12,7 @@ from pathlib import Path
 import msgspec
 
 from camtopod import codec
+from camtopod.admin import Rewind
 from camtopod.config import Limits
 from camtopod.event_time import EventTime
 from camtopod.records import Event
@@ -27,7 +28,7 @@ from camtopod.serve.ingest import (
     read_names,
 )
 from camtopod.serve.requests import Answer, Batch, Hello
-from camtopod.serve.storage import NAMES_KEY, Journal, JournalWriter, rewind
+from camtopod.serve.storage import NAMES_KEY, Journal, JournalWriter, command_entry
 
 START = 1_700_000_000.0
 """Unix seconds at which the clocks of a test begin."""
@@ -154,8 +155,8 @@ class IntakeBench:
         return [(entry.kind, entry.camera, entry.seq) for entry in entries]
 
     def _rewound(self, to: float) -> Received:
-        entry, for_learner = rewind(to, "before", "after")
-        return Received(entry, rewind=for_learner)
+        command = Rewind(to, "before", "after")
+        return Received(command_entry(command), command=command)
 
 
 _tracks = itertools.count()

@@ -1,4 +1,4 @@
-"""Send an operator's command to the daemon or, if none runs, apply it to its state."""
+"""Send an operator's command to the daemon."""
 
 from __future__ import annotations
 
@@ -15,24 +15,10 @@ from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.admin_queries import Done, parameters_of
 from camtopod.serve.bus import Bus, BusError, QueryError, dial
-from camtopod.serve.ingest import CommandRefused
-from camtopod.serve.offline_commands import carry_out_offline
-from camtopod.serve.runtime import clock
-from camtopod.serve.storage import StateError
 
 ANSWER_SECONDS = 30.0
 """Longest wait for the daemon's answer; it answers when the command is on its disk."""
 CAMERA_NAME = "1 to 64 of the characters A-Z a-z 0-9 _ . -"
-
-
-def add_state_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names a state directory instead of a daemon."""
-    parser.add_argument(
-        "--state",
-        metavar="DIR",
-        help="change this state directory, which no daemon may use, and ask no daemon; without "
-        "--state, that of the configuration is changed if no bus is reached",
-    )
 
 
 def camera(name: str) -> str:
@@ -50,18 +36,12 @@ def carry_out(args: argparse.Namespace, command: Command) -> int:
     """
     start_logging(args)
     config = configuration(args)
-    if args.state is None:
-        try:
-            bus = dial(config)
-        except BusError as error:
-            # Without a daemon, its state can be changed, unless it was looked for elsewhere.
-            if args.connect or not (config.state_directory / "journal.db").exists():
-                raise CommandError(str(error), exits.BUS) from None
-        else:
-            with bus:
-                print(_asked(bus, config, command))
-            return exits.DONE
-    print(_offline(config, command))
+    try:
+        bus = dial(config)
+    except BusError as error:
+        raise CommandError(str(error), exits.BUS) from None
+    with bus:
+        print(_asked(bus, config, command))
     return exits.DONE
 
 
@@ -82,15 +62,3 @@ def _asked(bus: Bus, config: Config, command: Command) -> str:
         f"{certificate}",
         exits.BUS,
     )
-
-
-def _offline(config: Config, command: Command) -> str:
-    """Execute a command in the state directory; return the result. Raises `CommandError`."""
-    directory = config.state_directory
-    try:
-        said = carry_out_offline(directory, command, config.keep, clock.wall())
-    except StateError as error:
-        raise CommandError(str(error), exits.STATE) from None
-    except CommandRefused as error:
-        raise CommandError(str(error)) from None
-    return f"{said}; stored in {directory}, for the next `camtopod run`"

@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from camtopod.admin import Forget, TakeBack
-from camtopod.cli.operator.carry_out import add_state_option, camera, carry_out
+from camtopod.cli.operator.carry_out import camera, carry_out
 
 
 def add_parser(subparsers: Any) -> None:
@@ -26,7 +26,6 @@ def add_parser(subparsers: Any) -> None:
         action="store_true",
         help="accept events of this forgotten name again, as of a new camera",
     )
-    add_state_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:

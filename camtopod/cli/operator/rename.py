@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from camtopod.admin import Rename
-from camtopod.cli.operator.carry_out import add_state_option, camera, carry_out
+from camtopod.cli.operator.carry_out import camera, carry_out
 
 
 def add_parser(subparsers: Any) -> None:
@@ -21,7 +21,6 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("old", type=camera, metavar="OLD", help="the camera's name so far")
     parser.add_argument("new", type=camera, metavar="NEW", help="its new name, which no other has")
-    add_state_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from camtopod.admin import Reset
 from camtopod.cli import exits
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError
-from camtopod.cli.operator.carry_out import add_state_option, carry_out
+from camtopod.cli.operator.carry_out import carry_out
 
 
 def add_parser(subparsers: Any) -> None:
@@ -24,7 +24,6 @@ def add_parser(subparsers: Any) -> None:
         epilog="example: camtopod --site hq reset --yes",
     )
     parser.add_argument("--yes", action="store_true", help="do not ask for confirmation")
-    add_state_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -16,7 +16,6 @@ from camtopod.serve.ingest.merge import Merger as Merger
 from camtopod.serve.ingest.names import (
     CommandRefused as CommandRefused,
     Names as Names,
-    known_site as known_site,
     read_names as read_names,
 )
 from camtopod.serve.ingest.numbers import Numbers as Numbers

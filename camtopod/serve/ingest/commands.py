@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from camtopod.admin import Command, Forget, Rename, Reset
 from camtopod.records import Topology
 from camtopod.serve.ingest.intake import Intake
-from camtopod.serve.ingest.names import CommandRefused, known_site
+from camtopod.serve.ingest.names import CommandRefused
 
 log = logging.getLogger(__name__)
 
@@ -34,11 +34,12 @@ def execute(
     with intake.turn:
         if isinstance(command, Reset):
             command = reset()
-        names, cameras = intake.names, intake.cameras
-        site = known_site(
-            topology, cameras.status(set()), intake.numbers.cameras, names.state.since
-        )
-        entry, effect = names.carry_out(command, site)
+        names = intake.names
+        cameras = intake.cameras
+        known = {*intake.numbers.cameras, *cameras.status(set())}
+        if topology is not None:
+            known.update(camera.id for camera in topology.cameras)
+        entry, effect = names.carry_out(command, known)
         match command:
             case Forget():
                 for name in names.state.forgotten:

@@ -7,7 +7,7 @@ nothing is taken, as one of the two is wrong. Only a step back that is seen take
 
 from __future__ import annotations
 
-from camtopod.admin import Command, Forget, Rename, Reset
+from camtopod.admin import Command, Forget, Rename, Reset, Rewind
 from camtopod.event_time import EventTime, EventTimeState, microseconds
 from camtopod.serve.ingest.received import Received
 from camtopod.serve.storage import Entry
@@ -90,14 +90,12 @@ class EventClock:
             return not self._learned.note(microseconds(received.event.t), received.event.camera)
         if received.advance is not None:
             self._learned.advance(microseconds(received.advance))
-        elif received.rewind is not None:
-            self._learned.rewind(microseconds(received.rewind.to))
         elif received.command is not None:
             self._apply(received.command)
         return False
 
     def _apply(self, command: Command) -> None:
-        """Change event time as an operator's command does in the learner."""
+        """Change event time as a command does in the learner."""
         match command:
             case Forget(camera):
                 self._learned.forget({camera})
@@ -105,5 +103,7 @@ class EventClock:
                 self._learned.rename(old, new)
             case Reset():
                 self._learned.load(EventTimeState())
+            case Rewind(to):
+                self._learned.rewind(microseconds(to))
             case _:
                 pass

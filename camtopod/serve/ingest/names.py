@@ -12,18 +12,17 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Set
 
 import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
 from camtopod import codec
-from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
-from camtopod.records import NamesStatus, Topology
+from camtopod.admin import Command, Forget, Rename, Reset, Rewind, TakeBack
+from camtopod.records import NamesStatus
 from camtopod.serve.ingest.received import Received
-from camtopod.serve.storage import Entry, command_entry, reset_entry
+from camtopod.serve.storage import Entry, command_entry
 
 log = logging.getLogger(__name__)
 
@@ -50,82 +49,52 @@ class NamesState(Struct, frozen=True):
     since: float | None = None
 
 
-class KnownSite(NamedTuple):
-    """Cameras of a site when a command arrives.
-
-    cameras: of which something was learned or received.
-    heard: that have ever sent anything.
-    """
-
-    cameras: set[str]
-    heard: set[str]
-
-
-def known_site(
-    topology: Topology | None,
-    received: Iterable[str],
-    heard: Iterable[str],
-    since: float | None,
-) -> KnownSite:
-    """Return the known site from the newest topology and the cameras of received events.
-
-    since (Unix seconds): when the site was reset; an earlier topology does not count.
-    """
-    if topology is None or (since is not None and topology.as_of < since):
-        return KnownSite(set(received), set(heard))
-    return KnownSite({*received, *(camera.id for camera in topology.cameras)}, set(heard))
-
-
 def read_names(stored: str | None) -> NamesState:
     """Return the state as it was stored in the journal. Raises `codec.Rejected`."""
     return NamesState() if stored is None else codec.read(NamesState, stored.encode())
 
 
 def carried_out(
-    state: NamesState, command: Command, site: KnownSite, now: float
+    state: NamesState, command: Command, cameras: Set[str], now: float
 ) -> tuple[NamesState, str]:
     """Return the state after a command, and its effect, as a sentence for the operator.
 
+    cameras: those that have ever sent anything.
     now: Unix seconds.
 
     Raises `CommandRefused`.
     """
-    site = _present(site, state)
+    # The names that are in force may be newer.
+    there = {state.aliases.get(name, name) for name in {*cameras, *state.aliases}}
+    there -= state.forgotten.keys()
     match command:
         case Forget(camera):
-            return _forget(state, camera, site, now)
+            return _forget(state, camera, there, now)
         case TakeBack(camera):
             return _take_back(state, camera)
         case Rename(old, new):
-            return _rename(state, old, new, site)
-        case Reset():
+            return _rename(state, old, new, there)
+        case Reset(t):
             return (
-                NamesState(since=command.t),
+                NamesState(since=t),
                 f"the site begins anew, in epoch {command.epoch}: no camera is known, no name is"
                 " forgotten, and events from before this moment are not learned",
             )
+        case Rewind():
+            return state, "what was learned of later events is dropped"
 
 
-def _present(site: KnownSite, state: NamesState) -> KnownSite:
-    """Return the known site with the names in force, which may be newer."""
-    cameras = {state.aliases.get(camera, camera) for camera in {*site.cameras, *state.aliases}}
-    return site._replace(cameras=cameras - state.forgotten.keys())
-
-
-def _forget(state: NamesState, camera: str, site: KnownSite, now: float) -> tuple[NamesState, str]:
-    if camera not in site.cameras | site.heard | state.aliases.keys():
-        raise CommandRefused(f"there is no camera {camera}; {_there(site)}")
-    forgotten, aliases = dict(state.forgotten), dict(state.aliases)
+def _forget(state: NamesState, camera: str, there: Set[str], now: float) -> tuple[NamesState, str]:
+    _require(camera, there | state.aliases.keys())
 
     # Forget its old names, too: events under them would count for it.
     names = [camera, *(old for old, new in state.aliases.items() if new == camera)]
-    for name in names:
-        forgotten.setdefault(name, now)
-        aliases.pop(name, None)
-    _check_room(forgotten, aliases)
+    forgotten = dict.fromkeys(names, now) | state.forgotten
+    aliases = {old: new for old, new in state.aliases.items() if old not in names}
+    are = "is" if len(names) == 1 else "are"
     return (
-        replace(state, forgotten=forgotten, aliases=aliases),
-        f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} forgotten: the next version is"
+        _changed(state, forgotten, aliases),
+        f"{' and '.join(names)} {are} forgotten: the next version is"
         " without it, and events under this name are refused until"
         f" `camtopod forget --take-back {camera}`",
     )
@@ -133,16 +102,17 @@ def _forget(state: NamesState, camera: str, site: KnownSite, now: float) -> tupl
 
 def _take_back(state: NamesState, camera: str) -> tuple[NamesState, str]:
     if camera not in state.forgotten:
-        names = _listed(state.forgotten) if state.forgotten else "none"
-        raise CommandRefused(f"{camera} is not forgotten; forgotten names: {names}")
+        raise CommandRefused(
+            f"{camera} is not forgotten; forgotten names: {_listed(state.forgotten)}"
+        )
     forgotten = {name: since for name, since in state.forgotten.items() if name != camera}
     return (
-        replace(state, forgotten=forgotten),
+        _changed(state, forgotten, state.aliases),
         f"events of {camera} are accepted again, as of a new camera",
     )
 
 
-def _rename(state: NamesState, old: str, new: str, site: KnownSite) -> tuple[NamesState, str]:
+def _rename(state: NamesState, old: str, new: str, there: Set[str]) -> tuple[NamesState, str]:
     # The old name must be of a camera.
     if old == new:
         raise CommandRefused(f"{old} has this name already")
@@ -150,53 +120,48 @@ def _rename(state: NamesState, old: str, new: str, site: KnownSite) -> tuple[Nam
         raise CommandRefused(f"{old} was renamed to {state.aliases[old]}: rename that one")
     if old in state.forgotten:
         raise CommandRefused(f"{old} is forgotten: nothing that was learned of it is left")
-    if old not in site.cameras | site.heard:
-        raise CommandRefused(f"there is no camera {old}; {_there(site)}")
+    _require(old, there)
 
     # The new name must be free; a camera may get back a name that it had.
     if state.aliases.get(new, old) != old:
         raise CommandRefused(f"{new} is the old name of {state.aliases[new]}: forget {new} first")
-    if new in site.cameras:
+    if new in there:
         raise CommandRefused(
             f"there is a camera {new} already; if what was learned of it may go, `camtopod forget"
             f" {new}` first, and then rename"
         )
 
-    aliases = {
-        alias: new if name == old else name for alias, name in state.aliases.items() if alias != new
-    }
-    aliases[old] = new
+    aliases = {name: now for name, now in state.aliases.items() if name != new}
+    aliases = {name: new if now == old else now for name, now in aliases.items()} | {old: new}
     forgotten = {name: since for name, since in state.forgotten.items() if name != new}
-    _check_room(forgotten, aliases)
     return (
-        replace(state, forgotten=forgotten, aliases=aliases),
+        _changed(state, forgotten, aliases),
         f"{old} goes on as {new}: events that still come as {old} count for {new} until {new} sends"
         f" its own; from then on {old} is refused",
     )
 
 
-def _check_room(forgotten: dict[str, float], aliases: dict[str, str]) -> None:
+def _changed(state: NamesState, forgotten: dict[str, float], aliases: dict[str, str]) -> NamesState:
+    """Return a state with these names. Raises `CommandRefused` if there are too many."""
     if len(forgotten) + len(aliases) > NAMES_MAX:
         raise CommandRefused(
             f"{NAMES_MAX} names are forgotten or renamed, which is the most: take some back with"
             " `camtopod forget --take-back`"
         )
+    return replace(state, forgotten=forgotten, aliases=aliases)
 
 
-def _there(site: KnownSite) -> str:
-    """Return the cameras that there are, in words."""
-    return f"there are {_listed(site.cameras)}" if site.cameras else "none is known yet"
+def _require(camera: str, there: Set[str]) -> None:
+    """Raise `CommandRefused` if there is no such camera."""
+    if camera not in there:
+        raise CommandRefused(f"there is no camera {camera}; there are: {_listed(there)}")
 
 
 def _listed(names: Iterable[str]) -> str:
+    """Return the first names in words."""
     ordered = sorted(names)
-    more = f" and {len(ordered) - LISTED_MAX} more" if len(ordered) > LISTED_MAX else ""
-    return ", ".join(ordered[:LISTED_MAX]) + more
-
-
-def entry_of(command: Command) -> Entry:
-    """Return the journal's entry for a command."""
-    return reset_entry(command) if isinstance(command, Reset) else command_entry(command)
+    more = f" and {len(ordered) - LISTED_MAX} more" * (len(ordered) > LISTED_MAX)
+    return ", ".join(ordered[:LISTED_MAX]) + more or "none"
 
 
 class Names:
@@ -207,15 +172,19 @@ class Names:
     """
 
     def __init__(self, state: NamesState, clock: Callable[[], float]) -> None:
-        self.state, self._clock = state, clock
+        self.state = state
+        self._clock = clock
         self.refused: Counter[str] = Counter()
         """Events refused since the start, by forgotten name; "" for those before the reset."""
 
-    def carry_out(self, command: Command, site: KnownSite) -> tuple[Received, str]:
-        """Execute a command; return its entry and its effect, in words. Raises `CommandRefused`."""
-        self.state, said = carried_out(self.state, command, site, self._clock())
+    def carry_out(self, command: Command, cameras: Set[str]) -> tuple[Received, str]:
+        """Execute a command; return its entry and its effect, in words. Raises `CommandRefused`.
+
+        cameras: those that have ever sent anything.
+        """
+        self.state, effect = carried_out(self.state, command, cameras, self._clock())
         stored = codec.to_json(self.state).decode()
-        return Received(entry_of(command), command=command, names=stored), said
+        return Received(command_entry(command), command=command, names=stored), effect
 
     def apply(self, received: Received) -> list[Received]:
         """Return the entries to store for one: renamed or refused, if its camera is.
@@ -223,7 +192,8 @@ class Names:
         There is none for a refused event without a number. Before the first event under a new name
         comes the entry by which the old name is forgotten.
         """
-        event, state = received.event, self.state
+        event = received.event
+        state = self.state
         if event is None:
             return [received]
         if event.camera in state.forgotten:
@@ -252,13 +222,10 @@ class Names:
         """Count a refused event, and return its entry, which has only its number."""
         self.refused[name] += 1
         if self.refused[name] == 1:
-            log.warning(
-                "%s",
-                f"events of {name} are refused, as this name is forgotten: `camtopod forget"
-                f" --take-back {name}` accepts them again"
-                if name
-                else "events from before the reset are refused",
-            )
+            what = "from before the reset are refused"
+            if name:
+                what = f"of {name} are refused, as this name is forgotten"
+            log.warning("events %s", what)
         entry = received.entry
         if entry.seq is None:
             return []
@@ -269,5 +236,5 @@ class Names:
         made = []
         for old in [alias for alias, name in self.state.aliases.items() if name == camera]:
             log.info("%s sends under its new name: %s is refused from now on", camera, old)
-            made.append(self.carry_out(Forget(old), KnownSite({old}, set()))[0])
+            made.append(self.carry_out(Forget(old), {old})[0])
         return made

@@ -8,15 +8,15 @@ from msgspec import Struct
 
 from camtopod.admin import Command
 from camtopod.records import Event
-from camtopod.serve.storage import Entry, Rewind
+from camtopod.serve.storage import Entry
 
 
 class Received(Struct, frozen=True, gc=False):
     """An entry on its way into the journal, and its effect on the learner.
 
     event: the event to be learned; None if it is only stored.
-    advance, rewind: a change of event time.
-    command: an operator's command.
+    advance: event time that advances without an event, Unix seconds.
+    command: a command.
     names: with a command, the state of all names after it, as it is stored (`Names`).
     stored: set when the entry is stored, if somebody waits for that.
     """
@@ -24,7 +24,6 @@ class Received(Struct, frozen=True, gc=False):
     entry: Entry
     event: Event | None = None
     advance: float | None = None
-    rewind: Rewind | None = None
     command: Command | None = None
     names: str | None = None
     stored: threading.Event | None = None

@@ -34,14 +34,10 @@ from camtopod.serve.learner_process.process import LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import Recovered, note_failure
 from camtopod.serve.runtime import Beat, no_beat
 from camtopod.serve.storage import (
-    Entry,
     Journal,
     Snapshot,
     Version,
     head_of,
-    read_command,
-    read_reset,
-    read_rewind,
 )
 
 log = logging.getLogger(__name__)
@@ -127,12 +123,7 @@ class LearnerFeeder:
             if self._behind:
                 return
             self._queued += len(batch)
-        self._queue.put(
-            [
-                one.entry.raw if one.event is not None else one.rewind or one.command or one.advance
-                for one in batch
-            ]
-        )
+        self._queue.put([(one.entry.kind, one.entry.raw) for one in batch])
 
     @property
     def waiting(self) -> int:
@@ -217,13 +208,15 @@ class LearnerFeeder:
     def _learn_from_journal(self, stopping: threading.Event, beat: Beat) -> None:
         """Learn what the journal has by now; meanwhile nothing is queued."""
         # Learn in batches.
-        begun, until, damaged = self.position, self._stored, self.damaged
+        begun = self.position
+        until = self._stored
+        damaged = self.damaged
         batch: list[Input] = []
         for number, entry in self._journal.entries(after=begun, up_to=until):
             if not batch:
                 self.position = number - 1
             self.damaged += entry is None
-            batch.append(None if entry is None else self._input_of(entry))
+            batch.append(("skipped", b"") if entry is None else (entry.kind, entry.raw))
             if len(batch) >= INPUTS_MAX or number == until:
                 self._learn(LearnBatch(self.position, batch), stopping, beat)
                 self._take_snapshot(stopping, beat)
@@ -288,32 +281,14 @@ class LearnerFeeder:
                 progress.unreadable,
             )
 
-    def _input_of(self, entry: Entry) -> Input:
-        """Return what the learner needs of an entry.
-
-        The rest is not kept: thousands of entries wait during a refit.
-        """
-        match entry.kind:
-            case "event":
-                return entry.raw
-            case "advance":
-                return float(entry.raw)
-            case "rewind":
-                return read_rewind(entry, self._journal.versions)
-            case "reset":
-                return read_reset(entry, self._journal.versions)
-            case "command":
-                return read_command(entry)
-            case _:
-                return None
-
     def _take_snapshot(self, stopping: threading.Event, beat: Beat) -> None:
         """Take a snapshot between batches if one is due."""
         if self._due or self.position - self._saved >= self._snapshot_events:
             saved = self._ask(Save(), stopping, beat)
             assert isinstance(saved, Saved)
             self._on_snapshot(Snapshot(self.position, self.epoch, saved.state))
-            self._saved, self._due = self.position, False
+            self._saved = self.position
+            self._due = False
 
     def _ask(self, question: Question, stopping: threading.Event, beat: Beat) -> Answer:
         """Send a question, handle its new versions, return the last answer. Raises `LearnerEnded`.

@@ -9,10 +9,8 @@ from __future__ import annotations
 import msgspec
 from msgspec import Struct
 
-from camtopod.admin import Command
 from camtopod.event_time import EventTimeState
 from camtopod.learn.settings import Settings
-from camtopod.serve.storage import Rewind
 
 INPUTS_MAX = 4_000
 """Most entries in one message: some hundred kilobytes, some hundredths of a second without a fit.
@@ -21,12 +19,8 @@ Where the daemon's threads are busy, each message waits several times for the GI
 each.
 """
 
-Input = bytes | float | Rewind | Command | None
-"""What the learner needs of a journal entry.
-
-It is an event as it was received, an event time to advance to, a rewind of event time, an
-operator's command, or nothing.
-"""
+Input = tuple[str, bytes]
+"""The ``kind`` and ``raw`` of an entry; a damaged one counts as ``skipped``."""
 
 
 class Load(Struct):
@@ -41,14 +35,15 @@ class Load(Struct):
 class Begin(Struct):
     """Question: begin to learn. Answer: `LearnProgress`.
 
-    stored: digests of the epoch's versions that may have been published.
+    stored: digests of versions that may have been published, by version and epoch; of this epoch
+        and of those that entries of the journal begin.
     load: use the state that was loaded last.
     """
 
     settings: Settings
     site: str
     epoch: str
-    stored: dict[int, str]
+    stored: dict[str, dict[int, str]]
     load: bool
 
 
@@ -72,10 +67,6 @@ class NewEpoch(Struct):
     """Reply of the daemon to `VersionMismatch`."""
 
     epoch: str
-
-
-class Show(Struct):
-    """Question for the newest version. Answer: `Shown`."""
 
 
 class Save(Struct):
@@ -135,17 +126,11 @@ class LearnProgress(Struct):
     epoch: str = ""
 
 
-class Shown(Struct):
-    """The newest version as MessagePack, None before the first."""
-
-    packed: bytes | None
-
-
 class Saved(Struct):
     """The learner's state, packed."""
 
     state: bytes
 
 
-Question = Load | Begin | Refresh | LearnBatch | NewEpoch | Show | Save
-Answer = Loaded | Unusable | NewVersion | VersionMismatch | LearnProgress | Shown | Saved
+Question = Load | Begin | Refresh | LearnBatch | NewEpoch | Save
+Answer = Loaded | Unusable | NewVersion | VersionMismatch | LearnProgress | Saved

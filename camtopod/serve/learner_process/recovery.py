@@ -14,7 +14,7 @@ from typing import NamedTuple
 import msgspec
 
 from camtopod import codec
-from camtopod.admin import Command, Forget, Rename
+from camtopod.admin import Reset, Rewind
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
 from camtopod.serve.learner_process.messages import (
@@ -22,15 +22,13 @@ from camtopod.serve.learner_process.messages import (
     LearnProgress,
     Load,
     Loaded,
-    Show,
-    Shown,
     Unusable,
 )
 from camtopod.serve.learner_process.process import LearnerProcess
 from camtopod.serve.storage import (
+    Entry,
     Journal,
     StateError,
-    epoch_after,
     read_command,
 )
 
@@ -75,8 +73,12 @@ def recover(
     """
 
     def begin(position: int, epoch: str, load: bool = False) -> Recovered:
-        epoch = epoch_after(journal, position, epoch)
-        progress = process.ask(Begin(settings, site, epoch, journal.versions(epoch), load))
+        # Entries that follow may begin further epochs, the last of which is the journal's.
+        begun = [_epochs(entry) for entry in journal.corrections(position)]
+        if begun and begun[-1][1] == epoch:
+            epoch = begun[0][0]
+        stored = {name: journal.versions(name) for name in {epoch, *(new for _, new in begun)}}
+        progress = process.ask(Begin(settings, site, epoch, stored, load))
         assert isinstance(progress, LearnProgress)
         return Recovered(position, epoch, progress)
 
@@ -125,54 +127,36 @@ def recover(
     return begin(position, epoch, load=True)
 
 
-def newest_topology(journal: Journal, process: LearnerProcess) -> Topology | None:
-    """Return the version published last, of any epoch; it is valid until there is another."""
+def _epochs(entry: Entry) -> tuple[str, str]:
+    """Return the epochs that a correction ends and begins. Raises `codec.Rejected`."""
+    command = read_command(entry.raw)
+    assert isinstance(command, Reset | Rewind)
+    return command.before, command.epoch
+
+
+def newest_topology(journal: Journal) -> Topology | None:
+    """Return the newest version that can be read, of any epoch; it is valid until the next."""
     content = journal.newest_version()
-    if content is not None:
-        try:
-            return codec.read(Topology, content)
-        except codec.Rejected as error:
-            log.error(
-                "the newest version in the journal cannot be read: %s; the learner's is used",
-                error,
-            )
-    shown = process.ask(Show())
-    assert isinstance(shown, Shown)
-    return None if shown.packed is None else codec.read(Topology, shown.packed, pack=True)
+    if content is None:
+        return None
+    try:
+        return codec.read(Topology, content)
+    except codec.Rejected as error:
+        log.error("the newest version in the journal cannot be read: %s", error)
+        return None
 
 
 def recent_events(journal: Journal) -> list[Event]:
-    """Return the newest events of the journal, for predictions to remember.
-
-    They are without those of forgotten cameras and from before a reset.
-    """
+    """Return the newest events since the last correction, for predictions to remember."""
     events: list[Event] = []
     for _, entry in journal.entries(after=max(0, len(journal) - RECENT_EVENTS)):
-        if entry is None:
-            continue
-        with contextlib.suppress(codec.Rejected):  # accepted by another version
-            if entry.kind == "event":
+        if entry is not None and entry.kind == "correction":
+            events.clear()
+        elif entry is not None and entry.kind == "event":
+            with contextlib.suppress(codec.Rejected):  # accepted by another version
                 events.append(codec.event_from_bytes(entry.raw))
-            elif entry.kind == "reset":
-                events = []
-            elif entry.kind == "command":
-                events = _after(read_command(entry), events)
     newest = max((event.t for event in events), default=0.0)
     return [event for event in events if event.t > newest - RECENT_SECONDS]
-
-
-def _after(command: Command, events: list[Event]) -> list[Event]:
-    """Return events as they are known after a command."""
-    match command:
-        case Forget(camera):
-            return [event for event in events if event.camera != camera]
-        case Rename(old, new):
-            return [
-                msgspec.structs.replace(event, camera=new) if event.camera == old else event
-                for event in events
-            ]
-        case _:
-            return events
 
 
 def read_failure(journal: Journal) -> Failure | None:

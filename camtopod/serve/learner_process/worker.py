@@ -19,7 +19,7 @@ from ctypes import c_longlong
 from multiprocessing.connection import Connection
 
 from camtopod import codec
-from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
+from camtopod.admin import Command, Forget, Rename, Reset, Rewind, TakeBack
 from camtopod.learn.learner import Learner
 from camtopod.learn.renaming import rename
 from camtopod.learn.rewinding import rewind
@@ -39,12 +39,10 @@ from camtopod.serve.learner_process.messages import (
     Refresh,
     Save,
     Saved,
-    Show,
-    Shown,
     Unusable,
     VersionMismatch,
 )
-from camtopod.serve.storage import Rewind
+from camtopod.serve.storage import read_command
 from camtopod.topology import alarms_follow, make_delta
 
 NICENESS = 5
@@ -78,6 +76,7 @@ class Worker:
         self._learner_class = learner
         self._loaded: LearnerState | None = None
         self._learner: Learner
+        self._newest: Topology | None = None
 
     def work(self) -> None:
         """Answer questions for ever."""
@@ -99,9 +98,6 @@ class Worker:
                     self._send(self._progress(position, 0))
                 case LearnBatch(position, inputs):
                     self._send(self._learn(position, inputs))
-                case Show():
-                    newest = self._learner.topology
-                    self._send(Shown(None if newest is None else codec.to_msgpack(newest)))
                 case Save():
                     self._send(Saved(pack(self._learner.save())))
                 case NewEpoch():
@@ -123,14 +119,25 @@ class Worker:
             if state.epoch != given.epoch:
                 self._learner.begin_epoch(given.epoch)
         self._loaded = None
+        self._stored = given.stored
+        self._enter(given.epoch)
+        self._newest = self._learner.topology
 
         # Fits yield the processor to the daemon; not before, as the start is waited for.
         with contextlib.suppress(PermissionError):  # if the unit forbids changes of priorities
             os.nice(NICENESS)
 
-        # What is known of earlier versions.
-        self._stored, self._newest_stored = given.stored, max(given.stored, default=0)
-        self._newest = self._learner.topology
+    def _enter(self, epoch: str) -> None:
+        """Begin with the versions of an epoch, some of which may be stored."""
+        self._digests = self._stored.pop(epoch, {})
+        self._newest_stored = max(self._digests, default=0)
+        self._newest = None
+
+    def _begin_epoch(self, epoch: str) -> None:
+        """Continue in another epoch."""
+        self._enter(epoch)
+        self._learner.begin_epoch(epoch)
+        self._learner.refresh()
 
     def _change(self, change: Callable[[LearnerState], LearnerState]) -> None:
         """Continue with a changed state; only a new learner can load one."""
@@ -142,28 +149,27 @@ class Worker:
         """Drop events after a time, and begin an epoch unless a later one has begun already."""
         self._change(lambda state: rewind(state, command.to))
         if command.epoch > self._learner.epoch:
-            self._stored, self._newest_stored = dict(command.stored), max(command.stored, default=0)
-            self._newest = None
-            self._learner.begin_epoch(command.epoch)
-            self._learner.refresh()
+            self._begin_epoch(command.epoch)
 
     def _reset(self, command: Reset) -> None:
         """Begin with a new learner, in a new epoch unless a later one has begun already."""
         epoch = self._learner.epoch
         after = self._learner.topology
         if command.epoch > epoch:
-            epoch, after = command.epoch, None
-            self._stored, self._newest_stored = dict(command.stored), max(command.stored, default=0)
-            self._newest = None
+            epoch = command.epoch
+            after = None
+            self._enter(epoch)
         fresh = self._learner_class(self._learner.settings, self._learner.site, epoch)
         fresh.begin_empty(command.t, after)
         self._learner = fresh
 
     def _apply(self, command: Command) -> None:
-        """Apply an operator's command."""
+        """Apply a command."""
         match command:
             case Reset():
                 self._reset(command)
+            case Rewind():
+                self._rewind(command)
             case Rename(old, new):
                 self._learner.erase({new})
                 self._change(lambda state: rename(state, old, new))
@@ -177,23 +183,18 @@ class Worker:
     def _learn(self, position: int, inputs: list[Input]) -> LearnProgress:
         """Learn entries of the journal, or as many as there is time for."""
         unreadable = 0
-        for given in inputs:
+        for kind, raw in inputs:
             self._entry.value = position + 1
-
-            # An event, a rewind or an advance of event time, or a command.
-            if isinstance(given, bytes):
-                try:
-                    event = codec.event_from_bytes(given)
-                except codec.Rejected:  # another program accepted it
-                    unreadable += 1
-                else:
-                    self._learner.receive(event)
-            elif isinstance(given, Rewind):
-                self._rewind(given)
-            elif isinstance(given, float):
-                self._learner.advance(given)
-            elif given is not None:
-                self._apply(given)
+            try:
+                match kind:
+                    case "event":
+                        self._learner.receive(codec.event_from_bytes(raw))
+                    case "advance":
+                        self._learner.advance(float(raw))
+                    case "command" | "correction":
+                        self._apply(read_command(raw))
+            except codec.Rejected:  # another program accepted it
+                unreadable += 1
 
             # Send new versions, and stop if time is short.
             self._take_versions()
@@ -233,13 +234,17 @@ class Worker:
             return  # made in the same step as the one that ended its epoch
 
         # Compare it with the stored one.
-        stored = self._stored.pop(topology.version, None)
+        stored = self._digests.pop(topology.version, None)
         if stored is not None and stored != topology.digest:
-            self._begin_epoch(topology.version)
+            self._send(VersionMismatch(topology.version))
+            answer = self._questions.get()
+            assert isinstance(answer, NewEpoch)
+            self._begin_epoch(answer.epoch)
             return
 
         # Pass over versions from before the start.
-        before, self._newest = self._newest, topology
+        before = self._newest
+        self._newest = topology
         if topology.version <= self._newest_stored:
             return
 
@@ -257,15 +262,6 @@ class Worker:
                 delta,
             )
         )
-
-    def _begin_epoch(self, version: int) -> None:
-        """Report that a version was not reproduced, and continue in the daemon's new epoch."""
-        self._send(VersionMismatch(version))
-        answer = self._questions.get()
-        assert isinstance(answer, NewEpoch)
-        self._stored, self._newest_stored, self._newest = {}, 0, None
-        self._learner.begin_epoch(answer.epoch)
-        self._learner.refresh()
 
     def _send(self, answer: Answer) -> None:
         self._pipe.send(answer)

@@ -2,23 +2,17 @@
 
 Read from the bottom up. `sqlite_file` opens, checks and sets aside databases.
 `journal` stores entries, versions and snapshots in one of them; `journal_schema` has its tables,
-`witness` notices a journal that was restored from an older copy, `corrections` are entries
-that revise what was learned, and `packed_version` is a topology on its way into the journal.
+`witness` notices a journal that was restored from an older copy, `commands` are those of an
+operator as entries, and `packed_version` is a topology on its way into the journal.
 `journal_writer` is the daemon's storing thread.
 """
 
 from __future__ import annotations
 
 from camtopod.serve.storage import sqlite_file as sqlite_file
-from camtopod.serve.storage.corrections import (
-    Rewind as Rewind,
+from camtopod.serve.storage.commands import (
     command_entry as command_entry,
-    epoch_after as epoch_after,
     read_command as read_command,
-    read_reset as read_reset,
-    read_rewind as read_rewind,
-    reset_entry as reset_entry,
-    rewind as rewind,
 )
 from camtopod.serve.storage.journal import (
     Entry as Entry,

@@ -41,6 +41,8 @@ PRUNED_ROWS_MAX = 5_000
 """Most entries deleted at a time, so that a transaction stays short."""
 CHUNK_ENTRIES = 1_000
 """Entries read at a time; a long read would keep SQLite from checkpointing the log."""
+VERSIONS_TRIED_MAX = 10
+"""Newest versions of which the first undamaged one is used at a start."""
 DAY_SECONDS = 86_400
 """Seconds in a day."""
 _COMPRESSION = 3
@@ -52,16 +54,13 @@ After each statement other threads can run, and it may take long until this one 
 should be few statements.
 """
 
-EntryKind = Literal[
-    "event", "future", "refused", "advance", "rewind", "reset", "command", "skipped"
-]
+EntryKind = Literal["event", "future", "refused", "advance", "command", "correction", "skipped"]
 """Kinds of entries.
 
 ``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not learned.
-``advance``: event time advanced without an event; ``raw`` is the time as decimal text. ``rewind``,
-``reset``: a correction that begins an epoch, see
-`camtopod.serve.storage.corrections`. ``command``: another command of the operator.
-``skipped``: the learner died of it twice.
+``advance``: event time advanced without an event; ``raw`` is the time as decimal text.
+``command``: an operator's command. ``correction``: one that begins an epoch. ``skipped``: the
+learner died of it twice.
 """
 
 
@@ -327,14 +326,13 @@ class Journal:
                 after = row[0]
                 yield row[0], Entry(*row[2:7]) if crc(*row[:7]) == row[7] else None
 
-    def corrections(self, after: int) -> list[tuple[int, Entry]]:
-        """Return the corrections after an entry as (id, entry). Raises `sqlite3.Error`."""
+    def corrections(self, after: int) -> list[Entry]:
+        """Return the corrections after an entry. Raises `sqlite3.Error`."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
             rows = self._db.execute(
-                "SELECT * FROM entry WHERE id > ? AND kind IN ('rewind', 'reset') ORDER BY id",
-                (after,),
+                "SELECT * FROM entry WHERE id > ? AND kind = 'correction' ORDER BY id", (after,)
             ).fetchall()
-        return [(row[0], Entry(*row[2:7])) for row in rows if crc(*row[:7]) == row[7]]
+        return [Entry(*row[2:7]) for row in rows if crc(*row[:7]) == row[7]]
 
     def skip(self, number: int) -> bool:
         """Mark an entry as skipped; return False if there is none, or none that is learned.
@@ -403,12 +401,13 @@ class Journal:
         return zlib.decompress(row[6])
 
     def newest_version(self) -> bytes | None:
-        """Return the version that was stored last, of any epoch, as JSON; None if there is none."""
+        """Return the undamaged version that was stored last, of any epoch, as JSON; else None."""
         with self._mutex, sqlite_file.damage_noticed(self._path):
-            row = self._db.execute(
-                "SELECT epoch, version FROM version WHERE size > 0 ORDER BY id DESC"
-            ).fetchone()
-        return None if row is None else self.version(*row)
+            rows = self._db.execute(
+                "SELECT epoch, version FROM version WHERE size > 0 ORDER BY id DESC LIMIT ?",
+                (VERSIONS_TRIED_MAX,),
+            ).fetchall()
+        return next(filter(None, (self.version(*row) for row in rows)), None)
 
     def snapshots(self) -> list[Snapshot]:
         """Return the snapshots, the newest first. Damaged ones are logged and left out."""

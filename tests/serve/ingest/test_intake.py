@@ -238,7 +238,7 @@ def test_a_clock_that_is_set_back_while_the_daemon_runs_takes_event_time_back(
 
     assert answer is not None
     assert answer.have == {"b1": 2}
-    assert [kind for kind, _, _ in bench.stored] == ["event", "rewind", "event"]
+    assert [kind for kind, _, _ in bench.stored] == ["event", "correction", "event"]
 
 
 def test_events_that_wait_when_the_clock_is_set_back_are_not_learned(bench: IntakeBench) -> None:
