@@ -16,7 +16,7 @@ import sys
 import time
 from pathlib import Path
 
-from written import Written, WrittenJournal, WrittenSpool
+from written import FILES, Written, WrittenSpool
 
 
 class LongSpool(WrittenSpool):
@@ -25,8 +25,7 @@ class LongSpool(WrittenSpool):
     events_max, kept_max = 1_000_000, 1_000_000
 
 
-FILES = {"journal": WrittenJournal, "spool": LongSpool}
-"""Written files by name."""
+FILES["spool"] = LongSpool
 NUMBER = struct.Struct("<Q")
 """Format of a step's number on the pipe."""
 SECONDS_MAX = 0.03

@@ -66,25 +66,10 @@ class _IoMethods(ctypes.Structure):
     _fields_ = [("iVersion", c_int)] + [
         (name, c_void_p)
         for name in (
-            "xClose",
-            "xRead",
-            "xWrite",
-            "xTruncate",
-            "xSync",
-            "xFileSize",
-            "xLock",
-            "xUnlock",
-            "xCheckReservedLock",
-            "xFileControl",
-            "xSectorSize",
-            "xDeviceCharacteristics",
-            "xShmMap",
-            "xShmLock",
-            "xShmBarrier",
-            "xShmUnmap",
-            "xFetch",
-            "xUnfetch",
-        )
+            "xClose xRead xWrite xTruncate xSync xFileSize xLock xUnlock xCheckReservedLock"
+            " xFileControl xSectorSize xDeviceCharacteristics xShmMap xShmLock xShmBarrier"
+            " xShmUnmap xFetch xUnfetch"
+        ).split()
     ]
 
 
@@ -103,23 +88,10 @@ class _VfsStruct(ctypes.Structure):
     ] + [
         (name, c_void_p)
         for name in (
-            "xOpen",
-            "xDelete",
-            "xAccess",
-            "xFullPathname",
-            "xDlOpen",
-            "xDlError",
-            "xDlSym",
-            "xDlClose",
-            "xRandomness",
-            "xSleep",
-            "xCurrentTime",
-            "xGetLastError",
-            "xCurrentTimeInt64",
-            "xSetSystemCall",
-            "xGetSystemCall",
-            "xNextSystemCall",
-        )
+            "xOpen xDelete xAccess xFullPathname xDlOpen xDlError xDlSym xDlClose xRandomness xSleep"
+            " xCurrentTime xGetLastError xCurrentTimeInt64 xSetSystemCall xGetSystemCall"
+            " xNextSystemCall"
+        ).split()
     ]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import collections
 import random
-import sqlite3
 import time
 from collections.abc import Callable, Hashable
 from pathlib import Path
@@ -67,30 +66,22 @@ class WrittenJournal:
         if number % PRUNE_EVERY == PRUNE_AT:
             self.journal.prune(now=float(number))
         else:
-            entries, versions, snapshot = step_of(number, len(self.journal))
-            self.journal.commit(entries, versions, snapshot, now=float(number))
+            self.journal.commit(*step_of(number, len(self.journal)), now=float(number))
 
     def state(self) -> State:
         entries = tuple(self.journal.entries())
         assert all(entry is not None for _, entry in entries), "damaged"
         versions = self.journal.versions(EPOCH)
-        contents = tuple(
-            (number, digest, self.journal.version(EPOCH, number))
-            for number, digest in versions.items()
-        )
-        return (
-            entries,
-            contents,
-            tuple(self.journal.snapshots()),
-            tuple(sorted(self.journal.numbers()[0].items())),
-            len(self.journal),
-        )
+        contents = tuple((n, digest, self.journal.version(EPOCH, n)) for n, digest in versions.items())
+        numbers, unknown = self.journal.numbers()
+        assert not unknown, "damaged"
+        snapshots = tuple(self.journal.snapshots())
+        return entries, contents, snapshots, tuple(sorted(numbers.items())), len(self.journal)
 
     def last(self) -> int:
-        newest = (
-            self.journal._db.execute("SELECT COALESCE(MAX(seq), 0) FROM entry").fetchone()[0] // 10
-        )
-        return int(newest + 1 if (newest + 1) % PRUNE_EVERY == PRUNE_AT else newest)
+        newest = self.journal._db.execute("SELECT COALESCE(MAX(seq), 0) FROM entry").fetchone()[0]
+        newest = int(newest) // 10
+        return newest + ((newest + 1) % PRUNE_EVERY == PRUNE_AT)
 
     def missing(self, start: int, stop: int) -> list[int]:
         raws = collections.defaultdict(list)
@@ -130,46 +121,39 @@ def step_of(number: int, last: int) -> tuple[list[Entry], list[StoredVersion], S
 
 
 class WrittenSpool:
-    """A spool with events of some cameras, most of them stored at once."""
+    """A spool with events of some cameras, of which the daemon has most at once."""
 
     events_max, kept_max = 150, 40
 
     def __init__(self, directory: Path) -> None:
         boot = f"boot-{time.monotonic_ns()}" if (directory / "spool.db").exists() else "boot-0"
-        self.spool = Spool(directory / "spool.db", boot, self.events_max, kept_max=self.kept_max)
+        self.spool = Spool(
+            directory / "spool.db", boot, self.events_max, kept_max=self.kept_max
+        )
         self.damaged = bool(self.spool.statistics()["damaged_files"])
-        self._appended: tuple[int, list[Event]] = (0, [])
+        self._have: dict[tuple[str, str], int] = {}
 
     def step(self, number: int) -> None:
-        events = events_of(number)
-        if number != self._appended[0]:
-            self._appended = number, self.spool.append(events)
+        for (camera, boot), seq in self._have.items():  # after an error the daemon says it again
+            self.spool.have(camera, boot, seq)
+        last = self.spool.append(events_of(number))[-1]
         if number % 5 != 0:
-            last = self._appended[1][-1]
-            self.spool.have(last.camera, str(last.boot), int(last.seq or 0))
+            self._have[last.camera, str(last.boot)] = last.seq or 0
 
     def state(self) -> State:
-        database: sqlite3.Connection = self.spool._db
-        return tuple(database.execute("SELECT * FROM event ORDER BY id")), self.spool.dropped
+        return tuple(self.spool._db.execute("SELECT * FROM event ORDER BY id"))
 
     def last(self) -> int:
         row = self.spool._db.execute("SELECT raw FROM event ORDER BY id DESC LIMIT 1").fetchone()
         return 0 if row is None else int(codec.event_from_msgpack(row[0]).t) // 10
 
     def missing(self, start: int, stop: int) -> list[int]:
-        looked_at = min(self.events_max - 100, 2000)
-        rows = self.spool._db.execute(
-            "SELECT raw FROM event ORDER BY id DESC LIMIT ?", (looked_at,)
-        )
+        most = min(self.events_max - 100, 2000)
+        rows = self.spool._db.execute("SELECT raw FROM event ORDER BY id DESC LIMIT ?", (most,))
         times = {codec.event_from_msgpack(raw).t for (raw,) in rows}
-        first = max(
-            start, int(min(times, default=0.0)) // 10 + 1 if len(times) >= looked_at else start
-        )
-        return [
-            number
-            for number in range(first, stop)
-            if not {event.t for event in events_of(number)} <= times
-        ]
+        if len(times) >= most:
+            start = max(start, int(min(times)) // 10 + 1)
+        return [n for n in range(start, stop) if not {e.t for e in events_of(n)} <= times]
 
     def close(self) -> None:
         self.spool.close()
@@ -183,3 +167,7 @@ def events_of(number: int) -> list[Event]:
         Event(camera, "entry", 10.0 * number + n, track="x" * 40)
         for n in range(chance.randint(1, 6))
     ]
+
+
+FILES: dict[str, Open] = {"journal": WrittenJournal, "spool": WrittenSpool}
+"""Written files by name."""
