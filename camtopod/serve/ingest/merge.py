@@ -22,7 +22,10 @@ from camtopod.serve.ingest.received import Received
 from camtopod.serve.storage import Entry
 
 SETTLE_SECONDS = 5.0
-"""Time that other cameras get to tell of their backlogs: after the start, and after the first."""
+"""Time that other cameras get to tell of their backlogs: after the start, and after the first.
+
+A backlog may be a single batch, as after an outage of a minute.
+"""
 EARLY_SECONDS_MAX = 1.0
 """An event up to this much ahead of the clock need not wait; far below the lateness."""
 STUCK_SECONDS_MAX = 120.0
@@ -85,12 +88,16 @@ class Merger:
         """Note that a batch of a camera has come, and how many events wait behind it."""
         camera.more = more
         camera.asked = now
-        if wall - camera.reached <= self._lateness or camera.reached < self.event_time:
+        if camera.reached < self.event_time:
             self._behind.pop(camera.name, None)
             return
-        if more and self._said_hello:
+        known = (t for t, _ in camera.waiting if t > -math.inf)
+        if self._said_hello and wall - next(known, wall) > self._lateness:
             self._said_hello = False
             self._nothing_before = max(self._nothing_before, now + self._settle)
+        if wall - camera.reached <= self._lateness:
+            self._behind.pop(camera.name, None)
+            return
         self._behind.setdefault(camera.name, camera)
 
     def release(self, wall: float, now: float, room: int) -> list[Received]:

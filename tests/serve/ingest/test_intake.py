@@ -321,6 +321,18 @@ def test_backlogs_are_merged_by_time(bench: IntakeBench) -> None:
     assert bench.intake.counts["late"] == 0
 
 
+def test_backlogs_of_a_single_batch_are_merged_by_time(bench: IntakeBench) -> None:
+    """As after an outage of a minute, from which cameras come back one after the other."""
+    for n, camera in enumerate("abc"):
+        bench.hello(camera)
+        bench.send(camera, times={seq: 10.0 * seq - 61.0 - n for seq in range(1, 7)})
+        bench.tick(1.0)
+    bench.tick(5.1)
+
+    assert bench.intake.counts["stored"] == 18
+    assert bench.intake.counts["late"] == 0
+
+
 def test_the_room_is_shared_by_the_cameras_that_are_there(
     bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -358,7 +370,7 @@ def test_a_rescued_journal_is_filled_from_the_first_hole(
     bench: IntakeBench, tmp_path: Path
 ) -> None:
     bench.hello()
-    bench.send(times={seq: seq - 10.0 for seq in range(1, 7)})
+    bench.send(times={seq: seq / 10 - 1.0 for seq in range(1, 7)})
     with bench.journal._db as database:
         database.execute("UPDATE entry SET raw = 'damaged' WHERE seq = 3")
         database.execute("UPDATE meta SET crc = 0 WHERE key = 'format'")
