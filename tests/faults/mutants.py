@@ -5,66 +5,48 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 
-import msgspec
-
 from camtopod.codec import to_json, to_msgpack
 from camtopod.records import Event
+from camtopod.serve.requests import Answer, Batch, Hello
 
 WILD = (
-    *(
-        b"\x00",
-        b"\xff",
-        b"\xc1",
-        b"\xc0",
-        b"\x80",
-        b"\xdf\xff\xff\xff\xff",
-        b"\xdd\x00\x0f\xff\xff",
-        b"\x9f" * 50,
-    ),
-    *(
-        b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00",
-        b"\xcb\x7f\xf0\x00\x00\x00\x00\x00\x00",
-        b"\xcf" + b"\xff" * 8,
-    ),
-    *(
-        b"1e999",
-        b"-1",
-        b"9" * 30,
-        b"NaN",
-        b"null",
-        b'"',
-        b"{",
-        b"}",
-        b"[" * 50,
-        b"\\ud800",
-        b"\xed\xa0\x80",
-        b"\x00\x00",
-    ),
+    b"\x00 \xff \xc1 \xc0 \x80 \xdf\xff\xff\xff\xff \xdd\x00\x0f\xff\xff".split()
+    + b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00 \xcb\x7f\xf0\x00\x00\x00\x00\x00\x00".split()
+    + rb'1e999 -1 NaN null " { } \ud800'.split()
+    + [b"9" * 30, b"[" * 50, b"\x9f" * 50, b"\xcf" + b"\xff" * 8, b"\xed\xa0\x80", b"\x00\x00"]
 )
 """Byte strings that are inserted."""
 
 
-def seeds(camera: str, boot: str = "b1") -> list[bytes]:
+def seeds(camera: str) -> list[bytes]:
     """Return valid events of a camera in both encodings."""
     t = 1_700_000_000.25
-    events = [
+    events: list[object] = [
         Event(camera, "entry", t),
-        Event(camera, "exit", t, 0.31, 0.88, "17", boot, 1041, 0.02),
-        Event(camera, "entry", t, 0.0, 1.0, "x" * 40, boot, 2**40),
+        Event(camera, "exit", t, 0.31, 0.88, "17", "b1", 1041, 0.02),
+        Event(camera, "entry", t, 0.0, 1.0, "x" * 40, "b1", 2**40),
         Event(camera, "exit", -1.5, 0.5, 0.5, "ü", "", 0),
+        {"camera": camera, "kind": "exit", "t": t, "more": {"deep": [[{"a": [1, None, "é"]}]]}},
     ]
-    more = {
-        "camera": camera,
-        "kind": "exit",
-        "t": t,
-        "more": {"deep": [[[{"a": [1, None, "é"]}]]], "n": 2**60},
-    }
+    return [*map(to_json, events), *map(to_msgpack, events)]
+
+
+def requests(camera: str) -> list[bytes]:
+    """Return valid requests on ``store/{camera}``."""
+    events = [(seq, raw) for seq, raw in enumerate(seeds(camera), 1)]
     return [
-        *map(to_json, events),
-        *map(to_msgpack, events),
-        to_json(more),
-        to_msgpack(more),
-        msgspec.msgpack.encode([more]),
+        to_msgpack(Hello("h1", ["b0", "b1"])),
+        to_msgpack(Batch("h1", "b1", 0, events, 17)),
+        to_msgpack(Batch("h1", "b1", 2**40, [])),
+    ]
+
+
+def answers() -> list[bytes]:
+    """Return valid answers to requests."""
+    return [
+        to_msgpack(Answer({"b0": 3, "b1": 2**40}, 500)),
+        to_msgpack(Answer({}, 1, "held")),
+        to_msgpack(Answer({"b1": 0}, 7, "cameras", "there are too many", 3, 4)),
     ]
 
 
@@ -111,14 +93,6 @@ def _splice(chance: random.Random, raw: bytearray, good: list[bytes]) -> None:
 
 
 _CHANGES: tuple[Callable[[random.Random, bytearray, list[bytes]], None], ...] = (
-    _flip,
-    _flip,
-    _set,
-    _set,
-    _cut,
-    _insert,
-    _insert,
-    _repeat,
-    _splice,
+    *(_flip, _flip, _set, _set, _insert, _insert),  # frequent ones several times
+    *(_cut, _repeat, _splice),
 )
-"""The changes, frequent ones several times."""

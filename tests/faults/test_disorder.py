@@ -1,170 +1,160 @@
-"""Shuffled, repeated and delayed events: one result for all orders, within the lateness."""
+"""Cameras that are delayed against each other, and batches that are repeated: one result.
+
+Each camera's own events come in the order of their numbers. The requests go to the daemon's path of
+an event, with a real journal; what comes out of it goes to a plain learner.
+"""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Sequence
-from typing import Any
+import itertools
+import random
+from collections import deque
+from pathlib import Path
 
 import msgspec
 import pytest
-from camtopod.serve.ingest.camera_registry import Received
-from camtopod.serve.ingest.receiver import Receiver
-from hypothesis import given, settings, strategies as st
+from intake_bench import LATENESS, SETTLE_SECONDS, IntakeBench, Request
 from serving import numbered
 from sizes import size
 from traffic import crossings, last_event
 
 from camtopod.codec import to_msgpack
-from camtopod.config.settings import Limits
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.records import Ack, Event
+from camtopod.records import Event
+from camtopod.serve.ingest import merge
+from camtopod.serve.requests import Batch
 
-LATENESS = Settings().lateness_seconds
 SPAN_SECONDS = 600.0
 EVENTS = numbered(
     [*crossings(14, SPAN_SECONDS), *(last_event(SPAN_SECONDS, camera) for camera in "yz")]
 )
-LEARN = Settings(version_seconds=20.0, refit_share=0.3)
-ROUND_EVENTS = 7
-"""Events that come in between two rounds of the receiver."""
-TENTHS = st.lists(
-    st.integers(0, round(10 * LATENESS) - 1), min_size=len(EVENTS), max_size=len(EVENTS)
-)
-AGAIN = st.lists(st.tuples(st.integers(0, len(EVENTS) - 1), st.integers(0, 6000)), max_size=30)
+LEARN = Settings(version_seconds=20.0, refit_share=0.3, lateness_seconds=LATENESS)
+Versions = list[tuple[int, str]]
+"""Number and digest of each version."""
 
 
-class Shelf:
-    """A fake journal; stores commits."""
-
-    def __init__(self) -> None:
-        self.entries: list[Any] = []
-        self._numbers: dict[tuple[str, str, int], Any] = {}
-
-    def streams(self) -> dict[tuple[str, str], int]:
-        return {}
-
-    def commit(self, entries: Sequence[Any], *others: object, **more: object) -> None:
-        self.entries += entries
-        self._numbers |= {(entry.camera, entry.boot, entry.seq): entry for entry in entries}
-
-    def find_entry(self, camera: str, boot: str, seq: int) -> Any:
-        return self._numbers.get((camera, boot, seq))
-
-    def median_stored_time(self) -> float | None:
-        return None
-
-    def meta(self, key: str) -> str | None:
-        return None
-
-    def prune(self, now: float) -> None:
-        """Do nothing: nothing is old."""
+@pytest.fixture(autouse=True)
+def _time_for_backlogs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here the daemon waits for backlogs as it does in service."""
+    monkeypatch.setattr(merge, "SETTLE_SECONDS", SETTLE_SECONDS)
 
 
-class Line:
-    """A fake bus; stores acknowledgements."""
-
-    def __init__(self) -> None:
-        self.acks: dict[str, int] = {}
-
-    def publish(self, key: str, ack: Ack, schema: str) -> None:
-        self.acks[ack.camera] = ack.seq
-
-
-def versions(learner: Learner) -> list[tuple[int, str]]:
-    return [(one.version, one.digest) for one in learner.updates()]
-
-
-def received(
-    arrivals: Sequence[Event], learn: Settings = LEARN
-) -> tuple[list[tuple[int, str]], Learner, Shelf, Line]:
-    """Return the result of events that arrive in this order at the receiver and the learner."""
-    learner, shelf, line, made = Learner(learn, "site", "e"), Shelf(), Line(), []
-
-    def take(batch: list[Received]) -> None:
-        for one in batch:
-            assert one.event is not None
-            learner.receive(one.event)
-        made.extend(versions(learner))
-
-    receiver = Receiver(
-        shelf,
-        line,
-        Limits(),
-        lambda: EVENTS[-1].t,
-        take,
-        lambda: 10_000,
-        lambda version: None,
-        lambda *_: None,  # type: ignore[arg-type]
-    )
-    stopping = threading.Event()
-    stopping.set()  # one round at a time
-    for start in range(0, len(arrivals), ROUND_EVENTS):
-        for event in arrivals[start : start + ROUND_EVENTS]:
-            receiver.on_event(f"event/{event.camera}", to_msgpack(event))
-        receiver.work(stopping)
-        receiver.store(stopping)
-    return made, learner, shelf, line
-
-
-def expected() -> list[tuple[int, str]]:
+def versions(events: list[Event]) -> Versions:
+    """Return the versions of a plain learner."""
     learner = Learner(LEARN, "site", "e")
-    for event in EVENTS:
+    for event in events:
         learner.receive(event)
-    return versions(learner)
+    return [(version.version, version.digest) for version in learner.updates()]
 
 
-EXPECTED = expected()
+EXPECTED = versions(EVENTS)
 
 
-def one_result(tenths: list[int], again: list[tuple[int, int]]) -> None:
-    """Delay each event by so many tenths of a second; repeat some."""
-    at = [
-        (event.t + late / 10, number)
-        for number, (event, late) in enumerate(zip(EVENTS, tenths, strict=True))
-    ]
-    at += [(at[number][0] + late / 10, number) for number, late in again]
-    made, learner, shelf, line = received([EVENTS[number] for _, number in sorted(at)])
-    assert made == EXPECTED
-    assert learner.statistics()["late"] == 0
-    assert len(shelf.entries) == len(EVENTS)
-    assert line.acks == {event.camera: event.seq for event in EVENTS}
+def batch(events: list[Event], more: int = 0) -> Batch:
+    """Return a request with events that follow each other."""
+    pairs = [(event.seq or 0, to_msgpack(event)) for event in events]
+    return Batch("h1", "b1", pairs[0][0] - 1, pairs, more)
 
 
-@given(TENTHS, AGAIN)
-@settings(max_examples=5, deadline=None)
-def test_any_order_within_the_lateness_gives_one_result(
-    tenths: list[int], again: list[tuple[int, int]]
-) -> None:
-    one_result(tenths, again)
+def is_one_result(bench: IntakeBench, requests: list[Request]) -> bool:
+    """Check that each event was stored once, and all is answered; compare what was learned."""
+    stored = bench.stored
+    bench.stop()
+    seqs = {camera: 0 for _, camera, _ in stored}
+    for _, camera, seq in stored:
+        assert seq == seqs[camera] + 1
+        seqs[camera] = seq
+    assert sum(seqs.values()) == len(EVENTS)
+    assert all(request.answer for request in requests)
+    learned = [received.event for received in bench.learned if received.event is not None]
+    return versions(learned) == EXPECTED
+
+
+def greeted(directory: Path, wall: float) -> IntakeBench:
+    """Return a daemon's path of an event to which all cameras have said hello."""
+    bench = IntakeBench(directory, wall=wall)
+    for camera in sorted({event.camera for event in EVENTS}):
+        bench.hello(camera, ["b1"])
+    return bench
+
+
+def delayed(directory: Path, chance: random.Random, seconds_max: float = LATENESS) -> bool:
+    """Deliver each event up to ``seconds_max`` after it happened, some together, some again.
+
+    Returns True if the result is the expected one.
+    """
+    # Draw when each event arrives: not before the earlier ones of its camera.
+    last: dict[str, float] = {}
+    arrivals: list[tuple[float, str, Event]] = []
+    for event in EVENTS:
+        at = max(last.get(event.camera, 0.0), event.t + chance.uniform(0.0, 0.999 * seconds_max))
+        last[event.camera] = at
+        arrivals.append((at, event.camera, event))
+    arrivals.sort(key=lambda arrival: arrival[0])
+
+    # Send them; some requests are repeated later.
+    bench = greeted(directory, EVENTS[0].t)
+    sent: list[tuple[str, Batch]] = []
+    requests = []
+    for camera, run in itertools.groupby(arrivals, key=lambda arrival: arrival[1]):
+        together = list(run)
+        bench.tick(max(0.0, together[0][0] - bench.wall))
+        sent.append((camera, batch([event for _, _, event in together])))
+        again = chance.choices(sent, k=chance.choice((0, 0, 1, 2)))
+        requests += [bench.ask(*one) for one in (sent[-1], *again)]
+    bench.tick(1.0)
+    return is_one_result(bench, requests)
+
+
+def caught_up(directory: Path, chance: random.Random) -> bool:
+    """Deliver everything long after it happened, by requests in any interleaving.
+
+    Returns True if the result is the expected one.
+    """
+    bench = greeted(directory, EVENTS[-1].t + 1_000.0)
+    left: dict[str, deque[Event]] = {}
+    for event in EVENTS:
+        left.setdefault(event.camera, deque()).append(event)
+    pending: dict[str, Request] = {}
+    requests = []
+    while any(left.values()):
+        free = [c for c in left if left[c] and (c not in pending or pending[c].answer)]
+        if free and chance.random() < 0.9:
+            camera = chance.choice(free)
+            waiting = left[camera]
+            events = [waiting.popleft() for _ in range(min(len(waiting), chance.randint(1, 9)))]
+            pending[camera] = bench.ask(camera, batch(events, len(waiting)))
+            requests.append(pending[camera])
+        else:
+            bench.tick(0.5)
+    bench.tick(6.0)
+    return is_one_result(bench, requests)
+
+
+def test_any_delay_within_the_lateness_gives_one_result(quick_path: Path) -> None:
+    for seed in range(4):
+        assert delayed(quick_path / f"delayed {seed}", random.Random(seed)), f"seed {seed}"
+
+
+def test_backlogs_in_any_interleaving_give_one_result(quick_path: Path) -> None:
+    for seed in range(4):
+        assert caught_up(quick_path / f"caught up {seed}", random.Random(seed)), f"seed {seed}"
 
 
 @pytest.mark.campaign
 @pytest.mark.timeout(3600)
-@given(TENTHS, AGAIN)
-@settings(max_examples=size("DISORDER", 2_000), deadline=None)
-def test_very_many_orders_give_one_result(tenths: list[int], again: list[tuple[int, int]]) -> None:
-    one_result(tenths, again)
+def test_very_many_orders_give_one_result(tmp_path_factory: pytest.TempPathFactory) -> None:
+    first = size("SEED", 100)
+    for seed in range(first, first + size("DISORDER", 400)):
+        folder = tmp_path_factory.mktemp("orders")
+        assert delayed(folder / "delayed", random.Random(seed)), f"seed {seed}"
+        assert caught_up(folder / "caught up", random.Random(seed)), f"seed {seed}"
 
 
-def test_there_is_something_to_get_wrong() -> None:
+def test_there_is_something_to_get_wrong(quick_path: Path) -> None:
+    """The canaries: one event in another place shows, and so do delays beyond the lateness."""
     assert len(EXPECTED) >= 3
     elsewhere = msgspec.structs.replace(EVENTS[10], x=0.5)
-    made, *_ = received([*EVENTS[:10], elsewhere, *EVENTS[11:]])
-    assert made != EXPECTED, "the canary: one event in another place shows"
-
-
-def test_what_comes_too_late_is_stored_and_counted_and_not_learned() -> None:
-    number = next(
-        k for k, event in enumerate(EVENTS) if event.camera == "b" and event.t > EVENTS[0].t + 200
-    )
-    late = [event for event in EVENTS if event.camera == "b" and event is not EVENTS[number]]
-    alone = msgspec.structs.replace(EVENTS[number], boot="other", seq=1)
-    rest = numbered(late) + [event for event in EVENTS if event.camera != "b"]
-    rest.sort(key=lambda event: event.t)
-    after = next(k for k, event in enumerate(rest) if event.t > alone.t + 60)
-    made, learner, shelf, _ = received([*rest[:after], alone, *rest[after:]])
-    assert learner.statistics()["late"] == 1
-    assert len(shelf.entries) == len(EVENTS)
-    assert made == received(rest)[0]
+    assert versions([*EVENTS[:10], elsewhere, *EVENTS[11:]]) != EXPECTED
+    assert not delayed(quick_path, random.Random(1), seconds_max=10 * LATENESS)

@@ -19,7 +19,11 @@ def killed(name: str, directory: Path, kills: int, *more: str) -> dict[str, int]
     command = [sys.executable, str(Path(__file__).with_name("forking.py")), name, str(directory)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(
-        [*command, str(kills), *more], env=environment, capture_output=True, timeout=900, check=False
+        [*command, str(kills), *more],
+        env=environment,
+        capture_output=True,
+        timeout=900,
+        check=False,
     )
     assert done.returncode == 0, done.stderr.decode()
     told: dict[str, int] = json.loads(done.stdout)

@@ -148,9 +148,7 @@ def each_write_fails_once(name: str, kind: Kind, steps: int, base: Path, disk_wa
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_each_write_of_each_commit_fails_once(
-    name: str, quick_path: Path, disk_watch: Vfs
-) -> None:
+def test_each_write_of_each_commit_fails_once(name: str, quick_path: Path, disk_watch: Vfs) -> None:
     for kind, steps in zip(KINDS, (20, 5, 5), strict=True):
         each_write_fails_once(name, kind, steps, quick_path, disk_watch)
 
@@ -351,9 +349,7 @@ def grabber(small_disk: Path, tmp_path: Path) -> Iterator[Grabber]:
 
 @pytest.mark.campaign
 @pytest.mark.timeout(600)
-def test_a_daemon_on_a_full_file_system(
-    small_disk: Path, grabber: Grabber, tmp_path: Path
-) -> None:
+def test_a_daemon_on_a_full_file_system(small_disk: Path, grabber: Grabber, tmp_path: Path) -> None:
     reason = "cannot write the journal: database or disk is full"
     with grabber.daemon() as daemon:
         grabber.attach()

@@ -72,7 +72,9 @@ class WrittenJournal:
         entries = tuple(self.journal.entries())
         assert all(entry is not None for _, entry in entries), "damaged"
         versions = self.journal.versions(EPOCH)
-        contents = tuple((n, digest, self.journal.version(EPOCH, n)) for n, digest in versions.items())
+        contents = tuple(
+            (n, digest, self.journal.version(EPOCH, n)) for n, digest in versions.items()
+        )
         numbers, unknown = self.journal.numbers()
         assert not unknown, "damaged"
         snapshots = tuple(self.journal.snapshots())
@@ -127,9 +129,7 @@ class WrittenSpool:
 
     def __init__(self, directory: Path) -> None:
         boot = f"boot-{time.monotonic_ns()}" if (directory / "spool.db").exists() else "boot-0"
-        self.spool = Spool(
-            directory / "spool.db", boot, self.events_max, kept_max=self.kept_max
-        )
+        self.spool = Spool(directory / "spool.db", boot, self.events_max, kept_max=self.kept_max)
         self.damaged = bool(self.spool.statistics()["damaged_files"])
         self._have: dict[tuple[str, str], int] = {}
 
