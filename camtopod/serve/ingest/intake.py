@@ -43,7 +43,10 @@ from camtopod.serve.storage import NAMES_KEY, Entry, JournalWriter
 EVENTS_MAX = 50_000
 """Most events in memory, received and not yet stored; further requests are answered ``busy``."""
 PUBLISHED_MAX = 1_000
-"""Most publications of one camera that wait to be decoded; further ones are dropped and counted."""
+"""Most publications of one camera that wait, to be decoded or to be released.
+
+Further ones are dropped and counted.
+"""
 PREDICT_SECONDS_MAX = 0.25
 """Longest time for the predictions of one step; the exits after that get none."""
 PREDICT_SECONDS_BUSY = 0.002
@@ -271,6 +274,9 @@ class Intake:
                 raise codec.Rejected("clock", reason)
             if self._room() < 1:
                 raise codec.Rejected("busy", "too many events wait to be stored")
+            if len(camera.waiting) >= PUBLISHED_MAX:
+                self.dropped[name] += 1
+                return
         except codec.Rejected as error:
             self.counts["received"] += 1
             self.rejects.add(error.reason, f"event/{name}", str(error), content)
