@@ -29,7 +29,7 @@ from camtopod.codec import to_json
 from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN, Event
 from camtopod.serve.bus import Bus, BusError, dial
-from camtopod.serve.outbox import TRANSACTION_EVENTS_MAX, Publisher, open_ingest_spool
+from camtopod.serve.outbox import TRANSACTION_EVENTS_MAX, UNANSWERED, Publisher, open_ingest_spool
 from camtopod.serve.storage import StateError
 
 log = logging.getLogger(__name__)
@@ -299,6 +299,8 @@ def _wait(
                 f"camera {', '.join(refused)}: {next(iter(refused.values()))}; "
                 f"{publisher.dropped} events are dropped"
             )
+        if unanswered := publisher.own_cameras_unanswered():
+            raise CommandError(f"camera {', '.join(unanswered)}: {UNANSWERED}", exits.BUS)
         publisher.retry()
         now = publisher.count_waiting(own=True)
         patience = PATIENCE_SECONDS if now < before or daemons else patience - _TICK_SECONDS

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from camtopod.serve.outbox.publisher import (
     TRANSACTION_EVENTS_MAX as TRANSACTION_EVENTS_MAX,
+    UNANSWERED as UNANSWERED,
     Publisher as Publisher,
 )
 from camtopod.serve.outbox.spool_files import (

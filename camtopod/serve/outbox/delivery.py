@@ -26,6 +26,10 @@ The daemon waits for a camera's next request that long before it goes on without
 """
 
 
+UNANSWERED_MAX = 3
+"""Requests in a row without an answer, after which a visible daemon is not expected to answer."""
+
+
 class Queue(Protocol):
     """The events of cameras that wait: what is needed of `camtopod.serve.outbox.spool.Spool`."""
 
@@ -65,6 +69,8 @@ class Delivery:
         """Boot -> number of events that the daemon has refused."""
         self.no_room = ""
         """Why the daemon does not take this camera, which is one too many; "" if it does."""
+        self.unanswered = 0
+        """Number of requests in a row that ended without an answer."""
         self._queue = queue
         self._draw_number = draw_number
         self._number = ""
@@ -102,9 +108,11 @@ class Delivery:
         self._held = None
         self._slow_boot = ""
         if answer is None:
+            self.unanswered += 1
             self._greeted = False
             self._wait(now)
             return
+        self.unanswered = 0
 
         # Take what it says.
         self._batch_max = answer.batch
@@ -139,6 +147,7 @@ class Delivery:
         self._held = None
         self._slow_boot = ""
         self._greeted = False
+        self.unanswered = 0
         self._retry_at = now
         self._retry_seconds = RETRY_SECONDS
 

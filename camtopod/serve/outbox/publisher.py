@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from camtopod import codec
 from camtopod.records import Event
 from camtopod.serve.bus import Bus
-from camtopod.serve.outbox.delivery import Delivery
+from camtopod.serve.outbox.delivery import UNANSWERED_MAX, Delivery
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.requests import ANSWER_SECONDS_MAX, Answer, Batch, Hello
 from camtopod.serve.runtime import Rejects
@@ -30,6 +30,10 @@ Beyond it the newest are dropped.
 """
 TRANSACTION_EVENTS_MAX = 500
 """Most events stored in one transaction when many come at once."""
+UNANSWERED = (
+    "the daemon is there and does not answer: is this program's certificate for this camera?"
+)
+"""What is said of a camera whose requests remain without an answer."""
 _UNREADABLE_SECONDS = 2.0
 """Wait after the spool could not be read."""
 
@@ -60,6 +64,7 @@ class Publisher:
         self._due: set[str] = set()
         self._answers: list[tuple[str, Hello | Batch, bytes | None]] = []
         self._daemon_appeared = False
+        self._daemons: set[str] = set()
         self._closing = False
 
         # The delivering thread's own.
@@ -159,6 +164,19 @@ class Publisher:
             if delivery.no_room and self._spool.is_own(camera)
         }
 
+    def own_cameras_unanswered(self) -> list[str]:
+        """Return this process's cameras for which a daemon that is there does not answer.
+
+        Where programs have certificates, this one's is not for these cameras.
+        """
+        if not self._daemons:
+            return []
+        return [
+            camera
+            for camera, delivery in self._deliveries.copy().items()
+            if delivery.unanswered >= UNANSWERED_MAX and self._spool.is_own(camera)
+        ]
+
     def drop(self, camera: str) -> None:
         """Delete the events of a camera that wait in the spool, and count them as dropped."""
         self._spool.drop(camera)
@@ -199,11 +217,14 @@ class Publisher:
             bus.announce("grabber", camera)
 
     def _on_daemon(self, name: str, alive: bool) -> None:
-        """Note that a daemon has appeared; called on a thread of the bus."""
-        if alive:
-            with self._changed:
-                self._daemon_appeared = True
-                self._changed.notify_all()
+        """Note that a daemon has appeared or vanished; called on a thread of the bus."""
+        if not alive:
+            self._daemons.discard(name)
+            return
+        self._daemons.add(name)
+        with self._changed:
+            self._daemon_appeared = True
+            self._changed.notify_all()
 
     def _deliver(self) -> None:
         """Send requests and take answers until the end."""
@@ -262,6 +283,8 @@ class Publisher:
         delivery.on_answer(request, answer, time.monotonic())
         if delivery.no_room and not before:
             log.error("camera %s: %s", camera, delivery.no_room)
+        if delivery.unanswered == UNANSWERED_MAX and self._daemons:
+            log.error("camera %s: %s", camera, UNANSWERED)
 
     def _send(self, delivery: Delivery) -> None:
         """Send the next request of a camera, if there is one."""
