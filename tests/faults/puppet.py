@@ -63,10 +63,6 @@ class Puppet:
 
         self._kept.append(self._session.declare_queryable(key, reply))
 
-    def hold(self, key: str) -> None:
-        """Accept queries and never answer them."""
-        self._kept.append(self._session.declare_queryable(key, self._kept.append))
-
     def ask(self, key: str, seconds: float = 0.5) -> list[str]:
         channel = zenoh.handlers.FifoChannel(100)
         replies = self._session.get(
@@ -77,6 +73,14 @@ class Puppet:
             allowed_destination=zenoh.Locality.REMOTE,
         )
         return [(r.ok or r.err).payload.to_bytes().decode("utf-8", "replace") for r in replies]
+
+    def reset(self) -> None:
+        """Undeclare everything, and forget what was heard."""
+        for declared in self._kept:
+            declared.undeclare()
+        self._kept.clear()
+        with self._mutex:
+            self._heard.clear()
 
     def ask_many(self, key: str, times: int) -> None:
         """Send queries with the priority of predictions, without waiting for answers."""

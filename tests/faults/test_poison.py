@@ -164,7 +164,16 @@ class Poisoner:
             "½",
         ]
         names = ["x", "y", "t", "zone", "format", "version", "camera", "from", "to", "ü", ""]
-        keys = ["predict/a", "predict/nobody", "topology", "status/daemon", "store/a", "admin/forget", "admin/rename", "admin/nonsense"]
+        keys = [
+            "predict/a",
+            "predict/nobody",
+            "topology",
+            "status/daemon",
+            "store/a",
+            "admin/forget",
+            "admin/rename",
+            "admin/nonsense",
+        ]
         for _ in range(count):
             given = {name: chance.choice(values) for name in chance.sample(names, 3)}
             with suppress(QueryError):

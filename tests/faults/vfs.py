@@ -65,7 +65,26 @@ Watch = Callable[[Op], Fault | None]
 class _IoMethods(ctypes.Structure):
     _fields_ = [("iVersion", c_int)] + [
         (name, c_void_p)
-        for name in ["xClose", "xRead", "xWrite", "xTruncate", "xSync", "xFileSize", "xLock", "xUnlock", "xCheckReservedLock", "xFileControl", "xSectorSize", "xDeviceCharacteristics", "xShmMap", "xShmLock", "xShmBarrier", "xShmUnmap", "xFetch", "xUnfetch"]
+        for name in [
+            "xClose",
+            "xRead",
+            "xWrite",
+            "xTruncate",
+            "xSync",
+            "xFileSize",
+            "xLock",
+            "xUnlock",
+            "xCheckReservedLock",
+            "xFileControl",
+            "xSectorSize",
+            "xDeviceCharacteristics",
+            "xShmMap",
+            "xShmLock",
+            "xShmBarrier",
+            "xShmUnmap",
+            "xFetch",
+            "xUnfetch",
+        ]
     ]
 
 
@@ -83,7 +102,24 @@ class _VfsStruct(ctypes.Structure):
         ("pAppData", c_void_p),
     ] + [
         (name, c_void_p)
-        for name in ["xOpen", "xDelete", "xAccess", "xFullPathname", "xDlOpen", "xDlError", "xDlSym", "xDlClose", "xRandomness", "xSleep", "xCurrentTime", "xGetLastError", "xCurrentTimeInt64", "xSetSystemCall", "xGetSystemCall", "xNextSystemCall"]
+        for name in [
+            "xOpen",
+            "xDelete",
+            "xAccess",
+            "xFullPathname",
+            "xDlOpen",
+            "xDlError",
+            "xDlSym",
+            "xDlClose",
+            "xRandomness",
+            "xSleep",
+            "xCurrentTime",
+            "xGetLastError",
+            "xCurrentTimeInt64",
+            "xSetSystemCall",
+            "xGetSystemCall",
+            "xNextSystemCall",
+        ]
     ]
 
 
