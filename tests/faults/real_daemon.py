@@ -40,6 +40,10 @@ class RealDaemon:
 
     def stop(self) -> None:
         self.process.terminate()
+        self.close()
+
+    def close(self) -> None:
+        """Release what belongs to a process that ends."""
         self.process.wait(WAIT_SECONDS)
         self._thread.join()
         assert self.process.stderr is not None

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import os
-import queue
 import random
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import traffic
-from serving import camtopod, free_endpoint, wait_for
+from grabber import stored
+from real_daemon import READY_SECONDS, RealDaemon, status_over
+from serving import free_endpoint, wait_for
 
 from camtopod import codec
 from camtopod.cli import exits
@@ -26,15 +24,10 @@ from camtopod.config.settings import BusSettings, Config, parse
 from camtopod.learn.learner import Learner
 from camtopod.records import Event, Topology
 from camtopod.serve.bus.session import Bus, dial
-from camtopod.serve.storage.journal import Journal
 
 HERE = Path(__file__).parent
 OUTAGE_SECONDS_MAX = 60.0
 """Longest delay of an event by any fault, so that the order of arrival does not matter."""
-READY_SECONDS = 60.0
-"""Longest wait for a process to start or answer, seconds."""
-SAID_LINES_MAX = 40
-"""Lines of the daemon's output that are kept for failures."""
 LEARNER = "learner"
 """Name of the daemon's learner process.
 
@@ -52,18 +45,16 @@ class Site:
     def __init__(
         self, directory: Path, count: int, span: float, speed: float, spools: bool = True
     ) -> None:
-        self.directory, self.count, self.span, self.speed, self.spools = (
-            directory,
-            count,
-            span,
-            speed,
-            spools,
-        )
+        self.directory = directory
+        self.count = count
+        self.span = span
+        self.speed = speed
+        self.spools = spools
         self.events = traffic.crossings(count, span)
         self.router_endpoint = free_endpoint()
         self.at_daemon = self.at_publishers = self.router_endpoint
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._said: dict[str, deque[bytes]] = {"daemon": deque()}
+        self._daemon: RealDaemon | None = None
         self.began = 0.0
         self._bus: Bus | None = None
         self.versions: dict[tuple[str, int], str] = {}
@@ -76,24 +67,15 @@ class Site:
         name = _program(name)
         if name == "router":
             process = self._python("router.py", self.router_endpoint, stdout=subprocess.PIPE)
-            self._await(process, process.stdout, b"ready")
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"ready\n"
         elif name == "daemon":
-            config = self.directory / "camtopod.toml"
-            config.write_text(self.daemon_toml())
-            process = camtopod("--config", str(config), "run", stderr=subprocess.PIPE)
-            self._said[name] = self._await(process, process.stderr, b"ready at")
+            self._daemon = RealDaemon(self.directory, self.daemon_toml())
+            process = self._daemon.process
         else:
             spool = str(self.directory / f"spool-{name}.db") if self.spools else "-"
-            process = self._python(
-                "traffic.py",
-                self.at_publishers,
-                spool,
-                name,
-                str(self.count),
-                str(self.span),
-                str(self.speed),
-                str(self.began),
-            )
+            given = (name, self.count, self.span, self.speed, self.began)
+            process = self._python("traffic.py", self.at_publishers, spool, *map(str, given))
         self.processes[name] = process
 
     def start_all(self) -> None:
@@ -108,14 +90,14 @@ class Site:
 
     def kill(self, name: str) -> None:
         """Kill a process with SIGKILL."""
-        process = self.processes.pop(_program(name))
+        program = _program(name)
+        process = self.processes[program]
         if name == LEARNER:
             os.kill(_child(process.pid), signal.SIGKILL)
             assert process.wait(READY_SECONDS) == exits.FAILED
         else:
             process.kill()
-            process.wait()
-        self._close_pipes(process)
+        self._close(program)
 
     def running(self, name: str) -> bool:
         """Return True if a process has not ended by itself."""
@@ -128,35 +110,26 @@ class Site:
         Returns the daemon's last status.
         """
         for camera in traffic.CAMERAS:
-            wait_for(
-                lambda one=camera: not self.running(one), f"publisher {camera} to end", seconds
-            )  # type: ignore[misc]
-            assert self.processes[camera].returncode == 0
+            process = self.processes[camera]
+            assert process.wait(seconds) == 0
         assert self._bus is not None
-        for camera in (
-            traffic.AFTER,
-            f"{traffic.AFTER}2",
-        ):  # event time follows the second camera
-            stored = self.status()["events"]["stored"]
+        for camera in (traffic.AFTER, "other"):  # event time follows the second camera
+            count = self.status()["events"]["stored"]
             self._bus.publish(f"event/{camera}", traffic.last_event(self.span, camera), "event")
-            wait_for(
-                lambda before=stored: self.status()["events"]["stored"] > before, "the last event"
-            )  # type: ignore[misc]
+            wait_for(lambda n=count: self.status()["events"]["stored"] > n, "the last event")  # type: ignore[misc]
         wait_for(lambda: all_learned(self.status()), "the learner", seconds)
         status = self.status()
         if newest := status["version"]:  # while the daemon can still be queried for it
             wait_for(lambda: self.has_heard(newest), "the newest version to be heard")
         self.processes["daemon"].terminate()
-        assert self.processes["daemon"].wait(30) == 0
+        assert self.processes["daemon"].wait(30.0) == 0
         return status
 
     def close(self) -> None:
         """End all processes."""
-        for process in self.processes.values():
-            if process.poll() is None:
-                process.kill()
-            process.wait()
-            self._close_pipes(process)
+        for name, process in list(self.processes.items()):
+            process.kill()
+            self._close(name)
         if self._bus is not None:
             self._bus.close()
 
@@ -173,45 +146,21 @@ class Site:
 
     def restart(self, name: str, seconds: float) -> None:
         """End a process cleanly, and start it again after ``seconds``."""
-        process = self.processes.pop(name)
-        process.terminate()
-        process.wait()
-        self._close_pipes(process)
+        self.processes[name].terminate()
+        self._close(name)
         time.sleep(seconds)
         self.start(name)
 
-    # --- results ----------------------------------------------------------------------
+    # --- results ----------------------------------------------------------------------------------
 
     def status(self) -> dict[str, Any]:
-        """Return the daemon's status, asking repeatedly."""
         assert self._bus is not None
-        deadline = time.monotonic() + READY_SECONDS
-        while time.monotonic() < deadline:
-            answers = self._bus.query("status/daemon", seconds=1.0, one=True)
-            if answers:
-                found: dict[str, Any] = msgspec.msgpack.decode(answers[0][1])
-                return found
-            time.sleep(0.05)
-        raise AssertionError(
-            f"the daemon does not answer; it {'runs' if self.running('daemon') else 'has ended'}, "
-            f"the client is {'' if self._bus.connected else 'not '}connected; "
-            f"last output: {b''.join(self._said['daemon']).decode()}"
-        )
+        return status_over(self._bus)
 
     def journal(self) -> list[Event]:
-        """Return all events in the journal, without boot and seq, except the closing ones."""
-        journal = Journal(self.directory / "state")
-        events = [
-            codec.event_from_msgpack(entry.raw)
-            for _, entry in journal.entries()
-            if entry and entry.kind == "event"
-        ]
-        journal.close()
-        return [
-            msgspec.structs.replace(event, boot=None, seq=None)
-            for event in events
-            if event.camera in traffic.CAMERAS
-        ]
+        """Return all events in the journal, except the closing ones."""
+        events = [codec.event_from_msgpack(raw) for _, raw in stored(self.directory / "state")]
+        return [event for event in events if event.camera in traffic.CAMERAS]
 
     def lost_and_doubled(self) -> tuple[int, int]:
         """Return the numbers of lost and of duplicated events in the journal."""
@@ -235,7 +184,6 @@ class Site:
         """Return the daemon's configuration."""
         return (
             f'[bus]\nconnect = ["{self.at_daemon}"]\nconnect_seconds = 30.0\n'
-            f'[state]\ndirectory = "{self.directory}/state"\n'
             f"[learn]\nlateness_seconds = {OUTAGE_SECONDS_MAX * self.speed}\nrefit_share = 0.5\n"
             "[limits]\nstatus_seconds = 0.5\n"
         )
@@ -269,30 +217,15 @@ class Site:
             **popen,
         )
 
-    def _await(self, process: subprocess.Popen[bytes], pipe: Any, what: bytes) -> deque[bytes]:
-        """Wait until a process prints ``what``; return its last lines, which go on
-        being updated.
-        """
-        said: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-        lines: deque[bytes] = deque(maxlen=SAID_LINES_MAX)
-
-        def read() -> None:
-            with suppress(ValueError):  # closed
-                for line in pipe:
-                    lines.append(line)
-                    said.put(line)
-            said.put(b"")
-
-        threading.Thread(target=read, daemon=True).start()
-        while what not in (line := said.get(timeout=READY_SECONDS)):
-            assert line, f"{process.args!r} ended: {b''.join(lines).decode()}"
-        return lines
-
-    @staticmethod
-    def _close_pipes(process: subprocess.Popen[bytes]) -> None:
-        for pipe in (process.stdout, process.stderr):
-            if pipe is not None:
-                pipe.close()
+    def _close(self, name: str) -> None:
+        """Wait for the end of a process, and close its pipe."""
+        process = self.processes.pop(name)
+        process.wait()
+        if name == "daemon":
+            assert self._daemon is not None
+            self._daemon.close()
+        elif process.stdout is not None:
+            process.stdout.close()
 
 
 def kill_and_restart(

@@ -62,29 +62,18 @@ Watch = Callable[[Op], Fault | None]
 """Called before every operation."""
 
 
+def _pointers(names: str) -> list[tuple[str, Any]]:
+    return [(name, c_void_p) for name in names.split()]
+
+
 class _IoMethods(ctypes.Structure):
-    _fields_ = [("iVersion", c_int)] + [
-        (name, c_void_p)
-        for name in [
-            "xClose",
-            "xRead",
-            "xWrite",
-            "xTruncate",
-            "xSync",
-            "xFileSize",
-            "xLock",
-            "xUnlock",
-            "xCheckReservedLock",
-            "xFileControl",
-            "xSectorSize",
-            "xDeviceCharacteristics",
-            "xShmMap",
-            "xShmLock",
-            "xShmBarrier",
-            "xShmUnmap",
-            "xFetch",
-            "xUnfetch",
-        ]
+    _fields_ = [
+        ("iVersion", c_int),
+        *_pointers(
+            "xClose xRead xWrite xTruncate xSync xFileSize xLock xUnlock xCheckReservedLock"
+            " xFileControl xSectorSize xDeviceCharacteristics xShmMap xShmLock xShmBarrier"
+            " xShmUnmap xFetch xUnfetch"
+        ),
     ]
 
 
@@ -93,34 +82,15 @@ class _File(ctypes.Structure):
 
 
 class _VfsStruct(ctypes.Structure):
-    _fields_ = [
-        ("iVersion", c_int),
-        ("szOsFile", c_int),
-        ("mxPathname", c_int),
-        ("pNext", c_void_p),
-        ("zName", c_char_p),
-        ("pAppData", c_void_p),
-    ] + [
-        (name, c_void_p)
-        for name in [
-            "xOpen",
-            "xDelete",
-            "xAccess",
-            "xFullPathname",
-            "xDlOpen",
-            "xDlError",
-            "xDlSym",
-            "xDlClose",
-            "xRandomness",
-            "xSleep",
-            "xCurrentTime",
-            "xGetLastError",
-            "xCurrentTimeInt64",
-            "xSetSystemCall",
-            "xGetSystemCall",
-            "xNextSystemCall",
-        ]
-    ]
+    _fields_ = (
+        [(name, c_int) for name in ("iVersion", "szOsFile", "mxPathname")]
+        + [("pNext", c_void_p), ("zName", c_char_p)]
+        + _pointers(
+            "pAppData xOpen xDelete xAccess xFullPathname xDlOpen xDlError xDlSym xDlClose"
+            " xRandomness xSleep xCurrentTime xGetLastError xCurrentTimeInt64 xSetSystemCall"
+            " xGetSystemCall xNextSystemCall"
+        )
+    )
 
 
 _OPEN = ctypes.CFUNCTYPE(c_int, c_void_p, c_void_p, c_void_p, c_int, POINTER(c_int))
