@@ -11,7 +11,7 @@ from sizes import size
 
 from bench.support.rtsp_streams import FaultProxy
 
-EVENTS_PER_SECOND = 400
+EVENTS_PER_SECOND = 200
 EVERYBODY = (("router",), ("daemon",), (LEARNER,), traffic.CAMERAS)
 
 
