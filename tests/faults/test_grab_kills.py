@@ -165,4 +165,4 @@ def killed(directory: Path, port: int, kills: int) -> None:
 @pytest.mark.timeout(1200)
 @pytest.mark.skipif(missing() is not None, reason=f"needs an RTSP server: {missing()}")
 def test_campaign_of_killed_grabbers(port: int, tmp_path: Path) -> None:
-    killed(tmp_path, port, size("GRAB_KILLS", 12))
+    killed(tmp_path, port, size("GRAB_KILLS", 8))

@@ -59,7 +59,7 @@ def peak_megabytes(pid: int) -> float:
 def test_cameras_just_below_the_flood_limit_end_nothing(tmp_path: Path) -> None:
     chance, now = random.Random(1), time.time()
     known = [msgspec.structs.replace(e, t=e.t - T0 + now - 2 * SPAN_SECONDS) for e in walkers(400)]
-    wild = [crowd(f"wild{k}", now, size("CROWD_EVENTS", 20_000), chance) for k in range(3)]
+    wild = [crowd(f"wild{k}", now, size("CROWD_EVENTS", 10_000), chance) for k in range(3)]
     flooding = sorted((event for one in wild for event in one), key=lambda event: event.t)
 
     with contextlib.ExitStack() as stack:

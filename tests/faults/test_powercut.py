@@ -116,8 +116,8 @@ def test_the_harness_sees_that_normal_is_not_enough(quick_path: Path, disk_watch
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", FILES)
 def test_campaign_of_power_cuts(name: str, quick_path: Path, disk_watch: Vfs) -> None:
-    steps = size("POWERCUT_STEPS", 260)
-    outcome = run(FILES[name], steps, size("POWERCUT_EACH", 5), quick_path, disk_watch)
+    steps = size("POWERCUT_STEPS", 200)
+    outcome = run(FILES[name], steps, size("POWERCUT_EACH", 4), quick_path, disk_watch)
 
     print(f"{name}: {dict(outcome.images)} images, {len(outcome.lost)} lost")
     assert outcome.lost == []
