@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from intake_bench import LATENESS, SETTLE_SECONDS, IntakeBench, Request
+from intake_bench import LATENESS, IntakeBench, Request
 from serving import numbered
 from sizes import size
 from traffic import crossings, last_event
@@ -37,7 +37,7 @@ Versions = list[tuple[int, str]]
 @pytest.fixture(autouse=True)
 def _time_for_backlogs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Here the daemon waits for backlogs as it does in service."""
-    monkeypatch.setattr(merge, "SETTLE_SECONDS", SETTLE_SECONDS)
+    monkeypatch.setattr(merge, "SETTLE_SECONDS", 5.0)
 
 
 def versions(events: list[Event]) -> Versions:

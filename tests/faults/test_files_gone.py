@@ -70,10 +70,10 @@ def test_nothing_is_acknowledged_from_then_on_and_what_the_spools_have_comes_bac
         grabber.publish(BEFORE)
         grabber.await_stored()
         harm(state)
-        wait_for(lambda: daemon.status()["state"] == "degraded", "it to notice")
-        received = daemon.status()["events"]["received"]
+        wait_for(lambda: daemon.status().state == "degraded", "it to notice")
+        received = daemon.status().events["received"]
         grabber.publish(AFTER)
-        wait_for(lambda: daemon.status()["events"]["received"] > received, "some of the events")
+        wait_for(lambda: daemon.status().events["received"] > received, "some of the events")
 
         reason = daemon.status().reason
         assert f"{state}/journal.db was removed or replaced while it is in use" in reason
@@ -84,8 +84,8 @@ def test_nothing_is_acknowledged_from_then_on_and_what_the_spools_have_comes_bac
 
     with grabber.daemon() as daemon:
         grabber.await_stored()
-        wait_for(lambda: daemon.status()["journal"]["entries"] == grabber.made, "all events")
-        assert daemon.status()["state"] == "running"
+        wait_for(lambda: daemon.status().journal.entries == grabber.made, "all events")
+        assert daemon.status().state == "running"
     assert seqs(state) == list(range(1, grabber.made + 1))
 
 
@@ -108,7 +108,7 @@ def test_it_goes_on_by_itself_when_the_file_is_back(
             (tmp_path / "elsewhere").rename(state)
 
         grabber.await_stored()
-        assert daemon.status()["state"] == "running"
+        assert daemon.status().state == "running"
     assert "the journal can be written again" in caplog.text
     assert seqs(state) == list(range(1, grabber.made + 1))
 
@@ -144,13 +144,13 @@ def test_the_status_is_answered_while_the_disk_hangs(
             grabber.publish(1)
             assert let_in.wait(WAIT_SECONDS)
             said = "the disk of the journal does not answer"
-            wait_for(lambda: said in daemon.status()["reason"], "the reason")
-            assert daemon.status()["journal"]["bytes"] > 0
+            wait_for(lambda: said in daemon.status().reason, "the reason")
+            assert daemon.status().journal.bytes > 0
             assert daemon.unready() != []
         finally:
             let_out.set()
         grabber.await_stored()
-        wait_for(lambda: daemon.status()["state"] == "running", "the disk to answer again")
+        wait_for(lambda: daemon.status().state == "running", "the disk to answer again")
 
 
 # --- between two daemons --------------------------------------------------------------------------
@@ -193,7 +193,7 @@ def journals_around(
         damage(state, earlier)
         with grabber.daemon() as daemon:
             grabber.publish(1)
-            wait_for(lambda: daemon.status()["events"]["stored"] > 0, "the next event")
+            wait_for(lambda: daemon.status().events["stored"] > 0, "the next event")
             grabber.await_stored()
     return before, stored(state)
 

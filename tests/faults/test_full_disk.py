@@ -338,10 +338,10 @@ def test_a_daemon_on_a_full_file_system(small_disk: Path, grabber: Grabber, tmp_
 
             def degraded() -> bool:
                 grabber.publish(100)
-                return bool(daemon.status()["state"] == "degraded")
+                return bool(daemon.status().state == "degraded")
 
             wait_for(degraded, "it to notice")
-            assert daemon.status()["reason"] == reason
+            assert daemon.status().reason == reason
             assert daemon.unready() == [reason]
             assert daemon.failing() == [], "starting it again would not help"
             acknowledged = grabber.acknowledged
@@ -351,11 +351,11 @@ def test_a_daemon_on_a_full_file_system(small_disk: Path, grabber: Grabber, tmp_
             shutil.copytree(small_disk / "state", tmp_path / "copy")
             assert acknowledged <= len(stored(tmp_path / "copy")) < grabber.made
             with grabber.daemon() as again:
-                wait_for(lambda: again.status()["state"] == "degraded", "it to notice")
+                wait_for(lambda: again.status().state == "degraded", "it to notice")
                 assert grabber.acknowledged < grabber.made
     with grabber.daemon() as daemon:
         grabber.await_stored()
-        assert daemon.status()["state"] == "running"
+        assert daemon.status().state == "running"
     seqs = [seq for seq, _ in stored(small_disk / "state")]
     assert seqs == list(range(1, grabber.made + 1))
     print(f"{acknowledged} of {grabber.made} events acknowledged before the disk was full")

@@ -18,8 +18,14 @@ from serving import T0, all_out, closing_event, numbered, small_config, wait_for
 from sizes import size
 
 from camtopod import codec
-from camtopod.codec import EVENT_BYTES_MAX, T_MAX, T_MIN, Rejected, to_msgpack
-from camtopod.codec import event_from_bytes as decode
+from camtopod.codec import (
+    EVENT_BYTES_MAX,
+    T_MAX,
+    T_MIN,
+    Rejected,
+    event_from_bytes as decode,
+    to_msgpack,
+)
 from camtopod.records import Event
 from camtopod.serve.bus.session import QueryError, dial, open_daemon_session
 from camtopod.serve.daemon import Daemon
@@ -113,11 +119,11 @@ class Poisoner:
         names = ("stored", "future", "flood", "lost", "waiting")
         topology = self.daemon.topology
         return {
-            "version": status["version"],
+            "version": status.version,
             "digest": topology and topology.digest,
-            "state": status["state"],
-            "journal": status["journal"]["entries"],
-            **{name: status["events"][name] for name in names},
+            "state": status.state,
+            "journal": status.journal.entries,
+            **{name: status.events[name] for name in names},
         }
 
     def events(self, count: int, chance: random.Random) -> None:
@@ -194,12 +200,12 @@ def poison(directory: Path, count: int, seed: int) -> None:
 
         reasons = Counter(codec.read(Answer, reply or b"", pack=True).reason for reply in replies)
         assert reasons == {"malformed": count}
-        wait_for(lambda: sum(one.daemon.status()["rejects"].values()) >= 2 * count, "all of it")
+        wait_for(lambda: sum(one.daemon.status().rejects.values()) >= 2 * count, "all of it")
         assert one.state() == before
         assert before["state"] == "running"
-        samples = one.daemon.status()["reject_samples"]
+        samples = one.daemon.status().reject_samples
         assert all(1 <= len(kept) <= 3 for kept in samples.values())
-        print(one.daemon.status()["rejects"])
+        print(one.daemon.status().rejects)
 
         good = Event("a", "exit", T0 + 11 * serving.SPAN_SECONDS, 0.9, 0.5)
         one.bus.publish("event/a", good, "event")
