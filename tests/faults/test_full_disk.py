@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 import random
 import shutil
 import sqlite3
@@ -232,27 +231,6 @@ def test_the_harness_sees_a_false_acknowledgement(quick_path: Path, disk_watch: 
 
 
 # --- a disk that is really full -------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_a_file_that_may_not_grow(name: str, quick_path: Path) -> None:
-    """It is written by a process of its own, whose files are limited until refused often."""
-    states = reference(FILES[name], 120, quick_path / "reference")
-    real = quick_path / "real"
-    real.mkdir()
-
-    refused = subprocess.run(
-        [sys.executable, str(Path(__file__).with_name("filling.py")), name, real, "70000", "120"],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        stdout=subprocess.PIPE,
-        timeout=60,
-        check=True,
-    ).stdout
-
-    assert int(refused) >= 20
-    with contextlib.closing(FILES[name](real)) as one:
-        assert not one.damaged
-        assert one.state() == states[-1]
 
 
 @pytest.fixture
