@@ -35,9 +35,7 @@ def disk_watch() -> vfs.Vfs:
 
 @pytest.fixture
 def make_site(tmp_path: Path) -> Iterator[site_of.MakeSite]:
-    """Return a function that makes a `site_of.HomeAssistantState` in a directory; sites end with
-    the test.
-    """
+    """Return a function that makes a `site_of.Site`, given what follows the directory."""
     made: list[site_of.Site] = []
 
     def make(*given: float, **more: bool) -> site_of.Site:

@@ -282,7 +282,7 @@ def _key(event: Event) -> tuple[str, float, str, str]:
 
 
 MakeSite = Callable[..., Site]
-"""The fixture ``make_site``; takes the arguments of `Routes` after the directory."""
+"""The fixture ``make_site``; takes the arguments of `Site` after the directory."""
 
 
 def check(site: Site) -> None:

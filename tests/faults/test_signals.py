@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from serving import T0, WAIT_SECONDS, free_endpoint, small_config, wait_for, walkers
+from serving import T0, WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for, walkers
 from sizes import size
 
 from camtopod.cli.cameras.camera_process import CameraProcess
@@ -59,10 +60,8 @@ class Under:
         return (self.directory / "log").read_text()
 
     def start(self, command: str) -> subprocess.Popen[bytes]:
-        root = Path(__file__).parent.parent.parent
-        process = subprocess.Popen(
-            [sys.executable, "-m", "camtopod", "--config", str(self.file), command],
-            env={**os.environ, "PYTHONPATH": str(root)},
+        process = camtopod(
+            *("--config", str(self.file), command),
             stderr=self._log,
             preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
         )
@@ -70,16 +69,11 @@ class Under:
         return process
 
     def listens(self, process: subprocess.Popen[bytes]) -> bool:
-        """Return True if the program catches or ignores SIGHUP; the interpreter's start does not
-        count.
-        """
+        """Return True if the program catches or ignores SIGHUP; the interpreter does not."""
         with contextlib.suppress(OSError):
-            for line in Path(f"/proc/{process.pid}/status").read_text().splitlines():
-                if (
-                    line.startswith(("SigCgt:", "SigIgn:"))
-                    and int(line.split()[1], 16) & 1 << signal.SIGHUP - 1
-                ):
-                    return True
+            status = Path(f"/proc/{process.pid}/status").read_text()
+            masks = re.findall(r"^Sig(?:Cgt|Ign):\s+(\w+)", status, re.MULTILINE)
+            return any(int(mask, 16) & 1 << signal.SIGHUP - 1 for mask in masks)
         return False
 
     def close(self) -> None:
