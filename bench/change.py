@@ -242,8 +242,8 @@ def _steady(job: str, base: SimSettings, seeds: range, doors: int) -> None:
 class _Told(Scorer):
     """A scorer that also scores by the ground truth."""
 
-    def __init__(self, events: Sequence[Event], truth: Truth) -> None:
-        super().__init__()
+    def __init__(self, learner: Learner, events: Sequence[Event], truth: Truth) -> None:
+        super().__init__(learner.state.scorer, None)
         self.pairs: list[tuple[Scores, Scores]] = []
         self._exits_at = {
             (round(e.t, 6), e.camera): k for k, e in enumerate(events) if e.kind == "exit"
@@ -265,7 +265,7 @@ def _score(job: str, base: SimSettings, seeds: range, doors: int) -> None:
     for seed in seeds:
         events, truth = simulate(replace(base, seed=seed))
         learner = Learner()
-        told = learner._scorer = _Told(events, truth)
+        told = learner._scorer = _Told(learner, events, truth)
         for event in events:
             learner.receive(event)
         learner.flush()

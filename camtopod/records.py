@@ -223,13 +223,14 @@ class CameraModel(Struct, frozen=True):
 class Outcome(Struct, frozen=True):
     """One zone where departing objects may appear next.
 
-    share: share of the departures that are expected to arrive there.
+    share: share of the departures that are expected to arrive there; with few events, the estimate
+        may be above 1.
     hazard: for each lag bin, the probability to arrive in it of a departure that is exposed to it.
     doubt: share of this that may be spurious; objects of spurious transitions are not seen again.
     """
 
     to: str
-    share: Share
+    share: Number
     hazard: Histogram
     doubt: Share = 0.0
 
@@ -317,7 +318,7 @@ class Overlap(Struct, frozen=True):
 
     camera: str
     to: str
-    share: Share
+    share: Number
     same: Histogram
     others: Histogram
 

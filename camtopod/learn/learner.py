@@ -17,6 +17,7 @@ and alarms of changed clocks are missing, as both come from earlier versions.
 from __future__ import annotations
 
 from collections.abc import Callable, Set
+from copy import deepcopy
 
 import numpy as np
 from msgspec.structs import replace
@@ -24,8 +25,7 @@ from msgspec.structs import replace
 from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
 from camtopod.learn import refit as refits
 from camtopod.learn.assemble import assemble, empty_topology, link_records, zone_id
-from camtopod.learn.association import FollowedSources
-from camtopod.learn.changes import AlarmLog, Move, find_move
+from camtopod.learn.changes import AlarmLog, find_move
 from camtopod.learn.clocks import ClockTracker
 from camtopod.learn.links import zone_pairs_of
 from camtopod.learn.refit import Known, Refit, dwell_bins, lag_bins, refit
@@ -39,7 +39,14 @@ from camtopod.learn.self_score import Scorer
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import CameraState, LearnerState, RetiredCamera
 from camtopod.learn.traffic import Scene, label_events
-from camtopod.learn.window import FORGOTTEN, ReorderBuffer, Window, cells_of
+from camtopod.learn.window import (
+    FORGOTTEN,
+    ReorderBuffer,
+    ReorderBufferState,
+    Window,
+    WindowState,
+    cells_of,
+)
 from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
 from camtopod.predict import Predictor
 from camtopod.publishers import RETURNS_MIN, Publisher
@@ -76,66 +83,58 @@ class Learner:
         epoch: str = "0",
         only_last: bool = False,
     ) -> None:
-        self.settings = settings or Settings()
-        self.site, self.epoch = site, epoch
         self.only_last = only_last
         """True if only `flush` makes a version."""
-        self.topology: Topology | None = None
-        """The newest version; None before the first one of the epoch."""
         self.on_step: Callable[[str], None] = lambda step: None
         """Called with the name of each of `STEPS` as the step begins.
 
         The memory of the step before is free again at that moment.
         """
-        self.bins = lag_bins(self.settings)
-        """Bins of the lags between views."""
-        self.stay_bins = dwell_bins(self.settings)
-        """Bins of the dwell times in one view."""
-        self._intake = ReorderBuffer(
-            self.settings.lateness_seconds,
-            self.settings.cameras_max,
-            self.settings.ahead_seconds_max,
-            self.settings.version_seconds,
-        )
-        self._window = Window(
-            self.settings.window_events_max,
-            self.settings.window_events,
-            self.settings.window_camera_events,
-        )
-        self._clock_tracker = ClockTracker()
-        self._alarms = AlarmLog()
-        self._scorer = Scorer()
-        # Zones of departure that screening follows, by `place` of the zone of arrival.
-        self._followed: dict[int, FollowedSources] = {}
-
-        # By index of the camera in the window: its zones, its zones that have vanished (latest
-        # first), and its number of positioned events (`Window.seen`) when its zones were last
-        # learned and when it was last tested for having been turned.
-        self._maps: list[ZoneMap] = []
-        self._vanished_zones: list[tuple[ZoneShape, ...]] = []
-        self._zoned_at: list[int] = []
-        self._move_tested_at: list[int] = []
-
-        # By name of the camera: zones of retired cameras (the one retired last is last), and the
-        # boot ids of each camera's publishers.
-        self._retired: dict[str, RetiredCamera] = {}
-        self._publishers: dict[str, Publisher] = {}
-
-        # Since the last version: cameras that were turned (index, time in seconds, move), and
-        # cameras that two programs publish.
-        self._moved: list[tuple[int, float, Move]] = []
-        self._doubled: list[str] = []
-
-        # Progress: length of a tick, the last processed tick and the tick of the newest version
-        # (microseconds); events learned so far, and those learned since the newest version.
-        self._tick_us = microseconds(self.settings.version_seconds)
-        self._done_us: int | None = None
-        self._fitted_us: int | None = None
-        self._learned = 0
-        self._since_fit = 0
         self._updates: list[Topology] = []
+        self._use(LearnerState(settings or Settings(), site, epoch))
 
-        # Operators' words on links.
+    def _use(self, state: LearnerState) -> None:
+        """Go on from a state."""
+        settings = state.settings
+        self.state = replace(state, intake=ReorderBufferState(), window=WindowState())
+        self._intake = ReorderBuffer(
+            settings.lateness_seconds,
+            settings.cameras_max,
+            settings.ahead_seconds_max,
+            settings.version_seconds,
+        )
+        self._intake.load(state.intake)
+        self._window = Window(
+            settings.window_events_max,
+            settings.window_events,
+            settings.window_camera_events,
+        )
+        if state.window.columns:
+            self._window.load(state.window)
+        self._clock_tracker = ClockTracker(state.clocks)
+        self._alarms = AlarmLog(state.alarms)
+        self._scorer = Scorer(state.scorer, state.topology)
+        self._tick_us = microseconds(settings.version_seconds)
+
+    @property
+    def settings(self) -> Settings:
+        """The settings."""
+        return self.state.settings
+
+    @property
+    def site(self) -> str:
+        """Name of the site."""
+        return self.state.site
+
+    @property
+    def epoch(self) -> str:
+        """The epoch of the versions."""
+        return self.state.epoch
+
+    @property
+    def topology(self) -> Topology | None:
+        """The newest version; None before the first one of the epoch."""
+        return self.state.topology
 
     def receive(self, event: Event) -> str:
         """Receive one event, process the ticks that it completes, and return the verdict.
@@ -165,69 +164,38 @@ class Learner:
         if newest is None:
             return
         self._learn(newest)
-        self._done_us = newest
-        if self._since_fit or self.topology is None:
+        self.state.done_us = newest
+        if self.state.since_fit or self.topology is None:
             self._refit(newest)
 
     def updates(self) -> list[Topology]:
         """Return the versions made since the last call, oldest first."""
-        made, self._updates = self._updates, []
+        made = self._updates
+        self._updates = []
         return made
 
     def save(self) -> LearnerState:
-        """Return the state from which `load` continues, without versions not fetched yet."""
-        cameras = zip(
-            self._maps, self._zoned_at, self._vanished_zones, self._move_tested_at, strict=True
-        )
-        return LearnerState(
-            self.settings,
-            self.site,
-            self.epoch,
-            self.topology,
-            self._intake.save(),
-            self._window.save(),
-            self._clock_tracker.save(),
-            self._alarms.save(),
-            self._scorer.save(),
-            [CameraState(*camera) for camera in cameras],
-            self._moved,
-            self._done_us,
-            self._fitted_us,
-            self._learned,
-            self._since_fit,
-            self._followed,
-            self._publishers,
-            self._doubled,
-            self._retired,
-        )
+        """Return a copy of the state, from which `load` continues; fetch the `updates` before."""
+        state = deepcopy(replace(self.state, topology=None))
+        state.topology = self.state.topology
+        state.intake = self._intake.save()
+        state.window = self._window.save()
+        state.scorer.predictor = self._scorer.predictor_state()
+        return state
 
     def load(self, state: LearnerState) -> None:
-        """Continue from a saved state; this learner must be new.
+        """Continue from a saved state, with this learner's settings, site and epoch.
 
-        With the same settings, site and epoch, later versions are those that the saved learner
-        would have made.
+        If they are the same, later versions are those that the saved learner would have made.
         """
-        self.topology = state.topology
-        self._intake.load(state.intake)
-        self._window.load(state.window)
-        self._clock_tracker.load(state.clocks)
-        self._alarms.load(state.alarms)
-        self._scorer.load(state.scorer, state.topology)
-        self._maps = [camera.zones for camera in state.cameras]
-        self._zoned_at = [camera.zoned for camera in state.cameras]
-        self._vanished_zones = [camera.gone for camera in state.cameras]
-        self._move_tested_at = [camera.looked for camera in state.cameras]
-        self._moved, self._done_us, self._fitted_us = state.moved, state.done_us, state.fitted_us
-        self._learned, self._since_fit = state.learned, state.since_fit
-        self._publishers, self._doubled = state.publishers, state.doubled
-        self._followed, self._retired = state.followed, state.left
+        self._use(replace(state, settings=self.settings, site=self.site, epoch=self.epoch))
 
     def erase(self, names: Set[str]) -> bool:
         """Forget cameras with their alarms and held events; return False if unknown.
 
         What they have taught about other cameras is kept. `camtopod.learn.rename` renames a camera.
         """
-        known = names & {*self._window.cameras, *self._intake.cameras, *self._retired}
+        known = names & {*self._window.cameras, *self._intake.cameras, *self.state.retired}
         self._intake.drop_held(names)
         self.forget(names)
         self._alarms.erase(names)
@@ -238,8 +206,8 @@ class Learner:
 
         Without one in this epoch, do nothing: the first is made when the first events are learned.
         """
-        if self.topology is not None and self._done_us is not None:
-            self._refit(self._done_us)
+        if self.topology is not None and self.state.done_us is not None:
+            self._refit(self.state.done_us)
 
     def begin_empty(self, t: float, after: Topology | None) -> None:
         """Make a version without cameras, as of ``t`` (Unix seconds).
@@ -248,10 +216,10 @@ class Learner:
 
         after: the version before it in this epoch; None if it is the first.
         """
-        self.topology = after
-        self._done_us = microseconds(t) // self._tick_us * self._tick_us
-        self._refit(self._done_us)
-        self._fitted_us = None  # the next version is due with the first events
+        self.state.topology = after
+        self.state.done_us = microseconds(t) // self._tick_us * self._tick_us
+        self._refit(self.state.done_us)
+        self.state.fitted_us = None  # the next version is due with the first events
 
     def forget(self, names: Set[str]) -> None:
         """Forget cameras and their events; the next version is without them.
@@ -261,21 +229,23 @@ class Learner:
         """
         self._forget(names)
         self._alarms.forget(names)
-        for name in names & self._retired.keys():
-            del self._retired[name]
+        for name in names & self.state.retired.keys():
+            del self.state.retired[name]
 
     def begin_epoch(self, epoch: str) -> None:
         """Begin an epoch: the learned state stays, versions count from 1 again."""
-        self.epoch, self.topology, self._fitted_us = epoch, None, None
-        self._alarms.newest = []
+        self.state.epoch = epoch
+        self.state.topology = None
+        self.state.fitted_us = None
+        self.state.alarms.newest = []
 
     def refresh(self) -> None:
         """Make the first version of the epoch from the present window; do nothing if it is empty.
 
         If the epoch has a version already, do nothing either.
         """
-        if self.topology is None and self._done_us is not None and len(self._window):
-            self._refit(self._done_us)
+        if self.topology is None and self.state.done_us is not None and len(self._window):
+            self._refit(self.state.done_us)
 
     def next_deadline(self) -> float | None:
         """Return the event time (seconds) at which the tick of the oldest held event is processed.
@@ -305,7 +275,7 @@ class Learner:
             **self._intake.counts,
             "surplus": self._intake.surplus,
             "held": self._intake.held_count,
-            "learned": self._learned,
+            "learned": self.state.learned,
             "window": len(self._window),
             "cameras": len(self._window.cameras),
             "watermark": 0.0 if watermark is None else watermark / MICROSECONDS,
@@ -319,7 +289,7 @@ class Learner:
             return
         # An event at the watermark may still be received.
         reached = (watermark - 1) // self._tick_us * self._tick_us
-        if self._done_us is not None and reached <= self._done_us:
+        if self.state.done_us is not None and reached <= self.state.done_us:
             return
         while (oldest := self._intake.oldest_held_us) is not None:
             tick = -(-oldest // self._tick_us) * self._tick_us
@@ -330,10 +300,10 @@ class Learner:
                 continue
             if self.only_last:
                 self._refresh_zones()
-                self._fitted_us, self._since_fit = tick, 0
+                self._note_version(tick)
             else:
                 self._refit(tick)
-        self._done_us = reached
+        self.state.done_us = reached
 
     def _learn(self, until_us: int) -> None:
         """Move the held events up to ``until_us`` into the window, and remove old ones from it."""
@@ -352,8 +322,8 @@ class Learner:
             self._retire(silent)
         self._find_moved_cameras()
         self._find_doubled_cameras(batch)
-        self._learned += len(batch)
-        self._since_fit += len(batch)
+        self.state.learned += len(batch)
+        self.state.since_fit += len(batch)
 
     def _retire(self, names: Set[str]) -> None:
         """Forget cameras that no longer report, but remember their zones and their silence.
@@ -362,19 +332,16 @@ class Learner:
         again.
         """
         # Remember the zones.
-        for name, zone_map, vanished in zip(
-            self._window.cameras, self._maps, self._vanished_zones, strict=False
-        ):
+        for name, camera in zip(self._window.cameras, self.state.cameras, strict=False):
             if name in names:
-                self._retired[name] = RetiredCamera(
-                    (zone_map.zones + vanished)[:GONE_ZONES_MAX], zone_map.next_number
-                )
+                zones = (camera.zones.zones + camera.vanished)[:GONE_ZONES_MAX]
+                self.state.retired[name] = RetiredCamera(zones, camera.zones.next_number)
 
         # Forget the rest, and the cameras retired first if there are too many.
         self._forget(names)
-        while len(self._retired) > LEFT_CAMERAS_MAX:
-            first = next(iter(self._retired))
-            del self._retired[first]
+        while len(self.state.retired) > LEFT_CAMERAS_MAX:
+            first = next(iter(self.state.retired))
+            del self.state.retired[first]
             self._alarms.forget({first})
 
     def _forget(self, names: Set[str]) -> None:
@@ -386,21 +353,20 @@ class Learner:
         self._clock_tracker.keep_cameras(kept)
 
         # Renumber the other cameras.
-        others = np.flatnonzero(kept[: len(self._maps)])
-        self._maps = [self._maps[k] for k in others]
-        self._zoned_at = [self._zoned_at[k] for k in others]
-        self._vanished_zones = [self._vanished_zones[k] for k in others]
-        self._move_tested_at = [self._move_tested_at[k] for k in others]
-        self._moved = [
+        others = np.flatnonzero(kept[: len(self.state.cameras)])
+        self.state.cameras = [self.state.cameras[k] for k in others]
+        self.state.moved = [
             (int(number[camera]), since, move)
-            for camera, since, move in self._moved
+            for camera, since, move in self.state.moved
             if kept[camera]
         ]
-        self._publishers = {
-            name: publisher for name, publisher in self._publishers.items() if name not in names
+        self.state.publishers = {
+            name: publisher
+            for name, publisher in self.state.publishers.items()
+            if name not in names
         }
-        self._doubled = [name for name in self._doubled if name not in names]
-        self._followed = renumber_followed(self._followed, number)
+        self.state.doubled = [name for name in self.state.doubled if name not in names]
+        self.state.followed = renumber_followed(self.state.followed, number)
 
     def _is_version_due(self, tick_us: int) -> bool:
         """Return True if a new version is due at a tick.
@@ -408,13 +374,13 @@ class Learner:
         It is with the first events; with enough new events; with a camera that was turned or has
         two publishers; or, given any new event, ``refit_hours`` after the last version.
         """
-        if self._since_fit == 0:
+        if self.state.since_fit == 0:
             return False
-        if self._fitted_us is None or self._since_fit >= self._events_for_version():
+        if self.state.fitted_us is None or self.state.since_fit >= self._events_for_version():
             return True
-        if (self._moved or self._doubled) and not self.only_last:
+        if (self.state.moved or self.state.doubled) and not self.only_last:
             return True
-        return tick_us - self._fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
+        return tick_us - self.state.fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
 
     def _events_for_version(self) -> float:
         """Return the number of new events that make a new version due."""
@@ -423,36 +389,45 @@ class Learner:
     def _refit(self, tick_us: int) -> None:
         """Make a version as of ``tick_us``: refresh the zones, estimate the clocks, refit."""
         if not len(self._window):  # all cameras were forgotten
-            self._publish(self._completed(empty_topology(self.settings, self.bins), tick_us))
-            self._fitted_us, self._since_fit = tick_us, 0
+            self._publish(
+                self._completed(empty_topology(self.settings, lag_bins(self.settings)), tick_us)
+            )
+            self._note_version(tick_us)
             return
         self.on_step("zones")
         self._refresh_zones()
         self.on_step("clocks")
-        scene = self._corrected(label_events(self._window, self._maps))
+        scene = self._corrected(label_events(self._window, self._maps()))
 
         # Fit, and score earlier predictions by the fit.
-        known = Known(self._followed, self._learned, self.only_last, self._scorer.waiting)
+        known = Known(
+            self.state.followed, self.state.learned, self.only_last, self.state.scorer.waiting
+        )
         clocks = self._clock_tracker.clocks
         found = refit(scene, self._window, clocks, known, self.settings, self.on_step)
-        self._followed = found.followed
+        self.state.followed = found.followed
         self._scorer.mark(found.happened)
 
         self._publish(self._version_of(found, tick_us))
-        self._fitted_us, self._since_fit = tick_us, 0
+        self._note_version(tick_us)
+
+    def _note_version(self, tick_us: int) -> None:
+        """Note that a version was made, or would have been, as of ``tick_us``."""
+        self.state.fitted_us = tick_us
+        self.state.since_fit = 0
 
     def _publish(self, version: Topology) -> None:
         """Hand out a new version, and predict with it from here on."""
-        self.topology = version
+        self.state.topology = version
         self._scorer.use(version, self._events_for_version())
         self._updates.append(version)
 
     def _version_of(self, found: Refit, tick_us: int) -> Topology:
         """Return the version that follows from a refit, with site, number, alarms and score."""
         # The records of links and zones.
-        cameras, scene, bins = self._window.cameras, found.scene, self.bins
+        cameras, scene, bins = self._window.cameras, found.scene, lag_bins(self.settings)
         between = link_records(cameras, scene, found.published, bins)
-        visible = link_records(cameras, scene, found.visible, self.stay_bins, "visible")
+        visible = link_records(cameras, scene, found.visible, dwell_bins(self.settings), "visible")
         weak = link_records(cameras, scene, found.weak, bins, histograms=False, lacks=found.lacks)
         topology = assemble(
             self.settings,
@@ -481,8 +456,8 @@ class Learner:
                 epoch=self.epoch,
                 version=self._next_version,
                 as_of=tick_us / MICROSECONDS,
-                events=self._learned,
-                alarms=self._alarms.newest or None,
+                events=self.state.learned,
+                alarms=self.state.alarms.newest or None,
                 score=self._scorer.score(),
             )
         )
@@ -508,19 +483,20 @@ class Learner:
         self._alarms.clocks(version, now, topology.cameras)
 
         # Cameras that were turned, and those that two programs publish.
-        for camera, since, move in self._moved:
+        for camera, since, move in self.state.moved:
             detail = (
                 f"{move.outside:.2f} of {move.events} events outside its zones since {since:.0f}"
             )
             self._alarms.add(version, now, "camera_moved", cameras[camera], detail)
-        for name in self._doubled:
-            publisher = self._publishers[name]
+        for name in self.state.doubled:
+            publisher = self.state.publishers[name]
             detail = (
                 "two programs publish it at the same time, "
                 f"boots {publisher.before} and {publisher.boot}"
             )
             self._alarms.add(version, now, "camera_doubled", name, detail)
-        self._moved, self._doubled = [], []
+        self.state.moved = []
+        self.state.doubled = []
 
     def _find_moved_cameras(self) -> None:
         """Test cameras with enough new events for having been turned.
@@ -531,27 +507,27 @@ class Learner:
         window = self._window
         to_test = [
             camera
-            for camera in range(len(self._maps))
-            if window.seen[camera] - self._move_tested_at[camera] >= MOVE_EVENTS
+            for camera, known in enumerate(self.state.cameras)
+            if window.seen[camera] - known.tested_at >= MOVE_EVENTS
         ]
         rows_of_camera = window.rows_of_cameras() if to_test else []
         for camera in to_test:
             # Test the grid cells of the camera's events.
-            events = self._move_tested_at[camera] = window.seen[camera]
+            known = self.state.cameras[camera]
+            known.tested_at = window.seen[camera]
             rows = rows_of_camera[camera]
             rows = rows[window.column("px")[rows] >= 0]
             px, py = (window.column(name)[rows].astype(np.int64) for name in ("px", "py"))
-            move = find_move(cells_of(px, py), self._maps[camera].cells)
+            move = find_move(cells_of(px, py), known.zones.cells)
 
             # Learn the zones of the new view from the events since the move.
             if move:
                 since = float(window.column("t")[rows[move.first]] / MICROSECONDS)
                 window.forget_camera(camera, window.base + int(rows[move.first]))
-                self._maps[camera] = find_zones(
-                    window.cell_sums(camera), (), self._maps[camera].next_number
-                )
-                self._zoned_at[camera], self._vanished_zones[camera] = events, ()
-                self._moved.append((camera, since, move))
+                known.zones = find_zones(window.cell_sums(camera), (), known.zones.next_number)
+                known.zoned_at = known.tested_at
+                known.vanished = ()
+                self.state.moved.append((camera, since, move))
                 rows_of_camera = window.rows_of_cameras()
 
     def _find_doubled_cameras(self, batch: list[tuple[int, Event]]) -> None:
@@ -564,9 +540,9 @@ class Learner:
         for _, event in batch:
             if event.boot is None:
                 continue
-            publisher = self._publishers.setdefault(event.camera, Publisher(event.boot))
+            publisher = self.state.publishers.setdefault(event.camera, Publisher(event.boot))
             if publisher.note_boot(event.boot) and publisher.returns == RETURNS_MIN:
-                self._doubled.append(event.camera)
+                self.state.doubled.append(event.camera)
 
     def _refresh_zones(self) -> None:
         """Learn the zones of new cameras, and again those of cameras with enough new events."""
@@ -574,30 +550,36 @@ class Learner:
             events = self._window.seen[camera]
 
             # A new camera, or a retired one that reports again.
-            if camera == len(self._maps):
-                retired = self._retired.pop(self._window.cameras[camera], RetiredCamera())
-                self._maps.append(
-                    find_zones(self._window.cell_sums(camera), retired.zones, retired.next_number)
+            if camera == len(self.state.cameras):
+                name = self._window.cameras[camera]
+                retired = self.state.retired.pop(name, RetiredCamera())
+                zones = find_zones(
+                    self._window.cell_sums(camera), retired.zones, retired.next_number
                 )
-                self._zoned_at.append(events)
-                self._move_tested_at.append(events)
-                self._vanished_zones.append(_vanished(retired.zones, self._maps[camera]))
+                vanished = _vanished(retired.zones, zones)
+                self.state.cameras.append(CameraState(zones, events, vanished, events))
                 continue
 
             # A known camera.
-            new_events = events - self._zoned_at[camera]
+            known = self.state.cameras[camera]
+            new_events = events - known.zoned_at
             if new_events >= ZONES_REFRESH_SHARE * self._window.count_with_position(camera):
-                old, vanished = self._maps[camera], self._vanished_zones[camera]
-                new = refresh_zones(self._window.cell_sums(camera), old, vanished)
-                self._maps[camera] = new
-                self._zoned_at[camera] = events
-                self._vanished_zones[camera] = _vanished(old.zones + vanished, new)
+                before = known.zones.zones + known.vanished
+                known.zones = refresh_zones(
+                    self._window.cell_sums(camera), known.zones, known.vanished
+                )
+                known.zoned_at = events
+                known.vanished = _vanished(before, known.zones)
+
+    def _maps(self) -> list[ZoneMap]:
+        """Return the zones of each camera, by its index in the window."""
+        return [camera.zones for camera in self.state.cameras]
 
     def _corrected(self, scene: Scene) -> Scene:
         """Estimate the clock offsets, and return the scene with its times corrected by them."""
-        self._clock_tracker.update(scene, len(self._window.cameras), self._learned)
+        self._clock_tracker.update(scene, len(self._window.cameras), self.state.learned)
         offset = self._clock_tracker.clocks.offset
-        return label_events(self._window, self._maps, offset) if offset.any() else scene
+        return label_events(self._window, self._maps(), offset) if offset.any() else scene
 
 
 def _vanished(known: tuple[ZoneShape, ...], now: ZoneMap) -> tuple[ZoneShape, ...]:

@@ -31,7 +31,7 @@ def rename(state: LearnerState, old: str, new: str) -> LearnerState:
         scorer=_scorer(state.scorer, old, new),
         publishers=_with_new_key(state.publishers, old, new),
         doubled=[new if name == old else name for name in state.doubled],
-        left=_with_new_key(state.left, old, new),
+        retired=_with_new_key(state.retired, old, new),
     )
 
 
@@ -42,13 +42,17 @@ def _with_new_key(known: dict[str, _Value], old: str, new: str) -> dict[str, _Va
 
 def _intake(state: ReorderBufferState, old: str, new: str) -> ReorderBufferState:
     """Return the state of the reorder buffer with a camera renamed."""
+    time = replace(
+        state.time,
+        leader=new if state.time.leader == old else state.time.leader,
+        behind=_with_new_key(state.time.behind, old, new),
+    )
     return replace(
         state,
-        leader=new if state.leader == old else state.leader,
+        time=time,
         held=[replace(event, camera=new) if event.camera == old else event for event in state.held],
         cameras=[new if name == old else name for name in state.cameras],
         seen=[(new if row[0] == old else row[0], *row[1:]) for row in state.seen],
-        behind=_with_new_key(state.behind, old, new),
         newest=_with_new_key(state.newest, old, new),
     )
 
@@ -59,8 +63,8 @@ def _alarms(state: AlarmState, old: str, new: str) -> AlarmState:
         state,
         newest=[replace(alarm, subject=renamed(alarm.subject, old, new)) for alarm in state.newest],
         said={renamed(subject, old, new): t for subject, t in state.said.items()},
-        joined=sorted(renamed(link, old, new) for link in state.joined),
-        silent=sorted(new if name == old else name for name in state.silent),
+        joined={renamed(link, old, new) for link in state.joined},
+        silent={new if name == old else name for name in state.silent},
         clock=_with_new_key(state.clock, old, new),
     )
 
@@ -72,7 +76,7 @@ def _scorer(state: ScorerState, old: str, new: str) -> ScorerState:
     another.
     """
 
-    def guess(one: ScoredPrediction) -> ScoredPrediction:
+    def prediction(one: ScoredPrediction) -> ScoredPrediction:
         return one._replace(
             camera=new if one.camera == old else one.camera,
             said=_with_new_key(one.said, old, new),
@@ -86,5 +90,5 @@ def _scorer(state: ScorerState, old: str, new: str) -> ScorerState:
             name: _with_new_key(shares, old, new)
             for name, shares in _with_new_key(state.baseline, old, new).items()
         },
-        guesses=[guess(one) for one in state.guesses],
+        waiting=[prediction(one) for one in state.waiting],
     )

@@ -42,21 +42,13 @@ def cameras_to_retire(
     now_us (microseconds): event time.
     window_us (microseconds): length of the window.
     """
-    newest, t_us = (
-        reorder_buffer.newest_of,
-        now_us - max(window_us, round(RETIRED_AFTER_SECONDS * MICROSECONDS)),
-    )
-    silent = {
+    newest = reorder_buffer.newest_of
+    t_us = now_us - max(window_us, round(RETIRED_AFTER_SECONDS * MICROSECONDS))
+    return {
         name
         for name in (*reorder_buffer.cameras, *window.cameras)
         if newest.get(name, t_us - 1) < t_us
     }
-    if not silent:
-        return silent
-
-    # Snapshots of older programs do not have the time of a camera's last event, so check the window
-    # and the held events, too.
-    return silent - window.cameras_present() - reorder_buffer.cameras_held()
 
 
 def camera_to_replace(reorder_buffer: ReorderBuffer, window: Window) -> str | None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.event_time import EventTime, EventTimeState, microseconds
+from camtopod.event_time import EventTime, microseconds
 from camtopod.learn.changes import AlarmState
 from camtopod.learn.self_score import ScorerState
 from camtopod.learn.snapshot import LearnerState
@@ -37,18 +37,11 @@ def _intake(state: LearnerState, to_us: int) -> ReorderBufferState:
     """Return the state of the reorder buffer with event time and watermark taken back."""
     intake = state.intake
     time = EventTime(state.settings.lateness_seconds, state.settings.ahead_seconds_max)
-    time.load(
-        EventTimeState(
-            intake.newest_us, intake.second_us, intake.leader, intake.watermark_us, intake.behind
-        )
-    )
+    time.load(intake.time)
     time.rewind(to_us)
     return replace(
         intake,
-        newest_us=time.newest_us,
-        second_us=time.second_us,
-        leader=time.leader,
-        watermark_us=time.watermark_us,
+        time=time.save(),
         held=[event for event in intake.held if microseconds(event.t) <= to_us],
         newest={camera: min(t_us, to_us) for camera, t_us in intake.newest.items()},
     )
@@ -78,6 +71,4 @@ def _scorer(state: ScorerState, to: float) -> ScorerState:
 
     The predictor may have observed later events; the scorer makes a new one with the next version.
     """
-    return replace(
-        state, predictor=None, guesses=[guess for guess in state.guesses if guess.t <= to]
-    )
+    return replace(state, predictor=None, waiting=[one for one in state.waiting if one.t <= to])

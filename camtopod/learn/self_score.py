@@ -12,7 +12,6 @@ chain over cameras (thesis 4.6).
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Iterable, Sequence, Set
 from typing import NamedTuple
 
@@ -72,64 +71,43 @@ class Scores(NamedTuple):
 
 
 class ScorerState(Struct):
-    """The saved state of a `Scorer`, apart from the topology that it predicts with."""
+    """The state of a `Scorer`, apart from the topology that it predicts with."""
 
-    predictor: PredictorState | None
-    baseline: dict[str, dict[str, float]]
+    predictor: PredictorState | None = None
+    """State of the predictor; it is set when the state is saved."""
+    baseline: dict[str, dict[str, float]] = {}
     """Probabilities of the Markov chain: camera of the exit -> next camera, "" for none."""
-    stride: int
+    stride: int = 1
     """Every how many exits one is predicted."""
-    exits: int
+    exits: int = 0
     """Number of exits so far."""
-    guesses: list[ScoredPrediction]
-    """Predictions that wait for their outcome, oldest first."""
-    marks: list[Scores]
-    """Scores of the newest scored predictions, oldest first."""
+    waiting: list[ScoredPrediction] = []
+    """Predictions that wait for their outcome, at most `PENDING_MAX`, oldest first."""
+    marks: list[Scores] = []
+    """Scores of the newest scored predictions, at most `SCORED_MAX`, oldest first."""
 
 
 class Scorer:
     """Predicts a sample of the exits as events are learned, and scores the predictions later.
 
-    The private attributes are described at `ScorerState`.
+    topology: the version that predictions are made with; None if there is none yet.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, state: ScorerState, topology: Topology | None) -> None:
+        self.state = state
         self._predictor: Predictor | None = None
-        self._baseline: dict[str, dict[str, float]] = {}
-        self._stride = 1
-        self._exits = 0
-        self._guesses: deque[ScoredPrediction] = deque(maxlen=PENDING_MAX)
-        self._marks: deque[Scores] = deque(maxlen=SCORED_MAX)
-
-    def save(self) -> ScorerState:
-        """Return the state from which `load` continues, apart from the topology."""
-        predictor = None if self._predictor is None else self._predictor.save()
-        return ScorerState(
-            predictor,
-            self._baseline,
-            self._stride,
-            self._exits,
-            list(self._guesses),
-            list(self._marks),
-        )
-
-    def load(self, state: ScorerState, topology: Topology | None) -> None:
-        """Continue from a saved state.
-
-        topology: the version that predictions are made with.
-        """
         if state.predictor is not None and topology is not None:
             self._predictor = Predictor(topology)
             self._predictor.load(state.predictor)
-        self._baseline, self._stride, self._exits = state.baseline, state.stride, state.exits
-        self._guesses.extend(state.guesses)
-        self._marks.extend(state.marks)
+        state.predictor = None
+
+    def predictor_state(self) -> PredictorState | None:
+        """Return the state of the predictor; None if there is none yet."""
+        return None if self._predictor is None else self._predictor.save()
 
     def forget(self, names: Set[str]) -> None:
         """Drop the predictions of these cameras that wait for their outcome."""
-        self._guesses = deque(
-            (guess for guess in self._guesses if guess.camera not in names), PENDING_MAX
-        )
+        self.state.waiting = [one for one in self.state.waiting if one.camera not in names]
 
     def watch(self, batch: Iterable[tuple[int, Event]]) -> None:
         """Predict the next camera of some of the exits among new events.
@@ -139,16 +117,18 @@ class Scorer:
         predictor = self._predictor
         if predictor is None:
             return
+        state = self.state
         for t_us, event in batch:
             if event.kind == "exit":
-                self._exits += 1
-                if self._exits % self._stride == 0 and predictor.zone_of(event) is not None:
+                state.exits += 1
+                if state.exits % state.stride == 0 and predictor.zone_of(event) is not None:
                     said = _by_camera(predictor.predict(event))
-                    baseline = self._baseline.get(event.camera, {"": 1.0})
+                    baseline = state.baseline.get(event.camera, {"": 1.0})
                     version = predictor.version
-                    self._guesses.append(
+                    state.waiting.append(
                         ScoredPrediction(t_us / MICROSECONDS, event.camera, version, said, baseline)
                     )
+                    del state.waiting[:-PENDING_MAX]
             predictor.observe(event)
 
     def use(self, topology: Topology, events_due: float) -> None:
@@ -159,17 +139,13 @@ class Scorer:
         self._predictor = (
             Predictor(topology) if self._predictor is None else self._predictor.follow(topology)
         )
-        self._stride = max(1, math.ceil(events_due / 2 / EXITS_PER_VERSION))
-        self._baseline = {}
+        self.state.stride = max(1, math.ceil(events_due / 2 / EXITS_PER_VERSION))
+        baseline: dict[str, dict[str, float]] = {}
         for edge in topology.chain or []:
-            self._baseline.setdefault(edge.from_, {})[edge.to] = edge.probability
-        for shares in self._baseline.values():
+            baseline.setdefault(edge.from_, {})[edge.to] = edge.probability
+        for shares in baseline.values():
             shares[""] = max(1.0 - sum(shares.values()), 0.0)
-
-    @property
-    def waiting(self) -> list[ScoredPrediction]:
-        """Predictions whose outcome is not known yet, oldest first."""
-        return list(self._guesses)
+        self.state.baseline = baseline
 
     def mark(self, happened: Sequence[Happened | None]) -> None:
         """Score the oldest waiting predictions, and remove them from those that wait.
@@ -178,26 +154,27 @@ class Scorer:
             dropped without a score.
         """
         for outcome in happened:
-            guess = self._guesses.popleft()
+            prediction = self.state.waiting.pop(0)
             if outcome is not None:
-                self.note(guess, outcome)
+                self.note(prediction, outcome)
 
     def note(self, guess: ScoredPrediction, happened: dict[str, float]) -> None:
         """Score one prediction, and add its scores to the mean.
 
         happened: probability, by camera, that the object appeared there next.
         """
-        self._marks.append(marks(guess, happened))
+        self.state.marks.append(marks(guess, happened))
+        del self.state.marks[:-SCORED_MAX]
 
     def score(self) -> SelfScore | None:
         """Return the mean of the newest scores; None before any prediction has been scored."""
-        if not self._marks:
+        if not self.state.marks:
             return None
-        m = Scores(*(np.array(column) for column in zip(*self._marks, strict=True)))  # type: ignore[arg-type]
+        m = Scores(*(np.array(column) for column in zip(*self.state.marks, strict=True)))  # type: ignore[arg-type]
         followed = max(float(np.sum(m.followed)), 1e-9)
         return SelfScore(
-            exits=len(self._marks),
-            since_version=self._marks[0].version,
+            exits=len(self.state.marks),
+            since_version=self.state.marks[0].version,
             log_loss=_short(np.mean(m.loss)),
             top1=_short(np.sum(m.top1) / followed),
             top3=_short(np.sum(m.top3) / followed),

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 
 from camtopod.learn.association import FollowedSources
 from camtopod.learn.changes import AlarmState, Move
@@ -25,11 +25,10 @@ from camtopod.learn.zones import ZoneMap, ZoneShape
 from camtopod.publishers import Publisher
 from camtopod.records import Topology
 
-FORMAT = 1
-"""Format of the snapshots that this program reads and writes; other formats are refused.
+FORMAT = 2
+"""Format of the snapshots that this program reads and writes.
 
-There has been no other format yet. A change that raises the number must convert snapshots of this
-format.
+Snapshots of another format are refused; the state is learned again from the journal.
 """
 BYTES_MAX = 1 << 30
 """Largest size of an uncompressed snapshot in bytes; a snapshot that unpacks to more is damaged."""
@@ -50,11 +49,11 @@ class CameraState(Struct):
 
     zones: ZoneMap
     """The camera's zones."""
-    zoned: int
+    zoned_at: int
     """Number of the camera's positioned events so far when its zones were last learned."""
-    gone: tuple[ZoneShape, ...]
+    vanished: tuple[ZoneShape, ...]
     """Zones that have vanished, latest first."""
-    looked: int
+    tested_at: int
     """Number of its positioned events so far when it was last tested for having been turned."""
 
 
@@ -66,38 +65,39 @@ class RetiredCamera(Struct):
 
 
 class LearnerState(Struct):
-    """Complete state of a `Learner`, attribute by attribute.
-
-    intake, window, clocks, alarms, scorer: states of its parts.
-    cameras: state of each camera, by index in the window.
-    moved: cameras turned since the last version: index, time in seconds, move.
-    done_us, fitted_us: last processed tick, and tick of the newest version, microseconds.
-    learned, since_fit: number of events learned so far, and since the newest version.
-    followed: zones of departure that screening follows, by `place` of the zone of arrival.
-    publishers: programs that publish each camera.
-    doubled: cameras found to have two publishers since the last version.
-    left: retired cameras, the one retired last at the end.
-    """
+    """Complete state of a `Learner`."""
 
     settings: Settings
     site: str
     epoch: str
-    topology: Topology | None
-    intake: ReorderBufferState
-    window: WindowState
-    clocks: ClockState
-    alarms: AlarmState
-    scorer: ScorerState
-    cameras: list[CameraState]
-    moved: list[tuple[int, float, Move]]
-    done_us: int | None
-    fitted_us: int | None
-    learned: int
-    since_fit: int
+    topology: Topology | None = None
+    """The newest version; None before the first one of the epoch."""
+    intake: ReorderBufferState = field(default_factory=ReorderBufferState)
+    """Set when the state is saved, as is ``window``."""
+    window: WindowState = field(default_factory=WindowState)
+    clocks: ClockState = field(default_factory=ClockState)
+    alarms: AlarmState = field(default_factory=AlarmState)
+    scorer: ScorerState = field(default_factory=ScorerState)
+    cameras: list[CameraState] = []
+    """State of each camera, by index in the window."""
+    moved: list[tuple[int, float, Move]] = []
+    """Cameras turned since the last version: index, time in seconds, move."""
+    done_us: int | None = None
+    """Last processed tick, microseconds."""
+    fitted_us: int | None = None
+    """Tick of the newest version, microseconds."""
+    learned: int = 0
+    """Number of events learned so far."""
+    since_fit: int = 0
+    """Number of events learned since the newest version."""
     followed: dict[int, FollowedSources] = {}
+    """Zones of departure that screening follows, by `place` of the zone of arrival."""
     publishers: dict[str, Publisher] = {}
+    """Programs that publish each camera."""
     doubled: list[str] = []
-    left: dict[str, RetiredCamera] = {}
+    """Cameras found to have two publishers since the last version."""
+    retired: dict[str, RetiredCamera] = {}
+    """Retired cameras, the one retired last at the end."""
 
 
 class _Snapshot(Struct):

@@ -72,7 +72,7 @@ def names_known(learner: Learner) -> set[str]:
     intake = {
         *state.intake.cameras,
         *state.intake.newest,
-        *state.intake.behind,
+        *state.intake.time.behind,
         *(row[0] for row in state.intake.seen),
     }
     return {*state.window.cameras, *intake, *(event.camera for event in state.intake.held)}
@@ -180,7 +180,7 @@ def test_numbers_of_so_many_cameras_are_remembered(monkeypatch: pytest.MonkeyPat
     learner = Learner(Settings())
     for k in range(6):
         told(learner, [entry(f"name{k}", T0 + k * 20 * DAY)])
-    assert list(learner.save().left) == ["name2", "name3", "name4"]
+    assert list(learner.save().retired) == ["name2", "name3", "name4"]
 
 
 def test_a_camera_that_fell_silent_is_said_to_be_so_and_to_be_back() -> None:
@@ -202,14 +202,14 @@ def test_a_camera_can_be_forgotten_by_name() -> None:
     told(learner, passages(T0))
     learner.forget({"yard", "never heard of"})
     assert names_known(learner) == {"hall"}
-    assert b"yard" not in msgspec.msgpack.encode(learner.save().left)
+    assert b"yard" not in msgspec.msgpack.encode(learner.save().retired)
     told(learner, passages(T0 + HOUR + 1000))
     assert learner.topology is not None
     assert sorted(zones_of(learner.topology, "yard")) == ["yard/1", "yard/2", "yard/3"]
     told(learner, [entry("hall", T0 + 30 * DAY)])
-    assert list(learner.save().left) == ["yard"]
+    assert list(learner.save().retired) == ["yard"]
     learner.forget({"yard"})
-    assert learner.save().left == {}
+    assert learner.save().retired == {}
 
 
 # --- the same events, the same versions ---
@@ -251,21 +251,6 @@ def test_saved_and_loaded_in_between_the_versions_are_the_same(cameras_max: int,
     assert names_known(straight) <= lately
     if cameras_max == 7:
         assert names_known(straight) == lately != set(newest)
-
-
-def test_a_snapshot_of_an_older_program_is_gone_on_from() -> None:
-    """It has every name; cameras without events in the window are forgotten at the next tick."""
-    learner = Learner(Settings(window_hours=24.0))
-    told(learner, [entry("gone", T0), *passages(T0 + 20 * HOUR)])
-    state = learner.save()
-    state.intake.newest, state.left = {}, {}
-    state.intake.cameras.append("long gone")
-    learner = Learner(Settings(window_hours=24.0))
-    learner.load(unpack(pack(state)))
-    told(learner, [entry("hall", T0 + 25 * HOUR), entry("hall", T0 + 25 * HOUR + 60)])
-    assert names_known(learner) == {"hall", "yard"}
-    assert learner.topology is not None
-    assert len(zones_of(learner.topology, "yard")) == 3
 
 
 # --- memory ---

@@ -14,6 +14,7 @@ from camtopod.learn.self_score import (
     SCORED_MAX,
     ScoredPrediction,
     Scorer,
+    ScorerState,
     marks,
 )
 from camtopod.learn.settings import Settings
@@ -49,7 +50,7 @@ def test_a_doubtful_outcome_counts_in_parts() -> None:
 
 
 def test_the_score_is_over_the_newest() -> None:
-    scorer = Scorer()
+    scorer = Scorer(ScorerState(), None)
     assert scorer.score() is None
     for version in range(2 * SCORED_MAX):
         scorer.note(
@@ -68,11 +69,10 @@ def test_the_score_is_over_the_newest() -> None:
 class Told(Scorer):
     """A scorer that also scores by the ground truth."""
 
-    def __init__(self, events: list[Event], truth: dict[tuple[float, str], str | None]) -> None:
-        super().__init__()
+    def __init__(self, learner: Learner, truth: dict[tuple[float, str], str | None]) -> None:
+        super().__init__(learner.state.scorer, None)
         self.truth = truth
-        self.made = 0
-        self.told = Scorer()
+        self.told = Scorer(ScorerState(), None)
 
     def note(self, guess: ScoredPrediction, happened: dict[str, float]) -> None:
         super().note(guess, happened)
@@ -88,15 +88,15 @@ def marked() -> tuple[list[Event], Learner, Told]:
         )
     )
     following = next_entries(events, truth)
+    learner = Learner(Settings(refit_share=0.3))
     told = Told(
-        events,
+        learner,
         {
             (round(event.t, 6), event.camera): None if entry < 0 else events[entry].camera
             for event, entry in zip(events, following, strict=True)
             if event.kind == "exit"
         },
     )
-    learner = Learner(Settings(refit_share=0.3))
     learner._scorer = told
     for event in events:
         learner.receive(event)

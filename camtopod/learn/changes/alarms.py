@@ -51,18 +51,18 @@ It is below 1, so that the evidence of a single event is limited.
 
 
 class AlarmState(Struct):
-    """The saved state of an `AlarmLog`."""
+    """The state of an `AlarmLog`."""
 
-    newest: list[Alarm]
-    """Alarms, oldest first."""
-    said: dict[str, float]
+    newest: list[Alarm] = []
+    """The newest alarms, at most `ALARMS_KEPT_MAX`, oldest first."""
+    said: dict[str, float] = {}
     """Subject of an alarm (a zone, or a link as ``from->to``) -> time of its last report, seconds.
     """
-    joined: list[str]
+    joined: set[str] = set()
     """Links that were published and not reported as closed."""
-    silent: list[str]
+    silent: set[str] = set()
     """Cameras reported as silent and not yet back."""
-    clock: dict[str, tuple[float, float]]
+    clock: dict[str, tuple[float, float]] = {}
     """Camera -> clock offset from which changes are measured, and its standard deviation, seconds.
     """
 
@@ -70,41 +70,25 @@ class AlarmState(Struct):
 class AlarmLog:
     """The alarms raised so far, and what is needed to raise each only once."""
 
-    def __init__(self) -> None:
-        self.newest: list[Alarm] = []
-        """The newest alarms, at most `ALARMS_KEPT_MAX`, oldest first."""
-
-        # The other fields are described at `AlarmState`.
-        self._said: dict[str, float] = {}
-        self._joined: set[str] = set()
-        self._silent: set[str] = set()
-        self._clock: dict[str, tuple[float, float]] = {}
-
-    def save(self) -> AlarmState:
-        """Return the state from which `load` continues."""
-        return AlarmState(
-            self.newest, self._said, sorted(self._joined), sorted(self._silent), self._clock
-        )
-
-    def load(self, state: AlarmState) -> None:
-        """Continue from a saved state."""
-        self.newest, self._said, self._clock = state.newest, state.said, state.clock
-        self._joined, self._silent = set(state.joined), set(state.silent)
+    def __init__(self, state: AlarmState) -> None:
+        self.state = state
 
     def forget(self, names: Set[str]) -> None:
         """Forget whether these cameras are silent, and their clock offsets."""
-        self._silent -= names
-        for name in names & self._clock.keys():
-            del self._clock[name]
+        self.state.silent -= names
+        for name in names & self.state.clock.keys():
+            del self.state.clock[name]
 
     def erase(self, names: Set[str]) -> None:
         """Forget these cameras, and everything that was reported of them and of their links."""
         self.forget(names)
-        self.newest = [alarm for alarm in self.newest if not mentions(alarm.subject, names)]
-        self._said = {
-            subject: t for subject, t in self._said.items() if not mentions(subject, names)
+        self.state.newest = [
+            alarm for alarm in self.state.newest if not mentions(alarm.subject, names)
+        ]
+        self.state.said = {
+            subject: t for subject, t in self.state.said.items() if not mentions(subject, names)
         }
-        self._joined = {link for link in self._joined if not mentions(link, names)}
+        self.state.joined = {link for link in self.state.joined if not mentions(link, names)}
 
     def join(self, zones: list[str], links: set[tuple[int, int]]) -> None:
         """Note links that existed without being published, so that their closing is reported.
@@ -112,7 +96,7 @@ class AlarmLog:
         zones: ids of all zones.
         links: pairs of zone indices.
         """
-        self._joined |= {f"{zones[source]}->{zones[target]}" for source, target in links}
+        self.state.joined |= {f"{zones[source]}->{zones[target]}" for source, target in links}
 
     def add(self, version: int, t: float, kind: str, subject: str, detail: str) -> None:
         """Raise an alarm for a change that the caller has found.
@@ -122,7 +106,9 @@ class AlarmLog:
         subject: the camera, zone or link that has changed.
         detail: the change in words.
         """
-        self.newest = [*self.newest, Alarm(version, t, kind, subject, detail)][-ALARMS_KEPT_MAX:]
+        self.state.newest = [*self.state.newest, Alarm(version, t, kind, subject, detail)][
+            -ALARMS_KEPT_MAX:
+        ]
 
     def report(
         self,
@@ -184,7 +170,7 @@ class AlarmLog:
             opened = not closed and change.before < share_min
             slight = not opened and abs(change.after - change.before) < SHARE_CHANGE_MIN
             subject = f"{zones[change.source]}->{zones[change.target]}"
-            was_none = closed and subject not in self._joined
+            was_none = closed and subject not in self.state.joined
             is_none = not closed and (change.source, change.target) not in published
             if (slight and not closed) or was_none or is_none:
                 continue
@@ -194,11 +180,13 @@ class AlarmLog:
             detail = f"share {change.before:.2f} until {change.since:.0f}, {change.after:.2f} since"
             self._once(version, t, kind, subject, detail, change.since)
             if closed:
-                self._joined.discard(subject)
+                self.state.joined.discard(subject)
 
         # Remember which links are open.
         links = {f"{zones[source]}->{zones[target]}" for source, target in published}
-        self._joined = links if len(self._joined) > SUBJECTS_MAX else self._joined | links
+        self.state.joined = (
+            links if len(self.state.joined) > SUBJECTS_MAX else self.state.joined | links
+        )
 
     def zone(
         self, version: int, t: float, subject: str, before: float, after: float, since: float
@@ -224,10 +212,15 @@ class AlarmLog:
         begun: float,
     ) -> None:
         """Raise alarms for cameras that fell silent after ``begun`` (seconds) or report again."""
+        silent = self.state.silent
         for name, silence in zip(cameras, silences, strict=True):
             ongoing = bool(silence.intervals) and silence.intervals[-1][1] == np.inf
-            if silence.lasts and name not in self._silent and silence.intervals[-1][0] >= begun:
-                self._silent.add(name)
+            if (
+                silence.lasts
+                and name not in self.state.silent
+                and silence.intervals[-1][0] >= begun
+            ):
+                silent.add(name)
                 self.add(
                     version,
                     t,
@@ -235,8 +228,8 @@ class AlarmLog:
                     name,
                     f"nothing since {silence.intervals[-1][0]:.0f}",
                 )
-            elif name in self._silent and not ongoing:
-                self._silent.discard(name)
+            elif name in silent and not ongoing:
+                silent.discard(name)
                 self.add(version, t, "camera_back", name, "events again")
 
     def clocks(self, version: int, t: float, cameras: list[Camera]) -> None:
@@ -251,7 +244,7 @@ class AlarmLog:
             now, sd = camera.clock_offset, camera.clock_offset_sd
             if sd is None:
                 continue
-            before, before_sd = self._clock.get(camera.id, (now, np.inf))
+            before, before_sd = self.state.clock.get(camera.id, (now, np.inf))
             moved = abs(now - before)
             clear = moved >= CLOCK_CHANGE_SECONDS_MIN and moved > CLOCK_CHANGE_SD * np.hypot(
                 sd, before_sd
@@ -265,7 +258,7 @@ class AlarmLog:
                     f"ahead by {before:.2f} s before, by {now:.2f} s now",
                 )
             if clear or sd < before_sd / 2:
-                self._clock[camera.id] = now, sd
+                self.state.clock[camera.id] = now, sd
 
     def _once(
         self, version: int, t: float, kind: str, subject: str, detail: str, since: float
@@ -274,12 +267,12 @@ class AlarmLog:
 
         since (seconds): time of the change; the other arguments are as for `add`.
         """
-        if since <= self._said.get(subject, -np.inf):
+        if since <= self.state.said.get(subject, -np.inf):
             return
-        self._said.pop(subject, None)
-        self._said[subject] = t
-        if len(self._said) > SUBJECTS_MAX:
-            del self._said[next(iter(self._said))]
+        self.state.said.pop(subject, None)
+        self.state.said[subject] = t
+        if len(self.state.said) > SUBJECTS_MAX:
+            del self.state.said[next(iter(self.state.said))]
         self.add(version, t, kind, subject, detail)
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import coo_array
@@ -137,16 +137,16 @@ class Difference(NamedTuple):
 
 
 class ClockState(Struct):
-    """The saved state of a `ClockTracker`.
+    """The state of a `ClockTracker`.
 
     offset, sd, identified: columns of `Clocks`.
-    looked: number of events learned at the last estimate.
+    learned: number of events learned at the last estimate.
     """
 
-    offset: Floats
-    sd: Floats
-    identified: Bools
-    looked: int
+    offset: Floats = field(default_factory=lambda: np.zeros(0))
+    sd: Floats = field(default_factory=lambda: np.zeros(0))
+    identified: Bools = field(default_factory=lambda: np.zeros(0, bool))
+    learned: int = 0
 
 
 def right_clocks(cameras: int) -> Clocks:
@@ -155,32 +155,26 @@ def right_clocks(cameras: int) -> Clocks:
 
 
 class ClockTracker:
-    """Keeps the estimate of the clocks, and renews it when enough events are new.
+    """Keeps the estimate of the clocks, and renews it when enough events are new."""
 
-    clocks: the newest estimate.
-    """
+    def __init__(self, state: ClockState) -> None:
+        self.state = state
 
-    def __init__(self) -> None:
-        self.clocks = right_clocks(0)
-        self._learned_at = 0
+    @property
+    def clocks(self) -> Clocks:
+        """The newest estimate."""
+        return Clocks(self.state.offset, self.state.sd, self.state.identified)
 
-    def save(self) -> ClockState:
-        """Return the state from which `load` continues."""
-        return ClockState(*self.clocks, self._learned_at)
-
-    def load(self, state: ClockState) -> None:
-        """Continue from a saved state."""
-        self.clocks, self._learned_at = (
-            Clocks(state.offset, state.sd, state.identified),
-            state.looked,
-        )
+    def _use(self, clocks: Clocks) -> None:
+        """Replace the newest estimate."""
+        self.state.offset, self.state.sd, self.state.identified = clocks
 
     def keep_cameras(self, kept: Bools) -> None:
         """Keep only the cameras of the mask ``kept`` (cameras,), and renumber them."""
         offset, sd, identified = self.clocks
         # Cameras added since the last estimate are not in ``clocks`` yet.
         known = kept[: len(offset)]
-        self.clocks = Clocks(offset[known], sd[known], identified[known])
+        self._use(Clocks(offset[known], sd[known], identified[known]))
 
     def update(self, scene: Scene, cameras: int, learned: int) -> bool:
         """Estimate the clocks again if there are new cameras or enough new events.
@@ -196,16 +190,14 @@ class ClockTracker:
         if cameras > len(known.offset):
             more = right_clocks(cameras - len(known.offset))
             known = Clocks(*(np.concatenate(columns) for columns in zip(known, more, strict=True)))
-        elif learned - self._learned_at < REFRESH_SHARE * (
+        elif learned - self.state.learned < REFRESH_SHARE * (
             len(scene.departures.t) + len(scene.arrivals.t)
         ):
             return False
 
         # Change only what clearly differs.
-        self.clocks, self._learned_at = (
-            keep_unless_clear(known, estimate_clocks(scene, cameras, known)),
-            learned,
-        )
+        self._use(keep_unless_clear(known, estimate_clocks(scene, cameras, known)))
+        self.state.learned = learned
         return bool((np.abs(self.clocks.offset - known.offset) > RELEARN_SECONDS).any())
 
 

@@ -18,9 +18,9 @@ from bisect import bisect_right
 from collections.abc import Set
 from operator import itemgetter
 
-from msgspec import Struct
+from msgspec import Struct, field
 
-from camtopod.event_time import CameraDelay, EventTime, EventTimeState, microseconds
+from camtopod.event_time import EventTime, EventTimeState, microseconds
 from camtopod.records import Event
 
 BOOTS_PER_CAMERA_MAX = 16
@@ -41,7 +41,7 @@ _Key = tuple[int, str, str, float, float, str, str, int]
 class ReorderBufferState(Struct):
     """The saved state of a `ReorderBuffer`.
 
-    newest_us, second_us, leader, watermark_us, behind: state of event time (`EventTimeState`).
+    time: state of event time.
     counts: number of events by verdict (`ReorderBuffer.receive`).
     held: events that wait for the watermark.
     cameras: the known cameras.
@@ -50,15 +50,11 @@ class ReorderBufferState(Struct):
     surplus: `ReorderBuffer.surplus`.
     """
 
-    newest_us: int | None
-    second_us: int | None
-    leader: str | None
-    watermark_us: int | None
-    counts: dict[str, int]
-    held: list[Event]
-    cameras: list[str]
-    seen: list[tuple[str, str, list[int], list[int]]]
-    behind: dict[str, CameraDelay] = {}
+    time: EventTimeState = field(default_factory=EventTimeState)
+    counts: dict[str, int] = {}
+    held: list[Event] = []
+    cameras: list[str] = []
+    seen: list[tuple[str, str, list[int], list[int]]] = []
     newest: dict[str, int] = {}
     surplus: int = 0
 
@@ -159,29 +155,21 @@ class ReorderBuffer:
             for camera, boots in self._seen.items()
             for boot, sequence in boots.items()
         ]
-        time = self.time.save()
         return ReorderBufferState(
-            time.newest_us,
-            time.second_us,
-            time.leader,
-            time.watermark_us,
+            self.time.save(),
             self.counts,
             self._all_held(),
             list(self._seen),
             seen,
-            time.behind,
             self.newest_of,
             self.surplus,
         )
 
     def load(self, state: ReorderBufferState) -> None:
         """Continue from a saved state; this buffer must be new."""
-        self.time.load(
-            EventTimeState(
-                state.newest_us, state.second_us, state.leader, state.watermark_us, state.behind
-            )
-        )
-        self.counts, self.surplus = state.counts, state.surplus
+        self.time.load(state.time)
+        self.counts = {**self.counts, **state.counts}
+        self.surplus = state.surplus
         for event in state.held:
             self._hold(event, microseconds(event.t))
         self._seen = {camera: {} for camera in state.cameras}

@@ -62,11 +62,11 @@ class WindowState(Struct):
     open: (camera, track, absolute row of the entry) of passages that have not ended.
     """
 
-    base: int
-    cameras: list[str]
-    seen: list[int]
-    open: list[tuple[int, str, int]]
-    columns: dict[str, NDArray[Any]]
+    base: int = 0
+    cameras: list[str] = []
+    seen: list[int] = []
+    open: list[tuple[int, str, int]] = []
+    columns: dict[str, NDArray[Any]] = {}
 
 
 class Window:
@@ -267,10 +267,6 @@ class Window:
     def events_of_cameras(self) -> NDArray[np.int64]:
         """Return the number of events of each camera in the window (cameras,)."""
         return np.bincount(self.column("camera"), minlength=len(self.cameras))
-
-    def cameras_present(self) -> set[str]:
-        """Return the names of the cameras with events in the window."""
-        return {self.cameras[camera] for camera in np.flatnonzero(self.events_of_cameras())}
 
     def count_with_position(self, camera: int) -> int:
         """Return the number of the camera's events in the window that have positions."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camtopod.learn.changes.alarms import AlarmLog
+from camtopod.learn.changes.alarms import AlarmLog, AlarmState
 from camtopod.learn.changes.change_points import Change
 from camtopod.learn.changes.silence import CameraSilences, find_silences
 from camtopod.learn.learner import Learner
@@ -21,14 +21,14 @@ OPENED, CLOSED = Change(0, 1, 100.0, 0.0, 0.5, 20.0), Change(0, 1, 300.0, 0.5, 0
 
 
 def said(log: AlarmLog) -> list[tuple[int, str, str]]:
-    return [(alarm.version, alarm.kind, alarm.subject) for alarm in log.newest]
+    return [(alarm.version, alarm.kind, alarm.subject) for alarm in log.state.newest]
 
 
 # --- links ---
 
 
 def test_a_change_is_said_once_and_the_next_one_again() -> None:
-    log = AlarmLog()
+    log = AlarmLog(AlarmState())
     log.links(5, 200.0, [OPENED], ZONES, {(0, 1)}, 0.03)
     log.links(6, 250.0, [OPENED._replace(since=90.0)], ZONES, {(0, 1)}, 0.03)
     log.links(7, 400.0, [CLOSED], ZONES, set(), 0.03)
@@ -49,23 +49,23 @@ def test_a_change_is_said_once_and_the_next_one_again() -> None:
     ],
 )
 def test_what_counts_as_which_change(change: Change, joined: bool, kind: str | None) -> None:
-    log = AlarmLog()
+    log = AlarmLog(AlarmState())
     log.links(4, 50.0, [], ZONES, {(0, 2)} if change.before >= 0.03 else set(), 0.03)
     log.links(5, 200.0, [change], ZONES, {(0, 2)} if joined else set(), 0.03)
-    assert [alarm.kind for alarm in log.newest] == ([] if kind is None else [kind])
+    assert [alarm.kind for alarm in log.state.newest] == ([] if kind is None else [kind])
 
 
 def test_what_was_never_published_does_not_close() -> None:
-    log = AlarmLog()
+    log = AlarmLog(AlarmState())
     log.links(5, 400.0, [CLOSED], ZONES, set(), 0.03)
-    assert log.newest == []
+    assert log.state.newest == []
 
 
 def test_only_the_newest_are_kept() -> None:
-    log = AlarmLog()
+    log = AlarmLog(AlarmState())
     for version in range(2 * ALARMS_KEPT_MAX):
         log.add(version, float(version), "camera_moved", "a", "")
-    assert [alarm.version for alarm in log.newest] == list(
+    assert [alarm.version for alarm in log.state.newest] == list(
         range(ALARMS_KEPT_MAX, 2 * ALARMS_KEPT_MAX)
     )
 
@@ -126,7 +126,7 @@ def test_few_events_say_nothing() -> None:
 
 def test_a_camera_that_stops_while_an_installation_starts_is_not_said_to_be_silent() -> None:
     """In the first half hour no alarm is raised, as traffic has yet to be learned."""
-    log, silent = AlarmLog(), CameraSilences([(100.0, np.inf)], True)
+    log, silent = AlarmLog(AlarmState()), CameraSilences([(100.0, np.inf)], True)
     log.cameras(1, 900.0, [silent], ["a"], 1800.0)
     assert said(log) == []
     log.cameras(2, 9000.0, [CameraSilences([(1900.0, np.inf)], True)], ["a"], 1800.0)
@@ -134,7 +134,7 @@ def test_a_camera_that_stops_while_an_installation_starts_is_not_said_to_be_sile
 
 
 def test_a_camera_is_said_to_be_silent_and_to_be_back_once() -> None:
-    log = AlarmLog()
+    log = AlarmLog(AlarmState())
     gone, back = CameraSilences([(5.0, np.inf)], True), CameraSilences([(5.0, 90.0)], False)
     for version, silence in enumerate([CameraSilences([], False), gone, gone, back, back], start=1):
         log.cameras(version, 10.0 * version, [CameraSilences([], False), silence], ["a", "b"], 0.0)
@@ -142,7 +142,7 @@ def test_a_camera_is_said_to_be_silent_and_to_be_back_once() -> None:
 
 
 def test_a_clock_is_told_when_it_moves_and_not_when_it_becomes_known() -> None:
-    log = AlarmLog()
+    log = AlarmLog(AlarmState())
     for version, (offset, sd) in enumerate(
         [(0.0, None), (30.0, 1.0), (30.9, 0.4), (30.5, 0.2), (30.8, 0.1), (28.0, 0.1), (28.0, 0.1)],
         start=1,
