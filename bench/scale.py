@@ -22,7 +22,6 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from bench.links import EVENTS_PER_OBJECT
 from bench.support import ratios
 from bench.support.clients import (
     client,
@@ -40,8 +39,8 @@ from camtopod.sim.simulation import simulate
 
 LEARN_SECONDS_MAX = 7_200.0
 """Longest wait for the learner, seconds."""
-IN_FLIGHT_MAX = 2_000
-"""Most events that are not acknowledged yet: new cameras share one queue of the inbox."""
+EVENTS_PER_OBJECT = 8.1
+"""Events of an object that enters a simulated site, about."""
 BUS = "message_bytes_max = 67108864"
 """Limit that a large site raises: the size of its topology in one message."""
 COLUMNS = "{:>8}{:>9}{:>10}{:>13}{:>9}{:>8}{:>12}{:>10}"
@@ -99,8 +98,7 @@ def measure(folder: Path, cameras: int, hours: float, rate: float, seconds: floa
     limits = f"cameras_max = {cameras + 100}"
     with running(folder, limits=limits, bus=BUS) as (endpoint, pid), peak_memory(pid) as most:
         # The recorded events.
-        flood = {"endpoint": endpoint, "events": recorded, "window": IN_FLIGHT_MAX}
-        with client("put_flood", folder, **flood) as sender:
+        with client("deliver", folder, endpoint=endpoint, events=recorded) as sender:
             result(sender)
         status = learned_status(endpoint, LEARN_SECONDS_MAX)
         spent = processor_seconds(pid, *children(pid))

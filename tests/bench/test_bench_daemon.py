@@ -1,107 +1,91 @@
-"""The parts of the bench that measure the daemon, run for seconds: shape of their output."""
+"""The parts of the bench that run a daemon, each for seconds."""
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
-from serving import wait_for
 
-from bench import ingest, latency, memory, router
+from bench import soak
 from bench.support import ratios
-from bench.support.site import peak_memory, resident, traffic
-
-SMALL = ["--cameras", "4", "--learned", "400", "--rounds", "1"]
+from bench.support.site import traffic
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """Lay out a site that has learned, once."""
-    return [*SMALL, "--site", str(tmp_path_factory.mktemp("site"))]
-
-
-@pytest.fixture(autouse=True)
-def cold(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Measure without a warm-up round."""
-    monkeypatch.setattr(ratios, "WARM_ROUNDS", 0)
+    """Return the arguments for a small site that has learned, laid out once."""
+    folder = tmp_path_factory.mktemp("site")
+    return ["--cameras", "4", "--learned", "400", "--rounds", "1", "--site", str(folder)]
 
 
 def test_the_same_network_at_every_rate() -> None:
     slow, quick = traffic(4, 0.4, 300), traffic(4, 40.0, 300)
+
     assert len(slow) == len(quick) == 300
-    assert slow[0].t == quick[0].t == 0.0
     assert slow[-1].t > 20 * quick[-1].t
     assert {event.camera for event in quick} == {event.camera for event in slow}
 
 
-def test_ingest(site: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert ingest.main([*site, "--events", "1500", "--json", str(tmp_path / "out.json")]) == 0
-    [table] = json.loads((tmp_path / "out.json").read_text())["tables"]
-    assert [row["name"] for row in table["rows"]] == [ingest.BARE, ingest.QUIET, ingest.FITTING]
-    assert table["rows"][0]["ratio"]["median"] == 1.0
-    assert "events/s" in capsys.readouterr().out
+@pytest.mark.parametrize(
+    ("part", "arguments"),
+    [
+        ("ingest", ["--events", "500"]),
+        ("latency", ["--rate", "100", "--seconds", "0.5"]),
+        ("router", ["--events", "300", "--readers", "1", "--cameras", "4", "--rounds", "1"]),
+        ("memory", ["--events", "300", "--cameras", "4"]),
+    ],
+)
+def test_its_tables_have_costs(
+    part: str,
+    arguments: list[str],
+    site: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(ratios, "WARM_ROUNDS", 0)
+    monkeypatch.setattr(ratios, "plot", lambda *_: None)
+    given = [*site, *arguments] if part in ("ingest", "latency") else arguments
+
+    assert import_module(f"bench.{part}").main([*given, "--json", str(tmp_path / "out")]) == 0
+
+    tables = json.loads((tmp_path / "out").read_text())["tables"]
+    assert all(row["cost"]["median"] > 0.0 for table in tables for row in table["rows"])
 
 
-def test_latency(site: list[str], tmp_path: Path) -> None:
-    given = [*site, "--rate", "100", "--seconds", "1", "--json", str(tmp_path / "out.json")]
-    assert latency.main(given) == 0
-    median, tail, fitting = json.loads((tmp_path / "out.json").read_text())["tables"]
-    for one, other in zip(median["rows"], tail["rows"], strict=True):
-        assert 0.0 < one["cost"]["median"] <= other["cost"]["median"]
-    assert fitting["baseline"] == latency.QUIET
+def test_scale_measures_a_daemon_and_a_fit_beside_live_events(tmp_path: Path) -> None:
+    arguments = ["--cameras", "3", "--hours", "0.1", "--seconds", "5", "--json"]
+
+    assert import_module("bench.scale").main([*arguments, str(tmp_path / "out")]) == 0
+
+    [size] = json.loads((tmp_path / "out").read_text())["sizes"]
+    assert size["processor_seconds"] > size["fit_seconds"] > 0.0
+    assert 0.0 < size["median_ms"] <= size["tail_ms"]
 
 
-BIG = 200_000_000
-GROWS = f"""
-import subprocess, sys
-other = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-input()
-big = b"1" * {BIG}
-print("has it", flush=True)
-input()
-del big
-print("has it no more", flush=True)
-input()
-other.communicate()
-"""
+def test_a_restart_is_timed(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--events", "300", "--behind", "100", "--times", "1"]
+
+    assert import_module("bench.restart").main(arguments) == 0
+
+    assert "ready after" in capsys.readouterr().out
 
 
-def test_the_most_at_one_moment_counts_files_once() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-c", GROWS], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        with peak_memory(process.pid) as most:
-            for answer in (b"has it\n", b"has it no more\n"):
-                process.stdin.write(b"\n")
-                process.stdin.flush()
-                assert process.stdout.readline() == answer
-                left = resident(process.pid)
-                wait_for(
-                    lambda left=left: most[0] >= left, "the look at it"
-                )  # not one at what was growing yet
-        process.stdin.write(b"\n")
-        process.stdin.close()
-    assert left < BIG < most[0] < BIG + left, "two interpreters, most of which is in one file"
+def test_a_day_in_small(capfd: pytest.CaptureFixture[str]) -> None:
+    assert soak.main(["--days", "1", "--cameras", "3", "--events", "60"]) == 1
 
-
-def test_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert (
-        memory.main(["--cameras", "4", "--events", "600", "--json", str(tmp_path / "out.json")])
-        == 0
+    said = capfd.readouterr().out.splitlines()[-5:]
+    assert all("are needed" in line or "never come near" in line for line in said), (
+        "a day is too short to tell"
     )
-    [row] = json.loads((tmp_path / "out.json").read_text())["tables"][0]["rows"]
-    assert 10.0 < row["cost"]["low"] <= row["cost"]["high"]
-    assert " 600 " in capsys.readouterr().out
 
 
-def test_router(tmp_path: Path) -> None:
-    given = ["--cameras", "4", "--events", "1500", "--readers", "1,2", "--rounds", "1"]
-    assert router.main([*given, "--json", str(tmp_path / "out.json")]) == 0
-    [table] = json.loads((tmp_path / "out.json").read_text())["tables"]
-    assert [row["name"] for row in table["rows"]] == ["1 reader", "2 readers"]
-    assert all(row["cost"]["median"] > 0.0 for row in table["rows"])
+def test_growth_is_held_against_an_early_day() -> None:
+    def grown(days: list[int]) -> list[str]:
+        sizes = (10**6 * size for size in days)
+        kept = [soak.Day(n, size, 1, 1, n, 1.0, 1.0) for n, size in enumerate(sizes, start=1)]
+        return list(soak.growth_violations(kept))
+
+    assert grown([500, 100, 101, 99, 104, 100, 100]) == []
+    assert grown([50, 100, 101, 102, 103, 104, 106]) == ["resident has grown by more than 5%"]

@@ -1,0 +1,124 @@
+"""The parts of the bench that measure the learner on recordings, each with a small one."""
+
+from __future__ import annotations
+
+import json
+import math
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench import ablation
+from bench.change import Found, summary
+from bench.regimes import REGIMES
+from bench.support import ratios, zone_speed
+from camtopod.codec import to_json
+from camtopod.records import Event
+
+WALKS = 240
+EVERY_SECONDS = 30.0
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a recording, in which objects are of three kinds.
+
+    One kind passes a, then b 9 to 11 s later; one enters the view of c before leaving e; one passes
+    d and is not seen again.
+    """
+    folder = tmp_path_factory.mktemp("recordings")
+    (folder / "walks").mkdir()
+    chance, events, rows = np.random.default_rng(3), list[Event](), ["track,identity"]
+    for walk in range(WALKS):
+        t, e, alone = (1e6 + chance.uniform(0.0, EVERY_SECONDS * WALKS) for _ in range(3))
+        b = t + 4.0 + chance.uniform(9.0, 11.0)
+        for camera, came, left, identity in (
+            ("a", t, t + 4.0, walk),
+            ("b", b, b + 6.0, walk),
+            ("e", e, e + 6.0, WALKS + walk),
+            ("c", e + 4.0, e + 12.0, WALKS + walk),
+            ("d", alone, alone + 4.0, 2 * WALKS + walk),
+        ):
+            track = f"{camera}{walk}"
+            events.append(Event(camera, "entry", came, track=track))
+            events.append(Event(camera, "exit", left, track=track))
+            rows.append(f"{track},{identity}")
+    lines = b"".join(to_json(event) + b"\n" for event in events)
+    (folder / "walks" / "events.jsonl").write_bytes(lines)
+    (folder / "walks" / "identities.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("part", "arguments", "shown"),
+    [
+        ("learn", ["--seeds", "1", "--cameras", "3", "--hours", "0.1"], "oracle"),
+        ("change", ["--seeds", "1", "--hours", "0.04", "--jobs", "steady"], "steady"),
+        ("regimes", ["walkway", "no-links", "--scale", "0.05"], "0 links (0 overlapped)"),
+        ("thesis", ["1"], "table 5.3"),
+    ],
+)
+def test_it_shows_its_figures(
+    part: str, arguments: list[str], shown: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert import_module(f"bench.{part}").main(arguments) == 0
+
+    assert shown in capsys.readouterr().out
+
+
+def test_a_real_network_is_learned_and_foretold(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--data", str(recordings), "--jobs", "1", "--json", str(tmp_path / "real.json")]
+
+    assert import_module("bench.real").main(arguments) == 0
+
+    assert "2 of 2: 1.00" in capsys.readouterr().out
+    assert json.loads((tmp_path / "real.json").read_text())
+
+
+def test_a_mechanism_is_left_out(recordings: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = ["--data", str(recordings), "--regimes", "", "--sampling-seeds", "1", "--jobs", "1"]
+
+    assert ablation.main([*given, "--mechanisms", "sparse prior"]) == 0
+
+    assert "- sparse prior" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", [one.name for one in (*ablation.MECHANISMS, *ablation.SCALED)])
+def test_a_mechanism_that_can_be_left_out_exists(name: str) -> None:
+    with ablation.without(name, 7):
+        pass
+
+
+def test_what_is_never_found_takes_for_ever() -> None:
+    found = [Found(True, 50.0, 90.0, needed, needed < math.inf) for needed in (10, 30)]
+    lost = [Found(True, 50.0, 90.0, math.nan, False)] * 2
+
+    everything, soon, *_ = summary("close", found + lost)
+
+    assert "2 found, after a median of inf passages" in everything
+    assert "within 20: 0.25" in soon
+
+
+@pytest.mark.parametrize("name", sorted(REGIMES))
+def test_a_regime_is_made(name: str) -> None:
+    events, truth = REGIMES[name].make(1, 0.02)
+
+    assert len(events) == len(truth.identity) > 0
+
+
+def test_the_cost_of_zones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("sklearn")
+    monkeypatch.setattr(zone_speed, "HDBSCAN_POINTS", 200)
+    monkeypatch.setattr(zone_speed, "SPECTRAL_POINTS", 200)
+    monkeypatch.setattr(zone_speed, "REPEATS", 1)
+    monkeypatch.setattr(ratios, "plot", lambda *_: None)
+    arguments = ["--speed", "--events", "300", "--rounds", "1", "--json", str(tmp_path / "out")]
+
+    assert import_module("bench.zones").main(arguments) == 0
+
+    tables = json.loads((tmp_path / "out").read_text())["tables"]
+    assert all(row["cost"]["median"] > 0 for table in tables for row in table["rows"])
