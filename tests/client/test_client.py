@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import subprocess
 import sys
 import threading
@@ -14,7 +13,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from fake_bus_daemon import LEFT, NOW, Hub, a_hub, later, learned, put, running, there
+from fake_bus_daemon import LEFT, NOW, Hub, later, learned, put, running, there
 from serving import (
     SPAN_SECONDS,
     T0,
@@ -33,12 +32,6 @@ from camtopod.keys import rules
 from camtopod.keys.authority import Authority
 from camtopod.records import Event, Prediction
 from camtopod.serve.bus.session import dial
-
-
-@pytest.fixture(scope="module")
-def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
-    with a_hub(tmp_path_factory.mktemp("hub")) as one:
-        yield one
 
 
 @pytest.fixture
@@ -166,16 +159,6 @@ def test_numbers_may_be_those_of_an_array(site: Topology) -> None:
     )  # type: ignore[arg-type]
 
 
-def test_who_tells_of_one_camera_does_not_make_the_others_dead(site: Topology) -> None:
-    before = site.predict(**LEFT)
-    for number in range(3000):
-        site.observe(Event("a", "entry", NOW + number, 0.1, 0.5))
-    after = site.predict("a", NOW + 3600, x=0.9, y=0.5)
-    assert [one.probability for one in after.next_] == pytest.approx(
-        [one.probability for one in before.next_]
-    )
-
-
 def test_priors_are_those_of_the_version_held(site: Topology) -> None:
     assert site.gate("a/2", NOW, "b", NOW + 9.0) > site.gate_new("b") + site.gate_gone("a/2")
     odds = site.affinity(
@@ -297,34 +280,6 @@ def test_closing_lets_go_who_waits(hub: Hub) -> None:
     assert sorted(ended) == ["predictions", "versions"]
     with pytest.raises(TimeoutError, match="closed while"):
         site.wait_for(10**6, 10.0)
-
-
-def test_nobody_begins_to_wait_while_it_closes_or_after(
-    hub: Hub, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    site = Topology.connect(connect=hub.daemon.endpoint)
-    leave, refused = site._bus.close, []
-
-    def leaving() -> None:
-        try:
-            site.predictions()
-        except BusError as error:
-            refused.append(str(error))
-        leave()
-
-    monkeypatch.setattr(site._bus, "close", leaving)
-    site.close()
-    assert refused == ["the topology of site site has been closed: connect again"]
-    with pytest.raises(BusError, match="has been closed"):
-        site.predictions()
-
-
-def test_one_may_wait_for_ever(site: Topology) -> None:
-    closing = threading.Timer(0.05, site.close)
-    closing.start()
-    with pytest.raises(TimeoutError, match="closed while"):
-        site.wait_for(10**6, math.inf)
-    closing.join()
 
 
 # --- as a package ---------------------------------------------------------------------------------

@@ -9,12 +9,11 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_bus_daemon import NOW, Hub, a_hub, learned, put, running
+from fake_bus_daemon import NOW, Hub, learned, put, running
 from pages import blocks
 from paths import DEPLOY, EXAMPLES, ROOT
 from serving import T0, closing_event, free_endpoint, numbered, small_config, wait_for
@@ -28,12 +27,6 @@ PROTOCOL = (DEPLOY / "protocol.md").read_text()
 INTEGRATIONS = (DEPLOY / "integrations.md").read_text()
 LINES_MAX = 10
 """Without imports."""
-
-
-@pytest.fixture(scope="module")
-def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
-    with a_hub(tmp_path_factory.mktemp("hub")) as one:
-        yield one
 
 
 def said(
@@ -115,22 +108,14 @@ def test_who_is_who(hub: Hub) -> None:
 
 
 def test_who_is_who_by_looks_and_by_the_site(hub: Hub) -> None:
-    """Appearance decides between simultaneous exits; times and links decide between equal looks."""
-    two = [*walk(1, NOW, "b"), *walk(2, NOW + 0.3, "b"), *walk(3, NOW + 300, "b")]
+    """Appearance decides between simultaneous exits; strangers are not joined."""
     red, blue = [1.0, 0.0, 0.2], [0.0, 1.0, 0.2]
-    looks = {"11": red, "21": blue, "12": blue, "22": red, "31": red, "32": red}
-    found = said(hub, "by_looks.py", sorted(two, key=lambda event: event.t), looks)
-    assert sorted(found) == ["a/11 = b/22", "a/21 = b/12", "a/31 = b/32"]
-    alike = said(
-        hub, "by_looks.py", sorted(two, key=lambda event: event.t), dict.fromkeys(looks, red)
-    )
-    assert len(alike) == 3
-    assert "a/31 = b/32" in alike
-    strangers = {**looks, "32": blue}
-    assert (
-        sorted(said(hub, "by_looks.py", sorted(two, key=lambda event: event.t), strangers))
-        == found[:2]
-    )
+    looks = {"11": red, "21": blue, "12": blue, "22": red, "31": red, "32": blue}
+    walks = [*walk(1, NOW, "b"), *walk(2, NOW + 0.3, "b"), *walk(3, NOW + 300, "b")]
+
+    found = said(hub, "by_looks.py", sorted(walks, key=lambda event: event.t), looks)
+
+    assert sorted(found) == ["a/11 = b/22", "a/21 = b/12"]
 
 
 def test_as_it_comes(hub: Hub) -> None:
@@ -205,16 +190,6 @@ def test_the_client_as_readme_shows_it(hub: Hub) -> None:
     here = shown.replace("connect()", f"connect(connect={hub.daemon.endpoint!r})")
     lines = printed_until_a_prediction(hub, here, 1)
     assert re.fullmatch(r"[abc] -> [abc] \d+% in -?\d+ to \d+ s\n", lines[0])
-
-
-@pytest.mark.parametrize("name", ["next_camera.py", "gating.py", "handing_over.py"])
-def test_it_takes_ten_lines(name: str) -> None:
-    lines = [
-        line
-        for line in code(name).splitlines()
-        if line and not line.startswith(("import ", "from "))
-    ]
-    assert len(lines) <= LINES_MAX
 
 
 def test_the_page_has_the_tested_lines() -> None:
