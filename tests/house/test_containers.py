@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import pytest
 import yaml
 import zenoh
 from paths import DEPLOY
@@ -95,30 +94,6 @@ def test_compose_starts_what_there_is() -> None:
     assert extras == ["metrics,mqtt,web"]
 
 
-def test_the_page_is_shown_the_pictures_that_init_keeps() -> None:
-    command = COMPOSE["services"]["web"]["command"]
-    folder = command[command.index("--pictures") + 1]
-    assert f"init --pictures {folder} --out " in (DEPLOY / "compose.md").read_text()
-    [site] = [volume.split(":")[-2] for volume in COMPOSE["services"]["web"]["volumes"]]
-    assert Path(folder).parent == Path(site)
-
-
-@pytest.mark.parametrize("service", ["daemon", "web"])
-def test_what_a_health_check_asks_is_listened_to(service: str) -> None:
-    asked = re.findall(
-        r"http://127\.0\.0\.1:([0-9]+)/",
-        " ".join(COMPOSE["services"][service]["healthcheck"]["test"]),
-    )
-    assert [f"127.0.0.1:{port}:{port}" for port in asked] == COMPOSE["services"][service]["ports"]
-    if service == "web":
-        assert f"0.0.0.0:{asked[0]}" in COMPOSE["services"][service]["command"]
-    else:
-        [said] = re.findall(
-            r"camtopod\.toml <<'END'\n(.*?)END\n", (DEPLOY / "compose.md").read_text(), re.DOTALL
-        )
-        assert parse(said).health.listen == f"0.0.0.0:{asked[0]}"
-
-
 def test_kubernetes_confines_every_container_and_starts_what_there_is() -> None:
     for container in containers():
         confined = container["securityContext"]
@@ -142,20 +117,6 @@ def test_kubernetes_confines_every_container_and_starts_what_there_is() -> None:
         "prometheus.io/port": str(port["containerPort"]),
         "prometheus.io/path": "/metrics",
     }
-
-
-def test_kubernetes_lets_only_the_daemons_reach_the_bus() -> None:
-    [policy], [router], [daemons], [service] = map(
-        of_kind, ("NetworkPolicy", "Deployment", "StatefulSet", "Service")
-    )
-    spec = policy["spec"]
-    assert spec["podSelector"]["matchLabels"] == router["spec"]["template"]["metadata"]["labels"]
-    assert (spec["policyTypes"], len(spec["ingress"])) == (["Ingress"], 1)
-    [rule] = spec["ingress"]
-    labels = daemons["spec"]["template"]["metadata"]["labels"]
-    assert labels != spec["podSelector"]["matchLabels"]
-    assert rule["from"] == [{"podSelector": {"matchLabels": labels}}]
-    assert rule["ports"] == [{"port": port["port"]} for port in service["spec"]["ports"]]
 
 
 def test_images_are_pinned() -> None:

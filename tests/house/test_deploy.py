@@ -8,15 +8,13 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from pages import blocks, invocations
 from paths import DEPLOY
 
 from camtopod.cli.cameras.status_reporter import CLOSE_SECONDS
 from camtopod.cli.commands.grab import LEAVE_SECONDS as GRAB_LEAVE_SECONDS
-from camtopod.cli.commands.init import SECRETS, configuration_text
 from camtopod.cli.commands.run import LEAVE_SECONDS as RUN_LEAVE_SECONDS
 from camtopod.cli.main import COMMANDS, parser_of
-from camtopod.config.settings import Config, HealthSettings, parse
+from camtopod.config.settings import HealthSettings
 
 UNITS = {
     "camtopod.service": "camtopod.service",
@@ -33,7 +31,6 @@ DEVICE = [
 """What lets a camera of this machine in."""
 EXPOSURE_MAX = 2.0
 """Of ten, as `systemd-analyze security` counts; what is left is the network."""
-OPERATIONS = (DEPLOY / "operations.md").read_text()
 SECURITY = (DEPLOY / "security.md").read_text()
 
 
@@ -56,56 +53,6 @@ def test_what_the_configuration_names_is_handed_to_the_service() -> None:
             value.split(":")[0] for drop_in in drop_ins for value in drop_in["LoadCredential"]
         }
         assert {name.replace("%i", "lobby") for name in handed} == set(named)
-
-
-def test_a_camera_s_file_is_called_as_the_service_is_handed_it() -> None:
-    """One folder can stand for all services' credentials when `check --probe` runs
-    outside of them.
-    """
-    [handed] = directives(DEPLOY / "camtopod-grab@.service.d" / "source.conf")["LoadCredential"]
-    name, _, path = handed.partition(":")
-    assert (name, Path(path).name) == ("%i", "%i")
-    assert f"export CREDENTIALS_DIRECTORY={Path(path).parent}\n" in OPERATIONS
-    text = configuration_text(Config(), {"lobby": "0"}, {"lobby": []}, ["lobby"], handed=True)
-    assert 'source_file = "$CREDENTIALS_DIRECTORY/lobby"' in text
-    assert Path(path).parent == Path("/etc/camtopod") / SECRETS
-
-
-def test_kubernetes_is_given_a_configuration_that_can_be_read() -> None:
-    text = (DEPLOY / "kubernetes.yaml").read_text()
-    body = text.split("camtopod.toml: |\n")[1].split("  router.json5")[0]
-    parse("\n".join(line[4:] for line in body.splitlines()))
-
-
-def test_the_page_begins_with_what_services_can_read() -> None:
-    """Services' users own nothing in /etc; `init --credentials` writes no password there."""
-    first, then = blocks(OPERATIONS, "sh")[:2]
-    assert first.endswith(" -\n"), "what is pasted behind it would be read as cameras"
-    parser, _ = parser_of(COMMANDS)
-    [init] = [words for line in first.splitlines() for words in invocations(line)]
-    args = parser.parse_args(init)
-    assert (args.command, args.credentials, args.out) == (
-        "init",
-        True,
-        Path("/etc/camtopod/camtopod.toml"),
-    )
-    assert "deploy/camtopod.toml" not in first + then, "the example has a password in it"
-    assert "source.conf" in then
-    [extras] = re.findall(r"pip install '\.\[([a-z,]+)\]'", first)
-    assert set(extras.split(",")) >= {"metrics", "terminal", "web"}, (
-        "health, watch and the page are used below"
-    )
-
-
-def test_the_page_s_service_is_shown_the_pictures_that_init_keeps() -> None:
-    """The folder is made if missing and given to its user."""
-    unit = directives(DEPLOY / "camtopod-web.service")
-    [folder], [command] = unit["StateDirectory"], unit["ExecStart"]
-    parser, _ = parser_of(COMMANDS)
-    args = parser.parse_args(command.split()[1:])
-    assert args.pictures == Path("/var/lib") / folder
-    assert f"init --credentials --pictures {args.pictures} " in OPERATIONS
-    assert unit["StateDirectoryMode"] == ["0750"]
 
 
 def test_no_service_shares_its_user_or_gives_up() -> None:

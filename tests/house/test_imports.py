@@ -251,12 +251,6 @@ def test_the_guard_sees_the_wall_clock() -> None:
     assert wall_clock_reads("from time import time") == [1]
 
 
-def test_every_module_is_seen() -> None:
-    assert {"camtopod.records", "camtopod.learn.learner", "camtopod.serve.bus.session"} <= set(
-        MODULES
-    )
-
-
 @pytest.mark.parametrize("package", [name for name in PACKAGES if name.count(".")])
 def test_a_package_is_small_and_has_a_door(package: str) -> None:
     folder = ROOT / package.replace(".", "/")

@@ -21,7 +21,6 @@ from camtopod.records import (
     Topology,
     Zone,
 )
-from camtopod.topology.grid import BLOCKS_ACROSS, POSITION_ONE, block_of, blocks_of
 from camtopod.topology.shared_constants import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 
 NAMES = ["a/1", "a/2", "b/1", "c/1"]
@@ -102,23 +101,6 @@ def test_multipliers_equal_their_slow_twin(
     assert leaving == pytest.approx(stays)
 
 
-@pytest.mark.parametrize("contexts", [None, [], [Context("b/1", 30.0, {"c/1": 30.0}, block=5)]])
-def test_a_zone_without_contexts_knows_nothing_more(contexts: list[Context] | None) -> None:
-    likelier, leave = ContextMultipliers(topology_with(contexts)).multipliers(
-        0, outcomes([0.4, 0.4], 0.2), 5, 1, "c", 1.0
-    )
-    assert likelier.tolist() == [1.0, 1.0]
-    assert leave == 0.2
-
-
-def test_without_a_model_too() -> None:
-    plain = Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 0, "", [], [], [], [])
-    likelier, _ = ContextMultipliers(plain).multipliers(
-        0, outcomes([0.4, 0.4], 0.2), 5, 1, "c", 1.0
-    )
-    assert likelier.tolist() == [1.0, 1.0]
-
-
 def test_a_context_never_seen_says_nothing_and_a_rare_one_little() -> None:
     rows = [
         Context("a/1", 0.5, {"b/1": 0.5}, block=7),
@@ -132,19 +114,6 @@ def test_a_context_never_seen_says_nothing_and_a_rare_one_little() -> None:
     assert never == 1.0
     assert rare == pytest.approx(1.0, abs=0.2)
     assert often == pytest.approx(1 / 0.4, rel=0.02)
-
-
-@given(st.floats(0, 1), st.floats(0, 1))
-def test_the_block_of_one_position_is_that_of_the_window(x: float, y: float) -> None:
-    px, py = (np.array([round(p * POSITION_ONE)], np.int32) for p in (x, y))
-    (block,) = blocks_of(px, py).tolist()
-    assert block == block_of(x, y)
-    assert 0 <= block < BLOCKS_ACROSS**2
-
-
-def test_no_position_no_block() -> None:
-    assert block_of(None, None) is None
-    assert blocks_of(np.array([-1], np.int32), np.array([-1], np.int32)).tolist() == [-1]
 
 
 # --- what learning and prediction make of it ---
@@ -210,35 +179,3 @@ def test_on_a_road_the_camera_before_says_which_way() -> None:
         for e, p in asked(forgetful, 2 * len(events) // 3)
     ]
     assert 0.3 < right(blind, by_time) < 0.7
-
-
-@pytest.mark.parametrize("known", ["entry", "block"])
-def test_in_a_hall_where_they_came_in_or_left_says_where_they_go(known: str) -> None:
-    """Hall a has one exit. Objects that enter on the left, or leave at its upper end, go to b."""
-    rng = np.random.default_rng(1)
-    events, goes_to = [], {}
-    for k, t in enumerate(rng.uniform(0, 12_000, 400)):
-        left = rng.random() < 0.5
-        x, y = rng.normal(0.5, 0.02), rng.normal(0.5, 0.02)
-        if known == "entry":
-            x, way_out = (0.1 if left else 0.9) + rng.normal(0, 0.02), 0.5 + rng.normal(0, 0.02)
-        else:
-            way_out = float(rng.uniform(0.35, 0.48) if left else rng.uniform(0.52, 0.65))
-            y = 0.1
-        events.append(
-            Event(
-                "a",
-                "entry",
-                t,
-                float(np.clip(x, 0, 1)),
-                float(y) if known == "block" else 0.9,
-                str(k),
-            )
-        )
-        events.append(Event("a", "exit", t + 5, 0.5 + float(rng.normal(0, 0.02)), way_out, str(k)))
-        goes_to["a", str(k)] = camera = "b" if left else "c"
-        events.append(Event(camera, "entry", t + 15 + float(rng.normal(0, 1)), 0.5, 0.5, str(k)))
-        events.append(Event(camera, "exit", t + 22, 0.5, 0.5, str(k)))
-    events.sort(key=lambda event: event.t)
-    answers = asked(events, 2 * len(events) // 3)
-    assert right(answers, goes_to) > 0.95

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import math
-import sys
+from functools import cache
 
 import naive
 import numpy as np
@@ -145,21 +144,6 @@ def test_without_further_knowledge_the_learned_shares() -> None:
         assert found.q90 > median + 0.5
 
 
-def test_a_histogram_says_more_than_quantiles() -> None:
-    """It has two humps, at 8 s and 40 s, which the median of 20 s does not show."""
-    bins = LagBins(-20.0, 120.0)
-    mass = np.zeros(bins.size)
-    mass[bins.index(np.array([8.0, 40.0]))] = 0.45, 0.55
-    two = link("a/1", "b/1", 0.5, 20.0, Histogram(bins.first, mass.tolist()))
-    (found,) = Predictor(a_topology([two])).predict(EXIT).next_
-    assert found.q10 == pytest.approx(8.0, abs=3.0)
-    assert found.q90 == pytest.approx(40.0, abs=15.0)
-    beyond = link(
-        "a/1", "b/1", 0.5, 20.0, Histogram(10_000, [1.0])
-    )  # bins this range does not have
-    assert Predictor(a_topology([beyond])).predict(EXIT).next_ == []
-
-
 @pytest.mark.parametrize(
     ("event", "zone"),
     [
@@ -178,31 +162,6 @@ def test_zone_of_an_event(event: Event, zone: str | None) -> None:
         assert (prediction.leave, prediction.next_) == (1.0, [])
 
 
-def test_a_zone_without_shape_is_the_last_choice() -> None:
-    bare = [*THREE.zones, Zone("a/3", "a", 1000, 1000), Zone("e/1", "e", 5, 5)]
-    predictor = Predictor(replace(THREE, zones=bare))
-    assert predictor.predict(EXIT).zone == "a/1"
-    assert predictor.predict(replace(EXIT, x=None, y=None)).zone == "a/3"
-    assert predictor.predict(replace(EXIT, camera="e")).zone == "e/1"
-
-
-def test_zones_as_narrow_as_a_line() -> None:
-    """Positions on the lower edge of the image have no spread in y; x still tells the
-    zones apart.
-    """
-    line = [[0.0004, 0.0], [0.0, 0.0]]
-    zones = [
-        replace(z, y=1.0, cov=line, entries=100 + 50 * k) for k, z in enumerate(THREE.zones[:2])
-    ]
-    predictor = Predictor(replace(THREE, zones=[*zones, *THREE.zones[2:]]))
-    assert [predictor.predict(replace(EXIT, x=x, y=1.0)).zone for x in (0.1, 0.9)] == ["a/1", "a/2"]
-
-
-def test_numbered_and_missing_tracks() -> None:
-    assert Predictor(THREE).predict(replace(EXIT, track=17)).track == "17"
-    assert Predictor(THREE).predict(replace(EXIT, track=None)).track is None
-
-
 def test_a_topology_that_has_only_what_the_contract_asks() -> None:
     plain = replace(THREE, weak_links=None, chain=None, model=None)
     prediction = Predictor(plain).predict(EXIT)
@@ -211,22 +170,6 @@ def test_a_topology_that_has_only_what_the_contract_asks() -> None:
     assert prediction.next_[0].q50 == pytest.approx(8.0, abs=0.5)
     empty = replace(plain, links=[])
     assert Predictor(empty).predict(EXIT).next_ == []
-
-
-def test_links_to_zones_that_are_not_there_are_left_out() -> None:
-    odd = a_topology(
-        [link("a/1", "b/1", 0.5, 8.0), link("a/1", "z/1", 0.4, 8.0), link("z/1", "a/1", 0.4, 8.0)]
-    )
-    assert list(chances(Predictor(odd).predict(EXIT))) == ["b/1"]
-
-
-def test_hardly_likely_outcomes_are_left_out() -> None:
-    rare = a_topology(
-        [link("a/1", "b/1", 0.5, 8.0), link("a/1", "c/1", 0.1 * NEXT_PROBABILITY_MIN, 8.0)]
-    )
-    prediction = Predictor(rare).predict(EXIT)
-    sound(prediction)
-    assert list(chances(prediction)) == ["b/1"]
 
 
 # --- exposure, seen, alive ---
@@ -297,11 +240,6 @@ def test_others_who_may_be_the_one_seen_lower_the_chance() -> None:
     assert chances(after([ENTERED, *unrelated, THERE]))["d/1"] == pytest.approx(alone, rel=1e-3)
 
 
-def test_an_event_that_comes_late_hides_nobody_who_was_heard_of_before_it() -> None:
-    late = Event("b", "entry", 980.0, 0.5, 0.5)  # from before the passage
-    assert chances(after([ENTERED, THERE, late]))["d/1"] > 0.9
-
-
 def test_a_silent_camera_is_not_where_they_appear() -> None:
     talk = [Event(camera, "entry", 900.0 + k, 0.5, 0.5) for k in range(30) for camera in "abd"]
     silent = after(talk, THREE)
@@ -365,52 +303,6 @@ def test_a_newer_version_remembers_what_has_been_seen() -> None:
     assert list(chances(prediction)) == ["b/1"]
 
 
-@pytest.mark.parametrize("left", [0, 1, 2, 5])
-@pytest.mark.parametrize("count", [0, 1, 30, 2000, 4001])
-def test_what_a_newer_version_remembers_is_as_if_it_had_come_again(left: int, count: int) -> None:
-    rng = np.random.default_rng(count)
-    before, expected, taken = (recent_events.RecentEvents() for _ in range(3))
-    for t in np.round(
-        np.arange(count) / 10 + rng.normal(size=count), 1
-    ).tolist():  # not quite by time, some at once
-        before.append(t, int(rng.integers(5)), float(rng.random()))
-    moved = dict(zip(range(5 - left, 5), rng.permutation(7).tolist(), strict=False))
-    for arrival in before.arrivals():
-        if arrival.zone in moved:
-            expected.append(arrival.t, moved[arrival.zone], arrival.rate)
-    taken.take_over(before, moved)
-    assert taken.arrivals() == expected.arrivals()
-
-
-def test_an_old_version_is_gone_without_a_collector() -> None:
-    topology = replace(THREE, zones=list(THREE.zones))
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
-        held = sys.getrefcount(topology.zones)
-        predictor = Predictor(topology)
-        assert predictor.predict(EXIT).next_
-        predictor = predictor.follow(THREE)
-        after = sys.getrefcount(topology.zones)
-    finally:
-        if collecting:
-            gc.enable()
-    assert after == held
-
-
-def test_a_camera_that_is_new_in_a_version_has_not_been_silent() -> None:
-    small = replace(
-        THREE,
-        zones=[z for z in THREE.zones if z.camera != "c"],
-        links=THREE.links[:1],
-        model=replace(THREE.model, zones=[z for z in THREE.model.zones if z.zone != "c/1"]),
-    )
-    predictor = Predictor(small)
-    for k in range(60):
-        predictor.observe(Event("abd"[k % 3], "entry", 900.0, 0.5, 0.5))
-    assert chances(predictor.follow(THREE).predict(EXIT))["c/1"] == pytest.approx(0.3, abs=0.01)
-
-
 # --- anything ---
 
 NAMES = ["a/1", "a/2", "b/1", "c/1", "d/1"]
@@ -435,7 +327,7 @@ EVENTS = st.lists(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(LINKS, LINKS, st.sampled_from([[], STAY, [0.0] * 11]), EVENTS)
 def test_every_prediction_is_sound(
     links: list[Link], weak: list[Link], stay: list[float], events: list[Event]
@@ -540,33 +432,7 @@ def any_topology(rng: np.random.Generator) -> Topology:
     )
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 10**6))
-def test_odds_equal_their_slow_twin(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    topology = any_topology(rng)
-    seen = [
-        Event(
-            str(rng.choice(list("abc"))),
-            "exit" if rng.random() < 0.4 else "entry",
-            float(t),
-            float(rng.choice([0.2, 0.8])),
-            0.55,
-            str(rng.integers(0, 4)) if rng.random() < 0.8 else None,
-        )
-        for t in np.sort(rng.uniform(0, 45, int(rng.integers(0, 30))))
-    ]
-    exit_ = Event(str(rng.choice(list("abc"))), "exit", 46.0, 0.2, 0.55, str(rng.integers(0, 4)))
-    predictor = Predictor(topology)
-    for event in seen:
-        predictor.observe(event)
-    fast = predictor.predict(exit_)
-    slow = naive.predicted(topology, seen, exit_, predictor.zone_of, CONSTANTS)
-    assert fast.leave == pytest.approx(slow.pop(None))
-    assert chances(fast) == pytest.approx({topology.zones[v].id: p for v, p in slow.items()})
-
-
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_odds_asked_for_later_equal_their_slow_twin(seed: int) -> None:
     """Whether the exit has been observed or not, and for any later events."""
@@ -610,11 +476,12 @@ def test_odds_asked_for_later_equal_their_slow_twin(seed: int) -> None:
         sound(fast)
 
 
+@cache
 def a_made_up_network() -> tuple[list[Event], Truth, int, Learner]:
     """Return events, truth, the number of events learned, and the learner after one fit."""
-    events, truth = simulate(SimSettings(cameras=6, hours=1.2, seed=2))
+    events, truth = simulate(SimSettings(cameras=6, hours=0.7, seed=2))
     cut = 3 * len(events) // 4
-    learner = Learner(Settings(version_seconds=1e6))
+    learner = Learner(Settings(refit_share=1e9, refit_hours=1e9))
     for event in events[:cut]:
         learner.receive(event)
     learner.flush()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from camtopod.predict.time_windows import WINDOW, quantiles, scale_lags, unknown_share
+from camtopod.predict.time_windows import WINDOW, quantiles, unknown_share
 
 EDGES = np.array([-2.0, -0.5, 0.0, 1.0, 3.0, 7.0])
 MASSES = st.lists(st.floats(0.01, 1), min_size=5, max_size=5)
@@ -20,14 +20,6 @@ def test_quantiles_are_those_of_interpolation(masses: list[list[float]]) -> None
         assert row == pytest.approx(np.interp(np.array(WINDOW) * below[-1], below, EDGES))
 
 
-def test_quantiles_lie_in_bins_with_mass() -> None:
-    mass = np.array([[0.0, 0.0, 1.0, 0.0, 0.0], [0.5, 0.0, 0.0, 0.0, 0.5]])
-    assert quantiles(mass, EDGES).tolist() == [
-        pytest.approx([0.1, 0.5, 0.9]),
-        pytest.approx([-1.7, 3.0, 6.2]),
-    ]
-
-
 @given(st.floats(0.01, 9), st.floats(-9, 9), st.floats(-3, 3))
 def test_the_unknown_share_is_that_of_fine_steps(
     elapsed: float, remembered: float, shift: float
@@ -37,7 +29,3 @@ def test_the_unknown_share_is_that_of_fine_steps(
         reported = np.linspace(low, high, 2001) + shift
         is_unknown = (reported > elapsed) | ((reported > 0) & (reported < remembered))
         assert share == pytest.approx(is_unknown.mean(), abs=2e-3)
-
-
-def test_lags_before_the_exit_do_not_scale() -> None:
-    assert scale_lags(np.array([-2.0, 0.0, 3.0]), 2.0).tolist() == [-2.0, 0.0, 6.0]

@@ -6,9 +6,7 @@ import pytest
 from msgspec.structs import replace
 from synthetic_topology import made_link, synthetic_topology
 
-from camtopod.codec import to_msgpack
 from camtopod.records import Lacks, Topology
-from camtopod.serve.storage import head_of
 from camtopod.topology import likely_links, links_between_views, waiting_for_links
 
 SITE = synthetic_topology(12)
@@ -34,14 +32,6 @@ def test_links_are_those_between_views() -> None:
     assert waiting_for_links(SITE) == ""
 
 
-def test_a_link_back_to_the_same_view_joins_no_cameras() -> None:
-    back = made_link(A.id, A.id, 20.0, 9.0)
-    topology = replace(without_links([]), links=[back])
-    assert links_between_views(topology) == []
-    assert waiting_for_links(topology)
-    assert head_of(topology).links == head_of(to_msgpack(topology)).links == 0
-
-
 def test_the_nearest_one_is_named_with_what_it_has_and_lacks() -> None:
     topology = without_links([(3.0, 40.0, 9000.0), (4.0, 6.0, 2400.0)])
     passages = sum(zone.exits for zone in topology.zones)
@@ -56,11 +46,6 @@ def test_without_a_near_one_it_says_how_many_passages_a_link_takes(
     weak: list[tuple[float, float, float]],
 ) -> None:
     assert "A link takes about ten passages" in waiting_for_links(without_links(weak))
-
-
-def test_one_camera_has_nobody_to_be_linked_with() -> None:
-    said = waiting_for_links(without_links([], cameras=1))
-    assert f"only {A.camera} has sent events" in said
 
 
 def test_a_link_within_one_view_is_not_likely() -> None:

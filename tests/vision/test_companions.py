@@ -8,7 +8,6 @@ import pytest
 from rendered_scenes import Person, Scene, line
 
 from camtopod.arrays import Bools
-from camtopod.vision.detect.heads import find_heads
 
 
 def outline(*people: tuple[int, int], height: int = 60, width: int = 80) -> Bools:
@@ -20,20 +19,6 @@ def outline(*people: tuple[int, int], height: int = 60, width: int = 80) -> Bool
     rows, columns = mask.any(axis=1).nonzero()[0], mask.any(axis=0).nonzero()[0]
     cut: Bools = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] != 0
     return cut
-
-
-def test_one_person_has_no_heads_to_count() -> None:
-    assert find_heads(outline((30, 0))) == []
-
-
-@pytest.mark.parametrize("second_top", [0, 6])
-def test_two_people_side_by_side_have_two_heads(second_top: int) -> None:
-    heads = find_heads(outline((20, 0), (41, second_top)))
-    assert heads == [pytest.approx(9, abs=1), pytest.approx(30, abs=1)]
-
-
-def test_three_people_have_three_heads() -> None:
-    assert len(find_heads(outline((12, 2), (33, 0), (54, 3)))) == 3
 
 
 def pair(start: float, gap: float) -> list[Person]:
@@ -56,9 +41,3 @@ def test_one_who_walks_alone_stays_one() -> None:
     for tall in (0.3, 0.5):
         man = Person(line(5.0, (-0.05, 0.9), (1.05, 0.9), 8.0), tall=tall)
         assert len(Scene([man]).events(18)) == 2
-
-
-def test_no_event_is_dated_before_the_first_frame() -> None:
-    for moment in np.linspace(-1.5, 0.5, 9).tolist():
-        man = Person(line(moment, (-0.05, 0.7), (1.05, 0.7), 6.0))
-        assert all(event.t >= 0.0 for event in Scene([man]).events(9))

@@ -6,14 +6,13 @@ from collections import Counter
 from typing import get_args
 
 import pytest
-from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Scene, line
+from rendered_scenes import FPS, Person, Scene, line
 
 from camtopod.records import Event
 from camtopod.vision.analysis import Analysis
-from camtopod.vision.detect import Blob
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import Polygon, VisionSettings
-from camtopod.vision.track import Crossings, Decision, Tracker
+from camtopod.vision.track import Decision
 from camtopod.vision.track.decisions import Beginning, Ending, Shortfall
 
 CROWD = [
@@ -81,36 +80,6 @@ def test_other_edges_are_named() -> None:
     door = VisionSettings(doors=(((0.5, 0.55),),))
     _, decisions, _ = analysed(Scene([out]), 18, door)
     assert [one.edge for one in decisions if one.edge] == ["named door", "left border"]
-
-
-def test_a_learned_door_is_named() -> None:
-    walks = [Person(line(5.0 + 9 * k, (0.5, 0.55), (-0.05, 0.75), 5.0), seed=k) for k in range(5)]
-    seen: list[Analysis] = []
-    pipeline = ViewPipeline("cam", VisionSettings(), seen.append)
-    scene = Scene(walks)
-    for k in range(round(50 * FPS)):
-        pipeline.process(k / FPS, scene.picture(k / FPS))
-    decisions = [one for analysis in seen for one in analysis.decisions]
-    begun = [(one.reason, one.edge) for one in decisions if one.reason in get_args(Beginning)]
-    assert begun[0] == ("in mid-view", None)
-    assert begun[-1] == ("entered", "learned door")
-    assert seen[0].learned_doors == []
-    x, y = seen[-1].learned_doors[0]
-    assert (x / WIDTH, y / HEIGHT) == (pytest.approx(0.5, abs=0.1), pytest.approx(0.55, abs=0.1))
-
-
-@pytest.mark.parametrize(("heights", "learned"), [(1.2, False), (3.0, True)])
-def test_what_moves_in_place_makes_no_door(heights: float, learned: bool) -> None:
-    """Such as the fragments of a person who stands, or of a tree."""
-    crossings = Crossings("cam", 400, 300)
-    tracker = Tracker(VisionSettings(), crossings)
-    for k in range(round(90 * FPS)):
-        seconds = k / FPS % 30.0 - 5.0
-        left = 200.0 + 20.0 * heights * min(max(seconds / 4.0, 0.0), 1.0)
-        blob = Blob(left, 150.0, left + 8.0, 170.0, left + 4.0, 100.0)
-        blobs = [blob] if 0.0 < seconds < 6.0 else []
-        crossings.report(tracker.step(k / FPS, blobs), tracker.active)
-    assert bool(crossings.doors.learned(lambda row: 20.0)) == learned
 
 
 def test_what_never_becomes_an_object() -> None:

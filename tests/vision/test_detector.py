@@ -13,7 +13,6 @@ from rendered_scenes import HEIGHT, WIDTH, Person, Place, line
 
 from camtopod.codec import to_json
 from camtopod.records import Event
-from camtopod.vision.analysis import Analysis
 from camtopod.vision.boxes import Box
 from camtopod.vision.detect import Blob
 from camtopod.vision.detector.detector import Detector
@@ -21,7 +20,6 @@ from camtopod.vision.detector.fusion import TrackedBox, fuse
 from camtopod.vision.detector.model import Detection, Image as Picture, Model
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import DetectorSettings
-from camtopod.vision.show.overlay import Overlay, Words
 
 SIDE_BY_SIDE = (
     Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), seed=1),
@@ -178,9 +176,6 @@ def test_where_agreement_falls_motion_alone_counts_again(
     assert sum(event.t > 35 for event in events) >= 4, "people that it does not see"
 
 
-# --- without one ----------------------------------------------------------------------------------
-
-
 # --- inferences ----------------------------------------------------------------------------------------
 
 
@@ -197,14 +192,6 @@ def test_inference_runs_only_when_something_moves_and_not_too_often() -> None:
     scene.events(18, rarely)
     assert len(rarely.drawn.times) <= 24
     assert rarely.statistics()["detector_looks"] == len(rarely.drawn.times)
-
-
-def test_a_detector_that_sees_nothing_is_hardly_asked() -> None:
-    crowd = [Person(line(4.0 + k, (-0.05, 0.7), (1.05, 0.7), 8.0), seed=k) for k in range(24)]
-    scene = ColouredScene(crowd)
-    blind = drawn(scene, late=2.0)
-    scene.events(30, blind)
-    assert sum(t > 15 for t in blind.drawn.times) <= 16, "once a second"
 
 
 # --- fusion ---------------------------------------------------------------------------------------
@@ -239,12 +226,6 @@ def test_a_detection_without_motion_counts_where_something_is_tracked() -> None:
     assert one.box == box
 
 
-def test_a_detection_reaches_to_the_border_that_its_motion_touches() -> None:
-    legs = blob(0, 45, 12, 60)
-    [one] = fuse([legs], [(2.5, 21, 13, 60)], WHOLE, [], mask(legs.box))
-    assert one.box == (0, 21, 13, 60)
-
-
 def test_a_tracked_neighbour_that_is_not_detected_is_kept_by_its_motion() -> None:
     group, known = blob(50, 20, 80, 60), TrackedBox((66, 20, 80, 60), True, False)
     found = fuse([group], [(50, 20, 64, 60)], WHOLE, [known], mask(group.box))
@@ -254,26 +235,3 @@ def test_a_tracked_neighbour_that_is_not_detected_is_kept_by_its_motion() -> Non
     ]
     alone = mask((50, 20, 64, 60))
     assert len(fuse([group], [(50, 20, 64, 60)], WHOLE, [known], alone)) == 1, "nothing moves there"
-
-
-# --- pictures -------------------------------------------------------------------------------------
-
-
-def test_detections_are_drawn_and_whether_they_are_trusted() -> None:
-    scene = ColouredScene(ALONE)
-    looking = drawn(scene)
-    overlay = Overlay("cam", SETTINGS, Words("{:.1f} s".format, lambda decision: decision.reason))
-    violet = []
-
-    def observe(seen: Analysis) -> None:
-        overlay.remember(seen)
-        assert seen.detector is not None
-        if seen.detector.detections and len(violet) < 3:
-            picture = overlay.draw(seen)
-            violet.append(bool((picture == (220, 120, 220)).all(axis=2).any()))
-
-    scene.events(8, looking, pipeline=ViewPipeline("cam", SETTINGS, observe, looking))
-    assert violet == [True, True, True]
-
-
-# --- files ----------------------------------------------------------------------------------------

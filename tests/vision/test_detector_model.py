@@ -58,14 +58,6 @@ def test_a_layout_is_recognised_and_its_boxes_are_right(tmp_path: Path, layout: 
         assert_near(one.box, expected, 3.0)
 
 
-@pytest.mark.parametrize("layout", ["yolox"])
-def test_an_input_need_not_be_square(tmp_path: Path, layout: Layout) -> None:
-    model = Model(settings(write_model(tmp_path / "m.onnx", layout, (256, 160))))
-    assert model.size == (256, 160)
-    for one, expected in zip(found(model), PEOPLE, strict=True):
-        assert_near(one.box, expected, 4.0)
-
-
 def test_a_part_of_the_picture_is_looked_at_in_pixels_of_the_whole(tmp_path: Path) -> None:
     model = Model(settings(write_model(tmp_path / "m.onnx", "yolov8")))
     [one] = model.infer(picture(), (140.0, 55.0, 260.0, 175.0))
@@ -86,11 +78,6 @@ def test_a_size_that_the_file_leaves_open_is_640(tmp_path: Path) -> None:
     model = Model(settings(write_model(tmp_path / "m.onnx", "yolov8", (640, 640), open_size=True)))
     assert model.size == (640, 640)
     assert len(found(model)) == 2
-
-
-def test_a_model_with_one_class_has_people(tmp_path: Path) -> None:
-    model = Model(settings(write_model(tmp_path / "m.onnx", "yolox", classes=1)))
-    assert [one.label for one in found(model)] == ["person", "person"]
 
 
 # --- labels ---------------------------------------------------------------------------------------
@@ -117,24 +104,6 @@ def test_the_better_of_two_boxes_of_a_class_is_kept() -> None:
     scores = np.array([0.9, 0.8, 0.7, 0.6], np.float32)
     kept = layouts.nms(layouts.Found(boxes, scores, np.array([0, 0, 0, 1])))
     assert kept.scores.tolist() == pytest.approx([0.9, 0.7, 0.6])
-
-
-def test_what_is_no_number_is_no_box() -> None:
-    output = np.zeros((1, 1, 3, 7), np.float32)
-    output[0, 0, :, 1:3] = 1, 0.9
-    output[0, 0, 0, 3:] = 0.1, 0.1, 0.2, 0.5
-    output[0, 0, 1, 3:] = np.nan
-    output[0, 0, 2, 2] = np.nan
-    one = layouts.decode([output], layouts.Form("ssd", None), (100, 200), [1], 0.5)
-    assert one.boxes.tolist() == [pytest.approx([10, 20, 20, 100])]
-
-
-def test_boxes_and_scores_in_one_output_are_told_by_their_values() -> None:
-    output = np.full((1, 300, 84), 0.2, np.float32)
-    assert layouts.recognise([output], (640, 640), None).layout == "rt-detr"
-    output[..., :4] *= 640
-    with pytest.raises(layouts.LayoutError, match=r"\(1, 300, 84\).*known are yolox, "):
-        layouts.recognise([output], (640, 640), None)
 
 
 # --- files that cannot be used --------------------------------------------------------------------

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from camtopod.vision.source.ffmpeg_log import LEVEL_VARIABLE, LEVEL_WARNINGS, captured_log
+from camtopod.vision.source.ffmpeg_log import captured_log
 
 PRINTS_AS_C_DOES = """
 import ctypes, sys
@@ -45,17 +45,3 @@ def test_what_waits_in_the_buffer_of_c_is_heard_too() -> None:
     )
     assert "nothing listens" in done.stderr
     assert done.stdout == "before\ndata\n"
-
-
-def test_the_level_ends_with_the_block_and_a_user_s_own_stays(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Otherwise a process started afterwards would be silent, too."""
-    monkeypatch.delenv(LEVEL_VARIABLE, raising=False)
-    with captured_log():
-        assert os.environ[LEVEL_VARIABLE] == LEVEL_WARNINGS
-    assert LEVEL_VARIABLE not in os.environ
-
-    monkeypatch.setenv(LEVEL_VARIABLE, "56")
-    with captured_log():
-        assert os.environ[LEVEL_VARIABLE] == "56"

@@ -7,7 +7,7 @@ import pytest
 
 from camtopod.vision.source.capture import FrameSelector
 from camtopod.vision.source.frame_times import StampClock
-from camtopod.vision.source.source_url import kind_of, percent_encoded
+from camtopod.vision.source.source_url import percent_encoded
 
 
 def errors(stamps: np.ndarray, captured: np.ndarray, delays: np.ndarray) -> np.ndarray:
@@ -76,12 +76,6 @@ def test_cadence_is_the_nearest_even_one(fps: float, wanted: float, taken: float
     assert count / 20 == pytest.approx(taken, rel=0.05)
 
 
-def test_cadence_goes_on_when_the_stamps_go_back() -> None:
-    cadence = FrameSelector(7.0)
-    assert sum(cadence.wants(100.0 + k / 7) for k in range(70)) == 70
-    assert sum(cadence.wants(k / 7) for k in range(70)) == 70
-
-
 @pytest.mark.parametrize(
     ("url", "encoded"),
     [
@@ -99,17 +93,3 @@ def test_cadence_goes_on_when_the_stamps_go_back() -> None:
 )
 def test_passwords_are_percent_encoded(url: str, encoded: str) -> None:
     assert percent_encoded(url) == encoded
-
-
-@pytest.mark.parametrize(
-    ("source", "kind"),
-    [
-        ("0", "device"),
-        ("rtsp://h/s", "stream"),
-        ("http://h/s", "stream"),
-        ("film.mp4", "file"),
-        ("file:///f", "file"),
-    ],
-)
-def test_kinds_of_sources(source: str, kind: str) -> None:
-    assert kind_of(source) == kind

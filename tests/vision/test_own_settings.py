@@ -9,10 +9,9 @@ import pytest
 from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Place, Scene, line
 
 from camtopod.records import Event
-from camtopod.vision.detect.watched import ignored_share, watched_pixels
+from camtopod.vision.detect.watched import watched_pixels
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import Polygon, VisionSettings
-from camtopod.vision.track.doors import Doors
 
 
 def rectangle(left: float, top: float, right: float, bottom: float) -> Polygon:
@@ -46,19 +45,6 @@ def watched(
 # --- ignored areas --------------------------------------------------------------------------------
 
 
-def test_the_mask_is_the_polygon() -> None:
-    mask = watched_pixels([rectangle(0.25, 0.5, 0.5, 1.0)], 40, 80)
-    assert mask is not None
-    assert set(np.unique(mask)) == {0, 255}
-    rows, columns = np.nonzero(mask == 0)
-    assert (rows.min(), rows.max()) == (20, 39)
-    assert (columns.min(), columns.max()) == (20, 40)
-    assert watched_pixels([], 40, 80) is None
-    assert ignored_share([]) == 0.0
-    assert ignored_share([rectangle(0, 0, 1, 1)]) == 1.0
-    assert ignored_share([((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))]) == pytest.approx(0.5, abs=0.01)
-
-
 def test_what_happens_in_an_ignored_area_changes_nothing() -> None:
     """Neither the events nor the estimates of noise, light and shake."""
     tree = rectangle(0.0, 0.0, 0.6, 0.4)
@@ -78,19 +64,6 @@ def test_who_walks_through_an_ignored_area_is_one_passage(sense: int, seconds: f
     scene = Scene([Person(line(5.0, *ends, seconds))])
     events = scene.events(11 + seconds, VisionSettings(ignore=(TREE,)))
     assert [event.kind for event in events] == ["entry", "exit"]
-    assert events[0].track == events[1].track
-
-
-def test_who_turns_round_in_an_ignored_area_is_one_passage() -> None:
-    def where(t: float) -> Place | None:
-        into = line(5.0, (-0.05, 0.7), (0.5, 0.7), 4.0)(t)
-        return into or line(9.0, (0.5, 0.7), (-0.05, 0.75), 4.0)(t)
-
-    events = Scene([Person(where)]).events(18, VisionSettings(ignore=(TREE,)))
-    assert [(event.kind, event.x is not None and event.x < 0.1) for event in events] == [
-        ("entry", True),
-        ("exit", True),
-    ]
     assert events[0].track == events[1].track
 
 
@@ -128,16 +101,6 @@ def test_a_named_door_counts_from_the_first_time_on(door: Polygon) -> None:
     assert [event.kind for event in events] == ["entry", "exit", "entry", "exit"]
     inside = [events[0], events[3]]
     assert all((event.x or 0) == pytest.approx(0.5, abs=0.08) for event in inside)
-
-
-def test_a_point_reaches_as_far_as_the_person_is_tall_and_a_polygon_ends_where_it_ends() -> None:
-    doors = Doors(200, 100, [((0.5, 0.5),), rectangle(0.0, 0.0, 0.1, 0.1)])
-    assert doors.door_at(100.0, 50.0, 10.0)
-    assert doors.door_at(105.0, 50.0, 10.0)
-    assert not doors.door_at(107.0, 50.0, 10.0)
-    assert doors.door_at(107.0, 50.0, 20.0)
-    assert doors.door_at(19.0, 9.0, 1.0)
-    assert not doors.door_at(22.0, 9.0, 100.0)
 
 
 # --- height and sensitivity -----------------------------------------------------------------------

@@ -49,19 +49,6 @@ def test_an_entry_is_reported_soon_after_it_happened() -> None:
 
 
 @pytest.mark.parametrize(
-    ("a", "b", "sides"),
-    [
-        ((0.5, -0.01), (0.5, 1.25), ["top", "bottom"]),
-        ((0.5, 1.25), (0.5, -0.01), ["bottom", "top"]),
-        ((1.05, 0.4), (0.3, 1.25), ["right", "bottom"]),
-    ],
-)
-def test_every_border_is_an_edge(a: Place, b: Place, sides: list[str]) -> None:
-    events = Scene([Person(line(5.0, a, b, 9.0))]).events(18)
-    assert passages(events) == list(zip(["entry", "exit"], sides, strict=True))
-
-
-@pytest.mark.parametrize(
     ("a", "b"),
     [
         ((-0.1, 0.8), (1.1, 0.8)),
@@ -91,17 +78,6 @@ def test_a_quiet_scene_has_no_events_whatever_the_light_does() -> None:
     assert Scene([], noise=3.0).events(20) == []
     assert Scene([], light=lambda t: 0.75 if 8 < t < 14 else 1.0).events(20) == []
     assert Scene([], light=lambda t: 1.0 + 0.25 * np.sin(t)).events(20) == []
-
-
-def test_a_passage_under_changing_light_is_seen() -> None:
-    walker = Person(line(6.0, (-0.05, 0.7), (1.05, 0.7), 8.0))
-    events = Scene([walker], light=lambda t: 1.0 if t < 9 else 0.75).events(20)
-    assert passages(events) == [("entry", "left"), ("exit", "right")]
-
-
-def test_noise_is_filtered() -> None:
-    walker = Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0))
-    assert passages(Scene([walker], noise=9.0).events(18)) == [("entry", "left"), ("exit", "right")]
 
 
 def test_two_who_cross_are_two_passages() -> None:
@@ -191,14 +167,6 @@ def test_a_door_in_mid_view_is_admitted_once_it_was_used_again_and_again() -> No
     assert 4 <= len(entries) <= 6, "the first ones are not believed"
     assert all(side(event) == "inside" for event in entries)
     assert {event.track for event in entries} < {event.track for event in exits}
-
-
-def test_same_frames_same_events_and_numbers_live_in_the_instance() -> None:
-    people = [
-        Person(line(5.0, (-0.05, 0.6), (1.05, 0.7), 6.0)),
-        Person(line(7.0, (1.05, 0.8), (-0.05, 0.8), 6.0)),
-    ]
-    assert Scene(people).events(16) == Scene(people).events(16)
 
 
 def test_large_pictures_are_scaled_down() -> None:

@@ -45,13 +45,6 @@ def test_who_walks_through_is_not_in_it() -> None:
     assert error(picture) < 10
 
 
-def test_who_leaves_after_a_while_is_waited_for() -> None:
-    picture, seconds = settled(Scene([Person(lambda t: (0.5, 0.7) if t < 5.0 else None)]))
-    assert picture.settled
-    assert seconds > 7.0
-    assert error(picture) < 10
-
-
 def test_what_never_settles_is_given_up_with_the_best_there_is() -> None:
     rng = np.random.default_rng(1)
 

@@ -208,14 +208,6 @@ def test_a_stream_that_is_not_there_is_waited_for() -> None:
         grabber.close()
 
 
-def test_a_host_that_says_nothing_is_given_up_and_tried_again() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        grabber = grab(f"rtsp://127.0.0.1:{silent.getsockname()[1]}/s")
-        run_until(grabber.events(), lambda: grabber.statistics()["failures"] >= 1)
-        assert grabber.state == "connecting"
-        grabber.close()
-
-
 @needs_server
 def test_a_stream_has_the_events_of_the_file(film: Path, server: int) -> None:
     recorded = events_of(grab(film))

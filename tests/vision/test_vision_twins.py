@@ -7,8 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from camtopod.vision.detect import background, motion, shake, shrink
-from camtopod.vision.detect.wiener import temporal_noise
+from camtopod.vision.detect import motion, shake, shrink
 from camtopod.vision.track import kalman
 
 Picture = npt.NDArray[np.uint8]
@@ -36,54 +35,6 @@ def test_shrunk_is_the_mean_over_the_area(height: int, width: int) -> None:
     assert difference.mean() < 1.0
     if width % 320 == 0 and height * 320 % width == 0:
         assert difference.max() <= 2  # rounded once a step
-
-
-@seeds
-def test_tone_curve(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    scene = picture(rng, 180, 320)
-    model = background.Background([scene], 20.0)
-    frame = np.clip(scene * rng.uniform(0.6, 1.4) + rng.normal(0, 4, scene.shape), 0, 255).astype(
-        np.uint8
-    )
-    settled = np.where(rng.uniform(size=scene.shape) < 0.8, np.uint8(255), np.uint8(0))
-    change = frame[::4, ::4].astype(int) - scene[::4, ::4]
-    centres, medians = [], []
-    for low in range(0, 256, 16):
-        here = (scene[::4, ::4] // 16 == low // 16) & (settled[::4, ::4] != 0)
-        if here.sum() >= 24:
-            centres.append(scene[::4, ::4][here].mean())
-            medians.append(np.sort(change[here])[here.sum() // 2])
-    twin = np.interp(np.arange(256), centres, medians)
-    np.testing.assert_allclose(model._tone_shift(frame, settled), twin, atol=1e-4)
-    assert not model._tone_shift(frame, np.zeros_like(scene)).any()
-
-
-@seeds
-def test_noise(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    a, b = (picture(rng, 100, 140) for _ in range(2))
-    change = np.sort(np.abs(a[::4, ::4].astype(int) - b[::4, ::4]).ravel())
-    twin = change[: int(0.75 * len(change))].mean() / 0.5147 / np.sqrt(2)
-    assert temporal_noise(a, b) == pytest.approx(twin, rel=1e-9)
-
-
-@seeds
-def test_shift(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    large = cv2.GaussianBlur(picture(rng, 200, 340, coarse=12), (0, 0), 2)
-    x, y = int(rng.integers(-1, 2)), int(rng.integers(-1, 2))
-    scene, frame = large[10:190, 10:330], large[10 + y : 190 + y, 10 + x : 330 + x]
-    settled = np.where(rng.uniform(size=scene.shape) < 0.9, np.uint8(255), np.uint8(0))
-    rows, columns = np.mgrid[1:179:4, 1:319]
-    rows, columns = rows.ravel(), columns.ravel()
-    s = scene.astype(float)
-    off = s[rows, columns] - frame[rows, columns]
-    dx = (s[rows, columns + 1] - s[rows, columns - 1]) / 2
-    dy = (s[rows + 1, columns] - s[rows - 1, columns]) / 2
-    good = (settled[rows, columns] != 0) & (np.abs(off) < 40)
-    twin = np.linalg.lstsq(np.column_stack([dx, dy])[good], off[good])[0]
-    assert shake.shift(frame, scene, settled) == pytest.approx(tuple(twin), abs=1e-3)
 
 
 @pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (3.0, -2.0), (-6.0, 5.0)])

@@ -286,22 +286,6 @@ def test_a_phone_has_nothing_to_scroll_sideways(site: Site, shown: Browser, dark
     shown.dark(False)
 
 
-def test_it_is_live_again_after_the_daemon_is_restarted(site: Site, shown: Browser) -> None:
-    cameras = site.cameras
-    site.daemon.stop()
-    shown.wait(lambda: "Not live since" in shown.text(".banner"), "the banner")
-    assert "cannot be reached" in shown.text(".banner")
-    assert shown.text("#live").startswith("not live")
-    assert shown.count(".node") == cameras, "what was known stays"
-    site.start()
-    shown.wait(
-        lambda: shown.text(".banner") == "" and shown.text("#live").startswith("live"), "live again"
-    )
-    with site.client() as bus:
-        leave(site, bus, seq=50)
-        shown.wait(lambda: shown.count("circle.dot") > 0, "a prediction of the new daemon")
-
-
 def test_it_is_live_again_after_its_own_server_is_restarted(site: Site, browser: Browser) -> None:
     with site.client() as bus:
         with site.page(bus) as port:

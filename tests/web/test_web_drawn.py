@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import msgspec
 import pytest
 from chromium import Browser
-from page_fixture import Shown, opened
 from synthetic_topology import made_link, synthetic_topology
 
-from camtopod.records import Camera, Pair, SelfScore, Topology, Zone
+from camtopod.records import Camera, Pair, Topology, Zone
 from camtopod.web import report
 from camtopod.web.single_file import page
 
 SITE = synthetic_topology(9)
-SCORE = SelfScore(200, 1, 1.1, 0.75, 0.91, 1.6, 0.55)
 BOXES = """
 const boxes = (selector) => [...document.querySelectorAll(selector)].map((one) => one.getBoundingClientRect());
 const upon = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
@@ -143,46 +140,6 @@ def test_overlapping_views_have_no_negative_time(browser: Browser, show: Shows) 
     browser.wait(lambda: "overlap" in browser.text(".panel .links"), "the camera's list")
 
 
-def test_zones_at_the_border_of_the_picture_are_whole(browser: Browser, show: Shows) -> None:
-    corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 1.0)]
-    site = joined(("a", "b", 9.0, 9.0, 400.0))
-    zones = [
-        msgspec.structs.replace(site.zones[0], id=f"a/{k}", x=x, y=y)
-        for k, (x, y) in enumerate(corners, 1)
-    ]
-    cameras = [Camera("a", [zone.id for zone in zones]), site.cameras[1]]
-    show(msgspec.structs.replace(site, cameras=cameras, zones=[*zones, site.zones[1]]))
-    browser.go("#/camera/a")
-    browser.wait(lambda: browser.count(".scene .zone") == len(corners), "the zones")
-    outside = (
-        "const [panel] = boxes('.panel'); const frame = boxes('.scene svg')[0];"
-        "return boxes('.scene .zone text').filter((one) => one.left < frame.left || one.right > frame.right"
-        " || one.top < frame.top || one.bottom > frame.bottom).length"
-        " + boxes('.scene .zone').filter((one) => one.left < panel.left || one.right > panel.right).length"
-    )
-    assert browser.run(f"{BOXES} {outside}") == 0
-    assert (
-        browser.run("return getComputedStyle(document.querySelector('.scene svg')).overflow")
-        == "visible"
-    )
-
-
-def test_published_and_busy_edges_have_their_times_before_others(
-    browser: Browser, show: Shows
-) -> None:
-    """A wheel has more spokes than there is room for; the first by name are the least busy."""
-    spokes = [f"c{k:02d}" for k in range(60)]
-    rare, busy = spokes[:40], spokes[40:]
-    topology = joined(
-        *((one, "hub", 11.0, 11.0, 8.0) for one in rare),
-        *((one, "hub", 22.0, 22.0, 500.0) for one in busy),
-    )
-    show(topology)
-    browser.wait(lambda: len(times(browser)) > 5, "times")
-    assert times(browser).count("22 s") == len(busy)
-    assert times(browser).count("11 s") < len(rare)
-
-
 @pytest.mark.parametrize(("width", "height", "share"), [(1280, 800, 1.0), (390, 844, 0.5)])
 def test_a_dozen_cameras_have_room_for_their_times(
     browser: Browser, show: Shows, width: int, height: int, share: float
@@ -193,31 +150,6 @@ def test_a_dozen_cameras_have_room_for_their_times(
     browser.wait(lambda: len(times(browser)) >= share * len(topology.pairs), "the times")
     assert browser.count(".labels .name") == 12
     assert browser.run(CLASHES) == 0, "none upon another"
-
-
-def test_in_a_wide_font_names_and_times_are_not_upon_another(browser: Browser, show: Shows) -> None:
-    spaced = "document.documentElement.style.letterSpacing = '4px'"
-    with browser.running_first(
-        f"document.addEventListener('readystatechange', () => {{{spaced}}})"
-    ):
-        show(synthetic_topology(30))
-    assert browser.run(CLASHES) == 0
-    assert browser.count(".labels text") > 20
-
-
-def test_a_wide_map_is_turned_on_a_high_screen(browser: Browser, show: Shows) -> None:
-    show(joined(*((f"c{k}", f"c{k + 1}", 9.0, 9.0, 90.0) for k in range(5))))
-    sizes = (
-        "const all = boxes('.node circle'); const range = (side) =>"
-        " Math.max(...all.map((one) => one[side])) - Math.min(...all.map((one) => one[side]));"
-        "return [range('x'), range('y')];"
-    )
-    width, height = browser.run(f"{BOXES} {sizes}")
-    assert width > 3 * height
-    browser.size(390, 844)
-    browser.wait(lambda: browser.run(f"{BOXES} {sizes}")[1] > 3 * height + 200, "it to be turned")
-    width, height = browser.run(f"{BOXES} {sizes}")
-    assert height > 3 * width
 
 
 def test_versions_are_on_a_time_line_before_there_is_a_score_and_all_can_be_listed(
@@ -249,43 +181,3 @@ def test_versions_are_on_a_time_line_before_there_is_a_score_and_all_can_be_list
     browser.press("ENTER")
     browser.wait(lambda: browser.count(".page tbody tr") == 45, "all of them")
     assert browser.count(".page .more") == 0
-
-
-def test_versions_with_a_score_are_as_high_as_it_and_those_without_are_there(
-    browser: Browser, show: Shows
-) -> None:
-    scores = [None, None, SCORE, SCORE, msgspec.structs.replace(SCORE, top1=0.5)]
-    versions = [
-        msgspec.structs.replace(SITE, version=k, as_of=SITE.as_of + 86400.0 * k, score=score)
-        for k, score in enumerate(scores, 1)
-    ]
-    show(*versions, place="#/versions")
-
-    browser.wait(lambda: browser.count(".page .mark") == 5, "a mark each")
-    height = (
-        "return [...document.querySelectorAll('.page .mark')].map((one) => one.cy.baseVal.value)"
-    )
-    days = (
-        "return [...document.querySelectorAll('.chart .axis text')].map((one) => one.textContent)"
-    )
-    y = browser.run(height)
-    assert y[0] == y[1] > y[4] > y[2] == y[3]
-    assert browser.count(".page .mark.unscored") == 2, "not as if they had been wrong each time"
-    assert len(set(browser.run(days)) & {f"{day} Nov" for day in range(14, 22)}) == 3
-
-
-def test_an_address_of_a_link_without_its_relation_opens_the_only_one(browser: Browser) -> None:
-    shown = Shown(SITE)
-    path = next(link for link in SITE.links if link.relation == "unseen")
-    inside = next(link for link in SITE.links if link.relation == "visible")
-    with shown.serving():
-        for link in (path, inside):
-            opened(browser, shown, f"#/link/{quote(link.from_, safe='')}/{quote(link.to, safe='')}")
-            browser.wait(lambda: browser.count(".panel .chart .count") > 1, "its chart")
-            assert browser.text(".panel h2") == f"{link.from_} → {link.to}"
-        assert "drawn anew from the fitted curve" in browser.text(".panel .legend")
-        browser.go(f"#/link/{quote(path.from_, safe='')}/{quote(path.from_, safe='')}")
-        browser.wait(
-            lambda: f"No link leads from {path.from_} to" in browser.text(".panel"),
-            "that there is none",
-        )

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from synthetic_topology import BINS, SHARE, made_link, synthetic_topology
+from synthetic_topology import BINS, made_link, synthetic_topology
 
 from camtopod.records import Camera, Lacks, Link, Pair, Topology
 from camtopod.web.explanations import Explanations, why, why_pair
@@ -45,20 +45,6 @@ def test_a_links_chart_holds_all_transitions_and_the_same_samples_each_time() ->
     assert BINS.lag_min <= min(samples) <= max(samples) <= BINS.lag_max
 
 
-def test_a_link_tells_its_background_and_why_it_is_believed() -> None:
-    details = details_of(LINK)
-    assert SITE.model is not None
-    departures = next(one.departures for one in SITE.model.zones if one.zone == LINK.from_)
-    assert details["departures"] == departures
-    assert details["background"] == pytest.approx(departures * 0.002)
-    said = " ".join(details["why"])
-    assert f"Of {departures:,} objects that left at {LINK.from_}" in said
-    assert f"{SHARE:.0%}".replace("%", " %") in said
-    assert "less than one in a million would be spurious" in said
-    assert "Var(d) = 0.02" in said
-    assert "not published" not in said
-
-
 def test_the_words_follow_the_figures() -> None:
     overlapped = made_link("a/1", "b/1", -1.5, 90.0, overlapped=True)
     assert "before they leave at a/1" in " ".join(why(overlapped, False, None, None))
@@ -79,27 +65,6 @@ def test_the_words_follow_the_figures() -> None:
     )
 
 
-def test_a_weak_link_without_a_histogram_has_no_chart() -> None:
-    weak = msgspec.structs.replace(LINK, histogram=None)
-    details = details_of(weak, msgspec.structs.replace(SITE, links=[], weak_links=[weak]))
-    assert (details["weak"], details["chart"]) == (True, None)
-
-
-def test_what_is_not_there_is_none() -> None:
-    assert EXPLANATIONS.link("cam0000/1", "nowhere/1", "unseen") is None
-    assert EXPLANATIONS.camera("nowhere") is None
-    assert EXPLANATIONS.pair("cam0000", "cam0000") is None
-    assert EXPLANATIONS.pair("cam0000", "nowhere") is None
-
-
-def test_a_topology_without_a_model_is_told_without_background() -> None:
-    bare = msgspec.structs.replace(SITE, model=None)
-    assert (details_of(LINK, bare)["background"], details_of(LINK, bare)["chart"]) == (None, None)
-    camera = Explanations(bare).camera("cam0001")
-    assert camera is not None
-    assert camera["zones"][0]["arrival_rate"] is None
-
-
 # --- a camera, a pair
 
 
@@ -118,19 +83,6 @@ def test_a_camera_has_its_zones_links_and_alarms_and_no_others() -> None:
     other = EXPLANATIONS.camera("cam0001")
     assert other is not None
     assert other["alarms"] == []
-
-
-def test_a_pair_has_the_links_of_both_ways() -> None:
-    pair = SITE.pairs[0]
-    details = EXPLANATIONS.pair(*pair.cameras[::-1])
-    assert details is not None
-    assert (details["cameras"], details["relation"]) == (list(pair.cameras), pair.relation)
-    assert {
-        (link["from"].split("/")[0], link["to"].split("/")[0]) for link in details["links"]
-    } == {
-        pair.cameras,
-        pair.cameras[::-1],
-    }
 
 
 def test_a_pair_says_what_its_two_tests_say() -> None:

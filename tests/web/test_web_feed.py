@@ -19,7 +19,7 @@ from camtopod.records import Event, InView, Look, NextCamera, Prediction
 from camtopod.serve.bus.session import Bus
 from camtopod.web import feed, outbox
 from camtopod.web.feed import Feed
-from camtopod.web.outbox import BYTES_MAX, MESSAGES_MAX, PASSING_MAX, RESYNC, PageQueue, PageQueues
+from camtopod.web.outbox import MESSAGES_MAX, PASSING_MAX, RESYNC, PageQueue, PageQueues
 
 SITE = synthetic_topology(12)
 NAMES = [camera.id for camera in SITE.cameras]
@@ -156,17 +156,6 @@ def test_it_says_since_when_and_why_it_is_not_live(rig: Rig) -> None:
     assert silent["since"] == away["since"] == 1001.0, "the reason is another, the silence the same"
 
 
-def test_a_page_that_has_just_begun_does_not_blame_a_daemon_it_has_given_no_time(rig: Rig) -> None:
-    rig.bus.publish("status/a", RUNNING)
-    rig.wait_for("health", 1)
-    assert rig.pages.of("live") == []
-
-    rig.now += SILENT_SECONDS
-    live = rig.wait_for("live", 1)
-    assert (live["live"], live["since"]) == (False, 1000.0)
-    assert live["reason"] == "no daemon has published its status yet"
-
-
 def test_a_daemon_that_is_behind_is_told_in_whole_percent(rig: Rig) -> None:
     told = []
     for count, share in ((1, 0.631), (2, 0.7)):
@@ -285,45 +274,6 @@ def test_a_page_that_lags_gets_less_and_then_starts_anew() -> None:
     assert taken is not None
     assert taken.startswith(RESYNC)
     assert taken.count(b"must.") < MESSAGES_MAX
-
-
-def test_versions_of_a_large_site_do_not_heap_up_for_a_page_that_lags() -> None:
-    async def lag() -> list[bytes]:
-        queue = PageQueue(None)
-        for _ in range(5):
-            queue.put(bytes(BYTES_MAX // 3), passing=False)
-        lagging = await queue.take(1)
-        queue.put(bytes(2 * BYTES_MAX), passing=False)
-        return [lagging or b"", await queue.take(1) or b""]
-
-    lagging, alone = asyncio.run(lag())
-    assert lagging.startswith(RESYNC)
-    assert len(lagging) <= BYTES_MAX
-    assert len(alone) == 2 * BYTES_MAX
-
-
-def test_messages_come_in_order_from_any_thread_to_those_they_are_for() -> None:
-    async def listen() -> list[bytes | None]:
-        queues = PageQueues()
-        plain, watching = (cast(PageQueue, queues.open(camera)) for camera in (None, "a"))
-        empty = await plain.take(0.01)
-
-        def tell() -> None:
-            queues.send("map", b"1")
-            queues.send("event", b"2", camera="a", passing=True)
-
-        threading.Thread(target=tell).start()
-        taken = b""
-        while b"data: 2" not in taken:
-            taken += await watching.take(5) or b""
-        first = await plain.take(5)
-        queues.close()
-        return [empty, first, taken, await plain.take(5)]
-
-    empty, first, taken, end = asyncio.run(listen())
-    assert (empty, end) == (b"", None)
-    assert first == b"event: map\ndata: 1\n\n"
-    assert taken == b"event: map\ndata: 1\n\nevent: event\ndata: 2\n\n"
 
 
 def test_so_many_pages_and_no_more() -> None:

@@ -76,18 +76,6 @@ def test_cameras_with_a_picture_are_shown_by_it(browser: Browser, tmp_path: Path
     assert browser.complaints() == []
 
 
-def test_while_the_learner_is_behind_it_does_not_say_that_it_is_live(browser: Browser) -> None:
-    shown = Shown(SITE)
-    with shown.serving():
-        opened(browser, shown)
-        behind = {"seconds": 2640.0, "share": 0.634}
-        shown.bus.publish("status/daemon", {"state": "running", "catching_up": behind})
-        browser.wait(lambda: browser.text("#live") == "catching up, 63 % · version 1", "how far")
-        assert browser.text(".banner") == ""
-        shown.status()
-        browser.wait(lambda: browser.text("#live") == "live · version 1", "that it has caught up")
-
-
 def test_who_comes_back_is_not_in_the_list_and_is_told_at_the_camera(browser: Browser) -> None:
     shown = Shown(SITE)
 

@@ -48,15 +48,6 @@ PLACES = (
 )
 
 
-SLOW_FETCH = """
-const quick = window.fetch.bind(window);
-window.fetch = async (...asked) => {
-  await new Promise((done) => setTimeout(done, 500));
-  return quick(...asked);
-};
-"""
-
-
 def newer(version: int, **changed: Any) -> Topology:
     return msgspec.structs.replace(SITE, version=version, **changed)
 
@@ -65,32 +56,6 @@ def place_of(link: Link) -> str:
     return "#/link/" + "/".join(
         quote(part, safe="") for part in (link.from_, link.to, link.relation)
     )
-
-
-def test_a_camera_that_is_learned_while_its_page_is_open_is_shown(browser: Browser) -> None:
-    shown = Shown(BARE)
-    with shown.serving():
-        opened(browser, shown, f"#/camera/{FIRST}")
-        browser.wait(
-            lambda: "is not in the newest version" in browser.text(".panel"), "that it is not known"
-        )
-        shown.publish(newer(2))
-        browser.wait(lambda: browser.count(".panel .zone") > 0, "its zones")
-        assert browser.text(".panel .kind") == "Camera"
-
-
-def test_the_map_is_fetched_once_when_the_page_is_opened(browser: Browser) -> None:
-    def fetched() -> int:
-        return sum(url.endswith("/data/map") for url in browser.asked())
-
-    shown = Shown(SITE)
-    with shown.serving(), browser.running_first(SLOW_FETCH):
-        before = fetched()
-        opened(browser, shown)
-        browser.wait(lambda: "version 1" in browser.text("#live"), "the map")
-        shown.publish(newer(2))
-        browser.wait(lambda: "version 2" in browser.text("#live"), "the change")
-        assert fetched() == before + 1
 
 
 def test_a_cameras_page_follows_the_versions_and_keeps_its_events(browser: Browser) -> None:
@@ -139,24 +104,6 @@ def test_who_uses_keys_stays_where_they_are(browser: Browser) -> None:
         assert browser.run(focused) == before
 
 
-def test_what_a_figure_means_is_told_to_keys_and_fingers_too(browser: Browser) -> None:
-    meaning = "False discovery rate"
-    shown = Shown(SITE)
-    with shown.serving():
-        opened(browser, shown, place_of(PATH))
-        browser.wait(lambda: "q value" in browser.text(".panel .figures"), "the figures")
-        assert meaning not in browser.text(".panel .figures")
-        summaries = "[...document.querySelectorAll('.figures summary')]"
-        browser.run(f"{summaries}.find((one) => one.textContent === 'q value').focus()")
-        browser.press("ENTER")
-        browser.wait(lambda: meaning in browser.text(".panel .figures"), "what it means")
-        links = [msgspec.structs.replace(link, probability=0.11) for link in SITE.links]
-        shown.publish(newer(2, links=links))
-        browser.wait(lambda: "11 %" in browser.text(".panel .lead"), "the newer share")
-        assert meaning in browser.text(".panel .figures")
-        assert browser.run("return document.activeElement.textContent") == "q value"
-
-
 def test_cameras_that_need_attention_are_marked_on_a_map_that_comes_later(browser: Browser) -> None:
     shown = Shown()
     with shown.serving():
@@ -176,32 +123,6 @@ def test_cameras_that_need_attention_are_marked_on_a_map_that_comes_later(browse
         )
 
 
-def test_when_a_camera_was_heard_is_as_of_now(browser: Browser) -> None:
-    shown = Shown(SITE)
-    with shown.serving():
-        shown.status(**{FIRST: {"events": 1, "newest": time.time() - 7200}})
-        shown.bus.publish(f"status/{FIRST}", {"state": "running", "reason": ""})
-        browser.open(shown.address)
-        browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
-        shown.status(**{FIRST: {"events": 2, "newest": time.time() - 1200}})
-        browser.go(f"#/camera/{FIRST}")
-        browser.wait(
-            lambda: "last event 20 min ago" in browser.text(".panel .status"),
-            "what the daemon knows now",
-        )
-        browser.wait(lambda: bool(shown.bus.subscribed.get(f"event/{FIRST}")), "the page to watch")
-        shown.bus.publish(f"event/{FIRST}", Event(FIRST, "exit", time.time(), 0.5, 0.5))
-        browser.wait(lambda: seconds_ago(browser) is not None, "the event to count")
-        first = seconds_ago(browser) or 0
-        browser.wait(lambda: (seconds_ago(browser) or 0) > first, "its age to grow")
-
-
-def seconds_ago(browser: Browser) -> int | None:
-    """Return how long ago a camera was last received, by its page; None for minutes or nothing."""
-    found = re.search(r"last event (?:now|(\d+) s ago)", browser.text(".panel .status"))
-    return None if found is None else int(found[1] or 0)
-
-
 @pytest.mark.parametrize(
     "topology", [BARE, newer(1, model=None, alarms=None, score=None), newer(1, links=[])]
 )
@@ -216,16 +137,6 @@ def test_nothing_that_is_missing_breaks_it(browser: Browser, topology: Topology)
     assert [
         text for text in browser.complaints() if "404" not in text and "REFUSED" not in text
     ] == []
-
-
-def test_a_passage_that_is_seen_has_no_figures_of_what_is_inferred(browser: Browser) -> None:
-    shown = Shown(SITE)
-    with shown.serving():
-        opened(browser, shown, place_of(VISIBLE))
-        browser.wait(lambda: "Within one view" in browser.text(".panel"), "the passage")
-        assert "Median" in browser.text(".panel .figures")
-        for inferred in ("Departures", "q value", "Var(d)", "Background"):
-            assert inferred not in browser.text(".panel .figures"), inferred
 
 
 def test_a_report_of_a_recording_counts_its_seconds(browser: Browser, tmp_path: Path) -> None:

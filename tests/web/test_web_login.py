@@ -116,13 +116,6 @@ def test_a_wrong_password_opens_nothing(client: Client, wrong: str) -> None:
     assert login.WRONG in answer.text
 
 
-@pytest.mark.parametrize("body", ["", "user=me", "password", "p" * (login.FORM_BYTES_MAX + 1)])
-def test_a_form_without_a_password_is_a_wrong_one(client: Client, body: str) -> None:
-    answer = client.ask("/login", "POST", body)
-    assert answer.status in (403, 413)
-    assert "set-cookie" not in answer.headers
-
-
 def test_guesses_are_limited_even_the_right_one(client: Client) -> None:
     for _ in range(login.TRIES_PER_MINUTE_MAX):
         assert client.log_in("wrong").status == 403

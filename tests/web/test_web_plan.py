@@ -58,14 +58,6 @@ def test_cameras_stand_where_they_are_on_the_plan_on_every_screen(
     assert browser.complaints() == []
 
 
-def test_without_its_picture_the_map_is_as_without_a_plan(browser: Browser, tmp_path: Path) -> None:
-    shown = Shown(SITE, configured=Configured({}, tmp_path / "gone.png", AT))
-    with shown.serving():
-        opened(browser, shown)
-        browser.wait(lambda: browser.count(".node") == len(NAMES), "the map")
-        assert browser.count(".plan") == 0
-
-
 # --- the configuration
 
 
@@ -93,8 +85,3 @@ def test_the_plan_is_beside_the_configuration_and_places_need_it(tmp_path: Path)
 def test_a_wrong_place_or_address_is_a_mistake(line: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         parse(f'[cameras.a]\nsource = "1"\n{line}\n')
-
-
-def test_a_token_needs_a_password() -> None:
-    with pytest.raises(ConfigError, match="password_file is missing"):
-        parse('[web]\ntoken_file = "t"\n')
