@@ -16,7 +16,8 @@ from rendered_scenes import HEIGHT, WIDTH, Person, Scene, line
 from camtopod.codec import event_from_json
 from camtopod.records import Event
 
-SCALE, FPS = 3, 10.0
+SCALE = 2
+FPS = 10.0
 LONGEST_LINES = 10
 """What a tracker needs to plug in, without imports; a line of comment counts, an empty one does
 not.
