@@ -58,12 +58,13 @@ class IntakeBench:
         directory: Path,
         limits: Limits | None = None,
         wall: float = START,
+        now: float = 1_000.0,
         settled: bool = True,
     ) -> None:
         self.directory = directory
         self.limits = limits or Limits(commit_seconds=0.0)
         self.wall = wall
-        self.now = 1_000.0
+        self.now = now
         self.learned: list[Received] = []
         self.predicted: list[Received] = []
         self.start(settled)
