@@ -293,7 +293,7 @@ class Daemon:
             },
             rejects=dict(intake.rejects.counts),
             reject_samples=intake.rejects.samples(),
-            dropped=dict(intake.dropped),
+            dropped=dict(intake.inbox.dropped),
             learner=learning.statistics,
             catching_up=learning.catching_up(min(self._clock(), newest)),
             predictions=self._live.counts["predictions"],
@@ -421,9 +421,9 @@ class Daemon:
         bus.answer_queries("admin/*", self._administer, "done")
         bus.answer_queries("predict/*", self._live.answer, "prediction")
         bus.answer_queries(STATUS, lambda key, parameters: self.status(), "status")
-        bus.subscribe("event/*", self._intake.on_event)
+        bus.subscribe("event/*", self._intake.inbox.on_event)
         bus.watch_alive("grabber", self._on_alive)
-        bus.answer_requests("store/*", self._intake.on_request)
+        bus.answer_requests("store/*", self._intake.inbox.on_request)
         self._rivals.appear()
 
     def _name(self) -> str:

@@ -24,7 +24,8 @@ from bench.support.site import resident
 from camtopod.codec import to_msgpack
 from camtopod.config import Limits
 from camtopod.records import Event
-from camtopod.serve.ingest.intake import EVENTS_MAX, PUBLISHED_MAX
+from camtopod.serve.ingest.inbox import PUBLISHED_MAX
+from camtopod.serve.ingest.intake import EVENTS_MAX
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
 
@@ -232,10 +233,10 @@ def quiet_events_lost(bench: IntakeBench) -> int:
     """Return the number of quiet cameras' events lost beside a flood, before the daemon looks."""
     before = bench.intake.counts["stored"]
     for number in range(PUBLISHED_MAX + 500):
-        bench.intake.on_event("event/wild", b"%d" % number)
+        bench.intake.inbox.on_event("event/wild", b"%d" % number)
     for camera in QUIET:
         bench.publish(camera)
-    assert bench.intake.dropped.total() >= 500
+    assert bench.intake.inbox.dropped.total() >= 500
     return before + len(QUIET) - bench.intake.counts["stored"]
 
 
@@ -256,15 +257,17 @@ def test_a_flood_does_not_fill_the_daemon_while_its_disk_hangs(tmp_path: Path) -
         bench.publish(camera)
     for seq in range(1, EVENTS_MAX + 10_000):
         event = Event("wild", "entry", bench.wall, boot="b", seq=seq)
-        bench.intake.on_event("event/wild", to_msgpack(event))
+        bench.intake.inbox.on_event("event/wild", to_msgpack(event))
         if seq % PUBLISHED_MAX == 0:
             bench.intake.step()
 
     for camera in QUIET:
-        bench.intake.on_event(f"event/{camera}", to_msgpack(Event(camera, "exit", bench.wall)))
+        bench.intake.inbox.on_event(
+            f"event/{camera}", to_msgpack(Event(camera, "exit", bench.wall))
+        )
     bench.work()
 
     counts = Counter(name for _, name, _ in bench.stored)
     assert [counts[name] for name in QUIET] == [2] * len(QUIET)
-    assert bench.intake.dropped["wild"] > EVENTS_MAX // 2
+    assert bench.intake.inbox.dropped["wild"] > EVENTS_MAX // 2
     bench.stop()

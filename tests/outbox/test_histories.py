@@ -19,7 +19,7 @@ from camtopod.serve.storage import Journal
 from camtopod.serve.storage.journal import highest_numbers
 
 QUICK_HISTORIES = 12
-MARK_LOST = ("flapping", "older spool")
+MARK_LOST = ("flapping", "new boot", "older spool")
 """Faults that may set back the mark of a spool. Where the journal has lost its number, too, and all
 entries of the boot are deleted, nobody knows any more how far it was stored.
 """
@@ -109,7 +109,7 @@ class RealDaemon:
         if self.world.now < self.world.until["busy"]:
             reply(Answer({}, 1, "busy"))
             return
-        self.bench.intake.on_request(
+        self.bench.intake.inbox.on_request(
             f"store/{CAMERA}",
             payload,
             lambda content: reply(msgspec.msgpack.decode(content, type=Answer)),

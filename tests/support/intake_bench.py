@@ -121,7 +121,7 @@ class IntakeBench:
         """Send a request, and let the daemon work."""
         sent = Request()
         content = request if isinstance(request, bytes) else codec.to_msgpack(request)
-        self.intake.on_request(f"store/{camera}", content, sent.reply)
+        self.intake.inbox.on_request(f"store/{camera}", content, sent.reply)
         self.work()
         return sent
 
@@ -146,7 +146,7 @@ class IntakeBench:
     def publish(self, camera: str, **fields: object) -> None:
         """Publish an event at the present, and let the daemon work."""
         event = {"camera": camera, "kind": "entry", "t": self.wall, **fields}
-        self.intake.on_event(f"event/{camera}", codec.to_msgpack(event))
+        self.intake.inbox.on_event(f"event/{camera}", codec.to_msgpack(event))
         self.work()
 
     @property

@@ -31,6 +31,7 @@ from camtopod.serve.ingest import decode
 from camtopod.serve.ingest.answers import Answers
 from camtopod.serve.ingest.cameras import Cameras, Pending
 from camtopod.serve.ingest.event_clock import EventClock
+from camtopod.serve.ingest.inbox import PUBLISHED_MAX, Inbox, Reply
 from camtopod.serve.ingest.merge import Merger
 from camtopod.serve.ingest.names import Names
 from camtopod.serve.ingest.numbers import Numbers
@@ -42,11 +43,6 @@ from camtopod.serve.storage import NAMES_KEY, Entry, JournalWriter
 
 EVENTS_MAX = 50_000
 """Most events in memory, received and not yet stored; further requests are answered ``busy``."""
-PUBLISHED_MAX = 1_000
-"""Most publications of one camera that wait, to be decoded or to be released.
-
-Further ones are dropped and counted.
-"""
 PREDICT_SECONDS_MAX = 0.25
 """Longest time for the predictions of one step; the exits after that get none."""
 PREDICT_SECONDS_BUSY = 0.002
@@ -56,12 +52,9 @@ BUSY_EVENTS = 1_000
 TICK_SECONDS = 0.05
 """Longest wait of a thread for something to do."""
 
-Reply = Callable[[bytes], None]
-"""Sends the answer to a request."""
-
 
 class Intake:
-    """Takes events into the journal. `on_request` and `on_event` may be called from any thread.
+    """Takes events into the journal; the bus delivers to its ``inbox``.
 
     Run `work` and `store`, each in a thread; or call `step` and `store_waiting`.
 
@@ -103,40 +96,16 @@ class Intake:
         """Cameras whose grabber is on the bus."""
         self.rejects = Rejects()
         self.counts = Counter(received=0, stored=0, duplicate=0, future=0, flood=0, late=0)
-        self.dropped: Counter[str] = Counter()
-        """Number of publications dropped for lack of room, by camera; "": of unknown ones."""
+        self.inbox = Inbox(cameras)
         self.turn = threading.Lock()
         """Held by `step`, and by an operator's command between two steps."""
         self.queue = StoreQueue()
         self._answers = Answers(numbers, cameras, self._room, self.alive, steady)
-        self._inbox: list[tuple[str, bytes, Reply | None]] = []  # not looked at yet
-        self._published: Counter[str] = Counter()  # publications among them, by camera
-        self._received = threading.Condition()
-
-    def on_request(self, key: str, content: bytes, reply: Reply) -> None:
-        """Receive a request on ``store/{camera}``; never blocks."""
-        with self._received:
-            self._inbox.append((key.removeprefix("store/"), content, reply))
-            self._received.notify()
-
-    def on_event(self, key: str, content: bytes) -> None:
-        """Receive a publication on ``event/{camera}``; dropped if its camera has too many."""
-        camera = key.removeprefix("event/")
-        with self._received:
-            known = camera if camera in self.cameras else ""  # invented names share one room
-            self._published[known] += 1
-            if self._published[known] > PUBLISHED_MAX:
-                self.dropped[known] += 1
-                return
-            self._inbox.append((camera, content[: codec.EVENT_BYTES_MAX + 1], None))
-            self._received.notify()
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Move what is received on until ``stopping``, and once more at the end."""
         while not stopping.is_set():
-            with self._received:
-                if not self._inbox:
-                    self._received.wait(TICK_SECONDS)
+            self.inbox.wait(TICK_SECONDS)
             self.step()
             beat()
         self.step()
@@ -156,10 +125,7 @@ class Intake:
                 self._rewind(wall)
 
             # 1. Take requests and publications.
-            with self._received:
-                inbox, self._inbox = self._inbox, []
-                self._published.clear()
-            for camera, content, reply in inbox:
+            for camera, content, reply in self.inbox.take():
                 if reply is None:
                     self._take_published(camera, content, wall, now)
                 else:
@@ -275,7 +241,7 @@ class Intake:
             if self._room() < 1:
                 raise codec.Rejected("busy", "too many events wait to be stored")
             if len(camera.waiting) >= PUBLISHED_MAX:
-                self.dropped[name] += 1
+                self.inbox.dropped[name] += 1
                 return
         except codec.Rejected as error:
             self.counts["received"] += 1

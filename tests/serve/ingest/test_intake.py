@@ -257,7 +257,7 @@ def test_a_held_batch_is_answered_after_a_minute_and_stored_once(bench: IntakeBe
     bench.hello()
     batch = Batch("h1", "b1", 0, [(1, event_bytes("a", bench.wall))])
     sent = Request()
-    bench.intake.on_request("store/a", codec.to_msgpack(batch), sent.reply)
+    bench.intake.inbox.on_request("store/a", codec.to_msgpack(batch), sent.reply)
     bench.intake.step()  # and the disk does not answer
     bench.wall += 61.0
     bench.now += 61.0
@@ -441,7 +441,7 @@ def test_a_thousand_cameras_come_back_at_once(bench: IntakeBench) -> None:
                 more = len(backlog) - after - len(events)
                 under_way[name] = Request()
                 content = codec.to_msgpack(Batch("h1", "b1", after, events, more))
-                bench.intake.on_request(f"store/{name}", content, under_way[name].reply)
+                bench.intake.inbox.on_request(f"store/{name}", content, under_way[name].reply)
         bench.tick(0.5)
         for name, sent in list(under_way.items()):
             if sent.answer is not None:
