@@ -14,13 +14,20 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
-import msgspec
+from msgspec.structs import replace
 
 from camtopod.cli import exits, implicit_config
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.config import DEFAULT_ENDPOINT, is_endpoint, secret_files, settings
+from camtopod.config import (
+    DEFAULT_ENDPOINT,
+    RESERVED,
+    Config,
+    is_endpoint,
+    secret_files,
+    settings,
+)
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
 from camtopod.serve.runtime import Progress, systemd
@@ -32,43 +39,18 @@ _PARENT_LOOK_SECONDS = 0.5
 """Interval at which `ends_within` checks that its parent process still exists."""
 
 
-def configuration_and_text(args: argparse.Namespace) -> tuple[settings.Config, bytes]:
-    """Return the configuration and the content of its file. Raises `CommandError`."""
-    try:
-        raw = b"" if args.config is None else args.config.read_bytes()
-    except OSError as error:
-        raise InputError(_unreadable(args, error)) from None
-    return configuration(args, raw), raw
+def configuration(args: argparse.Namespace) -> Config:
+    """Return the configuration with ``--site``, ``--connect``, ``--state`` applied.
 
-
-def configuration(args: argparse.Namespace, raw: bytes | None = None) -> settings.Config:
-    """Return the configuration with ``--site``, ``--connect``, ``--state`` applied. Raises
-    `CommandError`.
-
-    raw: content of the file if it has been read already. A process that was started with
-    ``--config-fd`` reads it from that descriptor, which its supervisor passes on.
+    Raises `CommandError`.
     """
-    # Read the file, the supervisor's copy of it, or nothing (defaults).
-    above = getattr(args, "config_fd", None)
-    if raw is None and above is not None:
-        raw = Path(f"/proc/self/fd/{above}").read_bytes()
-    loaded = settings.Config()
+    loaded = Config()
     if args.config is not None:
-        try:
-            loaded = settings.load(args.config, raw)
-        except settings.ConfigError as error:
-            if not implicit_config.may_skip(args):
-                raise CommandError(
-                    f"the configuration has mistakes{_found(args)}:\n{error}", exits.CONFIG
-                ) from None
-            _skip(args, f"has mistakes (`camtopod check {args.config}` lists them)")
-        except OSError as error:
-            if not implicit_config.may_skip(args):
-                raise InputError(_unreadable(args, error)) from None
-            _skip(args, f"cannot be read ({error.strerror})")
+        loaded = _loaded(args)
     if args.config is not None:
-        _name_once(args)
-        if above is None:  # otherwise the supervisor warns, once for all cameras
+        if getattr(args, "config_found", False):
+            _say(args, logging.INFO, f"configuration: {implicit_config.shown(args.config)}")
+        if getattr(args, "beat_fd", None) is None:  # otherwise the supervisor warns
             for sentence in secret_files.find_exposed(loaded.secrets(args.config)):
                 log.warning("%s", sentence)
 
@@ -85,30 +67,26 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> setting
     return loaded
 
 
-def _unreadable(args: argparse.Namespace, error: OSError) -> str:
-    return f"cannot read {args.config}: {error.strerror}{_found(args)}"
+def _loaded(args: argparse.Namespace) -> Config:
+    """Return the content of the configuration file.
 
-
-def _found(args: argparse.Namespace) -> str:
-    """Return a note that the file was found, not given with --config; "" if it was given."""
-    if not getattr(args, "config_found", False):
-        return ""
-    return f" ({implicit_config.shown(args.config)} is read as there is no --config; none: no file)"
-
-
-def _skip(args: argparse.Namespace, why: str) -> None:
-    """Warn about the configuration that was found, and continue without it."""
+    Without --config a file that cannot be used is left out with a warning, unless the command needs
+    it. Raises `CommandError`.
+    """
+    try:
+        return settings.load(args.config)
+    except settings.ConfigError as error:
+        why = f"has mistakes (`camtopod check {args.config}` lists them)"
+        failure = CommandError(f"the configuration has mistakes:\n{error}", exits.CONFIG)
+    except OSError as error:
+        why = f"cannot be read ({error.strerror})"
+        failure = InputError(f"cannot read {args.config}: {error.strerror}")
+    if not implicit_config.may_skip(args):
+        raise failure
     where = implicit_config.shown(args.config)
     _say(args, logging.WARNING, f"{where} {why}: it is not used, every setting has its default")
     args.config = None
-    args.config_found = False
-
-
-def _name_once(args: argparse.Namespace) -> None:
-    """Log the path of the configuration that was found, the first time that it is read."""
-    if getattr(args, "config_found", False) and not getattr(args, "config_named", False):
-        args.config_named = True
-        _say(args, logging.INFO, f"configuration: {implicit_config.shown(args.config)}")
+    return Config()
 
 
 def _say(args: argparse.Namespace, level: int, message: str) -> None:
@@ -119,23 +97,11 @@ def _say(args: argparse.Namespace, level: int, message: str) -> None:
         print(visible(f"camtopod: {redact(message)}"), file=sys.stderr)
 
 
-def configuration_text(args: argparse.Namespace) -> str:
-    """Return the content of the configuration file, as `configuration` reads it; "" if none."""
-    above = getattr(args, "config_fd", None)
-    if above is not None:
-        return Path(f"/proc/self/fd/{above}").read_text(encoding="utf-8")
-    return "" if args.config is None else str(args.config.read_text(encoding="utf-8"))
-
-
-def with_options(args: argparse.Namespace, loaded: settings.Config) -> settings.Config:
+def with_options(args: argparse.Namespace, loaded: Config) -> Config:
     """Apply ``--site``, ``--connect`` and ``--state`` to ``loaded``. Raises `CommandError`."""
     if args.site is not None:
-        if not re.match(CAMERA_PATTERN, args.site):
-            raise CommandError(
-                f"--site {args.site!r}: use 1 to 64 of the characters A-Z a-z 0-9 _ . -",
-                exits.USAGE,
-            )
-        loaded = msgspec.structs.replace(loaded, site=settings.SiteSettings(args.site))
+        check_name("--site", args.site)
+        loaded = replace(loaded, site=settings.SiteSettings(args.site))
     if args.connect:
         for endpoint in args.connect:
             if not is_endpoint(endpoint):
@@ -146,11 +112,55 @@ def with_options(args: argparse.Namespace, loaded: settings.Config) -> settings.
                 raise CommandError(
                     f"--connect {endpoint!r}: write tls/..., as [bus.tls] is set", exits.USAGE
                 )
-        bus = msgspec.structs.replace(loaded.bus, connect=tuple(args.connect), listen=())
-        loaded = msgspec.structs.replace(loaded, bus=bus)
+        loaded = replace(loaded, bus=replace(loaded.bus, connect=tuple(args.connect), listen=()))
     if getattr(args, "state", None):
-        loaded = msgspec.structs.replace(loaded, state=settings.StateSettings(args.state))
+        loaded = replace(loaded, state=settings.StateSettings(args.state))
     return loaded
+
+
+def check_name(option: str, name: str) -> None:
+    """Raise `CommandError` for a name that cannot be part of a key on the bus."""
+    if not re.match(CAMERA_PATTERN, name):
+        raise CommandError(
+            f"{option} {name!r}: use 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
+        )
+
+
+def check_camera(name: str) -> None:
+    """Raise `CommandError` for a value of --camera that is no camera's id."""
+    check_name("--camera", name)
+    if name in RESERVED:
+        raise CommandError(
+            f"--camera {name}: this name is reserved on the bus, use another", exits.USAGE
+        )
+
+
+@contextlib.contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """Turn an OSError of the block, which writes ``path``, into a `CommandError`."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        if error.errno is None:  # of camtopod itself
+            raise
+        where = error.filename or path
+        raise CommandError(f"cannot write {where}: {error.strerror}") from None
+
+
+@contextlib.contextmanager
+def open_output(path: str) -> Iterator[BinaryIO]:
+    """Open a file for writing bytes; ``-`` is standard output, which is flushed and left open.
+
+    Raises `CommandError`.
+    """
+    if path == "-":
+        yield sys.stdout.buffer
+        sys.stdout.buffer.flush()
+        return
+    with writing(path), open(path, "wb") as file:
+        yield file
 
 
 class _Formatter(logging.Formatter):

@@ -112,6 +112,8 @@ With another number of threads the same events give results that differ in the l
 """
 _KEEP_ON = ("run", "grab")
 """Commands that reload their configuration on SIGHUP and never end by it."""
+_STATUS_OF_ERROR = {"SourceError": exits.INPUT, "BusError": exits.BUS, "StateError": exits.STATE}
+"""Class of an OSError of camtopod -> exit status; the classes' own modules take long to import."""
 _WITH_VALUE = (
     "--config",
     "--site",
@@ -344,8 +346,7 @@ def _os_error(error: OSError) -> tuple[str, int]:
     """
     if error.filename is not None:
         return f"cannot read {error.filename}: {error.strerror}", exits.INPUT
-    status = exits.INPUT if type(error).__module__.startswith("camtopod.vision") else exits.FAILED
-    return str(error), status
+    return str(error), _STATUS_OF_ERROR.get(type(error).__name__, exits.FAILED)
 
 
 def _fail(message: str, status: int, form: str) -> int:

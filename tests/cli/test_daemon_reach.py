@@ -87,7 +87,7 @@ def test_a_second_one_says_so_once_and_ends(tmp_path: Path, started: list[Grabbe
     assert second.process.wait(WAIT_SECONDS) == 74
     (line,) = second.log
     assert "spools-of-site/hall.lock is held by another camtopod process" in line
-    assert line.startswith("camtopod: hall, lobby, yard: ")
+    assert line.startswith("camtopod: hall: ")
     assert first.said("(restart ") == []
     one = Grabber(tmp_path, endpoint, "--camera", "lobby", log="one")
     assert one.process.wait(WAIT_SECONDS) == 74

@@ -152,7 +152,7 @@ def test_probe_looks_once_and_prints_layout_milliseconds_and_boxes(
 def test_grab_uses_the_detector_of_the_camera(
     tmp_path: Path, film: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from camtopod.vision import detector as package
+    from camtopod.vision.detector import model as package
 
     loaded = []
 
@@ -161,7 +161,7 @@ def test_grab_uses_the_detector_of_the_camera(
             loaded.append(settings)
             super().__init__(settings)
 
-    monkeypatch.setattr(package, "Model", Noted, raising=False)
+    monkeypatch.setattr(package, "Model", Noted)
     write_model(tmp_path / "person.onnx", "yolox")
     path = write(
         tmp_path,

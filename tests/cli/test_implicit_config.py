@@ -82,4 +82,4 @@ def test_one_that_cannot_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[s
     site, said = site_learned(capsys, *learn)
     assert (site, "./camtopod.toml cannot be read (Is a directory)" in said) == ("site", True)
     assert main(["grab"]) == exits.INPUT
-    assert "--config; none: no file" in capsys.readouterr().err
+    assert "cannot read camtopod.toml: Is a directory" in capsys.readouterr().err

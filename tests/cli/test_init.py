@@ -7,7 +7,6 @@ from __future__ import annotations
 import json
 import os
 import socket
-from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
@@ -27,13 +26,11 @@ from bench.support.rtsp_streams import (
 )
 from camtopod import redact
 from camtopod.cli.cameras import probe as probes
-from camtopod.cli.cameras.finding import smaller_streams
 from camtopod.cli.cameras.naming import with_names
 from camtopod.cli.main import main
 from camtopod.config import settings
-from camtopod.config.settings import VisionSettings
+from camtopod.config.settings import CameraSettings, VisionSettings
 from camtopod.serve.daemon import Daemon
-from camtopod.vision.source import smaller_stream
 from camtopod.vision.source.probe import PIXELS_MAX, Probe
 from camtopod.web import pictures
 
@@ -63,6 +60,11 @@ def painted(
     return path
 
 
+def probed(sources: dict[str, str]) -> dict[str, Probe]:
+    cameras = {name: CameraSettings(source, vision=QUICK) for name, source in sources.items()}
+    return probes.probe_all(cameras, lambda name, probe: None)
+
+
 def everything_below(folder: Path) -> dict[str, tuple[int, str]]:
     """Mode and content of each file."""
     files = [path for path in folder.rglob("*") if path.is_file()]
@@ -72,80 +74,14 @@ def everything_below(folder: Path) -> dict[str, tuple[int, str]]:
     }
 
 
-# --- smaller streams -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("given", "smaller"),
-    [
-        ("rtsp://u:p@192.0.2.1:554/Streaming/Channels/101", "/Streaming/Channels/102"),
-        ("rtsp://u:p@ss/w@192.0.2.1/cam/realmonitor?channel=1&subtype=0", "channel=1&subtype=1"),
-        ("rtsp://192.0.2.1/h265Preview_01_main", "/h264Preview_01_sub"),
-        ("rtsp://192.0.2.1/stream1", "/stream2"),
-        ("rtsp://192.0.2.1/axis-media/media.amp", "/axis-media/media.amp?resolution=640x360"),
-    ],
-)
-def test_makers_name_their_streams_alike(given: str, smaller: str) -> None:
-    found = smaller_stream(given)
-    assert found is not None
-    assert found.endswith(smaller)
-    assert found.partition("192.0.2.1")[0] == given.partition("192.0.2.1")[0]
-
-
-def test_a_smaller_stream_is_taken_if_it_is_big_enough() -> None:
-    sources = {name: f"rtsp://{name}/stream1" for name in ("good", "low", "slow", "gone", "away")}
-    sources |= {"small": "rtsp://small/stream1", "other": "rtsp://other/live"}
-    large = Probe("", "H.264", 1920, 1080, 15.0)
-    probes = dict.fromkeys(sources, large)
-    probes |= {"away": Probe("cannot be opened"), "small": Probe("", "H.264", 640, 360, 15.0)}
-    seen = {
-        "rtsp://good/stream2": Probe("", "H.264", 640, 360, 10.0),
-        "rtsp://low/stream2": Probe("", "H.264", 352, 288, 15.0),
-        "rtsp://slow/stream2": Probe("", "H.264", 640, 480, 2.0),
-        "rtsp://gone/stream2": Probe("cannot be opened: 404"),
-    }
-    tried: list[str] = []
-
-    def look(urls: Mapping[str, str]) -> dict[str, Probe]:
-        tried.extend(urls.values())
-        return {name: seen[url] for name, url in urls.items()}
-
-    found = smaller_streams(sources, probes, look)
-    assert found == {"good": ("rtsp://good/stream2", seen["rtsp://good/stream2"])}
-    assert tried == list(seen), "neither one that is small already, nor one that is away"
-
-
-def test_the_smaller_stream_is_written_unless_told_otherwise(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    sizes = {"rtsp://u:secret@h/stream1": (1920, 1080), "rtsp://u:secret@h/stream2": (640, 360)}
-
-    def probe_all(sources: Mapping[str, str], *_: object) -> dict[str, Probe]:
-        return {name: Probe("", "H.264", *sizes[url], 15.0) for name, url in sources.items()}
-
-    monkeypatch.setattr(probes, "probe_all", probe_all)
-    monkeypatch.setattr("camtopod.cli.cameras.probe_all", probe_all, raising=False)
-    out = tmp_path / "camtopod.toml"
-    given = ["init", "yard=rtsp://u:secret@h/stream1", "--out", str(out)]
-    assert main(given) == 0
-    assert (tmp_path / "secrets" / "yard").read_text().strip() == "rtsp://u:secret@h/stream2"
-    text = out.read_text()
-    assert "# H.264, 640x360, 15 frames a second\n# the camera's smaller stream, which" in text
-    assert "the one given has 1920x1080" in capsys.readouterr().err
-    assert main([*given, "--as-given", "--force"]) == 0
-    assert (tmp_path / "secrets" / "yard").read_text().strip() == "rtsp://u:secret@h/stream1"
-
-
 # --- what a source is ----------------------------------------------------------------------------
 
 
 def test_a_file_and_what_could_be_better_about_it(film: Path, tmp_path: Path) -> None:
     huge = painted(tmp_path / "huge.mp4", (2560, 1440), 2.0)
     assert PIXELS_MAX < 2560 * 1440
-    good, bad, none = probes.probe_all(
-        {"good": str(film), "bad": str(huge), "none": str(tmp_path / "x.mp4")},
-        dict.fromkeys(("good", "bad", "none"), QUICK),
-        lambda name, probe: None,
+    good, bad, none = probed(
+        {"good": str(film), "bad": str(huge), "none": str(tmp_path / "x.mp4")}
     ).values()
     assert good == Probe("", "MPEG-4", 192, 144, FPS)
     assert good.lines == ["MPEG-4, 192x144, 7 frames a second"]
@@ -165,7 +101,6 @@ def test_what_is_wrong_with_a_stream_is_said_in_words(tmp_path: Path) -> None:
         "silent": Host(silent),
         "shy": Host(hang_up),
     }
-    told = []
     with socket.socket() as reserved:
         reserved.bind(("127.0.0.1", 0))  # bound, not listening
         away = f"rtsp://127.0.0.1:{reserved.getsockname()[1]}/x"
@@ -174,13 +109,10 @@ def test_what_is_wrong_with_a_stream_is_said_in_words(tmp_path: Path) -> None:
             "away": away,
             "device": "4242",
         }
-        found = probes.probe_all(
-            sources, dict.fromkeys(sources, QUICK), lambda name, probe: told.append(name)
-        )
+        found = probed(sources)
     for host in hosts.values():
         host.close()
     assert list(found) == list(sources)
-    assert sorted(told) == sorted(sources)
     assert {
         name: probe.problem.removeprefix("cannot be opened: ") for name, probe in found.items()
     } == {
@@ -198,14 +130,10 @@ def test_a_process_that_hangs_or_crashes_is_given_up(
 ) -> None:
     os.mkfifo(tmp_path / "fifo")  # opening it blocks for ever
     monkeypatch.setattr(probes, "START_SECONDS", -3.7)
-    assert probes.probe_all({"a": str(tmp_path / "fifo")}, {"a": QUICK}, lambda *_: None) == {
-        "a": Probe("no answer within 0 s")
-    }
+    assert probed({"a": str(tmp_path / "fifo")}) == {"a": Probe("no answer within 0 s")}
     monkeypatch.setattr(probes, "START_SECONDS", 30.0)
     monkeypatch.setattr(probes, "PROGRAM", "camtopod.none_such")
-    assert probes.probe_all({"a": "0"}, {"a": QUICK}, lambda *_: None)["a"].problem.endswith(
-        "failed (status 1)"
-    )
+    assert probed({"a": "0"})["a"].problem.endswith("failed (status 1)")
 
 
 # --- names ---------------------------------------------------------------------------------------
@@ -520,7 +448,7 @@ def test_pictures_that_cannot_be_kept(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
     assert main(["init", str(film), "--pictures", "file"]) == 1
-    assert "--pictures file: cannot write file: File exists" in capsys.readouterr().err
+    assert "cannot write file: File exists" in capsys.readouterr().err
     assert not (tmp_path / "camtopod.toml").exists()
     assert main(["init", str(film)]) == 0
     assert main(["check", "camtopod.toml", "--pictures", "folder"]) == 2

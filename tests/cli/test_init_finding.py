@@ -82,11 +82,9 @@ def test_documents_that_could_do_harm_are_refused() -> None:
 def test_the_smallest_stream_that_is_big_enough_is_taken(camera: OnvifCamera) -> None:
     source = f"onvif://{LOGIN}@{camera.address}"
     given = {"a": source, "b": "rtsp://192.0.2.1/x", "c": "onvif://127.0.0.1:1"}
-    found, missing = streams_by_onvif(given, largest=False)
+    found, missing = streams_by_onvif(given)
     assert found == {"a": f"rtsp://{LOGIN}@127.0.0.1/3?a=1", "b": "rtsp://192.0.2.1/x"}
     assert missing.keys() == {"c"}
-    found, _ = streams_by_onvif({"a": source}, largest=True)
-    assert found == {"a": f"rtsp://{LOGIN}@127.0.0.1/1"}
 
 
 # --- paths of makers ------------------------------------------------------------------------------

@@ -41,7 +41,7 @@ def beat(state="running"):
     os.write(fd, b'{"state":"' + state.encode() + b'","reason":""}' + bytes([10]))
 kind = camera.split("-")[0]
 if kind == "crashes": sys.exit(1)
-if kind == "hopeless": sys.exit(78)
+if kind == "hopeless": sys.exit(2)
 if kind == "blocked": time.sleep(1000)
 if kind == "ends": beat("ended"); sys.exit(0)
 if kind == "leaves": beat(); sys.exit(0)
@@ -71,7 +71,7 @@ class Box:
         monkeypatch.setattr(
             supervisor,
             "command",
-            lambda process, args, config_fd, fd: [*child, process.camera, str(fd), str(folder)],
+            lambda process, args, fd: [*child, process.camera, str(fd), str(folder)],
         )
         monkeypatch.setattr(camera_process, "STOP_SECONDS", 0.3)
 
@@ -83,11 +83,10 @@ class Box:
         self.file.write_text(self.head + "".join(tables) + end)
 
     def start(self) -> None:
-        text = self.file.read_bytes()
         config = configs.load(self.file)
 
         def run() -> None:
-            self.statuses.append(supervisor.supervise(self.args, config, text, self.requests))
+            self.statuses.append(supervisor.supervise(self.args, config, self.requests))
 
         self._thread = threading.Thread(target=run)
         self._thread.start()
@@ -239,7 +238,7 @@ def test_a_wrong_configuration_changes_nothing(box: Box, caplog: pytest.LogCaptu
     wait_for(lambda: len(box.beats("good")) > count + 3, "it to go on")
     assert box.starts("good") == 1
     with pytest.raises(CommandError, match=re.escape(missing)):
-        supervisor.supervise(box.args, configs.load(box.file), box.file.read_bytes(), box.requests)
+        supervisor.supervise(box.args, configs.load(box.file), box.requests)
 
 
 def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:
@@ -263,7 +262,7 @@ def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:
     assert again["state"] in ("restarting", "connecting")
     failed = next(one for one in statuses if one["camera"] == "hopeless")
     assert failed["state"] == "failed"
-    assert failed["reason"] == "refused the configuration (status 78); it is not restarted"
+    assert failed["reason"] == "refused its command line (status 2); it is not restarted"
     [(_, answer)] = meeting.query("status/hopeless")
     assert msgspec.msgpack.decode(answer)["state"] == "failed"
     assert box.stop() == 0
@@ -280,9 +279,9 @@ def test_a_camera_s_command_line_has_no_source_in_it() -> None:
     given = options(
         Path("c.toml"), site="hq", connect=["tcp/h:1"], state="/s", speed=2.0, realtime=True
     )
-    text = " ".join(supervisor.command(process, given, 7, 9))
+    text = " ".join(supervisor.command(process, given, 9))
     assert "--config c.toml --log-format json --log-level info --site hq --connect tcp/h:1" in text
-    assert "--config-fd 7 --beat-fd 9 --restarts 3 --last-end hung for 30 s" in text
+    assert "--beat-fd 9 --restarts 3 --last-end hung for 30 s" in text
     assert text.endswith("--state /s --speed 2.0 --realtime")
 
 
@@ -295,7 +294,7 @@ def test_backoff_grows_has_jitter_and_starts_anew_after_a_steady_run(
     waits = []
     now = 100.0
     for _ in range(10):
-        process.look_after(now, lambda *_: ["/nowhere/at/all"], 0)
+        process.look_after(now, lambda *_: ["/nowhere/at/all"])
         assert process.start_at is not None
         waits.append(process.start_at - now)
         now = process.start_at

@@ -7,7 +7,6 @@ campaign many.
 from __future__ import annotations
 
 import contextlib
-import os
 import random
 import re
 import signal
@@ -170,14 +169,11 @@ def test_the_daemon_at_a_few_moments(under: Under) -> None:
 def test_a_hangup_in_the_first_moment_of_a_camera_s_process(under: Under) -> None:
     """Before the interpreter starts the signal is blocked until the program can handle it."""
     child = CameraProcess("lobby", CameraSettings("rtsp://127.0.0.1:1/x"), HealthSettings())
-    fd = os.open(os.devnull, os.O_RDONLY)
     line = [sys.executable, "-m", "camtopod", "--config", str(under.file), "grab"]
     line += ["--camera", "lobby", "--beat-fd"]
 
     def look() -> None:
-        child.look_after(
-            time.monotonic(), lambda process, heartbeat_fd: [*line, str(heartbeat_fd)], fd
-        )
+        child.look_after(time.monotonic(), lambda process, heartbeat_fd: [*line, str(heartbeat_fd)])
 
     look()
     process = child.process
@@ -190,7 +186,6 @@ def test_a_hangup_in_the_first_moment_of_a_camera_s_process(under: Under) -> Non
     assert (child.restarts, process.poll()) == (0, None)
     child.request_end(time.monotonic())
     wait_for(lambda: look() is None and child.over, "its end")
-    os.close(fd)
 
 
 def test_grabbers_at_a_moment_and_they_end_with_the_one_above_them(under: Under) -> None:

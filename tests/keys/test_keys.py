@@ -528,21 +528,6 @@ def test_secrets_that_others_can_read_are_warned_of(
     assert secret_files.find_exposed([tmp_path / "none"]) == []
 
 
-def test_a_camera_s_process_leaves_warnings_to_the_one_above(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    path = tmp_path / "c.toml"
-    path.write_text('[cameras.a]\nsource = "rtsp://u:pw@h/x"\n')
-    path.chmod(0o644)
-    args = argparse.Namespace(config=path, site=None, connect=[], config_fd=None)
-    configuration(args)
-    assert caplog.text.count("holds a secret") == 1
-    with path.open("rb") as file:
-        args.config_fd = file.fileno()
-        assert configuration(args).cameras["a"].source == "rtsp://u:pw@h/x"
-    assert caplog.text.count("holds a secret") == 1, "once a camera"
-
-
 def test_a_plain_endpoint_beside_certificates_is_said(tmp_path: Path) -> None:
     path = tmp_path / "c.toml"
     path.write_text(

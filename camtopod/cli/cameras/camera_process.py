@@ -24,8 +24,6 @@ log = logging.getLogger(__name__)
 
 STOP_SECONDS = 4.5
 """Time after which a process that was asked to end, or to log where it hangs, is killed."""
-_HOPELESS = (exits.USAGE, exits.CONFIG)
-"""Exit statuses after which a restart would not help."""
 _WORDS = {
     exits.FAILED: "failed",
     exits.USAGE: "refused its command line",
@@ -97,11 +95,11 @@ class CameraProcess:
         """Return True if no process publishes the camera's status."""
         return self.process is None or self._heartbeat_at is None
 
-    def look_after(self, now: float, command: Command, config_fd: int) -> None:
+    def look_after(self, now: float, command: Command) -> None:
         """Start the process, read its heartbeats, or kill it, as needed; never waits."""
         if self.process is None:
             if self.start_at is not None and now >= self.start_at:
-                self._start(now, command, config_fd)
+                self._start(now, command)
             return
 
         # Read the last heartbeat.
@@ -165,7 +163,7 @@ class CameraProcess:
         if self._kill_at is None:
             self._kill_at = now + STOP_SECONDS
 
-    def _start(self, now: float, command: Command, config_fd: int) -> None:
+    def _start(self, now: float, command: Command) -> None:
         """Start the process with a pipe for its heartbeats."""
         self._receiver = HeartbeatReceiver()
         # The child reports to this process, not to systemd.
@@ -178,7 +176,7 @@ class CameraProcess:
                 command(self, self._receiver.child_fd),
                 stdin=subprocess.DEVNULL,
                 env=environment,
-                pass_fds=(self._receiver.child_fd, config_fd),
+                pass_fds=(self._receiver.child_fd,),
             )
         except OSError as error:  # no memory or too many processes: try again later
             self._receiver.close()
@@ -209,7 +207,7 @@ class CameraProcess:
             self.reason = ""
         elif status == exits.DONE and self.state == "ended":  # a file; a stream never ends
             log.info("camera %s has ended", self.camera)
-        elif status in _HOPELESS:
+        elif status == exits.USAGE:
             self._give_up(f"{exit_reason(status)}; it is not restarted")
         else:
             why = "ended by itself" if status == exits.DONE else exit_reason(status)

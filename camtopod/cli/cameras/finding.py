@@ -7,16 +7,14 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 from camtopod.cli.cameras import onvif
-from camtopod.vision.source import (
-    ENOUGH_FPS,
-    ENOUGH_HEIGHT,
-    Probe,
-    smaller_stream,
-    streams_by_maker,
-)
+from camtopod.vision.source import Probe, streams_by_maker
 
 ASKED_AT_ONCE = 16
 """Cameras that are asked for their streams at the same time."""
+ENOUGH_HEIGHT = 360
+"""Height (pixels) of a stream that is big enough: pictures are analysed at 320 pixels of width."""
+ENOUGH_FPS = 6.5
+"""Frame rate of a stream that is fast enough, for 7 pictures a second (setting `analysed_fps`)."""
 _NOT_THERE = re.compile(r"\((?!401|403)4\d\d\)")
 """Status in the problem of a stream that the camera does not have."""
 
@@ -24,13 +22,10 @@ Look = Callable[[Mapping[str, str]], Mapping[str, Probe]]
 """Probes sources by name."""
 
 
-def streams_by_onvif(
-    cameras: Mapping[str, str], largest: bool
-) -> tuple[dict[str, str], dict[str, str]]:
-    """Replace the ``onvif://`` sources among the cameras by RTSP URLs.
+def streams_by_onvif(cameras: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
+    """Replace ``onvif://`` sources among the cameras by RTSP URLs of streams that are big enough.
 
     cameras: source by camera id.
-    largest: take each camera's first stream; else the smallest that is big enough.
 
     Return the cameras whose source is known, and for the others why it is not.
     """
@@ -46,7 +41,7 @@ def streams_by_onvif(
                 missing[name] = str(error)
                 del found[name]
             else:
-                found[name] = (offered[0] if largest else _big_enough(offered)).url
+                found[name] = _big_enough(offered).url
     return found, missing
 
 
@@ -72,28 +67,6 @@ def streams_by_path(
         if not probe.problem and name not in found:
             found[name] = guesses[key], maker, probe
     return found
-
-
-def smaller_streams(
-    cameras: Mapping[str, str], probes: Mapping[str, Probe], look: Look
-) -> dict[str, tuple[str, Probe]]:
-    """Return (URL, probe) of the smaller stream of each camera that has one which is big enough.
-
-    cameras, probes: source and probe of each camera, by camera id.
-    """
-    guesses = {
-        name: url
-        for name, source in cameras.items()
-        if not probes[name].problem and probes[name].height > ENOUGH_HEIGHT
-        if (url := smaller_stream(source)) is not None
-    }
-    return {
-        name: (guesses[name], probe)
-        for name, probe in (look(guesses) if guesses else {}).items()
-        if not probe.problem
-        and ENOUGH_HEIGHT <= probe.height < probes[name].height
-        and probe.fps >= min(ENOUGH_FPS, probes[name].fps)
-    }
 
 
 def _big_enough(offered: list[onvif.Stream]) -> onvif.Stream:

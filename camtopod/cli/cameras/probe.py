@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from types import MappingProxyType
 
 import msgspec
+from msgspec.structs import replace
 
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import exit_reason
-from camtopod.cli.exits import CommandError
+from camtopod.cli.common import writing
 from camtopod.cli.site_choice import right_site
-from camtopod.config import Config, detector_line, toml_lines
+from camtopod.config import CameraSettings, Config, detector_line, toml_lines
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
 from camtopod.visible import visible
-from camtopod.vision.detector.model_report import ModelReport
-from camtopod.vision.settings import DetectorSettings, VisionSettings
 from camtopod.vision.source import PROBE_SECONDS, SETTLE_SECONDS_MAX, Probe, ProbeRequest
 from camtopod.web import pictures
 
@@ -35,64 +32,46 @@ START_SECONDS = 30.0
 
 
 def probe_all(
-    sources: Mapping[str, str],
-    settings: Mapping[str, VisionSettings],
+    cameras: Mapping[str, CameraSettings],
     on_probe: Callable[[str, Probe], None],
     folder: Path | None = None,
-    detectors: Mapping[str, DetectorSettings] = MappingProxyType({}),
 ) -> dict[str, Probe]:
-    """Probe each source; return the results by camera id.
+    """Probe the source and the detector of each camera; return the results by camera id.
 
-    settings, detectors: those of each camera; detectors may be missing.
     on_probe: called with each result as soon as it is known.
     folder: where to keep a picture of each camera that gives one. Raises `CommandError` if it
         cannot be written.
     """
-    for source in sources.values():
-        remember(source)
+    for settings in cameras.values():
+        remember(settings.source)
     if folder is not None:
-        with _writing(folder):
+        with writing(f"--pictures {folder}"):
             pictures.make_folder(folder)
 
     # Probe all, and handle each result as soon as it is known.
     with ThreadPoolExecutor(PROCESSES_MAX) as pool:
-        looks = {
-            pool.submit(
-                _probe, source, settings[name], folder is not None, detectors.get(name)
-            ): name
-            for name, source in sources.items()
+        futures = {
+            pool.submit(_probe, settings, folder is not None): camera
+            for camera, settings in cameras.items()
         }
-        found = {}
-        for look in as_completed(looks):
-            camera = looks[look]
-            seen = look.result()
-            if folder is not None and seen.picture:
-                with _writing(folder):
-                    pictures.store_picture(folder, camera, seen.picture)
-            found[camera] = msgspec.structs.replace(seen, picture=b"")
-            on_probe(camera, found[camera])
-    return {camera: found[camera] for camera in sources}
+        probes = {}
+        for future in as_completed(futures):
+            camera = futures[future]
+            probe = future.result()
+            if folder is not None and probe.picture:
+                with writing(f"--pictures {folder}"):
+                    pictures.store_picture(folder, camera, probe.picture)
+            probes[camera] = replace(probe, picture=b"")
+            on_probe(camera, probes[camera])
+    return {camera: probes[camera] for camera in cameras}
 
 
-@contextlib.contextmanager
-def _writing(folder: Path) -> Iterator[None]:
-    """Turn an OSError of the block into a `CommandError` about --pictures."""
-    try:
-        yield
-    except OSError as error:
-        raise CommandError(
-            f"--pictures {folder}: cannot write {error.filename or folder}: {error.strerror}"
-        ) from None
-
-
-def _probe(
-    source: str, settings: VisionSettings, picture: bool, detector: DetectorSettings | None
-) -> Probe:
-    """Probe one source in a process, which gets it through a pipe: command lines are public."""
-    request = ProbeRequest(source, settings, picture, detector or DetectorSettings())
+def _probe(settings: CameraSettings, picture: bool) -> Probe:
+    """Probe one camera in a process, which gets it through a pipe: command lines are public."""
+    request = ProbeRequest(settings.source, settings.vision, picture, settings.detector)
     seconds = (
-        settings.open_timeout_seconds
-        + settings.read_timeout_seconds
+        settings.vision.open_timeout_seconds
+        + settings.vision.read_timeout_seconds
         + PROBE_SECONDS
         + (SETTLE_SECONDS_MAX if picture else 0.0)
         + START_SECONDS
@@ -103,10 +82,7 @@ def _probe(
             input=msgspec.json.encode(request),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,  # libraries write there, perhaps with the password
-            env={
-                **os.environ,
-                "PYTHONPATH": os.pathsep.join(sys.path),
-            },  # so that it finds the same modules
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},  # to find the same modules
             timeout=seconds,
             check=False,
         )
@@ -124,62 +100,59 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
     """
     text = path.read_text(encoding="utf-8")
     lines = toml_lines.key_lines(text)
-    status = exits.DONE
+    cameras: dict[str, CameraSettings] = {}
+    statuses = [exits.DONE]
+
+    def tell_source(camera: str, probe: Probe) -> None:
+        where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
+        _print(f"{where}: {'; '.join(probe.lines)}")
+        statuses.append(exits.INPUT if probe.problem else exits.DONE)
 
     def tell(camera: str, probe: Probe) -> None:
-        nonlocal status
-        status = max(status, exits.INPUT if probe.problem else exits.DONE)
-        where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
-        print(visible(redact(f"{where}: {'; '.join(probe.lines)}")), file=sys.stderr, flush=True)
-        tell_detector(camera, probe.detector)
-
-    def tell_detector(camera: str, found: ModelReport) -> None:
-        nonlocal status
-        status = max(status, exits.CONFIG if found.problem else exits.DONE)
-        line, name = detector_line(text, camera, found.key)
-        if found.problem or found.text:
+        if cameras[camera].source:
+            tell_source(camera, probe)
+        if about := probe.detector.problem or probe.detector.text:
+            line, name = detector_line(text, camera, probe.detector.key)
             of = f" (camera {camera})" if camera and not name.startswith("cameras.") else ""
-            text_of_model = found.problem or found.text
-            print(
-                visible(redact(f"{path}:{line}: {name}: {text_of_model}{of}")),
-                file=sys.stderr,
-                flush=True,
-            )
+            _print(f"{path}:{line}: {name}: {about}{of}")
+            statuses.append(exits.CONFIG if probe.detector.problem else exits.DONE)
 
-    # Read the sources, then open cameras and bus.
-    sources = {}
-    for camera in config.cameras:
+    # Read the sources, then open the cameras. Detectors are run also without a source here.
+    for camera, settings in config.cameras.items():
         try:
-            if source := config.for_camera(camera).cameras[camera].source:
-                sources[camera] = source
+            cameras[camera] = config.for_camera(camera).cameras[camera]
         except OSError as error:
-            tell(camera, Probe(f"cannot read {error.filename}: {error.strerror}"))
-    settings = {camera: config.cameras[camera].vision for camera in sources}
-    detectors = {camera: config.cameras[camera].detector for camera in config.cameras}
-    probe_all(sources, settings, tell, folder, detectors)
+            tell_source(camera, Probe(f"cannot read {error.filename}: {error.strerror}"))
+            cameras[camera] = settings
+    if not cameras:
+        cameras[""] = CameraSettings(detector=config.detector)
+    probed = {
+        camera: settings
+        for camera, settings in cameras.items()
+        if settings.source or settings.detector.model
+    }
+    probe_all(probed, tell, folder)
 
-    # Detectors of cameras that cannot be opened here.
-    others = {camera: one for camera, one in detectors.items() if camera not in sources}
-    for camera, detector in (others if config.cameras else {"": config.detector}).items():
-        if detector.model:
-            tell_detector(camera, _probe("", config.vision, False, detector).detector)
-    problem, found = _bus(config)
-    print(visible(f"{path}: bus: {redact(problem or found)}"), file=sys.stderr)
-    return max(status, exits.BUS if problem else exits.DONE)
+    # Open the bus.
+    status, state = _bus(config)
+    _print(f"{path}: bus: {state}")
+    return max(*statuses, status)
 
 
-def _bus(config: Config) -> tuple[str, str]:
-    """Return (problem or "", state) of the bus."""
-    camera = next(iter(config.cameras), "")
+def _print(line: str) -> None:
+    print(visible(redact(line)), file=sys.stderr, flush=True)
+
+
+def _bus(config: Config) -> tuple[int, str]:
+    """Return exit status and state of the bus."""
     try:
-        with dial(config.certified(camera)) as bus:
+        with dial(config.certified(next(iter(config.cameras), ""))) as bus:
             # A camera's certificate does not allow to see whether a daemon is there.
-            if not bus.list_alive("daemon") and not config.bus.tls.ca:
-                return (
-                    f"connected to {bus.endpoint}, but no daemon of site {bus.site} is there"
-                    f"{right_site(bus, config) or ': start it with `camtopod run`'}",
-                    "",
-                )
-            return "", f"connected to {bus.endpoint}, site {bus.site}"
+            if bus.list_alive("daemon") or config.bus.tls.ca:
+                return exits.DONE, f"connected to {bus.endpoint}, site {bus.site}"
+            advice = right_site(bus, config) or ": start it with `camtopod run`"
+            return exits.BUS, (
+                f"connected to {bus.endpoint}, but no daemon of site {bus.site} is there{advice}"
+            )
     except BusError as error:
-        return str(error), ""
+        return exits.BUS, str(error)

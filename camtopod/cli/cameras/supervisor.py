@@ -14,7 +14,7 @@ import time
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import STOP_SECONDS, CameraProcess
 from camtopod.cli.cameras.status_reporter import StatusReporter
-from camtopod.cli.common import SignalRequests, configuration_and_text
+from camtopod.cli.common import SignalRequests, configuration
 from camtopod.cli.exits import CommandError
 from camtopod.config import CameraSettings, Config, without_source
 from camtopod.serve.runtime import systemd
@@ -34,17 +34,13 @@ A change of ``[vision]`` restarts those whose own table does not override it.
 """
 
 
-def supervise(
-    args: argparse.Namespace, config: Config, text: bytes, requests: SignalRequests
-) -> int:
+def supervise(args: argparse.Namespace, config: Config, requests: SignalRequests) -> int:
     """Run `camtopod grab` for every camera until all have ended or a signal arrives.
 
-    Returns the worst exit status. ``text`` is the content of the configuration; each process gets
-    it from here, so that none reads a file that has been changed since but not accepted yet. Raises
-    `CommandError` if a camera has no source.
+    Returns the worst exit status. Raises `CommandError` if a camera has no source.
     """
-    _require_sources(config, text, args)
-    supervisor = _Supervisor(args, config, text)
+    _require_sources(config, args)
+    supervisor = _Supervisor(args, config)
     try:
         while not requests.stop.is_set() and not supervisor.over:
             if requests.reload.is_set():
@@ -64,10 +60,9 @@ def supervise(
 class _Supervisor:
     """Processes of all cameras, and what is reported about them."""
 
-    def __init__(self, args: argparse.Namespace, config: Config, text: bytes) -> None:
+    def __init__(self, args: argparse.Namespace, config: Config) -> None:
         self._args = args
         self._config = config
-        self._config_fd = _in_memory(text)
         self._processes = {
             name: CameraProcess(name, _filled(config, name), config.health)
             for name in config.cameras
@@ -90,7 +85,7 @@ class _Supervisor:
         """Check every process once; never waits for a camera."""
         now = time.monotonic()
         for process in self._processes.values():
-            process.look_after(now, self._command, self._config_fd)
+            process.look_after(now, self._command)
         for name in self._processes.keys() - self._config.cameras.keys():
             if self._processes[name].over:
                 del self._processes[name]
@@ -104,15 +99,13 @@ class _Supervisor:
         Changed cameras restart, removed ones end, new ones start, and the others are not touched.
         """
         try:
-            config, text = configuration_and_text(self._args)
-            _require_sources(config, text, self._args)
+            config = configuration(self._args)
+            _require_sources(config, self._args)
         except CommandError as error:
             log.error("the old configuration stays in use: %s", " ".join(str(error).splitlines()))
             return
         old = self._config
         self._config = config
-        os.close(self._config_fd)
-        self._config_fd = _in_memory(text)
 
         # Restart or start cameras.
         now = time.monotonic()
@@ -155,9 +148,8 @@ class _Supervisor:
         deadline = time.monotonic() + STOP_SECONDS + 1.0
         while not self.over and time.monotonic() < deadline:
             for process in self._processes.values():
-                process.look_after(time.monotonic(), self._command, self._config_fd)
+                process.look_after(time.monotonic(), self._command)
             time.sleep(_LOOK_SECONDS / 5)
-        os.close(self._config_fd)
         return self._reporter.close()
 
     def _report(self, now: float) -> None:
@@ -180,12 +172,10 @@ class _Supervisor:
 
     def _command(self, process: CameraProcess, heartbeat_fd: int) -> list[str]:
         """Return the command line of a camera's process."""
-        return command(process, self._args, self._config_fd, heartbeat_fd)
+        return command(process, self._args, heartbeat_fd)
 
 
-def command(
-    process: CameraProcess, args: argparse.Namespace, config_fd: int, heartbeat_fd: int
-) -> list[str]:
+def command(process: CameraProcess, args: argparse.Namespace, heartbeat_fd: int) -> list[str]:
     """Return the command line of a camera's process; it contains no source, so no password."""
     line = [sys.executable, "-m", "camtopod", "--config", str(args.config)]
     line += ["--log-format", args.log_format, "--log-level", getattr(args, "log_level", "info")]
@@ -194,8 +184,8 @@ def command(
     for endpoint in args.connect:
         line += ["--connect", endpoint]
     line += ["grab", "--camera", process.camera, "--with-parent", str(os.getpid())]
-    line += ["--config-fd", str(config_fd), "--beat-fd", str(heartbeat_fd)]
-    line += ["--restarts", str(process.restarts), "--last-end", process.last_end]
+    line += ["--beat-fd", str(heartbeat_fd), "--restarts", str(process.restarts)]
+    line += ["--last-end", process.last_end]
     for option in ("state", "start", "speed"):
         if getattr(args, option) is not None:
             line += [f"--{option}", str(getattr(args, option))]
@@ -210,15 +200,7 @@ def _filled(config: Config, camera: str) -> CameraSettings:
         return config.cameras[camera]
 
 
-def _require_sources(config: Config, text: bytes, args: argparse.Namespace) -> None:
+def _require_sources(config: Config, args: argparse.Namespace) -> None:
     """Raise `CommandError`, with file and line, if cameras of the configuration have no source."""
-    if missing := without_source(config, text.decode(), args.config):
+    if missing := without_source(config, args.config.read_text("utf-8"), args.config):
         raise CommandError("\n".join(missing), exits.CONFIG)
-
-
-def _in_memory(text: bytes) -> int:
-    """Return a descriptor of ``text``, readable any number of times through /proc/self/fd/N."""
-    fd = os.memfd_create("camtopod.toml", os.MFD_CLOEXEC)
-    with open(fd, "wb", closefd=False) as out:
-        out.write(text)
-    return fd

@@ -13,11 +13,10 @@ from camtopod import codec, mqtt
 from camtopod.cli import descriptors, exits
 from camtopod.cli.common import configuration, reporting_to_systemd, start_logging, until_signal
 from camtopod.cli.events import broker_options
-from camtopod.cli.exits import CommandError
 from camtopod.cli.site_choice import dial_as_reader
 from camtopod.export import homeassistant
 from camtopod.records import CAMERA_PATTERN, CameraFigures, DaemonStatus, Prediction, Status
-from camtopod.serve.bus import Bus, BusError, QueryError, TopologySubscriber
+from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.runtime import Progress
 
 LOOK_SECONDS = 1.0
@@ -140,11 +139,8 @@ def run(args: argparse.Namespace) -> int:
 
     # Connect to the bus and the broker, then publish changes.
     with contextlib.ExitStack() as stack, until_signal() as stop:
-        try:
-            bus, config = dial_as_reader(args, config)
-            stack.enter_context(bus)
-        except BusError as error:
-            raise CommandError(str(error), exits.BUS) from None
+        bus, config = dial_as_reader(args, config)
+        stack.enter_context(bus)
         topics = homeassistant.Topics(config.site.name, target.prefix, args.discovery.strip("/"))
         site = HomeAssistantState(bus, topics, config.limits.cameras_max)
         with broker_options.connecting(exits.FAILED):

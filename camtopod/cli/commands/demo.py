@@ -26,12 +26,12 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.cli import exits
+from camtopod.cli.common import writing
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Topology
-from camtopod.serve.bus import BusError
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.runtime import clock as clocks
 from camtopod.sim.floor import Plan, Walk, demo_plan, passages, simulate_walks, truth_of
@@ -123,10 +123,8 @@ def run(args: argparse.Namespace) -> int:
 
     # Record, play the recording to the system, and score the topology that it learns.
     begin = time.monotonic()
-    try:
+    with writing(args.out):
         args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise exits.CommandError(f"demo: cannot write {args.out}: {error.strerror}") from None
     work_directory = tempfile.TemporaryDirectory(prefix="camtopod-demo-")
     with _terminated_as_interrupted(), work_directory as work:
         recording = _record(Path(work), 60.0 * args.minutes, args.seed)
@@ -211,21 +209,18 @@ def _watch(recording: Recording, work: Path) -> Topology:
     )
 
     # Play the videos to their end, then let the daemon learn the last events.
-    try:
-        with (
-            Daemon(config, clock=clock) as daemon,
-            _grabbers(recording, start, daemon.endpoint, work) as grabbers,
-        ):
-            _say(f"playing the videos at up to {SPEED:g} times real time")
-            _until(daemon, lambda: _have_ended(grabbers, work))
-            clock.skip(AFTERWARDS_SECONDS + recording.seconds)
-            _until(daemon, _Learning(daemon).done)
-            topology = daemon.topology
-            late = daemon.status().learner["late"]
-            if late:
-                _say(f"{late} events were too late and not learned: the machine was very busy")
-    except BusError as error:
-        raise exits.CommandError(f"demo: {error}", exits.BUS) from None
+    with (
+        Daemon(config, clock=clock) as daemon,
+        _grabbers(recording, start, daemon.endpoint, work) as grabbers,
+    ):
+        _say(f"playing the videos at up to {SPEED:g} times real time")
+        _until(daemon, lambda: _have_ended(grabbers, work))
+        clock.skip(AFTERWARDS_SECONDS + recording.seconds)
+        _until(daemon, _Learning(daemon).done)
+        topology = daemon.topology
+        late = daemon.status().learner["late"]
+        if late:
+            _say(f"{late} events were too late and not learned: the machine was very busy")
     if topology is None:
         raise exits.CommandError("demo: no topology was learned; try more --minutes")
     return topology

@@ -26,7 +26,7 @@ import msgspec
 
 from camtopod import __version__
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, with_options
+from camtopod.cli.common import configuration, with_options, writing
 from camtopod.cli.exits import CommandError
 from camtopod.config import TABLES, Config, secret_files
 from camtopod.redact import redact, remember
@@ -106,10 +106,8 @@ def run(args: argparse.Namespace) -> int:
     if args.out is None:
         sys.stdout.write(report)
         return exits.DONE
-    try:
+    with writing(args.out):
         secret_files.write(args.out, report.encode())
-    except OSError as error:
-        raise CommandError(f"cannot write {args.out}: {error.strerror}") from None
     print(f"{args.out} is written; look through it before you share it", file=sys.stderr)
     return exits.DONE
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from camtopod.cli import exits
+from camtopod.cli.common import writing
 from camtopod.cli.events.event_lines import open_input
 from camtopod.codec import Rejected, decode_topology
 from camtopod.export import FORMATS, camera_numbers
@@ -50,10 +51,8 @@ def run(args: argparse.Namespace) -> int:
     if args.out == "-":
         sys.stdout.write(text)
     else:
-        try:
+        with writing(args.out):
             Path(args.out).write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise exits.CommandError(f"export: cannot write {args.out}: {error.strerror}") from None
     numbers = camera_numbers(topology) if args.format == "aicity" else {}
     if any(str(number) != name for name, number in numbers.items()):
         shown = ", ".join(f"{number} is {name}" for name, number in numbers.items())

@@ -11,7 +11,6 @@ import faulthandler
 import logging
 import math
 import os
-import re
 import threading
 import time
 from pathlib import Path
@@ -26,16 +25,15 @@ from camtopod.cli.cameras.heartbeat import HeartbeatSender
 from camtopod.cli.common import (
     ForcedExit,
     SignalRequests,
+    check_camera,
     configuration,
-    configuration_and_text,
-    configuration_text,
     ends_within,
+    open_output,
     signals,
     start_logging,
 )
 from camtopod.cli.exits import CommandError
-from camtopod.config import RESERVED, CameraSettings, Config, detector_line
-from camtopod.records import CAMERA_PATTERN
+from camtopod.config import CameraSettings, Config, detector_line
 from camtopod.serve.runtime import clock, systemd
 from camtopod.vision.source import RETRY_SEPARATOR, captured_log, kind_of
 
@@ -53,18 +51,12 @@ log = logging.getLogger(__name__)
 DRAIN_SECONDS = 10.0
 """Time that the grabber of a file waits at its end until its events are stored, unless it is
 supervised."""
-_DRAIN_LOOK_SECONDS = 0.2
-"""Interval at which it looks whether they are."""
-DAEMON_SECONDS = 5.0
-"""Time after connecting to the bus until a missing daemon is reported."""
-_DAEMON_LOOK_SECONDS = 0.5
-"""Interval at which it looks for the daemon."""
 LEAVE_SECONDS = 4.0
 """Time that a blocking source may delay the end after a signal."""
-HANDOVER_SECONDS = LEAVE_SECONDS + 2.0
-"""Time to wait for the processes of a grabber that was killed and started again at once."""
-_HANDOVER_LOOK_SECONDS = 0.2
-"""Interval at which their spools are checked."""
+_DRAIN_LOOK_SECONDS = 0.2
+"""Interval at which it looks whether they are."""
+_DAEMON_LOOK_SECONDS = 2.0
+"""Interval at which it looks for the daemon."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -125,8 +117,7 @@ def add_parser(subparsers: Any) -> None:
         help="directory of the spool (default: [state] directory)",
     )
     # Options that the supervisor passes to a camera's process.
-    given = ("with-parent", "config-fd", "beat-fd", "restarts")
-    for option in given:
+    for option in ("with-parent", "beat-fd", "restarts"):
         parser.add_argument(f"--{option}", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--last-end", default="", help=argparse.SUPPRESS)
 
@@ -136,52 +127,40 @@ def run(args: argparse.Namespace) -> int:
     start_logging(args)
     faulthandler.enable(file=2)  # systemd and the supervisor end a hung process with SIGABRT
     descriptors.raise_limit()
-    with signals() as told:
+    with signals() as requests:
         if args.camera is None:
-            return _all(args, told)
-        with ends_within(told.stop, LEAVE_SECONDS, args.with_parent) as left:
-            return _one(args, told, left)
+            return _all(args, requests)
+        with ends_within(requests.stop, LEAVE_SECONDS, args.with_parent) as forced_exit:
+            return _one(args, requests, forced_exit)
 
 
-def _all(args: argparse.Namespace, told: SignalRequests) -> int:
+def _all(args: argparse.Namespace, requests: SignalRequests) -> int:
     """Supervise one process for each camera of the configuration."""
-    config, text = configuration_and_text(args)
-    if args.source is not None or args.out is not None:
-        raise CommandError("SOURCE and --out need a camera: add --camera ID", exits.USAGE)
-    if args.show is not None or args.explain:
-        raise CommandError("--show and --explain need a camera: add --camera ID", exits.USAGE)
+    from camtopod.cli.cameras.supervisor import supervise
+    from camtopod.serve.outbox import spool_path
+    from camtopod.serve.storage import lock_reason
+
+    config = configuration(args)
+    if args.source is not None or args.out is not None or args.show is not None or args.explain:
+        raise CommandError(
+            "SOURCE, --out, --show and --explain need a camera: add --camera ID", exits.USAGE
+        )
     if not config.cameras:
         raise CommandError(
             "no camera given: add --camera ID SOURCE, or a --config with cameras", exits.USAGE
         )
-    _refuse_a_second(config, told.stop)
-    from camtopod.cli.cameras.supervisor import supervise
-
-    return supervise(args, config, text, told)
-
-
-def _refuse_a_second(config: Config, stop: threading.Event) -> None:
-    """Wait until no other grabber holds the spool of a camera.
-
-    Raises `CommandError` if one still does after `HANDOVER_SECONDS`.
-    """
-    from camtopod.serve.outbox import spool_path
-    from camtopod.serve.storage import lock_reason
-
-    paths = {
-        camera: spool_path(config.state_directory, config.site.name, camera)
-        for camera in config.cameras
-    }
-    deadline = time.monotonic() + HANDOVER_SECONDS
-    while held := {camera: why for camera, path in paths.items() if (why := lock_reason(path))}:
-        if time.monotonic() >= deadline or stop.wait(_HANDOVER_LOOK_SECONDS):
-            raise CommandError(f"{', '.join(held)}: {next(iter(held.values()))}", exits.STATE)
+    for camera in config.cameras:
+        path = spool_path(config.state_directory, config.site.name, camera)
+        if reason := lock_reason(path):
+            raise CommandError(f"{camera}: {reason}", exits.STATE)
+    return supervise(args, config, requests)
 
 
-def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> int:
+def _one(args: argparse.Namespace, requests: SignalRequests, forced_exit: ForcedExit) -> int:
     """Grab one camera, to the bus or to event lines."""
+    check_camera(args.camera)
     config = configuration(args)
-    settings = _camera(args, config)
+    settings = _settings(args, config)
     redact.remember(settings.source)
     with contextlib.ExitStack() as stack:
         # Save standard output: from here on FFmpeg's messages arrive on it.
@@ -192,8 +171,8 @@ def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> in
         detector = _detector(args, settings)
 
         # Open the camera.
-        heart = HeartbeatSender(args.beat_fd)
-        heart.beat("connecting", "not opened yet")
+        heartbeats = HeartbeatSender(args.beat_fd)
+        heartbeats.beat("connecting", "not opened yet")
         preview = _preview(args, settings.vision)
         grabber = Grabber(
             args.camera,
@@ -212,39 +191,28 @@ def _one(args: argparse.Namespace, told: SignalRequests, left: ForcedExit) -> in
             stack.callback(preview.close)  # before the camera, which may take long
 
         if args.out is not None:
-            return _to_lines(
-                grabber, output or stack.enter_context(_file(args.out)), told.stop, left
-            )
-        return _to_bus(grabber, args, config, settings, told, heart)
+            lines = output or stack.enter_context(open_output(args.out))
+            return _to_lines(grabber, lines, requests.stop, forced_exit)
+        _to_bus(grabber, args, config, settings, requests, heartbeats)
+        return exits.DONE
 
 
-def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
+def _settings(args: argparse.Namespace, config: Config) -> CameraSettings:
     """Return the camera's settings: those of the configuration, overridden by the command line."""
-    if args.camera in RESERVED:
-        raise CommandError(
-            f"--camera {args.camera}: this name is reserved on the bus, use another", exits.USAGE
-        )
-    if not re.match(CAMERA_PATTERN, args.camera):
-        raise CommandError(
-            f"--camera {args.camera!r}: use 1 to 64 of the characters A-Z a-z 0-9 _ . -",
-            exits.USAGE,
-        )
-    known = config.cameras.get(args.camera)
-    if known is None or not known.source:
+    settings = config.cameras.get(args.camera)
+    if settings is None or not settings.source:
         raise CommandError(
             f"camera {args.camera} has no source: give SOURCE, or a --config with a source in "
             f"[cameras.{args.camera}]",
             exits.USAGE,
         )
-
-    # Apply the options of the command line; its SOURCE is in the configuration already.
     given: dict[str, Any] = {name: getattr(args, name) for name in ("start", "realtime", "speed")}
     given = {name: value for name, value in given.items() if value is not None}
     if not 0 < given.get("speed", 1.0) < math.inf:
         raise CommandError("--speed must be a number above 0", exits.USAGE)
     if not math.isfinite(given.get("start", 0.0)):
         raise CommandError("--start must be a number of seconds", exits.USAGE)
-    return msgspec.structs.replace(known, **given)
+    return msgspec.structs.replace(settings, **given)
 
 
 def _detector(args: argparse.Namespace, settings: CameraSettings) -> Detector | None:
@@ -257,7 +225,8 @@ def _detector(args: argparse.Namespace, settings: CameraSettings) -> Detector | 
     try:
         return Detector(Model(settings.detector), settings.detector)
     except DetectorError as error:
-        line, name = detector_line(configuration_text(args), args.camera, error.key)
+        text = args.config.read_text(encoding="utf-8")
+        line, name = detector_line(text, args.camera, error.key)
         raise CommandError(f"{args.config}:{line}: {name}: {error}", exits.CONFIG) from None
 
 
@@ -281,71 +250,58 @@ def _observer(args: argparse.Namespace, preview: Preview | None) -> Observer | N
     """Return what --show and --explain do with each frame; None without them."""
     if not args.explain:
         return preview
+    from camtopod.cli.cameras.decision_words import decision_line
 
-    def observe(seen: Analysis) -> None:
-        _explain(args.camera, seen)
+    def observe(analysis: Analysis) -> None:
+        for decision in analysis.decisions:
+            log.info("%s", decision_line(args.camera, decision))
         if preview is not None:
-            preview(seen)
+            preview(analysis)
 
     return observe
 
 
-def _explain(camera: str, seen: Analysis) -> None:
-    """Log a line about each track that began or ended in a frame."""
-    from camtopod.cli.cameras.decision_words import decision_line
-
-    for decision in seen.decisions:
-        log.info("%s", decision_line(camera, decision))
-
-
-def _file(path: str) -> BinaryIO:
-    """Open a file for writing. Raises `CommandError`."""
-    try:
-        return open(path, "wb")
-    except OSError as error:
-        raise CommandError(f"cannot write {path}: {error.strerror}") from None
-
-
-def _to_lines(grabber: Grabber, out: BinaryIO, stop: threading.Event, left: ForcedExit) -> int:
+def _to_lines(
+    grabber: Grabber, out: BinaryIO, stop: threading.Event, forced_exit: ForcedExit
+) -> int:
     """Write event lines, each flushed at once; return the exit status (66 if there was no
     picture).
     """
-    said = _Said(grabber)
+    state_log = _StateLog(grabber)
     # The generator is kept until the return: closing it may wait for OpenCV longer than there is
     # time.
     events = grabber.events()
     for event in events:
-        said.tell()
+        state_log.update()
         if event is not None:
             out.write(codec.to_json(event) + b"\n")
             out.flush()
         if stop.is_set():
             break
     if grabber.state == "connecting":
-        left.status = exits.INPUT
+        forced_exit.status = exits.INPUT
         log.error("camera %s gave no picture: %s", grabber.camera, grabber.reason)
-    return left.status
+    return forced_exit.status
 
 
-class _Said:
+class _StateLog:
     """Logs the state of a camera when it changes, and each reason for a state once."""
 
     def __init__(self, grabber: Grabber) -> None:
         self._grabber = grabber
-        self._state = ""
-        self._reasons: set[str] = set()
+        self._logged: set[tuple[str, str]] = set()
 
-    def tell(self) -> None:
+    def update(self) -> None:
         """Log state and reason if they are new."""
-        camera, state, reason = self._grabber.camera, self._grabber.state, self._grabber.reason
+        state = self._grabber.state
+        reason = self._grabber.reason
         cause = reason.partition(RETRY_SEPARATOR)[0]  # without the time of the next attempt
-        if state != self._state:
-            self._state = state
-            self._reasons.clear()
-        elif cause in self._reasons:
+        if (state, cause) in self._logged:
             return
-        self._reasons.add(cause)
-        log.info("camera %s is %s%s", camera, state, f": {reason}" if reason else "")
+        if not any(logged == state for logged, _ in self._logged):
+            self._logged.clear()
+        self._logged.add((state, cause))
+        log.info(": ".join(filter(None, [f"camera {self._grabber.camera} is {state}", reason])))
 
 
 def _to_bus(
@@ -353,44 +309,31 @@ def _to_bus(
     args: argparse.Namespace,
     config: Config,
     settings: CameraSettings,
-    told: SignalRequests,
-    heart: HeartbeatSender,
-) -> int:
+    requests: SignalRequests,
+    heartbeats: HeartbeatSender,
+) -> None:
     """Publish the camera's events, and wait at the end of a file until they are stored."""
-    from camtopod.serve.bus import BusError, dial
     from camtopod.serve.outbox import Publisher, open_spool
-    from camtopod.serve.storage import StateError
 
     with contextlib.ExitStack() as stack:
-        # Open the spool.
-        try:
-            spool = open_spool(config.state_directory, config.site.name, args.camera, config.limits)
-        except StateError as error:
-            raise CommandError(str(error), exits.STATE) from None
+        spool = open_spool(config.state_directory, config.site.name, args.camera, config.limits)
         stack.callback(spool.close)
         publisher = Publisher(spool)
 
         # Connect: a live camera does not wait for the bus, a file can.
         connection = _Connection(config, grabber, publisher, args)
         stack.callback(connection.close)
-        if kind_of(settings.source) != "file":
-            connection.keep_dialling()
-        else:
-            try:
-                connection.use(dial(config))
-            except BusError as error:
-                raise CommandError(str(error), exits.BUS) from None
+        connection.open(in_background=kind_of(settings.source) != "file")
 
         # Publish, then wait until all is stored.
-        _publish_all(grabber, publisher, connection, config, told, heart)
-        _drain(grabber, publisher, connection, args, told, heart)
-        if publisher.waiting and not told.stop.is_set():
+        _publish_all(grabber, publisher, connection, config, requests, heartbeats)
+        _drain(grabber, publisher, connection, args, requests, heartbeats)
+        if publisher.waiting and not requests.stop.is_set():
             raise CommandError(
                 f"{publisher.waiting} events are not stored: is `camtopod run` running for site "
                 f"{config.site.name}? They are kept in {spool.path} and published when this camera "
                 f"is grabbed again{connection.other_site()}"
             )
-    return exits.DONE
 
 
 def _publish_all(
@@ -398,36 +341,38 @@ def _publish_all(
     publisher: Publisher,
     connection: _Connection,
     config: Config,
-    told: SignalRequests,
-    heart: HeartbeatSender,
+    requests: SignalRequests,
+    heartbeats: HeartbeatSender,
 ) -> None:
     """Publish events and statuses until the source ends or a signal arrives."""
-    said, next_status = _Said(grabber), 0.0
-    heart.beat(grabber.state, grabber.reason)
+    state_log = _StateLog(grabber)
+    next_status = 0.0
+    heartbeats.beat(grabber.state, grabber.reason)
     for event in grabber.events():
         if grabber.overdue_seconds == 0.0:  # otherwise the watchdog ends this process
             # Before the event: once a beat says "running", a file is not read again.
-            heart.beat(grabber.state, grabber.reason)
+            heartbeats.beat(grabber.state, grabber.reason)
         if event is not None:
             publisher.publish(event)
         else:
             publisher.retry()
-        said.tell()
+
+        state_log.update()
         now = time.monotonic()
         if now >= next_status:
             next_status = now + config.limits.status_seconds
-            connection.tell_status()
-        if told.reload.is_set():
-            told.reload.clear()
+            connection.publish_status()
+        if requests.reload.is_set():
+            requests.reload.clear()
             log.warning(
                 "camera %s: the configuration is read only at the start; restart the command",
                 grabber.camera,
             )
-        if told.stop.is_set():
+        if requests.stop.is_set():
             return
     publisher.retry()
-    connection.tell_status()
-    heart.beat(grabber.state, grabber.reason)
+    connection.publish_status()
+    heartbeats.beat(grabber.state, grabber.reason)
 
 
 def _drain(
@@ -435,105 +380,101 @@ def _drain(
     publisher: Publisher,
     connection: _Connection,
     args: argparse.Namespace,
-    told: SignalRequests,
-    heart: HeartbeatSender,
+    requests: SignalRequests,
+    heartbeats: HeartbeatSender,
 ) -> None:
     """Wait at the end of a file until its events are stored, for at most `DRAIN_SECONDS`.
 
     A supervised process waits for as long as it takes: it would be started again, and its events
     would count twice.
     """
-    looked_after = args.beat_fd is not None or systemd.SOCKET_VARIABLE in os.environ
-    deadline = time.monotonic() + DRAIN_SECONDS
-    while not told.stop.is_set() and not publisher.wait_stored(_DRAIN_LOOK_SECONDS):
-        if not looked_after and time.monotonic() >= deadline:
+    supervised = args.beat_fd is not None or systemd.SOCKET_VARIABLE in os.environ
+    deadline = math.inf if supervised else time.monotonic() + DRAIN_SECONDS
+    while not requests.stop.is_set() and not publisher.wait_stored(_DRAIN_LOOK_SECONDS):
+        if time.monotonic() >= deadline:
             return
         publisher.retry()
-        connection.tell_status()
-        heart.beat(
-            grabber.state,
-            f"waiting for the daemon to store {publisher.waiting} events",
+        connection.publish_status()
+        heartbeats.beat(
+            grabber.state, f"waiting for the daemon to store {publisher.waiting} events"
         )
 
 
 class _Connection:
     """Connection of the grabber to the bus, which may come later than the first events.
 
-    It also tracks whether the daemon is reachable.
+    It also logs when the daemon cannot be reached any more, and when it can again.
     """
 
     def __init__(
         self, config: Config, grabber: Grabber, publisher: Publisher, args: argparse.Namespace
     ) -> None:
-        self._config, self._grabber, self._publisher = config, grabber, publisher
+        self._config = config
+        self._grabber = grabber
+        self._publisher = publisher
+        self._restarts = args.restarts or 0
+        self._last_end = args.last_end
         self._daemons: set[str] = set()
-        self._unreached = ""
-        """Reason why the daemon is not reached; "" if it is reached, or that is not known yet."""
-        self._restarts, self._last_end = args.restarts or 0, args.last_end
+        self._unreached = False
         self._bus: Bus | None = None
         self._closed = threading.Event()
         self._mutex = threading.Lock()
 
-    def use(self, bus: Bus) -> None:
+    def open(self, in_background: bool) -> None:
+        """Connect, now or in the background; until then events wait in the spool.
+
+        Raises `BusError` if there is no bus now.
+        """
+        from camtopod.serve.bus import dial
+
+        if not in_background:
+            self._use(dial(self._config))
+        threading.Thread(target=self._run, name="reach", daemon=True).start()
+
+    def _run(self) -> None:
+        """Connect if that is not done yet; then look for the daemon until the end."""
+        from camtopod.serve.bus import BusError, dial
+
+        while self._bus is None and not self._closed.is_set():
+            try:
+                self._use(dial(self._config))
+            except BusError as error:
+                self._note_unreached(str(error))
+
+        while not self._closed.wait(_DAEMON_LOOK_SECONDS) and self._bus is not None:
+            endpoint = self._bus.endpoint
+            if not self._bus.connected:
+                self._note_unreached(f"the connection to the daemon at {endpoint} is lost")
+            elif not self._daemons:
+                self._note_unreached(
+                    f"connected to the bus at {endpoint}, but no daemon of site {self._bus.site} "
+                    f"is there{self.other_site()}"
+                )
+            elif self._unreached:
+                self._unreached = False
+                log.info("camera %s: connected to the daemon again", self._grabber.camera)
+
+    def _use(self, bus: Bus) -> None:
         """Publish on ``bus`` from now on."""
+        camera = self._grabber.camera
         with self._mutex:
             if self._closed.is_set():
                 bus.close()
                 return
-            self._publisher.attach(bus, [self._grabber.camera])
-            bus.answer_queries(
-                f"status/{self._grabber.camera}", lambda key, parameters: self.status(), "status"
-            )
+            self._publisher.attach(bus, [camera])
+            bus.answer_queries(f"status/{camera}", lambda key, parameters: self.status(), "status")
             bus.watch_alive("daemon", self._on_daemon)
             self._bus = bus
-        threading.Thread(target=self._look, args=[bus], name="reach", daemon=True).start()
-
-    def keep_dialling(self) -> None:
-        """Connect in the background; until then events wait in the spool."""
-
-        def keep() -> None:
-            from camtopod.serve.bus import BusError, dial
-
-            while not self._closed.is_set():
-                try:
-                    self.use(dial(self._config))
-                    return
-                except BusError as error:
-                    self._note(str(error))
-
-        threading.Thread(target=keep, daemon=True).start()
 
     def _on_daemon(self, name: str, alive: bool) -> None:
         (self._daemons.add if alive else self._daemons.discard)(name)
 
-    def _look(self, bus: Bus) -> None:
-        """Track until the end whether the daemon is reached."""
-        reached_at, other = time.monotonic(), None
-        while not self._closed.wait(_DAEMON_LOOK_SECONDS):
-            if not bus.connected:
-                reached_at = math.inf
-                self._note(f"the connection to the daemon at {bus.endpoint} is lost")
-            elif self._daemons:
-                other = None
-                self._note("")
-            else:
-                reached_at = min(reached_at, time.monotonic())
-                if time.monotonic() - reached_at >= DAEMON_SECONDS:
-                    other = self.other_site() if other is None else other
-                    self._note(
-                        f"connected to the bus at {bus.endpoint}, but no daemon of site {bus.site} "
-                        f"is there{other}"
-                    )
-
-    def _note(self, why: str) -> None:
-        """Store why the daemon is not reached ("" if it is), and log a change."""
-        before = self._unreached
-        self._unreached = why
-        camera = self._grabber.camera
-        if why and not before:
+    def _note_unreached(self, why: str) -> None:
+        """Log once that the daemon is not reached."""
+        if not self._unreached:
+            self._unreached = True
+            camera = self._grabber.camera
             log.warning("camera %s: %s; events are kept in the spool", camera, why)
-        elif before and not why:
-            log.info("camera %s: connected to the daemon again", camera)
 
     def other_site(self) -> str:
         """Return which site has a daemon if this one has none; see `camtopod.cli.site_choice`."""
@@ -543,12 +484,11 @@ class _Connection:
 
     def status(self) -> dict[str, Any]:
         """Return the content of ``status/{camera}``."""
+        reason = with_restarts(self._restarts, self._last_end, self._grabber.reason)
         return {
             "camera": self._grabber.camera,
             "state": self._grabber.state,
-            "reason": redact.redact(
-                with_restarts(self._restarts, self._last_end, self._grabber.reason)
-            ),
+            "reason": redact.redact(reason),
             "restarts": self._restarts,
             "last_end": self._last_end,
             "t": clock.wall(),
@@ -556,7 +496,7 @@ class _Connection:
             **self._publisher.statistics(),
         }
 
-    def tell_status(self) -> None:
+    def publish_status(self) -> None:
         """Publish the status if there is a connection."""
         if self._bus is not None:
             self._bus.publish(f"status/{self._grabber.camera}", self.status(), "status")

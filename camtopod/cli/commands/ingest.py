@@ -7,19 +7,23 @@ import contextlib
 import hashlib
 import logging
 import queue
-import re
-import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import msgspec
 
 from camtopod.adapt import FORMATS
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, start_logging, until_signal
+from camtopod.cli.common import (
+    check_name,
+    configuration,
+    open_output,
+    start_logging,
+    until_signal,
+)
 from camtopod.cli.events.event_lines import LineReader, open_input
 from camtopod.cli.events.input_formats import add_options, events
 from camtopod.cli.exits import CommandError, InputError
@@ -27,10 +31,9 @@ from camtopod.cli.site_choice import right_site
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import Config
-from camtopod.records import CAMERA_PATTERN, Event
-from camtopod.serve.bus import Bus, BusError, dial
+from camtopod.records import Event
+from camtopod.serve.bus import Bus, dial
 from camtopod.serve.outbox import TRANSACTION_EVENTS_MAX, UNANSWERED, Publisher, open_ingest_spool
-from camtopod.serve.storage import StateError
 
 log = logging.getLogger(__name__)
 
@@ -96,10 +99,8 @@ def run(args: argparse.Namespace) -> int:
     config = configuration(args)
     if args.boot is not None and args.anew:
         raise CommandError("--anew and --boot contradict each other", exits.USAGE)
-    if args.boot is not None and not re.match(CAMERA_PATTERN, args.boot):
-        raise CommandError(
-            f"--boot {args.boot!r}: use 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
-        )
+    if args.boot is not None:
+        check_name("--boot", args.boot)
 
     # Read and publish, or write.
     reader = LineReader()
@@ -115,7 +116,10 @@ def run(args: argparse.Namespace) -> int:
         read = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
         status = exits.DONE
         if args.out is not None:
-            _write(args.out, read)
+            out = stack.enter_context(open_output(args.out))
+            for batch in read:
+                out.writelines(to_json(event) + b"\n" for event in batch)
+                out.flush()
         else:
             status = _publish(config, read, stack, stop, progress)
 
@@ -157,20 +161,6 @@ def numbered_by(boot: str, source: Iterator[Event]) -> Iterator[Event]:
             yield event
 
 
-def _write(path: str, source: Iterator[list[Event]]) -> None:
-    """Write event lines, flushed batch by batch."""
-    with contextlib.ExitStack() as stack:
-        out: BinaryIO = sys.stdout.buffer
-        if path != "-":
-            try:
-                out = stack.enter_context(open(path, "wb"))
-            except OSError as error:
-                raise CommandError(f"cannot write {path}: {error.strerror}") from None
-        for batch in source:
-            out.writelines(to_json(event) + b"\n" for event in batch)
-            out.flush()
-
-
 def _publish(
     config: Config,
     source: Iterator[list[Event]],
@@ -180,15 +170,9 @@ def _publish(
 ) -> int:
     """Publish events, wait until all are stored and log the outcome; return the exit status."""
     # Open the spool and connect to the bus.
-    try:
-        spool = open_ingest_spool(config.state_directory, config.site.name, config.limits)
-    except StateError as error:
-        raise CommandError(str(error), exits.STATE) from None
+    spool = open_ingest_spool(config.state_directory, config.site.name, config.limits)
     stack.callback(spool.close)
-    try:
-        bus = dial(config)
-    except BusError as error:
-        raise CommandError(str(error), exits.BUS) from None
+    bus = dial(config)
     stack.callback(bus.close)
     publisher = Publisher(spool)
     stack.callback(publisher.close)

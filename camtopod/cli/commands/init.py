@@ -13,13 +13,13 @@ from typing import Any
 from msgspec.structs import replace
 
 from camtopod.cli import exits
-from camtopod.cli.common import configuration
+from camtopod.cli.common import configuration, writing
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated import table
-from camtopod.config import TABLES, Config, secret_files, settings as configurations
+from camtopod.config import TABLES, CameraSettings, Config, secret_files, settings as configurations
 from camtopod.redact import redact
 from camtopod.visible import visible
-from camtopod.vision.source import ENOUGH_HEIGHT, SETTLE_SECONDS_MAX, Probe, kind_of
+from camtopod.vision.source import SETTLE_SECONDS_MAX, Probe, kind_of
 from camtopod.web import pictures
 
 SECRETS = "secrets"
@@ -80,14 +80,6 @@ def add_parser(subparsers: Any) -> None:
         f"{HEALTH}",
     )
     parser.add_argument(
-        "--as-given",
-        action="store_true",
-        help="take the streams as they are given. Otherwise, where the form of a URL tells how the "
-        "maker names a camera's streams, the smaller one is taken if it is at least "
-        f"{ENOUGH_HEIGHT} pixels high: it is cheaper to decode, and pictures are analysed at a "
-        "smaller size still",
-    )
-    parser.add_argument(
         "--force", action="store_true", help="overwrite existing files, also the configuration"
     )
 
@@ -100,69 +92,72 @@ def run(args: argparse.Namespace) -> int:
     from camtopod.cli.cameras.finding import streams_by_onvif
     from camtopod.cli.cameras.naming import named_sources, with_names
 
+    # Read the configuration to add to, if there is one, and find the cameras' streams.
     before = None if args.force else _existing(args.out)
     settings = configuration(args) if before is None else _unchanged(args, before)
-    cameras = with_names(named_sources(args.sources))
-    if twice := cameras.keys() & settings.cameras.keys() if before is not None else ():
+    given = with_names(named_sources(args.sources))
+    if before is not None and (twice := given.keys() & settings.cameras.keys()):
         raise CommandError(
             f"{args.out} has cameras.{', cameras.'.join(sorted(twice))} already: give another name "
             f"(NAME=SOURCE) or edit that table; --force writes the whole file anew"
         )
-    cameras, without = streams_by_onvif(cameras, largest=args.as_given)
-    for name, why in without.items():
-        _say(f"  {name}  left out: {visible(why)}")
+    cameras, refusals = streams_by_onvif(given)
+    for name, reason in refusals.items():
+        _say(f"  {name}  left out: {visible(reason)}")
     if not cameras:
         raise InputError("no camera says where its stream is, see above")
     folder = args.out.parent / SECRETS
-    handed = args.credentials
     secrets = {
         name: folder / name
         for name, source in cameras.items()
-        if handed or redact(source) != source
+        if args.credentials or redact(source) != source
     }
-
-    # Refuse to overwrite files.
-    if not args.out.parent.is_dir():
-        raise CommandError(f"cannot write {args.out}: {args.out.parent} is no directory")
-    written = list(secrets.values())
-    if before is None:
-        written.insert(0, args.out)
-    if args.pictures is not None:
-        written += [pictures.stored_path(args.pictures, name) for name in cameras]
-    there = [path for path in written if path.exists()]
-    if there and not args.force:
-        raise CommandError(
-            f"{', '.join(map(str, there))}: exists already; overwrite with --force, "
-            f"or write elsewhere with --out"
-        )
+    _refuse_to_overwrite(args, before, cameras, list(secrets.values()))
 
     # Probe the cameras, then write the configuration and the secrets.
     cameras, probes, words = _probed(args, cameras, settings)
+    tables = camera_tables(cameras, words, secrets.keys(), args.credentials)
     if before is None:
-        text = configuration_text(settings, cameras, words, secrets.keys(), handed)
+        text = configuration_text(settings, tables, args.credentials)
     else:
-        text = with_cameras(before, args.out, camera_tables(cameras, words, secrets.keys(), handed))
-    try:
+        text = with_cameras(before, args.out, tables)
+    with writing(args.out):
         _write(args.out, text, {path: _located(cameras[name]) for name, path in secrets.items()})
-        if handed and before is None:
+        if args.credentials and before is None:
             # The services' users have to read it; it contains no password.
             args.out.chmod(0o644)
-    except OSError as error:
-        raise CommandError(f"cannot write {error.filename or args.out}: {error.strerror}") from None
 
     # Say what comes next.
-    what = "the sources" if handed else "URLs with secrets"
-    where = f"; {what} are in {folder}, readable only by you" if secrets else ""
     done = "is written" if before is None else f"has {', '.join(cameras)} now, after what it had"
+    where = f"; sources with secrets are in {folder}, readable only by you" if secrets else ""
     _say(f"{args.out} {done}{where}")
     if all(probe.problem for probe in probes.values()):
         _say(
             f"no camera could be opened: correct that first, and try camtopod check {args.out}"
             " --probe"
         )
-    _say(_next_services(args.out, settings, cameras) if handed else _next(args.out, settings))
-    failed = bool(without) or any(probe.problem for probe in probes.values())
+    next_commands = _next_services if args.credentials else _next
+    _say(next_commands(args.out, settings, cameras))
+    failed = bool(refusals) or any(probe.problem for probe in probes.values())
     return exits.INPUT if failed else exits.DONE
+
+
+def _refuse_to_overwrite(
+    args: argparse.Namespace, before: str | None, cameras: Collection[str], written: list[Path]
+) -> None:
+    """Raise `CommandError` if a file exists that would be written, unless --force is given."""
+    if not args.out.parent.is_dir():
+        raise CommandError(f"cannot write {args.out}: {args.out.parent} is no directory")
+    if before is None:
+        written = [args.out, *written]
+    if args.pictures is not None:
+        written += [pictures.stored_path(args.pictures, name) for name in cameras]
+    existing = [str(path) for path in written if path.exists()]
+    if existing and not args.force:
+        raise CommandError(
+            f"{', '.join(existing)}: exists already; overwrite with --force, or write elsewhere "
+            f"with --out"
+        )
 
 
 def _probed(
@@ -172,73 +167,52 @@ def _probed(
 
     given: sources as given; others are returned where a camera's stream is found elsewhere.
     """
-    from camtopod.cli.cameras.finding import smaller_streams, streams_by_path
+    from camtopod.cli.cameras.finding import streams_by_path
     from camtopod.cli.cameras.probe import probe_all
 
-    def look(urls: Mapping[str, str]) -> Mapping[str, Probe]:
-        return probe_all(urls, dict.fromkeys(urls, settings.vision), lambda name, probe: None)
+    def described(urls: Mapping[str, str]) -> dict[str, CameraSettings]:
+        return {name: CameraSettings(url, vision=settings.vision) for name, url in urls.items()}
+
+    def tell(name: str, probe: Probe) -> None:
+        words[name] = [visible(line) for line in probe.lines]
+        _say(f"  {name:<{width}}  {'; '.join(words[name])}")
 
     # Probe the streams as they are given.
     cameras = dict(given)
+    words: dict[str, list[str]] = {}
     width = max(map(len, cameras))
     how_long = "" if args.pictures is None else f", up to {SETTLE_SECONDS_MAX:.0f} s for a picture"
     _say(f"probing {len(cameras)} {'camera' if len(cameras) == 1 else 'cameras'}{how_long} ...")
-    probes = probe_all(
-        cameras,
-        dict.fromkeys(cameras, settings.vision),
-        lambda name, probe: _say(f"  {name:<{width}}  {visible('; '.join(probe.lines))}"),
-        args.pictures,
-    )
-    words = {name: [visible(word) for word in probe.lines] for name, probe in probes.items()}
+    probes = probe_all(described(cameras), tell, args.pictures)
 
     # Where a URL has no path, take the maker's.
-    for name, (url, maker, probe) in streams_by_path(cameras, probes, look).items():
+    found = streams_by_path(
+        cameras, probes, lambda urls: probe_all(described(urls), lambda name, probe: None)
+    )
+    for name, (url, maker, probe) in found.items():
         cameras[name] = url
         probes[name] = probe
-        words[name] = [*(visible(word) for word in probe.lines), f"found as by {maker}"]
-        _say(f"  {name:<{width}}  {'; '.join(words[name])}")
-
-    # Take the smaller streams of cameras where they are big enough.
-    if not args.as_given:
-        found = smaller_streams(cameras, probes, look)
-        for name, (url, probe) in found.items():
-            large = probes[name]
-            cameras[name] = url
-            words[name] = [
-                *(visible(word) for word in probe.lines),
-                f"the camera's smaller stream, which is big enough; the one given has "
-                f"{large.width}x{large.height}",
-            ]
-            _say(f"  {name:<{width}}  {'; '.join(words[name])}")
-
+        probe.remarks.append(f"found as by {maker}")
+        tell(name, probe)
     return cameras, probes, words
 
 
-def configuration_text(
-    settings: Config,
-    cameras: Mapping[str, str],
-    words: Mapping[str, Sequence[str]],
-    secret: Collection[str],
-    handed: bool = False,
-) -> str:
+def configuration_text(settings: Config, tables: Sequence[str], credentials: bool = False) -> str:
     """Return the text of the configuration.
 
-    secret: cameras whose source is in a file of its own, which the configuration names.
-    handed: systemd passes these files to the services.
+    tables: those of the cameras.
+    credentials: systemd passes the cameras' sources to the services.
     """
-    # Site.
     bus = {"connect": settings.bus.connect} if settings.bus.connect else {}
-    parts = [_HEAD, table("site", TABLES["site"], {"name": settings.site.name})]
-
-    # Cameras.
-    parts.append(
-        "# One table per camera; its name is the camera's id on the bus and free to choose."
-    )
-    parts += camera_tables(cameras, words, secret, handed)
-
-    # Bus, state and health.
-    parts += [table("bus", TABLES["bus"], bus), table("state", TABLES["state"], {})]
-    if handed and not settings.bus.connect:  # otherwise the daemon is on another machine
+    parts = [
+        _HEAD,
+        table("site", TABLES["site"], {"name": settings.site.name}),
+        "# One table per camera; its name is the camera's id on the bus and free to choose.",
+        *tables,
+        table("bus", TABLES["bus"], bus),
+        table("state", TABLES["state"], {}),
+    ]
+    if credentials and not settings.bus.connect:  # otherwise the daemon is on another machine
         parts.append(table("health", TABLES["health"], {"listen": HEALTH}))
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 
@@ -247,10 +221,16 @@ def camera_tables(
     cameras: Mapping[str, str],
     words: Mapping[str, Sequence[str]],
     secret: Collection[str],
-    handed: bool = False,
+    credentials: bool = False,
 ) -> list[str]:
-    """Return the table of each camera; arguments as of `configuration_text`."""
-    folder = CREDENTIALS if handed else SECRETS
+    """Return the table of each camera.
+
+    cameras: source by camera id.
+    words: comments on each camera.
+    secret: cameras whose source is in a file of its own, which the configuration names.
+    credentials: systemd passes these files to the services.
+    """
+    folder = CREDENTIALS if credentials else SECRETS
     parts = []
     for name, source in cameras.items():
         key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
@@ -341,7 +321,7 @@ def _write(out: Path, text: str, secrets: Mapping[Path, str]) -> None:
         secret_files.write(out.resolve(), text.encode(), mode)
 
 
-def _next(out: Path, settings: Config) -> str:
+def _next(out: Path, settings: Config, _: Collection[str]) -> str:
     """Return the next commands; a daemon on another machine is checked first."""
     if settings.bus.connect:
         return f"next:\n    camtopod check {out} --probe\n    camtopod --config {out} grab"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -14,18 +14,10 @@ from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError
 from camtopod.config import Config
 from camtopod.keys import rules
-from camtopod.keys.authority import (
-    ACCESS,
-    DAEMON,
-    LOCAL_HOSTS,
-    Authority,
-    KeysError,
-    check_cameras,
-    check_hosts,
-    date_text,
-    write_public,
-)
 from camtopod.serve.runtime import clock
+
+if TYPE_CHECKING:
+    from camtopod.keys.authority import Authority
 
 DEFAULT_FOLDER = Path("camtopod-keys")
 """Folder of the authority and the certificates."""
@@ -158,11 +150,13 @@ def run(args: argparse.Namespace) -> int:
     """Run a subcommand; messages go to standard error, the list to standard output."""
     config = configuration(args)
     try:
-        return _run(args, config)
+        from camtopod.keys.authority import KeysError
     except ModuleNotFoundError as error:  # the help works without it
         raise CommandError(
             f"keys needs the package {error.name!r}, which is not installed; see README, 'Packages'"
         ) from None
+    try:
+        return _run(args, config)
     except KeysError as error:
         raise CommandError(str(error)) from None
     except OSError as error:
@@ -171,6 +165,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _run(args: argparse.Namespace, config: Config) -> int:
     """Open or create the authority, then issue, revoke or list certificates."""
+    from camtopod.keys.authority import (
+        ACCESS,
+        DAEMON,
+        Authority,
+        KeysError,
+        check_cameras,
+        check_hosts,
+    )
+
     what = args.keys_command
     folder = args.keys
     now = clock.wall()
@@ -228,6 +231,8 @@ def _give(
     authority: Authority, args: argparse.Namespace, config: Config, role: rules.Role, name: str
 ) -> None:
     """Issue one certificate, with an example configuration in its folder."""
+    from camtopod.keys.authority import LOCAL_HOSTS, date_text, write_public
+
     hosts = args.host if role == "daemon" else []
     cameras = args.cameras if role == "camera" else []
     folder = authority.issue(role, name, args.days, args.replace, hosts, cameras)
@@ -250,6 +255,8 @@ def _give(
 
 def _write_access(authority: Authority, config: Config) -> None:
     """Write the access list, for the daemon and for a separate zenoh router."""
+    from camtopod.keys.authority import ACCESS, DAEMON, write_public
+
     folder = authority.folder / DAEMON
     write_public(
         folder / ACCESS,
@@ -267,6 +274,8 @@ def _example(site: str, config: Config, role: rules.Role, name: str, several: bo
 
     several: the certificate is for a program with events of several cameras.
     """
+    from camtopod.keys.authority import ACCESS, DAEMON
+
     own = {"daemon": DAEMON, "camera": name if several else "{camera}", "reader": name}[role]
     lines = [f'[site]\nname = "{site}"\n', "[bus]"]
     if role == "daemon":
@@ -301,6 +310,8 @@ def _toml_key(name: str) -> str:
 
 def _list(authority: Authority, now: float) -> int:
     """Print all certificates, with a warning for those that expire soon."""
+    from camtopod.keys.authority import date_text
+
     ending = {
         certificate.name for certificate, _ in rules.expiring_certificates(authority.access, now)
     }

@@ -14,18 +14,16 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from camtopod.cli.common import configuration
+from camtopod.cli.common import configuration, open_output
 from camtopod.cli.events.event_lines import LineReader
-from camtopod.cli.exits import STATE, CommandError, InputError
+from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal import Progress, busiest_links, transit
 from camtopod.codec import to_json
-from camtopod.config import Config
 from camtopod.learn.learner import STEPS, Learner
 from camtopod.learn.window import EVENTS_PER_SECOND_MAX
 from camtopod.records import TOPOLOGY_SCHEMA, Topology
 from camtopod.serve.recorded_state import RecordedState
 from camtopod.serve.runtime import wall
-from camtopod.serve.storage import StateError
 from camtopod.topology import links_between_views, links_in_words
 
 _HEAD_BYTES = 200
@@ -71,21 +69,24 @@ def run(args: argparse.Namespace) -> int:
     """
     config = configuration(args)
     reader = LineReader()
-    if args.topology:
-        check_output(args.topology)
+    if (
+        args.topology
+        and args.topology != "-"
+        and not os.access(Path(args.topology).parent, os.W_OK)
+    ):
+        raise CommandError(f"cannot write {args.topology}: no such directory, or no permission")
 
     # Feed all events to the learner.
     with ExitStack() as stack:
-        state = stack.enter_context(_new_state(args.state, config)) if args.state else None
+        state = None
+        if args.state:
+            state = stack.enter_context(RecordedState(args.state, config.keep, wall()))
         epoch = EPOCH if state is None else state.epoch
         learner = Learner(
             config.learn, site=config.site.name, epoch=epoch, only_last=args.updates is None
         )
         updates = stack.enter_context(open_output(args.updates)) if args.updates else None
-        try:
-            _feed(learner, reader, args.events, updates, state)
-        except StateError as error:
-            raise CommandError(str(error), STATE) from None
+        _feed(learner, reader, args.events, updates, state)
 
     # Report what was not learned from.
     if (summary := reader.summary()) is not None:
@@ -119,14 +120,6 @@ def run(args: argparse.Namespace) -> int:
         print("camtopod: --topology OUT.json keeps the topology", file=sys.stderr)
     print(f"camtopod: {describe(topology)}", file=sys.stderr)
     return 0
-
-
-def _new_state(directory: Path, config: Config) -> RecordedState:
-    """Create a state directory for a daemon. Raises `CommandError`."""
-    try:
-        return RecordedState(directory, config.keep, wall())
-    except StateError as error:
-        raise CommandError(str(error), STATE) from None
 
 
 def _feed(
@@ -216,38 +209,3 @@ def link_lines(topology: Topology) -> list[str]:
         f"{link.from_:<{left}} -> {link.to:<{right}}  {link.probability:5.0%}  {transit(link)}"
         for link in links
     ]
-
-
-def check_output(path: str) -> None:
-    """Raise `CommandError` before long work if its result could not be written."""
-    folder = Path(path).parent
-    if path != "-" and not folder.is_dir():
-        raise CommandError(f"cannot write {path}: {folder} is no directory")
-    if path != "-" and not os.access(path if Path(path).exists() else folder, os.W_OK):
-        raise CommandError(f"cannot write {path}: no permission")
-
-
-def open_output(path: str) -> Any:
-    """Open a file for writing bytes; ``-`` is standard output, which is left open.
-
-    Raises `CommandError`.
-    """
-    if path == "-":
-        return ExitStack().enter_context(_StandardOutput())
-    try:
-        return open(path, "wb")
-    except OSError as error:
-        raise CommandError(f"cannot write {path}: {error.strerror or error}") from None
-
-
-class _StandardOutput:
-    """Context manager that flushes standard output and leaves it open."""
-
-    def __enter__(self) -> _StandardOutput:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        sys.stdout.buffer.flush()
-
-    def write(self, data: bytes) -> None:
-        sys.stdout.buffer.write(data)

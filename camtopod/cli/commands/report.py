@@ -9,8 +9,9 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.commands.export import TOO_LONG, TOPOLOGY_BYTES_MAX, load
+from camtopod.cli.common import writing
 from camtopod.cli.events.event_lines import numbered
-from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import Rejected, decode_topology
 from camtopod.records import Topology
@@ -70,10 +71,8 @@ def run(args: argparse.Namespace) -> int:
     if args.out == "-":
         sys.stdout.write(text)
         return exits.DONE
-    try:
+    with writing(args.out):
         Path(args.out).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CommandError(f"report: cannot write {args.out}: {error.strerror}") from None
     return exits.DONE
 
 

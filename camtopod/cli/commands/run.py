@@ -13,11 +13,10 @@ from camtopod.cli import descriptors, exits
 from camtopod.cli.common import SignalRequests, configuration, ends_within, signals, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.config import Config
-from camtopod.serve.bus import BusError, log_to_standard_output
+from camtopod.serve.bus import log_to_standard_output
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.monitoring import health, metrics
 from camtopod.serve.runtime import systemd
-from camtopod.serve.storage import StateError
 
 log = logging.getLogger(__name__)
 
@@ -62,23 +61,16 @@ def run(args: argparse.Namespace) -> int:
         daemon = Daemon(config)
         log_to_standard_output()
         pages = {"/metrics": lambda: metrics.page(daemon, config.limits.cameras_max)}
-        try:
-            with (
-                health.serving(
-                    config.health.listen, daemon.failing, daemon.unready, pages
-                ) as listening,
-                systemd.watchdog(daemon.failing, lambda: not daemon.started),
-            ):
-                if listening:
-                    log.info("health at http://%s/healthz, /readyz and /metrics", listening)
-                systemd.notify(systemd.status("starting"))
-                _run(daemon, args, config, requests)
-        except StateError as error:
-            raise CommandError(str(error), exits.STATE) from None
-        except BusError as error:
-            raise CommandError(str(error), exits.BUS) from None
-        except health.ListenError as error:
-            raise CommandError(str(error)) from None
+        with (
+            health.serving(
+                config.health.listen, daemon.failing, daemon.unready, pages
+            ) as listening,
+            systemd.watchdog(daemon.failing, lambda: not daemon.started),
+        ):
+            if listening:
+                log.info("health at http://%s/healthz, /readyz and /metrics", listening)
+            systemd.notify(systemd.status("starting"))
+            _run(daemon, args, config, requests)
     log.info("ended cleanly")
     return exits.DONE
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from camtopod.cli import exits
+from camtopod.cli.common import open_output, writing
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
-from camtopod.records import Event
 from camtopod.sim.simulation import SimSettings, simulate
 
 BLOCK_LINES = 10_000
@@ -127,21 +127,14 @@ def run(args: argparse.Namespace) -> int:
         raise exits.CommandError(f"simulate: {error}", exits.USAGE) from None
 
     # Write the files.
-    try:
-        with Progress() as progress:
-            if args.events == "-":
-                _write(events, sys.stdout.buffer, progress)
-            else:
-                with Path(args.events).open("wb") as file:
-                    _write(events, file, progress)
-        if args.truth:
+    with Progress() as progress, open_output(args.events) as file:
+        for begin in range(0, len(events), BLOCK_LINES):
+            block = events[begin : begin + BLOCK_LINES]
+            file.write(b"".join(to_json(event) + b"\n" for event in block))
+            progress.show("%d of %d events written", begin, len(events))
+    if args.truth:
+        with writing(args.truth):
             Path(args.truth).write_bytes(to_json(truth) + b"\n")
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        raise exits.CommandError(
-            f"simulate: cannot write {error.filename}: {error.strerror}"
-        ) from None
 
     # Summarise.
     links = sum(link.relation != "visible" for link in truth.links)
@@ -152,15 +145,6 @@ def run(args: argparse.Namespace) -> int:
         file=sys.stderr,
     )
     return exits.DONE
-
-
-def _write(events: list[Event], file: IO[bytes], progress: Progress) -> None:
-    """Write event lines, a block at a time."""
-    for begin in range(0, len(events), BLOCK_LINES):
-        file.write(
-            b"".join(to_json(event) + b"\n" for event in events[begin : begin + BLOCK_LINES])
-        )
-        progress.show("%d of %d events written", begin, len(events))
 
 
 def _given(args: argparse.Namespace) -> SimSettings:

@@ -16,7 +16,6 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
-from camtopod.cli.exits import CommandError
 from camtopod.cli.site_choice import dial_as_reader
 from camtopod.cli.terminal import (
     LINKS_SHOWN,
@@ -27,7 +26,7 @@ from camtopod.cli.terminal import (
     transit,
 )
 from camtopod.records import Topology
-from camtopod.serve.bus import BusError, TopologySubscriber
+from camtopod.serve.bus import TopologySubscriber
 from camtopod.serve.runtime import clock
 from camtopod.visible import visible
 
@@ -60,10 +59,7 @@ def run(args: argparse.Namespace) -> int:
     """Show the site until SIGTERM or SIGINT."""
     start_logging(args)
     config = configuration(args)
-    try:
-        bus, config = dial_as_reader(args, config)
-    except BusError as error:
-        raise CommandError(str(error), exits.BUS) from None
+    bus, config = dial_as_reader(args, config)
     site = SiteState(config.site.name)
     with bus, until_signal() as stop:
         # Subscribe first, then ask for the newest statuses.

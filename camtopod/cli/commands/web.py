@@ -25,7 +25,6 @@ from camtopod.cli.common import (
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.site_choice import dial_as_reader
 from camtopod.config import Config, secret_files
-from camtopod.serve.bus import BusError
 from camtopod.serve.runtime import Progress, clock
 
 if TYPE_CHECKING:
@@ -110,11 +109,8 @@ def run(args: argparse.Namespace) -> int:
     # Listen, connect to the bus and serve.
     with until_signal() as stop, ends_within(stop, LEAVE_SECONDS), contextlib.ExitStack() as stack:
         listener = stack.enter_context(listening(host, port))
-        try:
-            bus, config = dial_as_reader(args, config)
-            stack.enter_context(bus)
-        except BusError as error:
-            raise CommandError(str(error), exits.BUS) from None
+        bus, config = dial_as_reader(args, config)
+        stack.enter_context(bus)
         progress = Progress()
         running = stack.enter_context(
             app.serving(

@@ -20,11 +20,11 @@ from camtopod.adapt import (
     StreamAdapter,
 )
 from camtopod.cli import exits
+from camtopod.cli.common import check_camera
 from camtopod.cli.events import broker_options
 from camtopod.cli.events.event_lines import LineReader, numbered, open_input
 from camtopod.cli.exits import CommandError
-from camtopod.config import RESERVED
-from camtopod.records import CAMERA_PATTERN, Event
+from camtopod.records import Event
 
 _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "size": (
@@ -108,15 +108,8 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
         raise CommandError(
             f"--{option} is for {' and '.join(formats)}, not {args.format}", exits.USAGE
         )
-    if args.camera in RESERVED:
-        raise CommandError(
-            f"--camera {args.camera}: this name is reserved on the bus, use another", exits.USAGE
-        )
-    if args.camera is not None and not re.match(CAMERA_PATTERN, args.camera):
-        raise CommandError(
-            f"--camera {args.camera!r}: use 1 to 64 of the characters A-Z a-z 0-9 _ . -",
-            exits.USAGE,
-        )
+    if args.camera is not None:
+        check_camera(args.camera)
     if missing := [f"--{option}" for option in chosen.needs if option not in given]:
         raise CommandError(f"{args.format} needs {' and '.join(missing)}", exits.USAGE)
     if chosen.make is None:

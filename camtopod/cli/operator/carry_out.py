@@ -14,7 +14,7 @@ from camtopod.cli.site_choice import right_site
 from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.admin_queries import Done, parameters_of
-from camtopod.serve.bus import Bus, BusError, QueryError, dial
+from camtopod.serve.bus import Bus, QueryError, dial
 
 ANSWER_SECONDS = 30.0
 """Longest wait for the daemon's answer; it answers when the command is on its disk."""
@@ -36,11 +36,7 @@ def carry_out(args: argparse.Namespace, command: Command) -> int:
     """
     start_logging(args)
     config = configuration(args)
-    try:
-        bus = dial(config)
-    except BusError as error:
-        raise CommandError(str(error), exits.BUS) from None
-    with bus:
+    with dial(config) as bus:
         print(_asked(bus, config, command))
     return exits.DONE
 

@@ -3,9 +3,8 @@
 `source_url` tells the kind of a source and encodes its password; `capture` wraps OpenCV. On top of
 it `recorded` reads a file and `live` a stream or device, which reconnects; `frame_times` estimates
 capture times from presentation stamps. `ffmpeg_log` finds out why a stream cannot be opened,
-`makers` where a camera's stream may be, `substreams` where a
-smaller one is; `probe` describes a source for people, with a picture from `settled_picture`;
-`errors` has the exceptions.
+`makers` where a camera's stream may be; `probe` describes a source for people, with a picture from
+`settled_picture`; `errors` has the exceptions.
 """
 
 from camtopod.vision.source.ffmpeg_log import FfmpegLog as FfmpegLog, captured_log as captured_log
@@ -23,9 +22,4 @@ from camtopod.vision.source.source_url import (
     RETRY_SEPARATOR as RETRY_SEPARATOR,
     kind_of as kind_of,
     percent_encoded as percent_encoded,
-)
-from camtopod.vision.source.substreams import (
-    ENOUGH_FPS as ENOUGH_FPS,
-    ENOUGH_HEIGHT as ENOUGH_HEIGHT,
-    smaller_stream as smaller_stream,
 )
