@@ -60,7 +60,9 @@ def sum_by_group(rows: Floats, group: Indices, groups: int) -> Floats:
     present, first, number = np.unique(group[order], return_index=True, return_counts=True)
 
     # Most groups have one or two rows, for which plain indexing is much faster than reduceat.
-    one, two, more = (number == 1, number == 2, number > 2)
+    one = number == 1
+    two = number == 2
+    more = number > 2
     result[present[one]] = rows[order[first[one]]]
     result[present[two]] = rows[order[first[two]]] + rows[order[first[two] + 1]]
 

@@ -21,7 +21,8 @@ EVENT_ENCODING = "application/msgpack;schema=camtopod.event.1"
 """Encoding that is declared for events in MessagePack on the bus."""
 EVENT_BYTES_MAX = 4096
 """Largest event, in bytes; a larger one is rejected before it is decoded."""
-T_MIN, T_MAX = -86_400.0, 32_503_680_000.0
+T_MIN = -86_400.0
+T_MAX = 32_503_680_000.0
 """Range of an event's time, seconds since 1970.
 
 It ends with the year 3000, and begins a day before 1970: the times of a file may count from 0, and
@@ -84,7 +85,9 @@ def _event(decoder: Any, raw: bytes) -> Event:
         raise _rejection(error) from None
 
     # Check relations and values that the types cannot express.
-    x, y, track = event.x, event.y, event.track
+    x = event.x
+    y = event.y
+    track = event.track
     if not T_MIN <= event.t < T_MAX:  # also true for NaN
         raise Rejected("bad-value", "t is not a time between 1970 and 3000 - at `$.t`")
     if (x is None) != (y is None):

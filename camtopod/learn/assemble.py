@@ -52,8 +52,10 @@ def zone_records(cameras: list[str], scene: Scene) -> list[Zone]:
     """
     records = []
     for index, zone in enumerate(scene.zones):
-        entries, exits = int(scene.entries[index]), int(scene.exits[index])
-        name, shape = zone_id(cameras, zone), zone.shape
+        entries = int(scene.entries[index])
+        exits = int(scene.exits[index])
+        name = zone_id(cameras, zone)
+        shape = zone.shape
         if shape is None:
             records.append(Zone(name, cameras[zone.camera], entries, exits))
         else:
@@ -136,7 +138,8 @@ def with_clock_offsets(links: list[Link], zones: list[Zone], ahead: dict[str, fl
     of_zone = {zone.id: ahead[zone.camera] for zone in zones}
     result = []
     for link in links:
-        later, t = of_zone[link.to] - of_zone[link.from_], link.transit
+        later = of_zone[link.to] - of_zone[link.from_]
+        t = link.transit
         if later:
             mode, mean, q10, q50, q90 = (
                 round_significant(figure + later)

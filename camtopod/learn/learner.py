@@ -425,7 +425,9 @@ class Learner:
     def _version_of(self, found: Refit, tick_us: int) -> Topology:
         """Return the version that follows from a refit, with site, number, alarms and score."""
         # The records of links and zones.
-        cameras, scene, bins = self._window.cameras, found.scene, lag_bins(self.settings)
+        cameras = self._window.cameras
+        scene = found.scene
+        bins = lag_bins(self.settings)
         between = link_records(cameras, scene, found.published, bins)
         visible = link_records(cameras, scene, found.visible, dwell_bins(self.settings), "visible")
         weak = link_records(cameras, scene, found.weak, bins, histograms=False, lacks=found.lacks)
@@ -465,7 +467,8 @@ class Learner:
     def _report(self, found: Refit, topology: Topology, version: int, now: float) -> None:
         """Raise an alarm for each change that this version is the first to show."""
         # Changes of links, zones, cameras and clocks.
-        cameras, scene = self._window.cameras, found.scene
+        cameras = self._window.cameras
+        scene = found.scene
         ids = [zone_id(cameras, zone) for zone in scene.zones]
         if self.only_last:  # no earlier version has published the links that have closed
             self._alarms.join(ids, zone_pairs_of(found.significant_links))

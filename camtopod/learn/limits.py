@@ -33,15 +33,18 @@ FOLLOWED_MAX = 5_000_000
 """Event pairs that the fit for prediction uses as candidates (`next_camera.fit`)."""
 ZONES_PER_CAMERA_MAX = 32
 """Zones of one camera; of more, those with the most events count."""
-ZONE_PAIRS_MAX, ZONE_PAIRS_PER_CAMERA_MAX = 20_000, 250
+ZONE_PAIRS_MAX = 20_000
+ZONE_PAIRS_PER_CAMERA_MAX = 250
 """Pairs of zones that screening follows on a site: in all, or for each camera if that is more."""
-ENTRY_PAIRS_MAX, ENTRY_PAIRS_PER_CAMERA_MAX = 20_000, 600
+ENTRY_PAIRS_MAX = 20_000
+ENTRY_PAIRS_PER_CAMERA_MAX = 600
 """Entry kernels of a site (`next_camera.entry_kernels`): in all, or for each camera if that is
 more.
 
 An entry kernel belongs to a pair of a zone of entry and a zone of the next appearance.
 """
-CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX = 8_000_000, 40_000
+CONTEXT_CELLS_MAX = 8_000_000
+CONTEXT_CELLS_PER_CAMERA_MAX = 40_000
 """Cells of a table of transitions by context (`next_camera.contexts`): in all, or for each camera
 of the site if that is more.
 

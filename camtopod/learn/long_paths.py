@@ -38,7 +38,8 @@ BIN_SECONDS = 1.0
 """Width of the bins of the correlograms."""
 LONG_SECONDS_MIN = 60.0
 """Least lag of a long path; the lag bins are fine enough for shorter ones."""
-LONG_SECONDS_MAX, LONG_SHARE_MAX = 900.0, 0.25
+LONG_SECONDS_MAX = 900.0
+LONG_SHARE_MAX = 0.25
 """Largest lag of a long path, in seconds and as a share of the duration of the window.
 
 The share ensures that a path is observed more than once.
@@ -54,7 +55,8 @@ FALSE_LEGS = 1.0
 
 Used to recognise paths that lead over a camera between (`_is_over`).
 """
-SAME_SHARE, SAME_SECONDS = 0.1, 10.0
+SAME_SHARE = 0.1
+SAME_SECONDS = 10.0
 """Two paths count as equally long if their lags differ by at most this share of the lag plus this
 number of seconds.
 """
@@ -93,11 +95,10 @@ def find_long_paths(
     source, target = np.array(pairs, np.int32).T
 
     # The clearest peak of each pair of cameras, from the correlograms of both halves of the window.
-    first, last = min(departures.t[0], arrivals.t[0]), max(departures.t[-1], arrivals.t[-1])
-    longest, middle = (
-        min(LONG_SECONDS_MAX, LONG_SHARE_MAX * float(last - first)),
-        0.5 * (first + last),
-    )
+    first = min(departures.t[0], arrivals.t[0])
+    last = max(departures.t[-1], arrivals.t[-1])
+    longest = min(LONG_SECONDS_MAX, LONG_SHARE_MAX * float(last - first))
+    middle = 0.5 * (first + last)
     halves = [
         correlograms(
             (departures.t[half], departures.camera[half]),
@@ -108,7 +109,8 @@ def find_long_paths(
         for half in (departures.t < middle, departures.t >= middle)
         if half.any()
     ]
-    nats, seconds = np.zeros(len(pairs)), np.zeros(len(pairs))
+    nats = np.zeros(len(pairs))
+    seconds = np.zeros(len(pairs))
     order = cache_friendly_order(source, target, min(half.at_once for half in halves))
     for k in range(0, len(order), ROWS_AT_ONCE):
         part = order[k : k + ROWS_AT_ONCE]
@@ -117,7 +119,8 @@ def find_long_paths(
     false = len(pairs) * max(longest, 1.0) / BIN_SECONDS * np.exp(-nats)
 
     # The peaks at long lags of paths that do not lead over a camera between.
-    lag, dwell = np.full((cameras, cameras), np.nan), _usual_dwell_time(departures, cameras)
+    lag = np.full((cameras, cameras), np.nan)
+    dwell = _usual_dwell_time(departures, cameras)
     is_leg = false < FALSE_LEGS
     lag[source[is_leg], target[is_leg]] = seconds[is_leg]
     far = np.flatnonzero((false < FALSE_PROBABILITY) & (seconds >= LONG_SECONDS_MIN)).tolist()
@@ -138,11 +141,13 @@ def clearest_peaks(counts: list[Counts], lag_max: float, longest: float) -> tupl
     be.
     """
     lag = np.arange(-LAGS, LAGS + 1) * BIN_SECONDS
-    before, near = lag < -LONG_SECONDS_MIN, np.abs(lag) < LONG_SECONDS_MIN
+    before = lag < -LONG_SECONDS_MIN
+    near = np.abs(lag) < LONG_SECONDS_MIN
     usual = [
         np.maximum(null_expectation(half), half.mean(axis=1, keepdims=True)) for half in counts
     ]
-    best, where = np.zeros(len(counts[0])), np.zeros(len(counts[0]))
+    best = np.zeros(len(counts[0]))
+    where = np.zeros(len(counts[0]))
     for width in WIDTHS_BINS:
         observed, expected = (
             np.stack(
@@ -154,7 +159,8 @@ def clearest_peaks(counts: list[Counts], lag_max: float, longest: float) -> tupl
         least = ((observed - expected) / np.sqrt(expected)).min(axis=0)
 
         # Log likelihood ratio of both halves together, corrected for dispersion.
-        observed, expected = observed.sum(axis=0), expected.sum(axis=0)
+        observed = observed.sum(axis=0)
+        expected = expected.sum(axis=0)
         excess = observed - expected
         dispersion = np.maximum(
             np.var((excess / np.sqrt(expected))[:, before], axis=1, keepdims=True), 1.0
@@ -177,7 +183,8 @@ def clearest_peaks(counts: list[Counts], lag_max: float, longest: float) -> tupl
 def _usual_dwell_time(departures: Departures, cameras: int) -> Floats:
     """Return the median dwell time in each view (cameras, seconds); 0 where it is unknown."""
     known = np.isfinite(departures.since)
-    dwell, camera = (departures.t - departures.since)[known], departures.camera[known]
+    dwell = (departures.t - departures.since)[known]
+    camera = departures.camera[known]
     return np.array(
         [np.median(dwell[rows]) if len(rows) else 0.0 for rows in rows_by_group(camera, cameras)]
     )

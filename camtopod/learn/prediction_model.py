@@ -247,7 +247,8 @@ def _contexts(
                 continue  # a virtual view: the previous camera is known by a long path only
 
             # Transitions, scaled to the departures of the originals and to present shares.
-            zone, row = int(level.zone[k]), slice(level.first[k], level.first[k + 1])
+            zone = int(level.zone[k])
+            row = slice(level.first[k], level.first[k + 1])
             sure = float(level.departures[k])
             original, departures, to = counted.get((zone, first, block), (sure, sure, {}))
             transitions = level.transitions[row] * (original / sure)

@@ -198,7 +198,8 @@ def refit(
     on_step: called with the name of each of `STEPS` as the step begins; the memory of the step
         before is free again at that moment.
     """
-    bins, zones = lag_bins(settings), len(scene.zones)
+    bins = lag_bins(settings)
+    zones = len(scene.zones)
 
     # 1. Visible links, and the usual dwell time for passages of unknown dwell time.
     transitions = visible_transitions(scene, dwell_bins(settings), settings.candidates_max)
@@ -271,7 +272,9 @@ def associate(
     The candidates take most of a refit's memory. It is free again when this function returns, but
     for the likely candidates, which the fit for prediction uses.
     """
-    bins, arrivals, cameras = lag_bins(settings), scene.arrivals, len(window.cameras)
+    bins = lag_bins(settings)
+    arrivals = scene.arrivals
+    cameras = len(window.cameras)
     real = Problem(scene.departures, arrivals, bins, len(scene.zones), scene.last)
 
     # 3. Candidates: departures, and delayed copies for long paths, within the range of the lags.
@@ -370,7 +373,9 @@ def predict_next(
     associated: result of steps 3 to 6.
     """
     # The fit for prediction, and its table of pairs of zones; both are mapped back to real zones.
-    delayed, problem, cameras = associated.delayed, associated.problem, window.cameras
+    delayed = associated.delayed
+    problem = associated.problem
+    cameras = window.cameras
     bins = problem.bins
     posterior = fit_followed(
         problem,

@@ -56,7 +56,8 @@ def camera_to_replace(reorder_buffer: ReorderBuffer, window: Window) -> str | No
 
     reorder_buffer, window: as for `cameras_to_retire`.
     """
-    newest, watermark_us = reorder_buffer.newest_of, reorder_buffer.watermark_us
+    newest = reorder_buffer.newest_of
+    watermark_us = reorder_buffer.watermark_us
     silent_us = (watermark_us or 0) - round(REPLACEABLE_AFTER_SECONDS * MICROSECONDS)
 
     # The usual case: `newest_of` begins with the camera whose last event was received first.

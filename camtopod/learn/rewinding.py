@@ -19,7 +19,8 @@ from camtopod.learn.window import ReorderBufferState, WindowState
 
 def rewind(state: LearnerState, to: float) -> LearnerState:
     """Return the state with event time taken back to ``to`` (seconds), without later events."""
-    to_us, tick_us = microseconds(to), microseconds(state.settings.version_seconds)
+    to_us = microseconds(to)
+    tick_us = microseconds(state.settings.version_seconds)
     reached = to_us // tick_us * tick_us
     return replace(
         state,

@@ -91,7 +91,8 @@ class ContextMultipliers:
 
         # Each context backs off to the coarser ones before it; unknown contexts change nothing.
         targets = np.array(outcomes.targets)
-        share, leave = outcomes.share, outcomes.leave
+        share = outcomes.share
+        leave = outcomes.leave
         for key, probability in keys:
             number = numbers.get(key)
             if number is None:

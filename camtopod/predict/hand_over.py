@@ -52,10 +52,8 @@ class HandOver:
         self._bins = offset_bins(scale, step)
         self._from: dict[str, list[_Overlap]] = {}
         for row in (model.overlaps if model else None) or []:
-            same, others = (
-                masses_on_bins(row.same, self._bins),
-                masses_on_bins(row.others, self._bins),
-            )
+            same = masses_on_bins(row.same, self._bins)
+            others = masses_on_bins(row.others, self._bins)
 
             # Smaller rates are stored as 0.
             resolution = max(float(others.max()) / STEPS, RATE_MIN)

@@ -142,7 +142,8 @@ class Hazards:
         """
         if source not in self.outcomes:
             return np.zeros(len(lag))
-        reached, first = self.outcomes[source].targets, self._first_row[source]
+        reached = self.outcomes[source].targets
+        first = self._first_row[source]
         row = self._rows_of(reached, np.arange(first, first + len(reached)), targets)
         return self._at(row, lag)
 
@@ -343,7 +344,8 @@ class Hazards:
 
         rates: dict[tuple[str, int], float] = {}
         for k, outcomes in self.outcomes.items():
-            zone, deciles = topology.zones[k], self.stay[k]
+            zone = topology.zones[k]
+            deciles = self.stay[k]
             median = deciles[len(deciles) // 2] if deciles else UNKNOWN_DWELL_SECONDS
             share = zone.exits / max(exits[zone.camera], 1) / max(median, 1.0)
             mass = outcomes.hazard * self.bins.widths * outcomes.exposure

@@ -173,7 +173,8 @@ def find_odds(
     is_alive (targets,): probability that each target's camera still reports.
     seen: observed arrivals that may be of the object.
     """
-    hazards, outcomes = site.hazards, table.outcomes
+    hazards = site.hazards
+    outcomes = table.outcomes
 
     # Exposure, and the lag bins of an object of this slowness.
     exposure = (
@@ -193,7 +194,9 @@ def find_odds(
     fits = np.flatnonzero((row >= 0) & (at >= 0))
     if not len(fits):
         return Odds(mass, edges)
-    seen, row, at = seen.take(fits), row[fits], at[fits]
+    seen = seen.take(fits)
+    row = row[fits]
+    at = at[fits]
 
     # The mass of each is the object's hazard over the rate of all other causes.
     hazard = outcomes.hazard[row, at] * exposure[row, at]

@@ -147,7 +147,8 @@ class OpenPassages:
             for key, passage in older._passages.items()
             if passage.entry in moved
         }
-        self._begun, self._in_view = len(self._passages), {}
+        self._begun = len(self._passages)
+        self._in_view = {}
         for number, ((camera, track), passage) in enumerate(self._passages.items(), start=1):
             self._in_view.setdefault(camera, {})[track] = number, passage
 

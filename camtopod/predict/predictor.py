@@ -81,7 +81,9 @@ class Predictor:
     """
 
     def __init__(self, topology: Topology) -> None:
-        self.version, self.as_of, self.zones = topology.version, topology.as_of, topology.zones
+        self.version = topology.version
+        self.as_of = topology.as_of
+        self.zones = topology.zones
 
         # Figures of the version, in a form for prediction.
         self._hazards = Hazards(topology)
@@ -203,7 +205,8 @@ class Predictor:
         now: as for `predict`.
         """
         _check(t, now)
-        here, table = self.zones[zone], self._site.table(zone)
+        here = self.zones[zone]
+        table = self._site.table(zone)
         if table is None:
             return self._prediction(here, t, track, 1.0, [], passage)
 
@@ -224,7 +227,8 @@ class Predictor:
         if now is not None and now > t:
             slowness = 1.0 if pace is None else pace.factor
             odds = self._odds(query._replace(elapsed=now - t, slowness=slowness), table)
-            leave, pace = max(leave, LEAVE_FLOOR), None
+            leave = max(leave, LEAVE_FLOOR)
+            pace = None
 
         # Probabilities of the outcomes that are likely enough.
         by_target = odds.by_target() * multiplier * (1.0 - spurious)
@@ -287,10 +291,14 @@ class Predictor:
 
         block: as for `predict_from`.
         """
-        entry, previous, sure = None, None, 0.0
+        entry = None
+        previous = None
+        sure = 0.0
         if query.passage is not None:
             passage = query.passage
-            entry, previous, sure = passage.entry, passage.previous, passage.sure
+            entry = passage.entry
+            previous = passage.previous
+            sure = passage.sure
         return self._surroundings.multipliers(
             query.zone, table.outcomes, block, entry, previous, sure
         )
@@ -315,7 +323,8 @@ class Predictor:
         tied = rows[arrivals.t[rows] == query.began]
         if len(tied):
             rows = np.setdiff1d(rows, [row for row in tied if not self._is_open(row, query.t)])
-        before, remembered = len(rows), -math.inf
+        before = len(rows)
+        remembered = -math.inf
 
         # Since the exit, as far as they are reported by the moment of the question.
         if query.elapsed:
@@ -342,7 +351,8 @@ class Predictor:
         These are arrivals in other views, since the entry, and reported before the exit.
         """
         # Recent enough.
-        times, zones = self._arrivals.t, self._arrivals.zone
+        times = self._arrivals.t
+        zones = self._arrivals.zone
         oldest = max(t + self._hazards.bins.lag_min, began)
         [rows] = (times >= oldest).nonzero()
 
@@ -364,7 +374,8 @@ class Predictor:
         It decides which of two passages that begin together was the earlier one: the one that ends
         first.
         """
-        zone, began = int(self._arrivals.zone[row]), float(self._arrivals.t[row])
+        zone = int(self._arrivals.zone[row])
+        began = float(self._arrivals.t[row])
         camera = self.zones[zone].camera
         by_clock = t + self._site.clock_offset[camera]
         return self._open_passages.was_in_view(camera, zone, began, by_clock)
@@ -422,7 +433,8 @@ class Predictor:
 
     def _add_simultaneous_cause(self, passage: Passage) -> None:
         """Add a passage that begins to the causes of arrivals in other views at the same time."""
-        arrivals, hazards = self._arrivals, self._hazards
+        arrivals = self._arrivals
+        hazards = self._hazards
         for row in range(len(arrivals.t) - 1, -1, -1):
             if arrivals.t[row] != passage.t:
                 break
@@ -441,7 +453,8 @@ class Predictor:
         are not included.
         """
         # Objects that have left.
-        hazards, site = self._hazards, self._site
+        hazards = self._hazards
+        site = self._site
         oldest = t - hazards.lag_max - site.offset_range
         exit_times, zones = self._exits.after(oldest)
         sources, rates = hazards.rates(zones, zone, t - exit_times)
@@ -449,12 +462,15 @@ class Predictor:
         causes = {site.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
 
         # Objects in other views that may appear at the zone before they leave.
-        here, entries, in_views = self.zones[zone].camera, hazards.entries_before(zone), []
+        here = self.zones[zone].camera
+        entries = hazards.entries_before(zone)
+        in_views = []
         for camera in hazards.cameras_before(zone):
             if camera == here:
                 continue
             before_exit = hazards.rate_before_exit(camera, zone)
-            rate, first = causes.get(camera, 0.0), None
+            rate = causes.get(camera, 0.0)
+            first = None
             for number, passage in self._open_passages.in_view(camera):
                 passage_rate = before_exit
                 if passage.entry in entries:

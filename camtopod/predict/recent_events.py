@@ -64,13 +64,16 @@ class RecentEvents:
         """Add an event at corrected time ``t``, with its rate if it is an arrival."""
         if self._stop == len(self._t):
             self.load(self.t, self.zone, self.rate)
-        self._t[self._stop], self._zone[self._stop], self._rate[self._stop] = t, zone, rate
+        self._t[self._stop] = t
+        self._zone[self._stop] = zone
+        self._rate[self._stop] = rate
         self._stop += 1
 
     def load(self, t: Floats, zone: Ints, rate: Floats | float = 0.0) -> None:
         """Replace all events by the given ones (n,), oldest first."""
         self._stop = len(t)
-        self._t[: self._stop], self._zone[: self._stop] = t, zone
+        self._t[: self._stop] = t
+        self._zone[: self._stop] = zone
         self._rate[: self._stop] = rate
 
     def after(self, t: float) -> tuple[Floats, Ints]:

@@ -69,11 +69,13 @@ class PaceModel:
         if self._pace is None:
             return None
         usual = self._usual_dwell.get((entry, exit_)) if entry is not None else None
-        correlation, sd = self._pace.correlation, self._pace.sd
+        correlation = self._pace.correlation
+        sd = self._pace.sd
 
         # Mean slowness of the two views, and its standard deviation.
         if usual is None or dwell is None:
-            expected, uncertain = 0.0, sd * math.sqrt((1.0 + correlation) / 2.0)
+            expected = 0.0
+            uncertain = sd * math.sqrt((1.0 + correlation) / 2.0)
         else:
             slowness = math.log(max(dwell, DWELL_SECONDS_MIN) / usual)
             slowness = min(max(slowness, -SLOWNESS_MAX), SLOWNESS_MAX)

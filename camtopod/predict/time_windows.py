@@ -38,8 +38,10 @@ def unknown_share(edges: Floats, elapsed: float, remembered: float, shift: Float
     """
     # Bounds in lags of each target; those before the exit do not matter.
     by_target = shift[:, None]
-    low, high = np.maximum(edges[:-1], -by_target), edges[1:]
-    now, memory = elapsed - by_target, remembered - by_target
+    low = np.maximum(edges[:-1], -by_target)
+    high = edges[1:]
+    now = elapsed - by_target
+    memory = remembered - by_target
 
     # Seconds of each bin that are still to come, and that are forgotten.
     coming = np.maximum(high - np.maximum(low, now), 0.0)

@@ -61,12 +61,15 @@ class ZoneLookup:
         if event.x is None or event.y is None:
             return self._busiest[event.camera]
 
-        likeliest, most = camera_zones[0], -math.inf
+        likeliest = camera_zones[0]
+        most = -math.inf
         for zone, x, y, xx, two_xy, yy, det, weight in self._shapes[event.camera]:
-            dx, dy = event.x - x, event.y - y
+            dx = event.x - x
+            dy = event.y - y
             density = weight - 0.5 * ((yy * dx * dx - two_xy * dx * dy + xx * dy * dy) / det)
             if density > most:
-                likeliest, most = zone, density
+                likeliest = zone
+                most = density
         return likeliest
 
 
@@ -77,7 +80,8 @@ def _shape(k: int, zone: Zone) -> _Shape | None:
 
     # A zone may be as narrow as a line: add the variance within a grid cell, as zone learning does.
     (xx, xy), (_, yy) = zone.cov
-    xx, yy = xx + 1 / (12 * GRID_COLUMNS**2), yy + 1 / (12 * GRID_ROWS**2)
+    xx = xx + 1 / (12 * GRID_COLUMNS**2)
+    yy = yy + 1 / (12 * GRID_ROWS**2)
     det = xx * yy - xy * xy
     weight = math.log(max(zone.entries + zone.exits, 1)) - 0.5 * math.log(det)
     return _Shape(k, zone.x, zone.y, xx, 2 * xy, yy, det, weight)

@@ -47,7 +47,8 @@ def find_camera_pairs(zones: Iterable[Zone], links: Iterable[Link], tolerance: f
     passages: dict[str, list[float]] = defaultdict(list)
     between: dict[tuple[str, str], list[Link]] = defaultdict(list)
     for link in links:
-        source, target = camera_of[link.from_], camera_of[link.to]
+        source = camera_of[link.from_]
+        target = camera_of[link.to]
         if link.relation == "visible":
             passages[link.to].append(link.transit.q50)
         elif source != target:

@@ -54,7 +54,8 @@ def masses_on_bins(histogram: Histogram, bins: LagBins) -> Floats:
     """
     result = np.zeros(bins.size)
     start = histogram.first - bins.first
-    low, high = max(-start, 0), min(bins.size - start, len(histogram.mass))
+    low = max(-start, 0)
+    high = min(bins.size - start, len(histogram.mass))
     if low < high:
         result[start + low : start + high] = histogram.mass[low:high]
         result *= histogram.unit

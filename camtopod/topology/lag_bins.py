@@ -45,7 +45,10 @@ class LagBins:
     ) -> None:
         if not lag_min < lag_max:
             raise ValueError(f"lag range is empty: {lag_min} to {lag_max} s")
-        self.lag_min, self.lag_max, self.scale, self.step = lag_min, lag_max, scale, step
+        self.lag_min = lag_min
+        self.lag_max = lag_max
+        self.scale = scale
+        self.step = step
         self.first = int(np.floor(np.arcsinh(lag_min / scale) / step))
         """Number of the first bin, counted from the bin that starts at a lag of 0."""
         last = int(np.floor(np.arcsinh(lag_max / scale) / step))

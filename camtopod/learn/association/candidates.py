@@ -73,7 +73,8 @@ def newest_within_limit(problem: Problem, candidates_max: int) -> Problem:
     would look like one of an object that left the site.
     """
     # Count candidates back from the newest arrival.
-    departures, arrivals = problem.departures, problem.arrivals
+    departures = problem.departures
+    arrivals = problem.arrivals
     low, high = departures_in_reach(departures.t, arrivals.t, problem.bins)
     kept = int(np.searchsorted(np.cumsum((high - low)[::-1]), candidates_max, side="right"))
     if kept == len(arrivals.t):
@@ -150,8 +151,10 @@ def possible(
         # Of two passages that begin at the same instant, the one that ends first counts as the
         # earlier.
         ahead = np.flatnonzero(lag <= 0)
-        departed, arrival = departure[ahead], arrival_rows[at[ahead]]
-        entered, since = arrivals.t[arrival], departures.since[departed]
+        departed = departure[ahead]
+        arrival = arrival_rows[at[ahead]]
+        entered = arrivals.t[arrival]
+        since = departures.since[departed]
         begun = (entered > since) | ((entered == since) & (departed < ends[arrival]))
         is_possible[ahead] &= begun & (departures.camera[departed] != arrivals.camera[arrival])
 
@@ -177,7 +180,9 @@ def find_candidates(problem: Problem) -> Candidates:
         departure[rows] = departed
         arrival[rows] = arrived
         lag[rows] = lags
-    departure, arrival, lag = departure[:n], arrival[:n], lag[:n]
+    departure = departure[:n]
+    arrival = arrival[:n]
+    lag = lag[:n]
 
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
     return Candidates(departure, arrival, pair, lag, source, target)
@@ -190,7 +195,8 @@ def slices_by_arrival(arrival: Indices) -> list[slice]:
 
     All candidates of one arrival are in the same slice.
     """
-    parts, first = [], 0
+    parts = []
+    first = 0
     while first < len(arrival):
         last = arrival[min(first + CANDIDATES_AT_ONCE, len(arrival)) - 1]
         stop = int(np.searchsorted(arrival, last, side="right"))

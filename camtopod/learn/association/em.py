@@ -285,7 +285,8 @@ class Em:
         before, which are replaced as well (``_message``), as is the `share` of each term.
         """
         result = self.responsibility
-        arrivals, arrival = self.problem.arrivals, self.candidates.arrival
+        arrivals = self.problem.arrivals
+        arrival = self.candidates.arrival
         background = np.maximum(self.outside[arrivals.zone] * arrivals.rate, BACKGROUND_MIN)
         parts = slices_by_arrival(arrival)
 
@@ -468,7 +469,8 @@ class Em:
 
     def _estimate_outside(self) -> None:
         """Estimate the share of each zone's arrivals that no departure explains (`outside`)."""
-        arrivals, zones = self.problem.arrivals, self.problem.zones
+        arrivals = self.problem.arrivals
+        zones = self.problem.zones
         explained = self.summed(self.candidates.arrival, len(arrivals.t))
         of_zone = np.bincount(arrivals.zone, explained, minlength=zones)
         self.outside = np.clip(1.0 - of_zone / self.arrivals_of_zone, OUTSIDE_FLOOR, 1.0)
@@ -486,7 +488,8 @@ class Em:
 
         Hazards are the smoothed counts over exposure and width of the bin. A prior adds to both.
         """
-        prior, widths = self.model.prior, self.problem.bins.widths
+        prior = self.model.prior
+        widths = self.problem.bins.widths
         expected = None if prior is None else prior.expected(counts)
         smoothed = self._smoothed(counts)
         del counts  # larger than the hazards
@@ -545,7 +548,8 @@ class Em:
         hazard (P, bins): the hazards that depend on the lag.
         """
         even = np.zeros(self.pairs)
-        c, bins = self.candidates, self.problem.bins
+        c = self.candidates
+        bins = self.problem.bins
         one_view = self.camera[c.source] == self.camera[c.target]
         before = bins.edges[1:] <= 0
         for rows in row_slices(self.pairs):

@@ -85,7 +85,8 @@ OVERLAP_FALSE = 0.05
 """Probability that `negative_without_overlap` finds any overlap on a site without overlaps."""
 LIKELY_MIN = 0.001
 """Probability, after weighing, up to which candidates are dropped."""
-LIKELY_MAX, LIKELY_PER_ARRIVAL = 3_000_000, 8
+LIKELY_MAX = 3_000_000
+LIKELY_PER_ARRIVAL = 8
 """Limits of the candidates kept for the joint fit, the likeliest: in all, or for each arrival if
 that is more.
 """
@@ -235,7 +236,8 @@ def candidates_of_pairs(problem: Problem, candidates: Candidates, pairs: Rows) -
     departures, arrivals, bins, zones, _ = problem
 
     # Group events by zone, and pairs by zone of arrival.
-    leaving, coming = rows_by_group(departures.zone, zones), rows_by_group(arrivals.zone, zones)
+    leaving = rows_by_group(departures.zone, zones)
+    coming = rows_by_group(arrivals.zone, zones)
     pairs_to = {
         zone: pairs[rows]
         for zone, rows in enumerate(rows_by_group(candidates.target[pairs], zones))
@@ -502,7 +504,9 @@ def _joined(parts: Iterable[Part], problem: Problem) -> Candidates:
     # Order by arrival. Each part has its own arrivals, ordered by arrival and departure.
     departure, arrival, lag, _ = _likeliest(held, most, most)
     order = np.argsort(arrival, kind="stable")
-    departure, arrival, lag = departure[order], arrival[order], lag[order]
+    departure = departure[order]
+    arrival = arrival[order]
+    lag = lag[order]
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
     return Candidates(departure, arrival, pair, lag, source, target)
 

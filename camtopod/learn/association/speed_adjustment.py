@@ -48,7 +48,8 @@ def adjust(problem: Problem, candidates: Candidates, found: Persistence) -> Adju
 
     found: estimate of how far speed persists.
     """
-    c, bins = candidates, problem.bins
+    c = candidates
+    bins = problem.bins
     cell = np.empty(len(c.lag), np.int32)
     agreements = np.empty(len(c.lag), np.float32) if found.correlation > 0 else None
 

@@ -241,7 +241,8 @@ class AlarmLog:
         compared with it, until a change is reported or an estimate is more than twice as exact.
         """
         for camera in cameras:
-            now, sd = camera.clock_offset, camera.clock_offset_sd
+            now = camera.clock_offset
+            sd = camera.clock_offset_sd
             if sd is None:
                 continue
             before, before_sd = self.state.clock.get(camera.id, (now, np.inf))

@@ -50,11 +50,10 @@ _WIDTH = 1.0
 """Standard deviation of the kernels, grid steps."""
 _EVENTS_EVEN = 2.0
 """Weight, in events, of a uniform density in the kernel density."""
-_ROWS, _COLUMNS = kernel_1d(GRID_ROWS, _WIDTH), kernel_1d(GRID_COLUMNS, _WIDTH)
-_ROWS, _COLUMNS = (
-    _ROWS / _ROWS.sum(axis=1, keepdims=True),
-    _COLUMNS / _COLUMNS.sum(axis=1, keepdims=True),
-)
+_ROWS = kernel_1d(GRID_ROWS, _WIDTH)
+_COLUMNS = kernel_1d(GRID_COLUMNS, _WIDTH)
+_ROWS = _ROWS / _ROWS.sum(axis=1, keepdims=True)
+_COLUMNS = _COLUMNS / _COLUMNS.sum(axis=1, keepdims=True)
 _CELLS = GRID_ROWS * GRID_COLUMNS
 
 
@@ -153,10 +152,8 @@ def _known_zones(count: NDArray[np.int64], zones: NDArray[np.int16]) -> NDArray[
     The known zones are numbered anew, without gaps: their numbers are not those of the map.
     """
     part = zones.astype(np.int64) + 1
-    had, size = (
-        np.bincount(part, count, part.max() + 1),
-        np.bincount(part, minlength=part.max() + 1),
-    )
+    had = np.bincount(part, count, part.max() + 1)
+    size = np.bincount(part, minlength=part.max() + 1)
     rest = (had[0] + 1) / max(int(size[0]), 1)
     kept = had > KNOWN_CONTRAST * rest * size
     kept[0] = False

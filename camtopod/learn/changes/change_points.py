@@ -123,7 +123,8 @@ def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> l
     found = []
     for pair, moved, share in transitions_by_pair(problem, fit, pairs):
         # Departures and transitions of the pair.
-        source, target = int(fit.candidates.source[pair]), int(fit.candidates.target[pair])
+        source = int(fit.candidates.source[pair])
+        target = int(fit.candidates.target[pair])
         t = done[departures_of[source]]
         weight = np.ones(len(t))
         for begin, end in silences[camera_of[target]]:
@@ -222,12 +223,16 @@ def latest_change(trials: Trials, threshold: float) -> tuple[float, float, float
 
     # The latest change: look for another change after each one that is found.
     table = _Table(trials)
-    start, split, nats = 0, 0, 0.0
+    start = 0
+    split = 0
+    nats = 0.0
     for _ in range(CHANGES_MAX):
         later, more = table.change(split, n, threshold)
         if later is None:
             break
-        start, split, nats = split, later, more
+        start = split
+        split = later
+        nats = more
     if split == 0:
         return None
 
@@ -295,7 +300,8 @@ class _Table:
 
         splits (S,): first departure after each split of the stretch from ``begin`` to ``end``.
         """
-        first, last = np.full_like(splits, begin), np.full_like(splits, end)
+        first = np.full_like(splits, begin)
+        last = np.full_like(splits, end)
         apart = self.likelihood(first, splits).max(axis=0) + self.likelihood(splits, last).max(
             axis=0
         )
@@ -372,17 +378,17 @@ def present(table: LinkTable, changes: list[Change], zones: int, share_min: floa
         return table
 
     # Shares and evidence of the pairs that changed.
-    probability, ratio, kept = (
-        table.probability.copy(),
-        table.ratio.copy(),
-        np.ones(len(table.source), bool),
-    )
+    probability = table.probability.copy()
+    ratio = table.ratio.copy()
+    kept = np.ones(len(table.source), bool)
     new = np.zeros(len(table.source), bool)
     for k, pair in enumerate(zip(table.source.tolist(), table.target.tolist(), strict=True)):
         change = latest.get(pair)
         if change is None:
             continue
-        new[k], kept[k], probability[k] = True, change.after >= share_min, change.after
+        new[k] = True
+        kept[k] = change.after >= share_min
+        probability[k] = change.after
         if change.after > change.before:
             ratio[k] = max(ratio[k], min(change.nats, change.linked))
 

@@ -55,7 +55,8 @@ SCALES_BINS = (1.5, 4.0, 10.0)
 """Standard deviations, in bins, of the peaks to look for: transit times vary little or much."""
 NOISE_SD = 2.5
 """Standard deviations of the null model subtracted from every peak; lower peaks count as none."""
-HIGHEST_LAGS, HIGHEST_WIDTH = 400, 5
+HIGHEST_LAGS = 400
+HIGHEST_WIDTH = 5
 """Largest lag (either way) at which `highest_peaks` looks, and the width of its peaks, in bins."""
 NEAR_BINS = 100.0
 """Lag in bins beyond which a peak weighs less, the less the longer its lag is."""
@@ -79,7 +80,8 @@ def correlograms(
     blocks = max(SPECTRA_MAX // labels, 1)
     last = max(departures[0][-1], arrivals[0][-1])
     first = max(min(departures[0][0], arrivals[0][0]), last - blocks * BLOCK * bin_seconds)
-    bins, names = [], []
+    bins = []
+    names = []
     for t, label in (departures, arrivals):
         kept = slice(int(np.searchsorted(t, first)), None)
         bins.append(((t[kept] - first) / bin_seconds).astype(np.int64))

@@ -208,7 +208,8 @@ def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:
     cameras: number of cameras.
     known: an earlier estimate; clocks that were right before are more likely to be right now.
     """
-    departures, arrivals = scene.departures, scene.arrivals
+    departures = scene.departures
+    arrivals = scene.arrivals
     if (
         len(departures.t) == 0
         or len(arrivals.t) == 0
@@ -232,7 +233,8 @@ def turning(scene: Scene) -> Bools:
     A zone is one if it is the only zone of its camera, or if tracks show it (`TURNING_SHARE`).
     """
     camera_of = np.array([zone.camera for zone in scene.zones], np.int64)
-    zones, p = len(scene.zones), scene.passages
+    zones = len(scene.zones)
+    p = scene.passages
     back = np.bincount(p.target[p.source == p.target], minlength=zones)
     only: Bools = np.bincount(camera_of)[camera_of] == 1
     return only | (back > TURNING_SHARE * np.maximum(np.bincount(p.target, minlength=zones), 1))
@@ -262,7 +264,8 @@ def find_differences(
         return []
 
     # Correlograms of all pairs of zones of each pair of cameras.
-    departed, arrived = (departures.t, departures.zone), (arrivals.t, arrivals.zone)
+    departed = (departures.t, departures.zone)
+    arrived = (arrivals.t, arrivals.zone)
     pair_counts = correlograms(departed, arrived, len(camera_of), BIN_SECONDS)
     found = []
     a_of, b_of = np.array(pairs).T
@@ -304,9 +307,11 @@ def _promising(
     """
     # Highest peak of each pair of cameras.
     a, b = (np.array([pair[k] for pair in pairs], np.int32) for k in range(2))
-    departed, arrived = (departures.t, departures.camera), (arrivals.t, arrivals.camera)
+    departed = (departures.t, departures.camera)
+    arrived = (arrivals.t, arrivals.camera)
     pair_counts = correlograms(departed, arrived, len(zones_of), SCREENING_BIN_SECONDS)
-    peak, order = np.zeros(len(a)), cache_friendly_order(a, b, pair_counts.at_once)
+    peak = np.zeros(len(a))
+    order = cache_friendly_order(a, b, pair_counts.at_once)
     for k in range(0, len(a), ROWS_AT_ONCE):
         rows = order[k : k + ROWS_AT_ONCE]
         peak[rows] = np.minimum(
@@ -337,7 +342,8 @@ def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clo
         return clocks
 
     # A robust first estimate, in which most offsets are zero.
-    a, b = np.array([d.a for d in found]), np.array([d.b for d in found])
+    a = np.array([d.a for d in found])
+    b = np.array([d.b for d in found])
     ahead = np.array([d.ahead for d in found])
     trust = (
         1.0
@@ -360,7 +366,8 @@ def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clo
         if excess[least] > 1.0:
             break
         wrong[least] = False
-    clocks.offset[:], clocks.sd[:] = offset, error
+    clocks.offset[:] = offset
+    clocks.sd[:] = error
     return clocks
 
 
@@ -372,7 +379,8 @@ def _with_asymmetry(found: list[Difference], trust: Floats) -> Floats:
 
     Of `ASYMMETRIES`, the likeliest is used, given how well the differences agree with each other.
     """
-    a, b = np.array([d.a for d in found]), np.array([d.b for d in found])
+    a = np.array([d.a for d in found])
+    b = np.array([d.b for d in found])
     ahead, own_sd, transit = (
         np.array([getattr(d, name) for d in found]) for name in ("ahead", "sd", "transit")
     )
@@ -382,7 +390,8 @@ def _with_asymmetry(found: list[Difference], trust: Floats) -> Floats:
     more = max(len(found) - len(cameras) + 1, 0) / len(found)
 
     # Find the asymmetry with the largest posterior.
-    best, best_score = own_sd, -np.inf
+    best = own_sd
+    best_score = -np.inf
     for asymmetry in ASYMMETRIES:
         sd = np.hypot(own_sd, asymmetry * transit)
         offset = _least_disagreement(a, b, ahead, sd, trust)
@@ -394,7 +403,8 @@ def _with_asymmetry(found: list[Difference], trust: Floats) -> Floats:
         )
         score = likelihood - 0.5 * np.log(asymmetry / ASYMMETRY_PRIOR) ** 2
         if score > best_score:
-            best, best_score = sd, score
+            best = sd
+            best_score = score
     return best
 
 
@@ -410,20 +420,26 @@ def _least_disagreement(
     a, b, ahead, sd (differences,): as in `Difference`.
     trust (cameras,): factor on the cost of an offset of each clock.
     """
-    n, cameras = len(a), len(trust)
+    n = len(a)
+    cameras = len(trust)
 
     # A linear programme. Variables: the offsets, their absolute values, and the disagreement of
     # each difference in standard deviations.
     cost = np.concatenate((np.zeros(cameras), RIGHT_WEIGHT * trust, np.ones(n)))
 
     # Constraints: disagreements and absolute values are at least either sign of their argument.
-    k, c = np.arange(n), np.arange(cameras)
-    above, below, left, right = k, n + k, 2 * n + c, 2 * n + cameras + c
+    k = np.arange(n)
+    c = np.arange(cameras)
+    above = k
+    below = n + k
+    left = 2 * n + c
+    right = 2 * n + cameras + c
     rows = np.concatenate((above, above, above, below, below, below, left, left, right, right))
     columns = np.concatenate(
         (b, a, 2 * cameras + k, b, a, 2 * cameras + k, c, cameras + c, c, cameras + c)
     )
-    one, ones = 1.0 / sd, np.ones(cameras)
+    one = 1.0 / sd
+    ones = np.ones(cameras)
     values = np.concatenate(
         (one, -one, -np.ones(n), -one, one, -np.ones(n), ones, -ones, -ones, -ones)
     )
@@ -465,7 +481,8 @@ def _least_squares(
     for _ in range(ROUNDS):
         disagreement = (ahead - offset[b] + offset[a]) / sd
         weight = 1.0 / sd**2 / (1.0 + (disagreement / OUTLIER_SD) ** 2)
-        normal, pull = np.zeros((cameras, cameras)), np.zeros(cameras)
+        normal = np.zeros((cameras, cameras))
+        pull = np.zeros(cameras)
         for i, j, sign in ((a, a, 1.0), (b, b, 1.0), (a, b, -1.0), (b, a, -1.0)):
             np.add.at(normal, (i, j), sign * weight)
         np.add.at(pull, b, weight * ahead)

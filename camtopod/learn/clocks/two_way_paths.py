@@ -40,7 +40,8 @@ FIRST_WIDTH_BINS = 10.0
 """Width (standard deviation, bins) of the first window around a peak."""
 ROUNDS = 12
 """Iterations of the mean shift."""
-WIDE, WIDE_ROUNDS = 2.0, 4
+WIDE = 2.0
+WIDE_ROUNDS = 4
 """Factor by which a wider window checks the result, and the iterations of mean shift in it."""
 PEAK_VARIANCE_MIN = 0.3
 """Least variance of a peak, bins squared: a little more than that of counting in bins."""
@@ -141,7 +142,11 @@ def _refine(
     peaks.
     """
     # Mean shift, adapting the width of the window to that of the peaks.
-    centres, width, within, error, spread = np.array([forth, back]), FIRST_WIDTH_BINS, 0.0, 0.0, 0.0
+    centres = np.array([forth, back])
+    width = FIRST_WIDTH_BINS
+    within = 0.0
+    error = 0.0
+    spread = 0.0
     for _ in range(ROUNDS):
         step = _step(counts, usual, centres, width)
         if step is None or np.abs(step[0] - (forth, back)).max() > LAGS:
@@ -150,7 +155,8 @@ def _refine(
         within = min(max(within, PEAK_VARIANCE_MIN), 0.9 * width**2)
         # The width of a normal peak that the window has made narrower.
         spread = float(1.0 / np.sqrt(1.0 / within - 1.0 / width**2))
-        last, width = width, float(np.clip(1.5 * spread, *WIDTHS_BINS))
+        last = width
+        width = float(np.clip(1.5 * spread, *WIDTHS_BINS))
 
     # Half the difference of the two lags is the offset.
     ahead = 0.5 * float(centres[0] - centres[1])
@@ -181,7 +187,10 @@ def _step(
     and the standard error of the difference of the new centres; None if there are too few events.
     """
     lag = np.arange(-LAGS, LAGS + 1)
-    number, moment, centre, error = np.zeros(2), np.zeros(2), np.zeros(2), 0.0
+    number = np.zeros(2)
+    moment = np.zeros(2)
+    centre = np.zeros(2)
+    error = 0.0
     for k in range(2):
         squared = (lag - centres[k]) ** 2
         window = np.exp(-0.5 * squared / width**2)
@@ -189,6 +198,7 @@ def _step(
         number[k] = above.sum()
         if number[k] < EVENTS_MIN:
             return None
-        moment[k], centre[k] = above @ squared, above @ lag / number[k]
+        moment[k] = above @ squared
+        centre[k] = above @ lag / number[k]
         error += float((window**2 * counts[k]) @ squared) / number[k] ** 2
     return centre, float(moment.sum() / number.sum()), float(np.sqrt(error))

@@ -82,7 +82,8 @@ def _products(parts: WindowParts, order: Longs) -> list[Floats]:
     """
     evidence = np.zeros((len(EVEN_SHARES), 2, len(parts.fit.candidates.source)))
     for known, upto in BETS:
-        rest, judged = parts.take(order[:known]), parts.take(order[known:upto])
+        rest = parts.take(order[:known])
+        judged = parts.take(order[known:upto])
         hazard = _fitted(rest)
         for number, share in enumerate(EVEN_SHARES):
             evidence[number] += _evidence(judged, judged.hedged(hazard, share), rest.outside)

@@ -68,7 +68,8 @@ def transitions_of(fit: Fit, least: float = 0.0) -> Transitions:
     c = fit.candidates
     enough = np.bincount(c.pair, fit.responsibility, minlength=len(c.source)) >= least
     rows = np.flatnonzero(enough[c.pair])
-    pair, lag = c.pair[rows], c.lag[rows].astype(float)
+    pair = c.pair[rows]
+    lag = c.lag[rows].astype(float)
     return Transitions(
         c.source[pair], c.target[pair], lag, fit.responsibility[rows], fit.flat[rows]
     )
@@ -192,10 +193,8 @@ def tabulate(
     present, pair = np.unique(key, return_inverse=True)
     pair = pair.astype(np.int32)
     pairs = len(present)
-    source, target = (
-        (present // max(zones, 1)).astype(np.int32),
-        (present % max(zones, 1)).astype(np.int32),
-    )
+    source = (present // max(zones, 1)).astype(np.int32)
+    target = (present % max(zones, 1)).astype(np.int32)
 
     # Expected transitions per lag bin, and their smoothed density per second.
     at = bins.index(transitions.lag)

@@ -147,7 +147,9 @@ def find_skipped_paths(
     # Join link, passage and link where one ends and the next begins.
     first, middle = match_rows(between.target[links], through.source[passages])
     step, last = match_rows(through.target[passages][middle], between.source[links])
-    k, j, m = links[first[step]], passages[middle[step]], links[last]
+    k = links[first[step]]
+    j = passages[middle[step]]
+    m = links[last]
 
     # Transitions of the first link, times the shares of its objects that take the passage and the
     # second link.
@@ -196,11 +198,9 @@ class MissedOdds:
         )
         ratio = seen[self._pair[tells]] / whole[tells]
         order = np.argsort(ratio, kind="stable")
-        self._ratio, self._pair_of_ratio, self._camera_of_ratio = (
-            ratio[order],
-            self._pair[tells][order],
-            self._camera[tells][order],
-        )
+        self._ratio = ratio[order]
+        self._pair_of_ratio = self._pair[tells][order]
+        self._camera_of_ratio = self._camera[tells][order]
         self._weight = np.minimum(self._expected[tells][order], TELLING_TRANSITIONS_MAX)
 
         self._most = missed_share_max / (1.0 - missed_share_max)

@@ -164,7 +164,8 @@ def _weighed(
     """
     # Weights by variance; the error takes into account that the two are correlated.
     share = one_error**2 / (one_error**2 + other_error**2)
-    a, b = (1.0 - share) * one_error, share * other_error
+    a = (1.0 - share) * one_error
+    b = share * other_error
     error = np.sqrt(a * a + b * b + 2.0 * ERRORS_CORRELATION * a * b)
     both_known = np.isfinite(share)
     return np.where(both_known, one + share * (other - one), one), np.where(
@@ -190,13 +191,17 @@ def weighted_quantiles(
     likely = weight > WEIGHT_MIN
     some_likely = np.bincount(pair[likely], minlength=pairs) > 0
     kept = likely | ((weight > 0.0) & ~some_likely[pair])
-    pair, lag, weight = pair[kept], lag[kept], weight[kept]
+    pair = pair[kept]
+    lag = lag[kept]
+    weight = weight[kept]
     if len(pair) == 0:
         return np.full((pairs, len(shares)), np.nan)
 
     # Cumulative weights of the lags in order, pair by pair.
     order = np.lexsort((lag, pair))
-    pair, lag, reached = pair[order], lag[order], np.cumsum(weight[order])
+    pair = pair[order]
+    lag = lag[order]
+    reached = np.cumsum(weight[order])
     result = np.full((pairs, len(shares)), np.nan)
     present, first = np.unique(pair, return_index=True)
     last = np.append(first[1:], len(pair)) - 1

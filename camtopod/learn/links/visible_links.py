@@ -92,7 +92,8 @@ def with_usual_dwell_times(departures: Departures, through: LinkTable) -> Depart
     through: table of the visible links.
     """
     # Mean of the 90 % quantiles of dwell times, by zone of exit, weighted by the passages.
-    dwell, weight = np.nan_to_num(through.transit.quantiles[:, -1]), through.transit.total
+    dwell = np.nan_to_num(through.transit.quantiles[:, -1])
+    weight = through.transit.total
     size = max(int(departures.zone.max(initial=0)), int(through.target.max(initial=0))) + 1
     total = np.bincount(through.target, weight, minlength=size)
     usual = np.bincount(through.target, weight * dwell, minlength=size) / np.maximum(total, 1e-300)
@@ -120,7 +121,8 @@ def _view(scene: Scene, camera: int, bins: LagBins) -> _View:
     is_entry = scene.arrivals.camera == camera
     is_exit = scene.departures.camera == camera
     of_camera = [index for index, zone in enumerate(scene.zones) if zone.camera == camera]
-    first, zones = min(of_camera, default=0), len(of_camera)
+    first = min(of_camera, default=0)
+    zones = len(of_camera)
     starts = Departures.without_arrivals(
         scene.arrivals.t[is_entry],
         scene.arrivals.zone[is_entry] - np.int32(first),
@@ -129,7 +131,8 @@ def _view(scene: Scene, camera: int, bins: LagBins) -> _View:
         scene.arrivals.slow[is_entry],
     )
 
-    t, zone = scene.departures.t[is_exit], scene.departures.zone[is_exit] - np.int32(first)
+    t = scene.departures.t[is_exit]
+    zone = scene.departures.zone[is_exit] - np.int32(first)
     ends = Arrivals(
         t,
         zone,

@@ -178,7 +178,8 @@ class Contexts:
 
         # Transitions of each context.
         for part in slices_by_arrival(c.arrival):
-            departure, target = c.departure[part].astype(np.intp), column.take(c.pair[part])
+            departure = c.departure[part].astype(np.intp)
+            target = column.take(c.pair[part])
             for level in levels:
                 cell, own_weight = level.cells_of(departure, target, responsibility[part])
                 np.add.at(level.moved.ravel(), cell, own_weight)
@@ -197,11 +198,15 @@ class Contexts:
         share (P,): probability of each pair's second zone after its first, without context.
         levels: counts of each level (`count`).
         """
-        c, column = candidates, self._columns(candidates)[0]
-        after, without = np.empty(len(c.lag), np.float32), share.astype(np.float32)
+        c = candidates
+        column = self._columns(candidates)[0]
+        after = np.empty(len(c.lag), np.float32)
+        without = share.astype(np.float32)
         for part in slices_by_arrival(c.arrival):
-            departure, pair = c.departure[part].astype(np.intp), c.pair[part].astype(np.intp)
-            target, probability = column.take(pair), without.take(pair)
+            departure = c.departure[part].astype(np.intp)
+            pair = c.pair[part].astype(np.intp)
+            target = column.take(pair)
+            probability = without.take(pair)
             for level in levels:
                 probability = level.judged(
                     departure, *level.cells_of(departure, target, responsibility[part]), probability
@@ -216,7 +221,8 @@ class Contexts:
 
         levels: counts of each level (`count`).
         """
-        first, result = np.searchsorted(candidates.source, np.arange(self.zones)), []
+        first = np.searchsorted(candidates.source, np.arange(self.zones))
+        result = []
         for level in levels:
             context, at = np.nonzero(level.moved)
             reached = candidates.target[first[level.keys[context, 0]] + at].astype(np.int64)
@@ -268,7 +274,8 @@ class Contexts:
         It is the camera from which the object came into the view that it now leaves, by the
         responsibilities (M,) of the arrival that began the passage; -1 where it is unknown.
         """
-        c, d = candidates, self.departures
+        c = candidates
+        d = self.departures
         likely = np.flatnonzero(responsibility > PREVIOUS_RESPONSIBILITY_MIN)
         key = c.arrival[likely].astype(np.int64) * self.cameras + d.camera[c.departure[likely]]
         present, number = np.unique(key, return_inverse=True)
@@ -276,7 +283,8 @@ class Contexts:
         arrival, camera = np.divmod(present, self.cameras)
 
         # For each arrival, the camera with the largest probability.
-        best, sure = np.full(len(self.arrivals.t) + 1, -1), np.zeros(len(self.arrivals.t) + 1)
+        best = np.full(len(self.arrivals.t) + 1, -1)
+        sure = np.zeros(len(self.arrivals.t) + 1)
         np.maximum.at(sure, arrival, mass)
         most = np.flatnonzero(mass == sure.take(arrival))
         best[arrival[most]] = camera[most]  # of equally probable cameras the last one
@@ -287,12 +295,11 @@ class Contexts:
 
         It is the mean responsibility of a transition, the candidates weighted by responsibility.
         """
-        squares, all_of = np.zeros(self.zones), np.zeros(self.zones)
+        squares = np.zeros(self.zones)
+        all_of = np.zeros(self.zones)
         for part in slices_by_arrival(candidates.arrival):
-            zone, r = (
-                self._zone.take(candidates.departure[part]),
-                responsibility[part].astype(float),
-            )
+            zone = self._zone.take(candidates.departure[part])
+            r = responsibility[part].astype(float)
             np.add.at(squares, zone, r * r)
             np.add.at(all_of, zone, r)
         sure: Floats = squares / np.maximum(all_of, 1e-300)

@@ -55,7 +55,8 @@ class EntryKernels:
         tied = (d.own >= 0) & np.isfinite(d.since)
         early = np.flatnonzero((c.lag < 0) & tied[c.departure])
         at = bins.index(a.t[c.arrival[early]] - d.since[c.departure[early]])
-        early, at = early[at >= 0], at[at >= 0]
+        early = early[at >= 0]
+        at = at[at >= 0]
 
         # Pairs of zones; beyond the limit, the rarest have no kernel, so that their candidates only
         # have rates by lag from the exit.
@@ -65,7 +66,8 @@ class EntryKernels:
         if len(present) > most:
             usual = np.sort(np.argsort(-often, kind="stable")[:most])
             kept = np.isin(number, usual)
-            early, at = early[kept], at[kept]
+            early = early[kept]
+            at = at[kept]
             number = np.searchsorted(usual, number[kept])
             present = present[usual]
 
@@ -84,7 +86,8 @@ class EntryKernels:
         """
         self._order = np.argsort(self.cell, kind="stable")
         self._reached = self.cell[self._order]
-        self._began, self._entered = d.since[tied], entry[tied]
+        self._began = d.since[tied]
+        self._entered = entry[tied]
         self.exposure = passages_lasting((d.t - d.since)[tied], self._entered, bins, zones)
         """(zones, bins) number of passages from each zone of entry that are still in view when a
         bin of the time from the entry begins.
@@ -95,7 +98,8 @@ class EntryKernels:
 
         noise_sd: standard deviations of the null model that are subtracted in addition.
         """
-        a, order = self._arrivals, np.argsort(self._began, kind="stable")
+        a = self._arrivals
+        order = np.argsort(self._began, kind="stable")
         if len(self.rows) == 0:
             return
         rates = NullRates(
@@ -161,7 +165,8 @@ class EntryKernels:
             first, last = np.searchsorted(
                 self._reached, (rows.start * size, rows.stop * size)
             ).tolist()
-            members, cell = self._order[first:last], self._reached[first:last] - rows.start * size
+            members = self._order[first:last]
+            cell = self._reached[first:last] - rows.start * size
             counts = np.bincount(cell, weight[members], minlength=(rows.stop - rows.start) * size)
             yield rows, members, counts.astype(float, copy=False).reshape(-1, size)
 

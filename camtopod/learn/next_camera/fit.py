@@ -60,7 +60,8 @@ from camtopod.topology import LEAVE_FLOOR
 FIRST_NOISE_SD = 3.0
 """Standard deviations of the null model that are subtracted from lag histograms for first hazards.
 """
-FIRST_ROUNDS, FIRST_ITERATIONS = 3, 5
+FIRST_ROUNDS = 3
+FIRST_ITERATIONS = 5
 """Rounds without contexts, and EM iterations of each; speed is estimated after each round."""
 SCOUT_ITERATIONS = 5
 """EM iterations of `followed_of`, after which candidates are selected."""
@@ -68,7 +69,8 @@ NEGLIGIBLE = 1e-4
 """Least responsibility, after these iterations, of a candidate that is selected."""
 ITERATIONS = 8
 """EM iterations with contexts; contexts are estimated after every other one."""
-SWEEPS_MIN, SWEEPS_MAX = 12, 30
+SWEEPS_MIN = 12
+SWEEPS_MAX = 30
 """Limits of the number of samples, or sweeps; the first half of the sweeps is burn-in."""
 DRAWN_ARRIVALS = 200_000
 """Number of arrivals drawn over all sweeps, as fewer sweeps are enough for many arrivals."""
@@ -183,7 +185,8 @@ class PosteriorFitter:
 
         Of more than `FOLLOWED_MAX` candidates, the likeliest are returned.
         """
-        c, responsibility = self.em.candidates, self.em.responsibility
+        c = self.em.candidates
+        responsibility = self.em.responsibility
         impossible = negative_without_overlap(self.problem, c, responsibility, overlapping)
         kept = (responsibility > NEGLIGIBLE) & ~impossible
         rows = np.flatnonzero(kept)
@@ -205,7 +208,9 @@ class PosteriorFitter:
 
         Afterwards, responsibilities, hazards and the shares of the terms are averages.
         """
-        em, entering, skipping = self.em, self.entering, self.skipping
+        em = self.em
+        entering = self.entering
+        skipping = self.skipping
         fitted = em.responsibility.copy()
         arrivals = len(self.problem.arrivals.t)
         sources = Sources(em.candidates.arrival, arrivals, SAMPLING_SEED)
@@ -270,7 +275,8 @@ class PosteriorFitter:
         """
         # Hazards of the additional pairs.
         c = posterior.fit.candidates
-        bins, zones = self.problem.bins, self.problem.zones
+        bins = self.problem.bins
+        zones = self.problem.zones
         source, target, unit = skip_hazards_elsewhere(
             self._legs(self.hazard), c, self._through, bins, zones
         )
@@ -364,7 +370,8 @@ class PosteriorFitter:
 
     def _count_contexts(self) -> list[ContextCounts]:
         """Estimate `share` and `leave`, and return departures and transitions by context."""
-        em, c = self.em, self.em.candidates
+        em = self.em
+        c = self.em.candidates
         zone = self.problem.departures.zone
         departures_of_source = np.maximum(self._departures_of, 1e-9)
 

@@ -97,7 +97,8 @@ def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[Overlapp
     """
     if len(views.left) == 0:
         return []
-    newest, end = _newest(views, OPEN_PAIRS_MAX), len(views.left)
+    newest = _newest(views, OPEN_PAIRS_MAX)
+    end = len(views.left)
 
     # Select the pairs of cameras with more open passages than under the null model.
     open_seen = _totals(views, slice(newest, end), 0.0, cameras)

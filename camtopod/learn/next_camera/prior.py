@@ -48,7 +48,8 @@ class Prior:
         self, candidates: Candidates, camera: NDArray[np.int64], exposure: Floats, arrivals: Floats
     ) -> None:
         cameras = int(camera.max(initial=0)) + 1
-        source, target = camera[candidates.source], camera[candidates.target]
+        source = camera[candidates.source]
+        target = camera[candidates.target]
         self._views, self.pair = table_rows(source * cameras + target, cameras * cameras)
         self._leaving = self._views // cameras
         self._exposed = np.maximum(sum_by_group(exposure, camera, cameras), 1.0)
@@ -113,8 +114,10 @@ def _leading_back(candidates: Candidates, zones: int) -> NDArray[np.int64]:
 
     candidates: define the pairs, which are in order of source, then target.
     """
-    source, target = candidates.source.astype(np.int64), candidates.target.astype(np.int64)
-    there, back = source * zones + target, target * zones + source
+    source = candidates.source.astype(np.int64)
+    target = candidates.target.astype(np.int64)
+    there = source * zones + target
+    back = target * zones + source
     if len(there) == 0:
         return back
     at = np.minimum(np.searchsorted(there, back), len(there) - 1)

@@ -56,6 +56,7 @@ def add_prior_transitions(hazard: Singles, exposed: Floats, source: Ints, bins: 
     more = FAINT_TRANSITIONS * np.bincount(source, minlength=len(exposed))
     faint = FAINT_TRANSITIONS * after / (after.sum() * bins.widths)
     for rows in row_slices(len(hazard)):
-        exposed_here, zone = exposed[source[rows]], source[rows]
+        exposed_here = exposed[source[rows]]
+        zone = source[rows]
         hazard[rows] = (hazard[rows] * exposed_here + faint) / (exposed_here + more[zone][:, None])
     return hazard

@@ -16,7 +16,8 @@ from camtopod.arrays import Floats, Indices, Ints, Longs, Singles
 from camtopod.learn.association import Candidates
 from camtopod.topology import LagBins
 
-ODDS_FIRST, ODDS_MAX = 0.1, 2.0 / 3.0
+ODDS_FIRST = 0.1
+ODDS_MAX = 2.0 / 3.0
 """Odds of a missed passage (missed passages for each recorded one): first estimate, upper limit."""
 ODDS_PASSAGES = 20.0
 """Weight of the first estimate, in passages recorded on paths that may be skipped."""
@@ -31,7 +32,8 @@ class SkippedCameras:
         bins: bins of the lags.
         left (P,): number of departures at the source of each pair of zones of the fit.
         """
-        self._bins, self._left = bins, left
+        self._bins = bins
+        self._left = left
         self.odds = ODDS_FIRST
         """Missed passages for each recorded one, the same for all cameras."""
         self.pair: Longs = np.zeros(0, np.int64)

@@ -95,7 +95,9 @@ def view_paths(departures: Departures, entry: Longs, camera: Longs) -> ViewPaths
     entry (n,): zone where the passage of each departure began, -1 where unknown.
     camera (zones,): camera of each zone.
     """
-    zones, cameras, d = len(camera), int(camera.max(initial=-1)) + 1, departures
+    zones = len(camera)
+    cameras = int(camera.max(initial=-1)) + 1
+    d = departures
     tied = (entry >= 0) & np.isfinite(departures.since)
 
     # Cameras whose tracks tie enough exits to entries.
@@ -106,7 +108,8 @@ def view_paths(departures: Departures, entry: Longs, camera: Longs) -> ViewPaths
 
     # Paths through these views as recorded; through other views, from any entry to any exit.
     key, n, seconds = _medians(entry[tied] * zones + d.zone[tied], (d.t - d.since)[tied])
-    entries, exits = key // zones, key % zones
+    entries = key // zones
+    exits = key % zones
     share = n / np.bincount(entries, n, minlength=zones)[entries]
     known = ties[camera[entries]] & (share >= PASSAGE_SHARE_MIN)
     guessed = _any_to_any(departures, camera, ~ties & (of_camera > 0))
@@ -137,7 +140,8 @@ def _any_to_any(departures: Departures, camera: Longs, wanted: NDArray[np.bool_]
     zones_wanted = np.flatnonzero(wanted[camera])
     entry, ends = match_rows(camera[zones_wanted], camera[zones_wanted])
     kept = share[zones_wanted[ends]] >= PASSAGE_SHARE_MIN
-    entries, exits = zones_wanted[entry][kept], zones_wanted[ends][kept]
+    entries = zones_wanted[entry][kept]
+    exits = zones_wanted[ends][kept]
     return ViewPaths(entries, exits, share[exits], seconds[camera[exits]])
 
 
@@ -219,7 +223,8 @@ def _ways(legs: Legs, through: ViewPaths) -> _Ways:
     """Return all paths over one skipped camera with a sufficient share (`WAY_SHARE_MIN`)."""
     before, way = match_rows(legs.target, through.entry)
     step, after = match_rows(through.exit[way], legs.source)
-    before, way = before[step], way[step]
+    before = before[step]
+    way = way[step]
     taken = legs.share[before] * through.share[way] * legs.share[after]
     return _Ways(before, way, after, taken).take(taken >= WAY_SHARE_MIN)
 
@@ -234,7 +239,8 @@ def _along(
     mass = np.zeros(rows * bins.size)
     for k in range(0, len(number), WAYS_AT_ONCE):
         part = slice(k, k + WAYS_AT_ONCE)
-        part_ways, middle = ways.take(part), through.seconds[ways.through[part]]
+        part_ways = ways.take(part)
+        middle = through.seconds[ways.through[part]]
         lag = (
             legs.lag[part_ways.before][:, :, None]
             + middle[:, None, None]

@@ -38,14 +38,16 @@ def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
     rates = np.zeros(len(t))
     if len(t) == 0:
         return rates
-    first, last = t[0], t[-1]
+    first = t[0]
+    last = t[-1]
     for rows in rows_by_group(zone, zones):
         if len(rows) == 0:
             continue
 
         # Count the other arrivals within the window around each arrival.
         times = t[rows]
-        low, high = times - RATE_HALF_WINDOW_SECONDS, times + RATE_HALF_WINDOW_SECONDS
+        low = times - RATE_HALF_WINDOW_SECONDS
+        high = times + RATE_HALF_WINDOW_SECONDS
         others = np.searchsorted(times, high, "right") - np.searchsorted(times, low, "left") - 1
 
         # Divide by the part of the window that is within the data.
@@ -110,10 +112,8 @@ class NullRates:
         rates: Floats = np.zeros(len(source))
         for k in range(0, len(source), PAIRS_AT_ONCE):
             part = slice(k, k + PAIRS_AT_ONCE)
-            departures, rate = (
-                self._departures[source[part]].astype(float),
-                self._around[target[part]] / self._seconds,
-            )
+            departures = self._departures[source[part]].astype(float)
+            rate = self._around[target[part]] / self._seconds
             rates[part] = np.einsum("pn,pn->p", departures, rate)
         rates /= self._number[source]
         return rates

@@ -98,7 +98,8 @@ def slowness(
     # Median log dwell time of each pair.
     order = np.lexsort((log_dwell, pair))
     first = np.cumsum(count) - count
-    low, high = first + (count - 1) // 2, first + count // 2
+    low = first + (count - 1) // 2
+    high = first + count // 2
     median = 0.5 * (log_dwell[order[low]] + log_dwell[order[high]])
 
     # Slowness relative to the median.
@@ -149,7 +150,8 @@ def _scaling(slow: Floats, lag: Floats, pair: NDArray[np.int32], sure: NDArray[n
         return 0.0
     group = np.unique(pair[rows], return_inverse=True)[1]
     size = np.bincount(group)
-    x, y = slow[rows], np.log(lag[rows])
+    x = slow[rows]
+    y = np.log(lag[rows])
     x = x - (np.bincount(group, x) / size)[group]
     y = y - (np.bincount(group, y) / size)[group]
 
@@ -195,7 +197,9 @@ def agreement(before: Floats, after: Floats, p: Persistence) -> Floats:
     """
     if p.correlation <= 0:
         return np.ones(len(before))
-    u, v, r = before / p.sd, after / p.sd, p.correlation
+    u = before / p.sd
+    v = after / p.sd
+    r = p.correlation
     exponent = (2.0 * r * u * v - r * r * (u * u + v * v)) / (2.0 * (1.0 - r * r))
     ratio: Floats = np.exp(np.minimum(exponent, np.log(AGREEMENT_MAX))) / np.sqrt(1.0 - r * r)
     return np.where(np.isfinite(ratio), np.minimum(ratio, AGREEMENT_MAX), 1.0)

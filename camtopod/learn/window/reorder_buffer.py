@@ -72,7 +72,8 @@ class ReceivedNumbers:
     def add(self, seq: int) -> bool:
         """Add a sequence number; return False if it had been received before."""
         # The range that starts at or before ``seq``.
-        starts, ends = self.starts, self.ends
+        starts = self.starts
+        ends = self.ends
         k = bisect_right(starts, seq) - 1
         if k >= 0 and seq <= ends[k]:
             return False
@@ -175,7 +176,8 @@ class ReorderBuffer:
         self._seen = {camera: {} for camera in state.cameras}
         for camera, boot, starts, ends in state.seen:
             sequence = self._seen[camera][boot] = ReceivedNumbers()
-            sequence.starts, sequence.ends = starts, ends
+            sequence.starts = starts
+            sequence.ends = ends
         self.newest_of = state.newest
 
     def receive(self, event: Event) -> str:
@@ -197,7 +199,8 @@ class ReorderBuffer:
             return "refused"
 
         # Note the time of the camera's newest event.
-        boots, t_us = self._seen.setdefault(event.camera, {}), microseconds(event.t)
+        boots = self._seen.setdefault(event.camera, {})
+        t_us = microseconds(event.t)
         self.newest_of[event.camera] = max(t_us, self.newest_of.pop(event.camera, t_us))
 
         # A duplicate if its sequence number was received before.
@@ -232,7 +235,8 @@ class ReorderBuffer:
     def drop_held(self, names: Set[str]) -> None:
         """Drop the held events of these cameras."""
         kept = [event for event in self._all_held() if event.camera not in names]
-        self._held, self._oldest_us = {}, None
+        self._held = {}
+        self._oldest_us = None
         for event in kept:
             self._hold(event, microseconds(event.t))
 
@@ -249,7 +253,8 @@ class ReorderBuffer:
         They are in canonical order: by time, events at the same time by their content.
         """
         held = [event for waiting in self._held.values() for event in self._newest(waiting)]
-        self._held, self._oldest_us = {}, None
+        self._held = {}
+        self._oldest_us = None
         due = []
         for event in held:
             t_us = microseconds(event.t)

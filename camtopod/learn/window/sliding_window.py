@@ -30,7 +30,8 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 OPEN_PASSAGES_MAX = 100_000
 """Entries of all cameras that wait for the exit of their track; beyond, the oldest is forgotten."""
-FLOOD_SHARE, FLOOD_CAMERAS_MIN = 0.75, 3
+FLOOD_SHARE = 0.75
+FLOOD_CAMERAS_MIN = 3
 """Share of a full window above which one camera's events flood it, and the least number of cameras
 of a site for which this is checked.
 """
@@ -77,7 +78,8 @@ class Window:
     """
 
     def __init__(self, events_max: int, events: int | None = None, camera_events: int = 0) -> None:
-        self._events_max, self._camera_events = events_max, camera_events
+        self._events_max = events_max
+        self._camera_events = camera_events
         self._events = events_max if events is None else events
         self.cameras: list[str] = []
         self.base = 0
@@ -186,7 +188,8 @@ class Window:
         if most == 0 or len(self.cameras) < FLOOD_CAMERAS_MIN:
             return 0
         count = np.bincount(self.column("camera"))
-        camera, allowed = int(count.argmax()), int(FLOOD_SHARE * self.events_max)
+        camera = int(count.argmax())
+        allowed = int(FLOOD_SHARE * self.events_max)
         surplus = min(most, int(count[camera]) - allowed)
         if surplus <= 0:
             return 0
@@ -225,10 +228,8 @@ class Window:
         # Remove the cameras.
         others = np.flatnonzero(kept).tolist()
         self.sums.keep(others)
-        self.unplaced, self.seen = (
-            [self.unplaced[camera] for camera in others],
-            [self.seen[camera] for camera in others],
-        )
+        self.unplaced = [self.unplaced[camera] for camera in others]
+        self.seen = [self.seen[camera] for camera in others]
         self.cameras = [self.cameras[camera] for camera in others]
         self._index = {name: camera for camera, name in enumerate(self.cameras)}
         return number
@@ -305,7 +306,8 @@ class Window:
         rows: rows of the columns as stored, counted from the beginning of the arrays.
         """
         # Find the cell of each event, and the events of each camera.
-        camera, entry = self._columns["camera"][rows], self._columns["entry"][rows]
+        camera = self._columns["camera"][rows]
+        entry = self._columns["entry"][rows]
         px, py = (self._columns[name][rows].astype(np.int64) for name in ("px", "py"))
         cell = cells_of(px, py)
         order = np.argsort(camera, kind="stable")
@@ -314,7 +316,9 @@ class Window:
         for index, events in zip(present.tolist(), np.split(order, first)[1:], strict=True):
             # Events with positions count by cell.
             placed = events[cell[events] >= 0]
-            at, x, y = cell[placed], px[placed], py[placed]
+            at = cell[placed]
+            x = px[placed]
+            y = py[placed]
             if len(at):
                 values = np.stack((np.ones_like(x), x, y, x * x, x * y, y * y, entry[placed]))
                 self.sums.add(index, at, sign * values)
@@ -335,7 +339,8 @@ class Window:
             fresh = np.zeros(new_size, old.dtype)
             fresh[:kept] = old[self._start : self._stop]
             self._columns[name] = fresh
-        self._start, self._stop = 0, kept
+        self._start = 0
+        self._stop = kept
 
 
 def _fixed_point(value: float | None, other: float | None) -> int:

@@ -58,13 +58,16 @@ class GridSums:
             negative to subtract an event that was added before.
         """
         # Insert cells that have had no events.
-        cells, sums = self._cells[camera], self._sums[camera]
+        cells = self._cells[camera]
+        sums = self._sums[camera]
         at = np.searchsorted(cells, cell)
         if not np.array_equal(cells.take(at, mode="clip") if len(cells) else cells, cell):
-            known, cells = cells, np.union1d(cells, cell)
+            known = cells
+            cells = np.union1d(cells, cell)
             wider = np.zeros((len(PLANES), len(cells)), np.int64)
             wider[:, np.searchsorted(cells, known)] = sums
-            sums, at = wider, np.searchsorted(cells, cell)
+            sums = wider
+            at = np.searchsorted(cells, cell)
 
         # Add the values.
         for plane, value in zip(sums, values, strict=True):
@@ -73,5 +76,7 @@ class GridSums:
         # Drop cells that have no events any more.
         occupied = sums[0] > 0
         if not occupied.all():
-            cells, sums = cells[occupied], sums[:, occupied]
-        self._cells[camera], self._sums[camera] = cells, sums
+            cells = cells[occupied]
+            sums = sums[:, occupied]
+        self._cells[camera] = cells
+        self._sums[camera] = sums

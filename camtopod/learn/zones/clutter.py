@@ -50,7 +50,8 @@ EVENTS_ALIKE = 30.0
 """Weight, in events, of the rate of the whole image in the local rate of clutter."""
 ROUNDS = 8
 """Most iterations of the clutter estimates."""
-_WIDE_ROWS, _WIDE_COLUMNS = kernel_1d(GRID_ROWS, WIDTH), kernel_1d(GRID_COLUMNS, WIDTH)
+_WIDE_ROWS = kernel_1d(GRID_ROWS, WIDTH)
+_WIDE_COLUMNS = kernel_1d(GRID_COLUMNS, WIDTH)
 
 
 def _surroundings(width: float) -> tuple[Floats, Floats, Floats]:
@@ -61,7 +62,8 @@ def _surroundings(width: float) -> tuple[Floats, Floats, Floats]:
     The results are the kernels K along rows and along columns, and (sum K) / (sum K^2) of each
     cell, by which a kernel-weighted sum of Poisson counts is scaled to one Poisson count.
     """
-    rows, columns = kernel_1d(GRID_ROWS, width), kernel_1d(GRID_COLUMNS, width)
+    rows = kernel_1d(GRID_ROWS, width)
+    columns = kernel_1d(GRID_COLUMNS, width)
     area = np.outer(rows.sum(axis=0), columns.sum(axis=0))
     return rows, columns, area / np.outer((rows**2).sum(axis=0), (columns**2).sum(axis=0))
 
@@ -81,7 +83,8 @@ def clutter_rate(count: Counts) -> float:
     rate = float(upto[-1]) / len(n)
     for _ in range(ROUNDS):
         below = int(np.searchsorted(n, rate + 3 * math.sqrt(rate) + 1, side="right"))
-        before, rate = rate, float(upto[below - 1]) / below
+        before = rate
+        rate = float(upto[below - 1]) / below
         if abs(rate - before) < 1e-6:
             return max(before, 1e-6)
     return max(rate, 1e-6)
@@ -101,7 +104,8 @@ def clutter_rates(count: Counts) -> Floats:
     rate = np.full(n.shape, DENSER_MAX * mean)
     kept = np.zeros(n.shape, dtype=np.bool_)
     for _ in range(ROUNDS):
-        before, kept = kept, n <= DENSER * rate + 3 * np.sqrt(rate) + 1
+        before = kept
+        kept = n <= DENSER * rate + 3 * np.sqrt(rate) + 1
         if (kept == before).all():
             break
         weight, around = _WIDE_ROWS @ np.array((kept, kept * n)) @ _WIDE_COLUMNS

@@ -108,17 +108,20 @@ def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum
     # The largest eigenvalues and their eigenvectors, per point. Up to about 400 cells, computing
     # all of them is faster than computing the largest ones only.
     values, vectors = np.linalg.eigh(matrix)
-    values, vectors = values[: -EIGENVECTORS_MAX - 1 : -1], vectors[:, : -EIGENVECTORS_MAX - 1 : -1]
+    values = values[: -EIGENVECTORS_MAX - 1 : -1]
+    vectors = vectors[:, : -EIGENVECTORS_MAX - 1 : -1]
     vectors = vectors / np.sqrt(weights)[:, None]
     # Even a group of one point has an eigenvalue of at least 1/n; smaller ones are rounding errors.
     real = values >= min(0.5 / n, values[0])
-    values, vectors = values[real], vectors[:, real]
+    values = values[real]
+    vectors = vectors[:, real]
 
     # Keep the eigenvectors that do not change sign.
     peaks = np.abs(vectors).argmax(axis=0)
     vectors = vectors * np.sign(vectors[peaks, np.arange(len(peaks))])
     kept = vectors.min(axis=0) >= -vectors.max(axis=0) / n
-    values, vectors = values[kept], vectors[:, kept]
+    values = values[kept]
+    vectors = vectors[:, kept]
 
     # A cell belongs to the group of its largest eigenvector.
     labels = np.abs(vectors).argmax(axis=1)

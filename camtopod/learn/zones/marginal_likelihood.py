@@ -37,7 +37,8 @@ def moments(groups: Floats) -> tuple[Floats, Floats]:
     The scatter holds the sums of products of deviations from the mean, as xx, xy, yy.
     """
     mean = groups[1:3] / np.maximum(groups[0], 1e-12)
-    (sx, sy), (x, y) = groups[1:3], mean
+    (sx, sy) = groups[1:3]
+    (x, y) = mean
     return mean, groups[3:] - np.array((sx * x, sx * y, sy * y))
 
 

@@ -63,8 +63,10 @@ def _log_density(x: Floats, y: Floats, *figures: float | Floats) -> Floats:
     Arrays must broadcast with the positions.
     """
     mean_x, mean_y, xx, xy, yy = figures
-    xx, yy = xx + 1 / (12 * GRID_COLUMNS**2), yy + 1 / (12 * GRID_ROWS**2)
-    dx, dy = x - mean_x, y - mean_y
+    xx = xx + 1 / (12 * GRID_COLUMNS**2)
+    yy = yy + 1 / (12 * GRID_ROWS**2)
+    dx = x - mean_x
+    dy = y - mean_y
     determinant = xx * yy - xy * xy
     # If x varies along columns and y along rows only, just the last line works on all cells.
     of_x = (-0.5 * yy / determinant) * dx * dx - (_LOG_TAU + 0.5 * np.log(determinant))

@@ -230,7 +230,8 @@ class _Partition:
             return False
         count = np.zeros(GRID_ROWS * GRID_COLUMNS)
         count[self.cells.index[outside]] = self.cells.sums[0, outside]
-        labels, known = self.labels, len(self.zones)
+        labels = self.labels
+        known = len(self.zones)
         dense = dense_cells(count.reshape(GRID_ROWS, GRID_COLUMNS), self.rates, SEARCH_PROBABILITY)
         if not dense.any():
             return False
@@ -287,7 +288,8 @@ class _Partition:
             # The pair with the least gain that is not two zones.
             wanted = np.where(gain > -self.hold_gain, VALLEY_MIN, VALLEY_ALONE) / self.hold
             for pair in gain.argsort(kind="stable"):
-                i, j = int(a[pair]), int(b[pair])
+                i = int(a[pair])
+                j = int(b[pair])
                 inside = (self.labels == i) | (self.labels == j)
                 if (
                     not clear[pair]
@@ -328,7 +330,8 @@ class _Partition:
         dense as the clutter around it.
         """
         # The marginal likelihoods.
-        n, count = self.zones[which, 0], len(self.zones)
+        n = self.zones[which, 0]
+        count = len(self.zones)
         total = np.array(self.total)
         gain = (
             log_zones(count - 1, total)
@@ -353,7 +356,8 @@ class _Partition:
         # The cells around each zone (z, cells of the grid).
         xx, xy, yy = (self.cov[:, which] + _CELL_SPREAD)[:, :, None, None]
         x, y = self.mean[:, which, None, None]
-        dx, dy = _X - x, _Y - y
+        dx = _X - x
+        dy = _Y - y
         square = yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy
         inside = (square < 4 * (xx * yy - xy * xy)).reshape(len(which), -1)
 
@@ -396,14 +400,13 @@ class _Partition:
         weigh = 1 / (1 + both[0] / PAIR_EVENTS)
         weights = np.array((weigh, np.ones_like(weigh)))
         wholes = self._one_zone(both[:, None] * weights, self.total * weights)[:, of]
-        weight, whole = weigh[of], wholes[0]
+        weight = weigh[of]
+        whole = wholes[0]
 
         # The evidence of pairs that are far apart is not limited.
         if well_apart.any():
-            weight, whole = (
-                np.where(well_apart, 1.0, weight),
-                np.where(well_apart, wholes[1], whole),
-            )
+            weight = np.where(well_apart, 1.0, weight)
+            whole = np.where(well_apart, wholes[1], whole)
 
         # The gain, and where it is sufficient.
         first, second = log_zone(n * weight, scatter * weight)
@@ -443,7 +446,8 @@ class _Partition:
         # The line that discriminates the two best, and the distance of the centres along it.
         mean, cov = gaussians(np.stack((a, b), axis=1))
         (x, to_x), (y, to_y) = mean.tolist()
-        to_x, to_y = to_x - x, to_y - y
+        to_x = to_x - x
+        to_y = to_y - y
         line_x, line_y = line = discriminant(cov.sum(axis=1).tolist(), (to_x, to_y))
         covs = cov.T.tolist()
         sd_a, sd_b = (sd_along(cov_of_one, line) for cov_of_one in covs)
@@ -452,7 +456,8 @@ class _Partition:
             return 0.0  # there is nothing between equal centres
 
         # Clutter in the tube between the two belongs to the valley.
-        dx, dy = self.cells.average[1] - x, self.cells.average[2] - y
+        dx = self.cells.average[1] - x
+        dy = self.cells.average[2] - y
         along = line_x * dx + line_y * dy
         aside = line_x * dy - line_y * dx - along * ((line_x * to_y - line_y * to_x) / apart)
         width = max(sd_along(cov_of_one, (-line_y, line_x)) for cov_of_one in covs)
@@ -473,9 +478,11 @@ class _Partition:
             return False
 
         # The mean log density of a cell's events is linear in their mean sums: its coefficients.
-        (x, y), (xx, xy, yy) = self.mean, self.cov
+        (x, y) = self.mean
+        (xx, xy, yy) = self.cov
         determinant = xx * yy - xy * xy
-        to_x, to_y = (yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant
+        to_x = (yy * x - xy * y) / determinant
+        to_y = (xx * y - xy * x) / determinant
         share = (
             np.log(self.zones[:, 0] + 1)
             - np.log(2 * np.pi)

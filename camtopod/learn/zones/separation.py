@@ -33,8 +33,10 @@ def are_far_apart(n: Floats, mean: Floats, scatter: Floats) -> NDArray[np.bool_]
     mean (2, 2, ...), scatter (3, 2, ...): `moments` of the groups; the second axis is that of the
         two groups of a pair.
     """
-    cov, difference = covariance(n, scatter), mean[:, 1] - mean[:, 0]
-    (xx, xy, yy), (x, y) = cov.sum(axis=1), difference
+    cov = covariance(n, scatter)
+    difference = mean[:, 1] - mean[:, 0]
+    (xx, xy, yy) = cov.sum(axis=1)
+    (x, y) = difference
     # The distance along any line is at most the Mahalanobis distance, which is quicker to compute.
     result: NDArray[np.bool_] = (yy * x - 2 * xy * y) * x + xx * y * y > 0.999 * FAR**2 * (
         xx * yy - xy * xy
@@ -42,7 +44,8 @@ def are_far_apart(n: Floats, mean: Floats, scatter: Floats) -> NDArray[np.bool_]
 
     # For the pairs that remain, the distance along the best line.
     if result.any():
-        far_cov, difference = cov[:, :, result], difference[:, result]
+        far_cov = cov[:, :, result]
+        difference = difference[:, result]
         line = discriminant(far_cov.sum(axis=1), difference)
         apart = line[0] * difference[0] + line[1] * difference[1]
         result[result] = apart > FAR * sd_along(far_cov, line).sum(axis=0)
@@ -57,8 +60,10 @@ def discriminant(cov: _Parts, difference: _Parts) -> tuple[Any, Any]:
 
     The elements may be numbers or arrays over pairs.
     """
-    (xx, xy, yy), (x, y) = cov, difference
-    line_x, line_y = yy * x - xy * y, xx * y - xy * x
+    (xx, xy, yy) = cov
+    (x, y) = difference
+    line_x = yy * x - xy * y
+    line_y = xx * y - xy * x
     length = (line_x * line_x + line_y * line_y) ** 0.5 + 1e-300
     return line_x / length, line_y / length
 
@@ -69,7 +74,8 @@ def sd_along(cov: _Parts, line: _Parts) -> Any:
     cov (xx, xy, yy): covariance of each distribution.
     line (x, y): unit vector of each line.
     """
-    (xx, xy, yy), (x, y) = cov, line
+    (xx, xy, yy) = cov
+    (x, y) = line
     return (xx * x * x + 2 * xy * x * y + yy * y * y + 1e-6) ** 0.5
 
 

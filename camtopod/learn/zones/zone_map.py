@@ -106,7 +106,8 @@ def cell_sums(x: ArrayLike, y: ArrayLike) -> CellSums:
     x, y (n,): positions in image units.
     """
     rows, columns = cells_of(x, y)
-    px, py = fixed_point(x), fixed_point(y)
+    px = fixed_point(x)
+    py = fixed_point(y)
     sums = np.zeros((6, GRID_ROWS, GRID_COLUMNS), dtype=np.int64)
     for grid, value in zip(
         sums, (np.ones_like(px), px, py, px * px, px * py, py * py), strict=True
@@ -146,7 +147,8 @@ def find_zones(
 
     # Make zones from the exact sums (groups, 6), and number them like earlier zones in their place.
     groups = (labels == np.arange(labels.max() + 1)[:, None]).astype(np.int64) @ filled.T
-    events, total = int(filled[0].sum()), int(groups[:, 0].sum())
+    events = int(filled[0].sum())
+    total = int(groups[:, 0].sum())
     zones, next_number = match_zones(
         previous, [_shape(group, total) for group in groups.tolist()], next_number
     )
@@ -164,7 +166,8 @@ def refresh_zones(sums: CellSums, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()
     While events are few (`ANEW_EVENTS_MAX`), the zones are learned from nothing whenever the number
     of events has doubled, so that early errors do not persist.
     """
-    known, events = old.zones + gone, int(np.asarray(sums.count).sum())
+    known = old.zones + gone
+    events = int(np.asarray(sums.count).sum())
     if events >= 2 * old.events and old.events < ANEW_EVENTS_MAX:
         return find_zones(sums, known, old.next_number)
     return replace(find_zones(sums, known, old.next_number, old.cells), events=old.events)
@@ -243,10 +246,12 @@ def _distances(old: tuple[ZoneShape, ...], new: list[ZoneShape]) -> Floats:
     The distance is the root of eight times the Bhattacharyya distance. For zones of the same
     covariance, that is the Mahalanobis distance of their centres; for others, it is more.
     """
-    (ax, ay, *a), (bx, by, *b) = _figures(old)[:, :, None], _figures(new)[:, None, :]
+    (ax, ay, *a) = _figures(old)[:, :, None]
+    (bx, by, *b) = _figures(new)[:, None, :]
     xx, xy, yy = ((one + other) / 2 for one, other in zip(a, b, strict=True))
     determinant = xx * yy - xy * xy
-    dx, dy = ax - bx, ay - by
+    dx = ax - bx
+    dy = ay - by
     squared = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / determinant
     spread = (a[0] * a[2] - a[1] * a[1]) * (b[0] * b[2] - b[1] * b[1])
     return np.asarray(np.sqrt(squared + 2 * np.maximum(np.log(determinant**2 / spread), 0.0)))
