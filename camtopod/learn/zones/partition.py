@@ -98,8 +98,6 @@ _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 """Unit vectors (x, y) perpendicular to the cuts of groups."""
 _CUTS_TRIED = 2
 """Number of cuts of a group that are tested for a valley, best first."""
-_FIRST = np.arange(len(_ANGLES))[:, None]
-"""Row number of each direction (directions, 1)."""
 
 
 class Cells(NamedTuple):
@@ -506,82 +504,38 @@ class _Partition:
         labels = self.labels.copy()
         keys = [zone.tobytes() for zone in self.zones]
         uncertain = [k for k in range(len(keys)) if keys[k] not in self.uncut]
-        parts = self._cuts(uncertain)
         for k in uncertain:
-            if k in parts:
-                labels[parts[k]] = labels.max() + 1
-            else:
+            part = self._cut(k)
+            if part is None:
                 self.uncut.add(keys[k])
+            else:
+                labels[part] = labels.max() + 1
         changed = bool((labels != self.labels).any())
         if changed:
             self._set(labels)
         return changed
 
-    def _cuts(self, which: list[int]) -> dict[int, NDArray[np.intp]]:
-        """Find the best straight cut of each of the zones ``which`` that makes two zones of it.
+    def _cut(self, zone: int) -> NDArray[np.intp] | None:
+        """Return the cells beyond the best straight cut that makes two zones of one; None if none.
 
-        Return the cells on one side of the cut, by zone; zones without such a cut are left out.
+        zone: number of the zone.
         """
-        filled = np.bincount(self.labels + 1)[1:]
-        which = [k for k in which if filled[k] > 1]
-        if not which:
-            return {}
+        cells = np.flatnonzero(self.labels == zone)
+        if len(cells) < 2:
+            return None
 
-        # The cells of each zone, sorted along each direction: order (directions, cells).
-        rank = np.full(len(self.zones) + 1, -1, dtype=np.int16)  # the last one is for clutter
-        rank[which] = np.arange(len(which))
-        zone_rank = rank[self.labels]
-        cells = np.flatnonzero(zone_rank >= 0)
-        zone_rank = zone_rank[cells]
-        by_place = (_DIRECTIONS @ self.cells.average[1:3, cells]).argsort(axis=1, kind="stable")
-        by_zone = zone_rank[by_place].argsort(axis=1, kind="stable") + _FIRST * len(zone_rank)
-        order = cells[by_place.ravel()[by_zone]]
+        # The sums on both sides of every cut: sides (6, 2, directions, cuts). Across each
+        # direction, there is a cut after each cell but the last one.
+        order = cells[(_DIRECTIONS @ self.cells.average[1:3, cells]).argsort(axis=1, kind="stable")]
+        both = self.zones[zone][:, None]
+        first = np.cumsum(self.cells.sums[:, order], axis=2)[:, :, :-1]
+        sides = np.stack((first, both[:, None] - first), axis=1)
 
-        # The sums on both sides of every cut: sides (6, 2, directions, cuts). There is a cut after
-        # each cell but the last one of each zone.
-        size = filled[which]
-        end = np.cumsum(size)
-        of = np.repeat(np.arange(len(which)), size - 1)
-        both = self.zones[which].T
-        sides = np.empty((6, 2, len(order), len(of)))
-        upto = np.cumsum(self.cells.sums[:, order], axis=2)[:, :, np.arange(len(of)) + of]
-        np.subtract(upto, (np.cumsum(both, axis=1) - both)[:, None, of], out=sides[:, 0])
-        np.subtract(both[:, None, of], sides[:, 0], out=sides[:, 1])
-
-        # The gain of every cut, and the best one of each zone and direction.
-        gain, clear = self._two_zones_gain(sides[0], *moments(sides), both, of, self.hold_gain)
-        best = np.maximum.reduceat(gain, end - size - np.arange(len(which)), axis=1).T
-
-        # Of the zones with a promising cut, the best cut that makes two zones.
-        result = {}
-        for nth in np.flatnonzero(best.max(axis=1) > _GAIN_HOPELESS).tolist():
-            members = slice(end[nth] - size[nth], end[nth])
-            cuts = slice(end[nth] - size[nth] - nth, end[nth] - nth - 1)
-            part = self._best_cut(
-                best[nth], order[:, members], sides[..., cuts], gain[:, cuts], clear[:, cuts]
-            )
-            if part is not None:
-                result[which[nth]] = part
-        return result
-
-    def _best_cut(
-        self,
-        best: Floats,
-        order: NDArray[np.intp],
-        sides: Floats,
-        gain: Floats,
-        clear: NDArray[np.bool_],
-    ) -> NDArray[np.intp] | None:
-        """Return the cells beyond the best cut of one zone, or None if no cut makes two zones.
-
-        best (directions,): largest gain of the cuts across each direction.
-        order (directions, cells): cells of the zone along each direction.
-        sides (6, 2, directions, cuts): sums on both sides of each cut.
-        gain, clear (directions, cuts): gain of each cut, and whether it is sufficient without a
-            valley (`_two_zones_gain`).
-        """
-        inside = np.zeros(len(self.labels), dtype=np.bool_)
-        inside[order[0]] = True
+        # The gain of every cut, and the best cut that makes two zones.
+        one = np.zeros(len(cells) - 1, np.intp)
+        gain, clear = self._two_zones_gain(sides[0], *moments(sides), both, one, self.hold_gain)
+        best = gain.max(axis=1)
+        inside = self.labels == zone
         for angle in best.argsort(kind="stable")[::-1][:_CUTS_TRIED].tolist():
             if best[angle] > _GAIN_HOPELESS:
                 at = int(gain[angle].argmax())
