@@ -26,14 +26,7 @@ from test_predictor import (
 
 from camtopod.predict import recent_events
 from camtopod.predict.predictor import Predictor
-from camtopod.records import (
-    Event,
-    Link,
-    Pace,
-    Prediction,
-    Topology,
-    Way,
-)
+from camtopod.records import Event, Link, Pace, Prediction, Topology, Way
 from camtopod.sim.scoring import PredictionScore, score_predictions
 
 AT_B = Event("b", "entry", 1008.0, 0.5, 0.5)

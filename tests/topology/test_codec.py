@@ -26,14 +26,7 @@ from camtopod.codec import (
     to_msgpack,
 )
 from camtopod.learn.learner import Learner
-from camtopod.records import (
-    Event,
-    Lacks,
-    NextCamera,
-    Pair,
-    Prediction,
-    Topology,
-)
+from camtopod.records import Event, Lacks, NextCamera, Pair, Prediction, Topology
 
 GOOD = {"camera": "lobby", "kind": "entry", "t": 1700000000.25, "x": 0.31, "y": 0.88, "track": "17"}
 NUMBERS = st.floats(0, 1)

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from camtopod.topology.site_names import (
-    camera_of,
-    mentions,
-    renamed,
-)
+from camtopod.topology.site_names import camera_of, mentions, renamed
 
 
 @pytest.mark.parametrize(

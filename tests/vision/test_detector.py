@@ -160,9 +160,7 @@ def test_a_blind_detector_changes_nothing(detector: Callable[..., Detector]) -> 
         assert blind.statistics()["detector_agreement"] < 0.1
 
 
-def test_where_agreement_falls_motion_alone_counts_again(
-    detector: Callable[..., Detector],
-) -> None:
+def test_where_agreement_falls_motion_alone_counts_again(detector: Callable[..., Detector]) -> None:
     trusted = []
     later = [
         Person(line(15.0 + 3 * k, (-0.05, 0.7), (1.05, 0.7), 7.0), tall=0.3, shade=30, seed=k)

@@ -48,13 +48,7 @@ def test_an_entry_is_reported_soon_after_it_happened() -> None:
     pytest.fail("no entry")
 
 
-@pytest.mark.parametrize(
-    ("a", "b"),
-    [
-        ((-0.1, 0.8), (1.1, 0.8)),
-        ((0.4, 1.3), (0.6, -0.1)),
-    ],
-)
+@pytest.mark.parametrize(("a", "b"), [((-0.1, 0.8), (1.1, 0.8)), ((0.4, 1.3), (0.6, -0.1))])
 def test_who_is_seen_late_has_crossed_the_border_where_and_when_it_was(a: Place, b: Place) -> None:
     """The first and last pictures within the border miss the person, who walks straight on."""
     way = line(5.0, a, b, 7.0)

@@ -22,10 +22,7 @@ def picture(rng: np.random.Generator, height: int, width: int, coarse: int = 4) 
     return result
 
 
-@pytest.mark.parametrize(
-    ("height", "width"),
-    [(1080, 1920), (576, 768), (481, 643)],
-)
+@pytest.mark.parametrize(("height", "width"), [(1080, 1920), (576, 768), (481, 643)])
 def test_shrunk_is_the_mean_over_the_area(height: int, width: int) -> None:
     large = picture(np.random.default_rng(1), height, width, coarse=width // 40)
     small = shrink.shrunk(large, 320)

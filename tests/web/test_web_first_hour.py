@@ -33,9 +33,7 @@ def test_before_the_first_version_it_says_how_many_events_there_are(browser: Bro
         browser.wait(lambda: "7 events from 2 cameras so far" in browser.text(".nothing"), "them")
 
 
-def test_without_a_link_it_says_what_it_waits_for_and_dots_what_is_likely(
-    browser: Browser,
-) -> None:
+def test_without_a_link_it_says_what_it_waits_for_and_dots_what_is_likely(browser: Browser) -> None:
     shown = Shown(YOUNG)
     with shown.serving():
         opened(browser, shown)

@@ -20,14 +20,7 @@ from camtopod.web.login import Login
 
 PASSWORD = "correct horse"
 TOKEN = "a-token-of-enough-characters"
-PRIVATE = (
-    "/data/map",
-    "/picture/a",
-    "/live",
-    "/api/topology",
-    "/static/main.js",
-    "/nowhere",
-)
+PRIVATE = ("/data/map", "/picture/a", "/live", "/api/topology", "/static/main.js", "/nowhere")
 
 
 class Client(Shown):

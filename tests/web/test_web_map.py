@@ -11,15 +11,7 @@ from synthetic_topology import made_link, synthetic_topology
 
 from camtopod.export import Place, places
 from camtopod.records import Lacks, Pair
-from camtopod.web.map_data import (
-    Map,
-    MapChange,
-    MapEdge,
-    change,
-    draw,
-    map_edges,
-    why_provisional,
-)
+from camtopod.web.map_data import Map, MapChange, MapEdge, change, draw, map_edges, why_provisional
 
 SETTLED = Pair(("a", "b"), "overlapped", "overlapped", "overlapped")
 
