@@ -53,9 +53,7 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("--cameras", default="100,1000,10000")
     parser.add_argument("--events", type=int, default=70_000)
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="write the figures, and a plot beside them"
-    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     given = parser.parse_args(argv)
     rows = []
     columns = f"{'most MB':>10}{'each its most':>15}{'settled MB':>12}{'events':>9}{'versions':>10}"

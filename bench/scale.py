@@ -176,7 +176,5 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--seconds", type=float, default=20.0, help="seconds of live events (default 20)"
     )
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="write the figures, and a plot beside them"
-    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     return parser.parse_args(argv)

@@ -12,7 +12,6 @@ import json
 import os
 import platform
 import resource
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import median, quantiles
@@ -145,13 +144,11 @@ def add_arguments(parser: argparse.ArgumentParser, rounds: int) -> None:
     parser.add_argument(
         "--rounds", type=int, default=rounds, help=f"measured rounds (default {rounds})"
     )
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="write the figures, and a plot beside them"
-    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
 
 
 def write(path: Path, part: str, tables: Sequence[Table], **facts: Any) -> None:
-    """Write figures and machine as JSON, and a plot of the ratios as ``path`` with ``.png``."""
+    """Write figures and machine as JSON."""
     machine = {
         "cores": os.cpu_count(),
         "processor": platform.machine(),
@@ -159,41 +156,3 @@ def write(path: Path, part: str, tables: Sequence[Table], **facts: Any) -> None:
     }
     content = {"part": part, "machine": machine, **facts, "tables": to_builtins(list(tables))}
     path.write_text(json.dumps(content, indent=1) + "\n")
-    plot(path.with_suffix(".png"), tables)
-
-
-def plot(path: Path, tables: Sequence[Table]) -> None:
-    """Plot the ratios as bars with quartiles, a panel a table; skipped without matplotlib."""
-    try:
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError:
-        print("no plot: matplotlib is missing (install camtopod[bench])", file=sys.stderr)
-        return
-    figure = Figure(
-        figsize=(9, 0.8 + sum(0.7 + 0.35 * len(table.rows) for table in tables)),
-        layout="constrained",
-    )
-    panels = figure.subplots(
-        len(tables), squeeze=False, height_ratios=[1 + len(table.rows) for table in tables]
-    )
-    for axes, table in zip(panels[:, 0], tables, strict=True):
-        for place, row in enumerate(table.rows):
-            below, above = row.ratio.median - row.ratio.low, row.ratio.high - row.ratio.median
-            axes.barh(
-                place,
-                row.ratio.median,
-                xerr=[[below], [above]],
-                height=0.6,
-                color="#3b6ea5",
-                capsize=3,
-            )
-            limit = row.at_least if row.at_most is None else row.at_most
-            if limit is not None:
-                axes.plot([limit] * 2, [place - 0.4, place + 0.4], color="#c03030", linewidth=2)
-        axes.set_yticks(range(len(table.rows)), [row.name for row in table.rows])
-        axes.invert_yaxis()
-        axes.set_title(
-            f"{table.title}: ratio to {table.baseline} (red: to reach)", fontsize=9, loc="left"
-        )
-        axes.tick_params(labelsize=8)
-    figure.savefig(path, dpi=110)

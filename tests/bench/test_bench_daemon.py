@@ -45,7 +45,6 @@ def test_its_tables_have_costs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(ratios, "WARM_ROUNDS", 0)
-    monkeypatch.setattr(ratios, "plot", lambda *_: None)
     given = [*site, *arguments] if part in ("ingest", "latency") else arguments
 
     assert import_module(f"bench.{part}").main([*given, "--json", str(tmp_path / "out")]) == 0

@@ -36,7 +36,6 @@ def test_the_grabber_costs_more_than_decoding(
 ) -> None:
     monkeypatch.setitem(grab.SIZES, "720p", (320, 180))
     monkeypatch.setattr(grab, "SMALL_DETECT", (160, 90))
-    monkeypatch.setattr(ratios, "plot", lambda *_: None)
     given = ["--rounds", "1", "--seconds", "12", "--sizes", "720p", "--films", str(tmp_path)]
 
     assert grab.main([*given, "--json", str(tmp_path / "out")]) == 0

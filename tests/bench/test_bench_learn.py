@@ -13,7 +13,7 @@ import pytest
 from bench import ablation
 from bench.change import Found, summary
 from bench.regimes import REGIMES
-from bench.support import ratios, zone_speed
+from bench.support import zone_speed
 from camtopod.codec import to_json
 from camtopod.records import Event
 
@@ -115,7 +115,6 @@ def test_the_cost_of_zones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(zone_speed, "HDBSCAN_POINTS", 200)
     monkeypatch.setattr(zone_speed, "SPECTRAL_POINTS", 200)
     monkeypatch.setattr(zone_speed, "REPEATS", 1)
-    monkeypatch.setattr(ratios, "plot", lambda *_: None)
     arguments = ["--speed", "--events", "300", "--rounds", "1", "--json", str(tmp_path / "out")]
 
     assert import_module("bench.zones").main(arguments) == 0
