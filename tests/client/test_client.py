@@ -5,13 +5,11 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import pytest
 from fake_bus_daemon import LEFT, NOW, Hub, later, learned, put, running, there
 from serving import (
@@ -127,38 +125,6 @@ def test_a_prediction_is_the_daemons(hub: Hub, site: Topology) -> None:
     assert by_zone.next_[0].probability == pytest.approx(said.next_[0].probability, abs=0.05)
 
 
-def test_what_has_been_told_since_counts_when_asked_again(site: Topology) -> None:
-    """Objects that leave a at (0.9, 0.5) usually appear at b or c 9 s later."""
-    left = Event("a", "exit", NOW, 0.9, 0.5, "7")
-    for event in (Event("a", "entry", NOW - 4.0, 0.1, 0.5, "7"), Event("b", "exit", NOW - 1.0)):
-        site.observe(event)
-    at_exit = site.predict(**LEFT, track="7")
-    assert site.predict(**LEFT, track="7", now=NOW) == at_exit
-    late = site.predict(**LEFT, track="7", now=NOW + 60)
-    assert late.leave > 0.8 > 0.3 > at_exit.leave
-    site.observe(left)
-    again = site.predict(**LEFT, track="7", now=NOW + 60)
-    assert again.leave == pytest.approx(late.leave), (
-        "told or not, and after which passage is still known"
-    )
-    site.observe(Event("b", "entry", NOW + 9.0, 0.1, 0.5))
-    for zone in (None, at_exit.zone):
-        asked = {"zone": zone} if zone else {"x": 0.9, "y": 0.5}
-        came = site.predict("a", NOW, **asked, now=NOW + 60)  # type: ignore[arg-type]
-        assert came.next_[0].camera == "b"
-        assert came.next_[0].probability > 0.9
-        assert came.next_[0].q10 <= 9.0 <= came.next_[0].q90 < 12.0
-        with pytest.raises(ValueError, match=r"now is .*: give the time of the exit"):
-            site.predict("a", NOW, **asked, now=NOW - 0.5)  # type: ignore[arg-type]
-
-
-def test_numbers_may_be_those_of_an_array(site: Topology) -> None:
-    kept = np.array([NOW, 0.9, 0.5])
-    assert site.predict("a", kept[0], x=kept[1], y=kept[2], track=np.int64(17)) == site.predict(
-        **LEFT, track="17"
-    )  # type: ignore[arg-type]
-
-
 def test_priors_are_those_of_the_version_held(site: Topology) -> None:
     assert site.gate("a/2", NOW, "b", NOW + 9.0) > site.gate_new("b") + site.gate_gone("a/2")
     odds = site.affinity(
@@ -255,31 +221,6 @@ def test_who_does_not_read_loses_the_oldest_and_is_told(hub: Hub, site: Topology
         times = sorted(e.t for e in hub.walks(10, 15) if e.kind == "exit" and e.camera == "a")
         wait_for(lambda: predictions.dropped == 7, "the oldest to be dropped")
         assert [getattr(predictions.get(0.0), "t", None) for _ in range(4)] == [*times[-3:], None]
-
-
-def test_closing_lets_go_who_waits(hub: Hub) -> None:
-    site = Topology.connect(connect=hub.daemon.endpoint)
-    ended: list[str] = []
-
-    def read_on() -> None:
-        ended.extend(str(p) for p in site.predictions())
-        ended.append("predictions")
-
-    def follow() -> None:
-        ended.extend("" for version in site.versions() if version.version > 10**6)
-        ended.append("versions")
-
-    threads = [threading.Thread(target=work, daemon=True) for work in (read_on, follow)]
-    for thread in threads:
-        thread.start()
-    wait_for(lambda: bool(site._prediction_queues), "somebody to wait")
-    site.close()
-    site.close()
-    for thread in threads:
-        thread.join(10.0)
-    assert sorted(ended) == ["predictions", "versions"]
-    with pytest.raises(TimeoutError, match="closed while"):
-        site.wait_for(10**6, 10.0)
 
 
 # --- as a package ---------------------------------------------------------------------------------

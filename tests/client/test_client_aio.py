@@ -49,24 +49,3 @@ def test_what_waits_in_asyncio_can_be_cancelled(hub: Hub) -> None:
     seconds, listeners = asyncio.run(main())
     assert seconds < 5.0
     assert listeners == 0
-
-
-def test_a_connection_that_is_given_up_is_closed(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
-    closed = []
-    monkeypatch.setattr(
-        aio.Topology, "close", lambda self: (closed.append(self), super(aio.Topology, self).close())
-    )
-
-    async def main() -> None:
-        async def hold() -> None:
-            async with aio.Topology.connect(connect=hub.daemon.endpoint):
-                await asyncio.sleep(60)
-
-        task = asyncio.create_task(hold())
-        await asyncio.sleep(0)  # the thread has begun to dial
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
-
-    asyncio.run(main())
-    assert len(closed) == 1

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from scipy.optimize import linear_sum_assignment
-from synthetic_topology import synthetic_topology
 
 from camtopod.client import Gate, UnknownPlace
 from camtopod.learn.learner import Learner
@@ -30,7 +29,6 @@ from camtopod.records import (
     Zone,
     ZoneModel,
 )
-from camtopod.sim.calibration import calibration_error
 from camtopod.sim.scoring import next_entries
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.topology.lag_bins import LagBins
@@ -108,32 +106,11 @@ def test_the_density_sums_to_the_probability_of_the_link() -> None:
     assert gate.gate_gone("b/1") == 0.0, "nobody was ever seen again"
 
 
-def test_gone_falls_as_those_who_appear_have_appeared() -> None:
-    gate = Gate(THREE)
-    found = [math.exp(gate.gate_gone("a/1", seconds)) for seconds in (0.0, 14.0, 25.0, math.inf)]
-    assert found == pytest.approx([1.0, 0.5, 0.2, 0.1], abs=0.02)
-
-
 def test_clocks_that_are_ahead_are_taken_into_account() -> None:
     right, wrong = Gate(THREE), Gate(a_topology(*THREE.links, ahead=(30.0, 100.0, 0.0)))
     assert wrong.gate("a/1", 1030.0, "b", 1108.0) == right.gate("a/1", 1000.0, "b", 1008.0)
     odds = wrong.affinity([replace(LEFT, t=1030.0)], [came("b", 1108.0)])
     assert odds == pytest.approx(right.affinity([LEFT], [came("b", 1008.0)]))
-
-
-def test_views_that_overlap_are_seen_before_the_exit() -> None:
-    """Of passages of 0 to 10 s only half had begun 5 s before the exit; the sum stays the same."""
-    assert THREE.model is not None
-    stays = [ZoneModel(zone.id, 100, 0.001, [float(k) for k in range(11)]) for zone in THREE.zones]
-    gate = Gate(
-        replace(a_topology(link("a/1", "b/1", 0.5, -5.0)), model=replace(THREE.model, zones=stays))
-    )
-    assert integral(gate, "a/1", "b") == pytest.approx(0.5, abs=0.01)
-    assert (
-        gate.affinity([LEFT], [came("b", 995.0)])[0, 0]
-        > 0
-        > gate.affinity([LEFT], [came("b", 1003.0)])[0, 0]
-    )
 
 
 def test_odds_are_those_of_one_object_against_two() -> None:
@@ -277,36 +254,3 @@ def test_association_beats_the_nearest_in_time(site: Site) -> None:
 
     assert found >= nearest + 0.25, (found, nearest)
     assert found >= by_median + 0.02, (found, by_median)
-
-
-def test_what_it_holds_for_likely_is_as_often_true(site: Site) -> None:
-    """Posterior probabilities of each entry's origins, outside included, are calibrated."""
-    nobody_gone = -math.inf
-    ratio = np.exp(Gate(site.topology).affinity(site.exits, site.entries, now=nobody_gone))
-    posterior = (ratio / (1.0 + ratio.sum(axis=0))).ravel()
-    truth = np.zeros(ratio.shape, bool)
-    rows = np.flatnonzero(site.truth >= 0)
-    truth[rows, site.truth[rows]] = True
-    true = truth.ravel()
-
-    some = posterior > 0.02
-    assert calibration_error(posterior[some].tolist(), true[some].tolist()) <= 0.05
-    assert true[posterior > 0.8].mean() >= 0.88
-    assert posterior.sum() == pytest.approx(true.sum(), rel=0.2), "as many as are seen again"
-
-
-def test_it_is_what_the_predictor_says_before_anything_has_been_seen() -> None:
-    """It holds zone by zone where views do not overlap."""
-    topology = synthetic_topology(6)
-    overlapped = {one.from_ for one in topology.links if one.relation == "overlapped"}
-    zones = [k for k, zone in enumerate(topology.zones) if zone.id not in overlapped][:2]
-    gate, predictor = Gate(topology), Predictor(topology)
-
-    for number in zones:
-        zone = topology.zones[number].id
-        prediction = predictor.predict_from(number, 0.0)
-        first = prediction.next_[0]
-
-        assert math.exp(gate.gate_gone(zone)) == pytest.approx(prediction.leave, abs=0.01)
-        found = integral(gate, zone, first.camera, first.zone)
-        assert found == pytest.approx(first.probability, abs=0.01)

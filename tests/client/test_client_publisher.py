@@ -62,11 +62,6 @@ def test_what_is_wrong_is_refused_before_anything_is_stored(tmp_path: Path) -> N
         publisher.publish(EVENTS[0])
 
 
-def test_a_directory_that_cannot_be_written_is_said(tmp_path: Path) -> None:
-    with pytest.raises(StateError, match="cannot write the state directory"):
-        Publisher("a", connect=free_endpoint(), state="/proc/none")
-
-
 def test_a_program_that_never_closes_it_ends_in_peace(tmp_path: Path) -> None:
     program = (
         "from camtopod.client import Event, Publisher\n"

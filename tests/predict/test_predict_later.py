@@ -6,15 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 from msgspec.structs import replace
 from test_predictor import (
     ENTERED,
-    EVENTS,
     EXIT,
-    LINKS,
     OVERLAP,
-    STAY,
     THERE,
     THREE,
     a_made_up_network,
@@ -24,9 +20,8 @@ from test_predictor import (
     sound,
 )
 
-from camtopod.predict import recent_events
 from camtopod.predict.predictor import Predictor
-from camtopod.records import Event, Link, Pace, Prediction, Topology, Way
+from camtopod.records import Event, Pace, Prediction, Topology, Way
 from camtopod.sim.scoring import PredictionScore, score_predictions
 
 AT_B = Event("b", "entry", 1008.0, 0.5, 0.5)
@@ -127,17 +122,6 @@ def test_who_was_slow_is_awaited_for_longer() -> None:
     assert chances(later(30.0, [*usual, replace(AT_B, t=1024.0)], walk)).get("b/1", 0.0) < 0.2
 
 
-def test_arrivals_that_are_forgotten_may_have_been_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recent_events, "RECENT_MAX", 5)
-    alive = [Event(camera, "exit", 990.0) for camera in "abc"]
-    crowd = [Event("d", "entry", 1000.0 + k, 0.5, 0.5) for k in range(40)]
-    late = later(40.0, [*crowd, *alive])
-    assert chances(late) == pytest.approx({"b/1": 0.5, "c/1": 0.3, "a/2": 0.1}, abs=0.02)
-    assert 6.0 < late.next_[0].q50 < 10.0
-    assert chances(later(40.0, crowd[:4])).get("b/1", 0.0) < 0.01, "all are remembered"
-    assert chances(later(1.0, [*crowd, *alive]))["b/1"] == pytest.approx(0.5, abs=0.02)
-
-
 @pytest.mark.parametrize("now", [999.9, math.nan, math.inf])
 def test_nobody_is_asked_about_before_leaving(now: float) -> None:
     predictor = Predictor(THREE)
@@ -148,21 +132,6 @@ def test_nobody_is_asked_about_before_leaving(now: float) -> None:
             predictor.predict(event, now)
     with pytest.raises(ValueError, match="now is"):
         predictor.predict_from(0, 1000.0, now=now)
-
-
-@settings(max_examples=30)
-@given(LINKS, st.sampled_from([[], STAY, [0.0] * 11]), EVENTS, st.floats(0, 100))
-def test_every_later_prediction_is_sound(
-    links: list[Link], stay: list[float], events: list[Event], seconds: float
-) -> None:
-    """Asked at any time about any exit so far, for arbitrary events."""
-    predictor = Predictor(a_topology(links, stay=stay))
-    for event in events:
-        sound(predictor.predict(event, event.t + seconds))
-        predictor.observe(event)
-        sound(predictor.predict(event, event.t + seconds))
-    for event in events:
-        sound(predictor.predict(event, event.t + seconds))
 
 
 def test_on_a_made_up_network_more_is_known_later() -> None:

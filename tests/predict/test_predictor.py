@@ -211,20 +211,6 @@ def test_who_has_not_been_seen_there_is_not() -> None:
         assert chances(after([ENTERED, other])).get("d/1", 0.0) < 0.01
 
 
-def test_nobody_is_seen_there_before_coming() -> None:
-    """An object whose passage took 1 s cannot have been seen elsewhere 3 s ago."""
-    short = after([THERE, replace(ENTERED, t=999.0)])
-    assert chances(short).get("d/1", 0.0) < 0.01
-    assert chances(short)["b/1"] == pytest.approx(0.3 / 0.6, abs=0.01)
-
-
-def test_without_a_track_the_usual_stays_count() -> None:
-    unknown, short = after([THERE]), after([THERE, replace(ENTERED, t=999.0)])
-    assert chances(unknown)["d/1"] > 0.5 > 0.01 > chances(short).get("d/1", 0.0)
-    never = a_topology(OVERLAP.links, stay=[])
-    assert chances(after([THERE], never))["d/1"] > 0.5
-
-
 def test_others_who_may_be_the_one_seen_lower_the_chance() -> None:
     """Another object that leaves at the same time, or is in the view, may be the one seen at d."""
     alone = chances(after([ENTERED, THERE]))["d/1"]

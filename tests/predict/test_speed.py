@@ -59,13 +59,6 @@ def test_an_unknown_pace_widens_the_window() -> None:
         assert unknown[0] < known[0] < unknown[1] < known[2] < unknown[2]
 
 
-def test_short_and_negative_lags_do_not_scale() -> None:
-    site = paces(Pace(1.0, 0.6, 0.3, [Way("a/1", "a/2", 5.0)]))
-    assert window(site, 0, 1, 10.0, 100.0, -3.0, -2.0, -1.0) == [-3.0, -2.0, -1.0]
-    low, middle, high = window(site, 0, 1, 5.0, 100.0, -1.0, 3.0, 4.0)
-    assert low == -1.0 < middle < high
-
-
 def test_windows_hold_what_they_say() -> None:
     """Of the true next entries in view of the named zone, 80 % should lie between q10 and q90."""
     events, truth = simulate(SimSettings(cameras=6, hours=0.8, seed=3, missed=0.05, clutter=0.05))

@@ -135,15 +135,6 @@ class Browser:
         feature = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
 
-    @contextmanager
-    def running_first(self, script: str) -> Iterator[None]:
-        """Run a script in every page opened in the block, before the page's own."""
-        added = self._driver.execute_cdp_cmd(
-            "Page.addScriptToEvaluateOnNewDocument", {"source": script}
-        )
-        yield
-        self._driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
-
     def complaints(self) -> list[str]:
         """Return the page's errors and warnings so far: scripts, content policy, failed loads."""
         self._complaints += [

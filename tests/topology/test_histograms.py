@@ -38,13 +38,6 @@ def test_counts_are_told_to_three_digits(counts: np.ndarray) -> None:
     )
 
 
-@given(Masses)
-def test_it_goes_through_both_codes_as_it_is(mass: np.ndarray) -> None:
-    for told in (step_histogram(mass, BINS), counts_histogram(mass, BINS)):
-        for code in (msgspec.json, msgspec.msgpack):
-            assert repr(code.decode(code.encode(told), type=Histogram)) == repr(told)
-
-
 def test_one_that_an_older_program_wrote_is_read() -> None:
     old = Histogram(3, [0.5, 12.0])
     assert msgspec.json.decode(b'{"first":3,"mass":[0.5,12.0]}', type=Histogram) == old

@@ -133,21 +133,6 @@ def test_who_is_there_from_the_start_has_an_exit_only_and_leaves_no_ghost() -> N
     assert passages(events) == [("exit", "right"), ("entry", "left"), ("exit", "right")]
 
 
-def test_another_picture_altogether_is_learned_anew() -> None:
-    other = np.random.default_rng(2)
-    first, second = (
-        Scene([]),
-        Scene([Person(line(22.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=235)], rng=other),
-    )
-    pipeline, events = ViewPipeline("cam", VisionSettings()), []
-    for k in range(round(34 * FPS)):
-        t = k / FPS
-        events += pipeline.process(t, first.picture(t) if t < 10 else second.picture(t))
-    events += pipeline.finish()
-    assert pipeline.statistics()["relearned"] == 1
-    assert [event.kind for event in events] == ["entry", "exit"]
-
-
 def test_a_door_in_mid_view_is_admitted_once_it_was_used_again_and_again() -> None:
     def through_door(start: float) -> Person:
         return Person(line(start, (0.5, 0.55), (-0.05, 0.75), 6.0), seed=round(start))
@@ -161,17 +146,6 @@ def test_a_door_in_mid_view_is_admitted_once_it_was_used_again_and_again() -> No
     assert 4 <= len(entries) <= 6, "the first ones are not believed"
     assert all(side(event) == "inside" for event in entries)
     assert {event.track for event in entries} < {event.track for event in exits}
-
-
-def test_large_pictures_are_scaled_down() -> None:
-    pipeline = ViewPipeline("cam", VisionSettings(working_width=96))
-    scene, events = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), tall=0.3)]), []
-    for k in range(round(18 * FPS)):
-        events += pipeline.process(
-            k / FPS, scene.picture(k / FPS).repeat(2, axis=0).repeat(2, axis=1)
-        )
-    assert passages(events + pipeline.finish()) == [("entry", "left"), ("exit", "right")]
-    assert (WIDTH, HEIGHT) == (192, 144)
 
 
 @pytest.mark.parametrize("pixels", [1, 3])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Scene, line
+from rendered_scenes import FPS, Person, Picture, Scene, line
 
 from camtopod.vision.source.settled_picture import (
     PICTURES_MAX,
@@ -58,18 +58,3 @@ def test_what_never_settles_is_given_up_with_the_best_there_is() -> None:
     assert found is not None
     empty = Scene([], noise=0.0).picture(0.0)
     assert np.abs(found.astype(int) - empty)[:, 40:].max() < 10
-
-
-def test_colours_and_no_picture() -> None:
-    assert SettledPicture().picture() is None
-    assert SettledPicture().seconds == 0.0
-    picture = SettledPicture()
-    blue = np.full((HEIGHT, WIDTH, 3), (200, 120, 40), np.uint8)
-    for k in range(13):
-        assert picture.wants(0.5 * k)
-        assert not picture.wants(0.5 * k - 0.1) or k == 0
-        picture.add(0.5 * k, blue)
-    assert (picture.settled, picture.seconds) == (True, 6.0)
-    found = picture.picture()
-    assert found is not None
-    assert np.array_equal(found, blue)

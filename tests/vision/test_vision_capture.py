@@ -118,28 +118,14 @@ def test_a_file_at_a_multiple_of_its_pace_has_the_same_events(film: Path) -> Non
     ("encoder", "pixels", "plane"),
     [
         ("libx264", "yuv420p", True),
-        ("mjpeg", "yuvj422p", True),
-        ("ffv1", "gray", True),
         ("ffv1", "bgr0", False),
-        ("libx264", "yuv420p10le", False),
     ],
 )
 def test_the_decoder_s_plane_is_taken_where_there_is_one(
     film: Path, tmp_path: Path, encoder: str, pixels: str, plane: bool
 ) -> None:
     path = tmp_path / "film.mkv"
-    command = [
-        "ffmpeg",
-        "-nostdin",
-        "-loglevel",
-        "error",
-        "-i",
-        str(film),
-        "-t",
-        "1",
-        "-c:v",
-        encoder,
-    ]
+    command = f"ffmpeg -nostdin -loglevel error -i {film} -t 1 -c:v {encoder}".split()
     subprocess.run([*command, "-pix_fmt", pixels, "-q:v", "2", str(path)], check=True)
     capture, twin = (
         Capture(str(path), VisionSettings()),

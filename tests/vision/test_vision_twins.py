@@ -7,11 +7,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from camtopod.vision.detect import motion, shake, shrink
+from camtopod.vision.detect import shake, shrink
 from camtopod.vision.track import kalman
 
 Picture = npt.NDArray[np.uint8]
-seeds = pytest.mark.parametrize("seed", range(3))
 
 
 def picture(rng: np.random.Generator, height: int, width: int, coarse: int = 4) -> Picture:
@@ -43,20 +42,6 @@ def test_a_picture_is_moved_back(x: float, y: float) -> None:
     back = shake.shifted_back(frame, scene, settled, shake.shift(frame, scene, settled))
     inner = (slice(8, -8), slice(8, -8))
     assert np.abs(back[inner].astype(int) - scene[inner]).mean() < 0.5
-
-
-@seeds
-def test_filled_are_the_outlines(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    for share in (0.0, 0.3, 0.5, 0.6, 0.8, 1.0):
-        mask = np.zeros((60, 90), np.uint8)
-        part = mask if seed % 2 else mask[20:47, 31:70]
-        part[:] = np.where(rng.uniform(size=part.shape) < share, np.uint8(255), np.uint8(0))
-        outlines = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-        twin = cv2.drawContours(mask.copy(), outlines, -1, 255, cv2.FILLED)
-        np.testing.assert_array_equal(motion._filled(mask), twin)
-    ring = cv2.circle(np.zeros((60, 90), np.uint8), (40, 30), 12, 255)
-    assert cv2.countNonZero(motion._filled(ring)) > 5 * cv2.countNonZero(ring)
 
 
 def test_kalman_is_the_textbook_s() -> None:

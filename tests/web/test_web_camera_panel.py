@@ -12,7 +12,6 @@ from synthetic_topology import synthetic_topology
 from camtopod.records import InView, Look, Prediction
 from camtopod.web.configured import Configured
 
-DAY = 86_400.0
 SITE = synthetic_topology(4, as_of=time.time())
 A, B, C = (camera.id for camera in SITE.cameras[:3])
 
@@ -54,24 +53,3 @@ def test_who_left_one_view_and_is_in_another_is_shown_at_both(browser: Browser) 
         where = f"{A} → {B} 90 %, look there now or next"
         browser.wait(lambda: where in browser.text(".predictions"), "where to look")
         browser.wait(lambda: browser.count(".node.sees") == 0, "the mark to go")
-
-
-def test_a_camera_that_is_gone_is_grey_and_not_counted(browser: Browser) -> None:
-    now = time.time()
-    status = {camera.id: {"events": 5, "newest": now, "alive": True} for camera in SITE.cameras[1:]}
-    status[A] = {"events": 5, "newest": now - 3 * DAY, "alive": False}
-    status["nowhere"] = {"events": 5, "newest": now - 3 * DAY, "alive": False}  # not on the map
-    shown = Shown(SITE)
-    with shown.serving():
-        shown.status(**status)
-        browser.open(shown.address)
-        browser.wait(lambda: browser.count(".node.gone") == 1, "the camera to be grey")
-        assert browser.count(f".node.gone[data-id={A}]") == 1
-        assert browser.count(".node.ill") == 0
-        assert browser.text(".key summary").endswith("3 cameras, 1 gone, 1 pair (0 overlapping)")
-        browser.go("#/health")
-        browser.wait(lambda: "3 cameras, none needs attention; 2 gone" in browser.text(".page"), "")
-        day = time.strftime("%Y-%m-%d", time.localtime(now - 3 * DAY))
-        assert browser.text(".page table").count(f"gone since {day}") == 2
-        browser.go(f"#/camera/{A}")
-        browser.wait(lambda: f"gone since {day}" in browser.text(".panel .status"), "since when")

@@ -127,19 +127,6 @@ def test_each_time_says_which_way_it_is_of_where_they_differ(browser: Browser, s
     assert sorted(times(browser)) == sorted(["9.0 s", f"{there} 15 {back} 27 s"])
 
 
-def test_overlapping_views_have_no_negative_time(browser: Browser, show: Shows) -> None:
-    """The object appears in the second view before it leaves the first."""
-    show(joined(("a", "b", -4.5, -4.5, 400.0), ("b", "c", 9.0, 9.0, 400.0)))
-    browser.wait(lambda: sorted(times(browser)) == ["9.0 s", "overlap"], "what is on the edges")
-    browser.go("#/link/a%2F1/b%2F1/overlapped")
-    browser.wait(lambda: "they appear at b/1 4.5 s before" in browser.text(".lead"), "the headline")
-    assert "−" not in browser.text(".lead")
-    browser.go("#/links")
-    browser.wait(lambda: "4.5 s before" in browser.text(".page table"), "the table")
-    browser.go("#/camera/a")
-    browser.wait(lambda: "overlap" in browser.text(".panel .links"), "the camera's list")
-
-
 @pytest.mark.parametrize(("width", "height", "share"), [(1280, 800, 1.0), (390, 844, 0.5)])
 def test_a_dozen_cameras_have_room_for_their_times(
     browser: Browser, show: Shows, width: int, height: int, share: float

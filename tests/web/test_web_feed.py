@@ -156,19 +156,6 @@ def test_it_says_since_when_and_why_it_is_not_live(rig: Rig) -> None:
     assert silent["since"] == away["since"] == 1001.0, "the reason is another, the silence the same"
 
 
-def test_a_daemon_that_is_behind_is_told_in_whole_percent(rig: Rig) -> None:
-    told = []
-    for count, share in ((1, 0.631), (2, 0.7)):
-        behind = {"seconds": 900.0, "share": share}
-        rig.bus.publish("status/daemon", {**RUNNING, "catching_up": behind})
-        told.append(rig.wait_for("live", count)["catching_up"])
-    rig.bus.publish("status/daemon", {**RUNNING, "catching_up": None})
-    told.append(rig.wait_for("live", 3)["catching_up"])
-
-    assert told == [63, 70, None]
-    assert all(one["live"] for one in rig.pages.of("live"))
-
-
 def test_health_has_every_camera_that_anybody_knows_and_its_reason(rig: Rig) -> None:
     assert SITE.model is not None
     rig.feed.show(SITE)

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from page_fixture import Shown, opened
 from synthetic_topology import made_link, synthetic_topology
 
-from camtopod.records import Lacks, NextCamera, Prediction
+from camtopod.records import Lacks
 from camtopod.web.map_data import draw
 
 SITE = synthetic_topology(4)
@@ -72,22 +72,3 @@ def test_cameras_with_a_picture_are_shown_by_it(browser: Browser, tmp_path: Path
             "a circle where there is no room for a picture",
         )
     assert browser.complaints() == []
-
-
-def test_who_comes_back_is_not_in_the_list_and_is_told_at_the_camera(browser: Browser) -> None:
-    shown = Shown(SITE)
-
-    def told(to: str, selector: str) -> str:
-        """Predict, again as long as the page is connecting; return the text of the page."""
-        following = [NextCamera(to, f"{to}/1", 0.6, 4.0, 5.0, 6.0)]
-        said = Prediction(NAMES[0], None, 1.0, "x", 1, 0.4, following)
-        shown.bus.publish(f"prediction/{NAMES[0]}", said)
-        return browser.text(selector)
-
-    with shown.serving():
-        opened(browser, shown, f"#/camera/{NAMES[0]}")
-        browser.wait(lambda: browser.count(".scene") == 1, "the camera")
-        back, onward = f"comes back to {NAMES[0]}/1", f"{NAMES[0]} → {NAMES[1]}"
-        browser.wait(lambda: back in told(NAMES[0], ".panel"), "it at the camera")
-        browser.wait(lambda: onward in told(NAMES[1], ".predictions"), "another in the list")
-        assert f"{NAMES[0]} → {NAMES[0]}" not in browser.text(".predictions")

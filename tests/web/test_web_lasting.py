@@ -104,25 +104,6 @@ def test_who_uses_keys_stays_where_they_are(browser: Browser) -> None:
         assert browser.run(focused) == before
 
 
-def test_cameras_that_need_attention_are_marked_on_a_map_that_comes_later(browser: Browser) -> None:
-    shown = Shown()
-    with shown.serving():
-        opened(browser, shown)
-        shown.bus.publish(f"status/{FIRST}", {"state": "stalled", "reason": "no frame"})
-        shown.bus.publish(
-            f"status/{SITE.cameras[1].id}", {"state": "ended", "reason": "the file is at its end"}
-        )
-        shown.publish(SITE)
-        browser.wait(lambda: browser.count(".node") == 9, "the map")
-        browser.wait(
-            lambda: browser.count(".node.ill") == 1,
-            "the one that stalled, not the one that has ended",
-        )
-        assert "needs attention" in browser.run(
-            "return document.querySelector('.node.ill').getAttribute('aria-label')"
-        )
-
-
 @pytest.mark.parametrize(
     "topology", [BARE, newer(1, model=None, alarms=None, score=None), newer(1, links=[])]
 )

@@ -10,10 +10,8 @@ from msgspec.structs import replace
 from synthetic_topology import made_link, synthetic_topology
 
 from camtopod.export import Place, places
-from camtopod.records import Lacks, Pair
-from camtopod.web.map_data import Map, MapChange, MapEdge, change, draw, map_edges, why_provisional
-
-SETTLED = Pair(("a", "b"), "overlapped", "overlapped", "overlapped")
+from camtopod.records import Lacks
+from camtopod.web.map_data import Map, MapChange, MapEdge, change, draw, map_edges
 
 
 def applied(old: Map, delta: MapChange) -> tuple[dict[str, object], dict[str, object]]:
@@ -44,22 +42,6 @@ def test_a_pair_is_an_edge_with_both_ways() -> None:
         assert edge.relation == pair.relation
         assert {(way.from_, way.to) for way in edge.ways} == {pair.cameras, pair.cameras[::-1]}
         assert edge.transitions == pytest.approx(sum(way.transitions for way in edge.ways), rel=0.1)
-
-
-@pytest.mark.parametrize(
-    ("pair", "transitions", "word"),
-    [
-        (SETTLED, 30.0, ""),
-        (SETTLED, 29.0, "new"),
-        (None, 500.0, "not published"),
-        (replace(SETTLED, by_sum_rule="unseen_path", reason="few"), 500.0, "disagree (few)"),
-        (replace(SETTLED, by_sum_rule=None), 500.0, ""),
-    ],
-)
-def test_provisional_says_why(pair: Pair | None, transitions: float, word: str) -> None:
-    said = why_provisional(pair, transitions, made_link("a/1", "b/1", 10.0, transitions))
-    assert word in said
-    assert bool(said) is bool(word)
 
 
 def weak_edge(*changes: dict[str, Any]) -> MapEdge | None:
@@ -150,12 +132,6 @@ def test_neighbours_are_drawn_beside_each_other_and_none_upon_another() -> None:
     assert min(apart(at[a], at[b]) for a in at for b in at if a < b) > 0.5
 
 
-def test_the_same_network_has_the_same_places_in_any_order() -> None:
-    joined = grid(5)
-    names = names_of(joined)
-    assert places(names, joined, {}) == places(names[::-1], dict(reversed(joined.items())), {})
-
-
 def test_a_small_change_moves_little() -> None:
     joined = grid(6)
     before = places(names_of(joined), joined, {})
@@ -164,10 +140,3 @@ def test_a_small_change_moves_little() -> None:
     shift = [apart(after[name], before[name]) for name in before]
     assert max(shift) < 0.5, "those that were there stay about where they were"
     assert apart(after["new"], after["0505"]) < 1.6
-
-
-def test_parts_lie_apart_and_a_lone_camera_has_a_place() -> None:
-    joined = {("a", "b"): False, ("b", "c"): False, ("x", "y"): False}
-    at = places(["a", "b", "c", "x", "y", "alone"], joined, {})
-    assert min(apart(at[one], at[other]) for one in "abc" for other in ("x", "y", "alone")) > 0.6
-    assert places([], {}, {}) == {}

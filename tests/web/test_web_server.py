@@ -20,7 +20,6 @@ from serving import free_endpoint, small_config, wait_for
 from synthetic_topology import synthetic_topology
 
 from camtopod.cli import exits, main
-from camtopod.cli.commands.web import listening
 from camtopod.config.settings import BusSettings
 from camtopod.serve.bus import session as buses
 from camtopod.web import app, outbox
@@ -178,12 +177,6 @@ def test_it_says_where_it_is_and_ends_when_told(tmp_path: Path) -> None:
 def test_a_wrong_address_is_told(capsys: pytest.CaptureFixture[str], where: str) -> None:
     assert main.main(["web", "--listen", where]) == exits.USAGE
     assert "write it like" in capsys.readouterr().err
-
-
-def test_a_port_that_is_taken_is_told(capsys: pytest.CaptureFixture[str]) -> None:
-    with listening("127.0.0.1", 0) as taken:
-        assert main.main(["web", "--listen", f"127.0.0.1:{taken.getsockname()[1]}"]) == exits.FAILED
-    assert "choose another port" in capsys.readouterr().err
 
 
 def test_without_its_packages_it_names_the_extra(
