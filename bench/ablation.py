@@ -4,7 +4,7 @@
                              [--seeds N] [--scale X] [--sampling-seeds N] [--jobs 2] [--json FILE]
 
 The networks are the real ones of `bench real` (skipped without data) and simulated ones of
-`bench.regimes`. Each is learned in one fit of its first 70 % and scored on the rest. As the seed of
+`support.regimes`. Each is learned in one fit of its first 70 % and scored on the rest. As the seed of
 the sampler alone moves the figures of a small network, each is measured with several seeds and
 averaged. A difference is paired by network: without the mechanism, less with all. For log loss and
 calibration error a positive difference is worse, for links and top-1 a negative one. A mechanism
@@ -34,10 +34,10 @@ import numpy as np
 from msgspec import Struct
 
 from bench import real
-from bench.regimes import REGIMES
 from bench.support.jobs import map_tasks
 from bench.support.measure import measure as measure_regime
 from bench.support.real_figures import calibration_error
+from bench.support.regimes import REGIMES
 from camtopod.learn.traffic.speed import NO_PERSISTENCE
 
 REAL = "real"

@@ -7,7 +7,7 @@ camtopod is measured in three modes: ``online``, fed as `camtopod learn --update
 version at 70 % of the events (for the predictions of the rest) and one at the end; ``live``, where
 each exit of the rest is predicted by the newest version that had fallen due, as in the daemon; and
 ``batch``, the one fit of `camtopod learn` without ``--updates``. Each network is simulated from its
-seed (`bench.regimes`). The learner was developed with seeds 0 to 9; ``--first-seed 1000`` gives
+seed (`support.regimes`). The learner was developed with seeds 0 to 9; ``--first-seed 1000`` gives
 networks unused in development. ``campus-auditorium`` is a real recording, skipped where its folder
 is missing (``--data`` or CAMTOPOD_TEST_DATA). Each figure is a mean over networks with its standard
 error.
@@ -37,8 +37,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from bench.regimes import REGIMES
 from bench.support.measure import GROUPS, Record, measure
+from bench.support.regimes import REGIMES
 from bench.support.table import tables
 from camtopod.codec import read, to_json
 from camtopod.learn.settings import Settings

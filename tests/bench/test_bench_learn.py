@@ -12,8 +12,8 @@ import pytest
 
 from bench import ablation
 from bench.change import Found, summary
-from bench.regimes import REGIMES
 from bench.support import zone_speed
+from bench.support.regimes import REGIMES
 from camtopod.codec import to_json
 from camtopod.records import Event
 
@@ -56,7 +56,6 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ("learn", ["--seeds", "1", "--cameras", "3", "--hours", "0.1"], "oracle"),
         ("change", ["--seeds", "1", "--hours", "0.04", "--jobs", "steady"], "steady"),
-        ("regimes", ["walkway", "no-links", "--scale", "0.05"], "0 links (0 overlapped)"),
         ("thesis", ["1"], "table 5.3"),
     ],
 )

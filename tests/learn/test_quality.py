@@ -10,7 +10,6 @@ import pytest
 
 import bench.quality as quality
 from bench.baselines.findings import Ranked
-from bench.regimes import REGIMES
 from bench.support.measure import (
     TRAIN_SHARE,
     Record,
@@ -20,6 +19,7 @@ from bench.support.measure import (
     serve,
     with_camera_clocks,
 )
+from bench.support.regimes import REGIMES
 from bench.support.table import mean_and_error, tables
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings

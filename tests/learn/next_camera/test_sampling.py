@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from prediction_quality import prediction_quality
 
-from bench.regimes import REGIMES
+from bench.support.regimes import REGIMES
 from camtopod.learn.next_camera import fit as module
 from camtopod.learn.next_camera.sampling import FAINT_TRANSITIONS, Sources, add_prior_transitions
 from camtopod.topology.lag_bins import LagBins

@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 from prediction_quality import prediction_quality
 from synthetic_events import Views, fit_posterior
 
-from bench.regimes import REGIMES
+from bench.support.regimes import REGIMES
 from camtopod.learn.association.candidates import Candidates, find_candidates, number_pairs
 from camtopod.learn.next_camera import fit, skip_rate, skipped_cameras as module
 from camtopod.learn.next_camera.fit import Posterior

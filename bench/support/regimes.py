@@ -1,23 +1,10 @@
 """Kinds of networks to measure on: those of the targets, simulated twins of real ones,
 disturbances.
-
-    python -m bench regimes [NAME ...] [--seed S] [--scale X]
-
-Without names it lists the regimes. With names it simulates each and describes it: events and their
-rate, the share of people recorded again, and how often an oracle (a Markov chain that is given the
-identities) names the next camera: from the present camera, from the place in its image, from the
-true zone (where there are zones), and from the present and the previous camera.
 """
 
 from __future__ import annotations
 
-import argparse
-from collections import Counter
-from collections.abc import Hashable, Sequence
-from itertools import pairwise
-
 import msgspec
-import numpy as np
 from msgspec import Struct
 
 from bench.scenes.crowd import CrowdSettings, simulate_crowd
@@ -26,16 +13,8 @@ from bench.scenes.road import RoadSettings, simulate_road
 from bench.scenes.walkway import WalkwaySettings, simulate_walkway
 from camtopod.learn.settings import Settings as LearnSettings
 from camtopod.records import Event
-from camtopod.sim.scoring import next_entries
 from camtopod.sim.simulation import SimSettings, simulate
-from camtopod.sim.truth import CLUTTER, Truth
-
-TRAIN_SHARE = 0.7
-"""Share of the events from which the oracle learns."""
-GRID = 5
-"""Rows and columns of the grid on which places in the image are told apart."""
-SEEN_MIN = 3
-"""Least number of exits in a state of the oracle; with fewer it backs off to the present camera."""
+from camtopod.sim.truth import Truth
 
 Settings = SimSettings | HallSettings | CrowdSettings | WalkwaySettings | RoadSettings
 """Settings of any simulation."""
@@ -211,108 +190,3 @@ REGIMES: dict[str, Regime] = {
     regime.name: regime for regime in (*_rows(), *_twins(), *_disturbed())
 }
 """All regimes by name."""
-
-
-def told_top1(events: Sequence[Event], truth: Truth) -> dict[str, float]:
-    """Return the oracle's top-1 by kind of state, learned on 70 % of the events, on the rest."""
-    following = next_entries(events, truth)
-    before = _previous(events, truth)
-    exits = [i for i, e in enumerate(events) if e.kind == "exit" and following[i] >= 0]
-    cut = int(TRAIN_SHARE * len(events))
-
-    # States of the exits, by kind of oracle.
-    states: dict[str, dict[int, Hashable]] = {
-        "camera": {i: events[i].camera for i in exits},
-        "place": {i: (events[i].camera, _cell(events[i])) for i in exits},
-        "zone": {i: (events[i].camera, truth.zone[i]) for i in exits},
-        "camera and previous": {
-            i: (events[i].camera, before.get((truth.identity[i], truth.passage[i]))) for i in exits
-        },
-    }
-
-    # Count before the cut, predict after it.
-    result = {}
-    for name, state in states.items():
-        counts: dict[Hashable, Counter[str]] = {}
-        for i in exits:
-            if following[i] < cut:
-                counts.setdefault(state[i], Counter())[events[following[i]].camera] += 1
-                if name != "camera":
-                    counts.setdefault(events[i].camera, Counter())[events[following[i]].camera] += 1
-        right = []
-        for i in exits:
-            if i >= cut:
-                known = counts.get(state[i], Counter())
-                chosen = (
-                    known if known.total() >= SEEN_MIN else counts.get(events[i].camera, Counter())
-                )
-                right.append(
-                    [camera for camera, _ in chosen.most_common(1)] == [events[following[i]].camera]
-                )
-        result[name] = float(np.mean(right)) if right else float("nan")
-    return result
-
-
-def _cell(event: Event) -> tuple[int, int] | None:
-    """Return the cell of the grid in which an event lies."""
-    return (
-        None if event.x is None or event.y is None else (int(GRID * event.x), int(GRID * event.y))
-    )
-
-
-def _previous(events: Sequence[Event], truth: Truth) -> dict[tuple[int, int], str]:
-    """Map (identity, number of the passage) to the camera of the recorded passage before it."""
-    entries = sorted(
-        (who, number, event.camera)
-        for event, who, number in zip(events, truth.identity, truth.passage, strict=True)
-        if event.kind == "entry" and who != CLUTTER
-    )
-    return {
-        (who, number): camera
-        for (earlier, _, camera), (who, number, _) in pairwise(entries)
-        if who == earlier
-    }
-
-
-def describe(regime: Regime, seed: int, scale: float) -> str:
-    """Return a few lines that describe one network."""
-    events, truth = regime.make(seed, scale)
-    following = next_entries(events, truth)
-    exits = [i for i, e in enumerate(events) if e.kind == "exit" and truth.identity[i] != CLUTTER]
-    followed = [i for i in exits if following[i] >= 0]
-    seconds = events[-1].t - events[0].t
-    lags = [events[following[i]].t - events[i].t for i in followed] or [float("nan")]
-    told = ", ".join(f"{name} {value:.2f}" for name, value in told_top1(events, truth).items())
-    pairs = Counter(pair.relation for pair in truth.pairs)
-    people = len(set(truth.identity) - {CLUTTER})
-    links = [link for link in truth.links if link.relation != "visible" and link.transitions > 0]
-    over = sum(link.relation == "overlapped" for link in links)
-    low, middle, high = np.quantile(lags, (0.05, 0.5, 0.95))
-    return (
-        f"{regime.name}: {regime.about}\n"
-        f"  {len(events)} events in {seconds:.0f} s ({len(events) / seconds:.2f}/s),"
-        f" {people} people, {len(exits) / max(people, 1):.1f} passages each,"
-        f" {len(followed) / max(len(exits), 1):.2f} seen again\n"
-        f"  {len(truth.cameras)} cameras, {len(truth.zones)} zones,"
-        f" {len(links)} links ({over} overlapped), pairs"
-        f" {pairs['overlapped']} overlapped and {pairs['unseen_path']} by an unseen path\n"
-        f"  from exit to next entry {low:.1f} / {middle:.1f} / {high:.1f} s (5, 50, 95 %);"
-        f" oracle, top-1 by {told}"
-    )
-
-
-def main(argv: list[str]) -> int:
-    """List or describe regimes; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m bench regimes")
-    parser.add_argument("names", nargs="*", metavar="NAME", choices=(*REGIMES, []))
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--scale", type=float, default=1.0, help="length of the recording (default 1.0)"
-    )
-    arguments = parser.parse_args(argv)
-    for regime in REGIMES.values():
-        if regime.name in arguments.names:
-            print(describe(regime, arguments.seed, arguments.scale), flush=True)
-        elif not arguments.names:
-            print(f"{regime.name:16}{regime.about}")
-    return 0
