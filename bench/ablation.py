@@ -4,8 +4,8 @@
                              [--seeds N] [--scale X] [--sampling-seeds N] [--jobs 2] [--json FILE]
 
 The networks are the real ones of `bench real` (skipped without data) and simulated ones of
-`support.regimes`. Each is learned in one fit of its first 70 % and scored on the rest. As the seed of
-the sampler alone moves the figures of a small network, each is measured with several seeds and
+`support.regimes`. Each is learned in one fit of its first 70 % and scored on the rest. As the seed
+of the sampler alone moves the figures of a small network, each is measured with several seeds and
 averaged. A difference is paired by network: without the mechanism, less with all. For log loss and
 calibration error a positive difference is worse, for links and top-1 a negative one. A mechanism
 earns its place if leaving it out costs more than two standard errors on the real networks, or more
