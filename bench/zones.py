@@ -2,7 +2,7 @@
 
     python -m bench zones [CAMERAS [FIRST_SEED]] [--speed] [--json FILE]
 
-``--speed`` measures the cost only (`bench.support.zone_speed`).
+``--speed`` measures the cost only: refreshed zones, as the learner makes them, beside HDBSCAN.
 
 Each camera has two to six zones (spread 0.01 to 0.05 of the image, unequal traffic), 10 to 30 %
 clutter, and at least four events in each zone. Compared over the same cameras: plain DaSpec with
@@ -16,17 +16,20 @@ from __future__ import annotations
 import argparse
 import time
 import warnings
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from bench.support import ratios, zone_speed
+from bench.support import ratios
 from camtopod.arrays import Floats
 from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
 from camtopod.learn.zones.zone_map import cell_sums, find_zones, refresh_zones
 
 FIRST_SEED = 1_000_000
+SPEED_EVENTS = 10_000
+"""Events of a camera whose zones are timed."""
 SLOW_EVENTS_MAX = 1000
 """Most events of a camera that the other methods are given."""
 
@@ -94,24 +97,44 @@ def main(argv: list[str]) -> int:
         "first", type=int, nargs="?", default=FIRST_SEED, help="seed of the first camera"
     )
     parser.add_argument("--speed", action="store_true", help="measure the cost only")
-    parser.add_argument(
-        "--events",
-        type=int,
-        nargs="+",
-        default=zone_speed.EVENTS,
-        help="numbers of events in the window, for the cost",
-    )
     ratios.add_arguments(parser, rounds=7)
     given = parser.parse_args(argv)
     if not given.speed:
         rightness(given.cameras, given.first)
-    makers = [partial(camera, given.first, kind) for kind in KINDS if kind.name in SPEED_KINDS]
-    tables = zone_speed.tables(makers, given.rounds, given.events)
-    for table in tables:
-        print(*ratios.lines(table), sep="\n", end="\n\n", flush=True)
+    table = speed(given.first, given.rounds)
+    print(*ratios.lines(table), sep="\n")
     if given.json:
-        ratios.write(given.json, "zones", tables)
+        ratios.write(given.json, "zones", [table])
     return 0
+
+
+def speed(first: int, rounds: int) -> ratios.Table:
+    """Compare the processor time of refreshed zones with HDBSCAN's, each with one thread."""
+    from sklearn.cluster import HDBSCAN
+    from threadpoolctl import threadpool_limits  # comes with scikit-learn
+
+    ours, theirs = [], []
+    for kind in KINDS:
+        if kind.name in SPEED_KINDS:
+            positions, _ = camera(first, kind, SPEED_EVENTS)
+            known = find_zones(cell_sums(*positions[: int(0.95 * SPEED_EVENTS)].T))
+            ours.append(partial(refresh_zones, cell_sums(*positions.T), known))
+            method = HDBSCAN(min_cluster_size=SPEED_EVENTS // 40, copy=True)
+            theirs.append(partial(method.fit_predict, positions))
+
+    def timed(jobs: Sequence[Callable[[], object]], repeats: int) -> float:
+        """Return the CPU milliseconds of a job, with all done ``repeats`` times."""
+        began = time.process_time()
+        for _ in range(repeats):
+            for job in jobs:
+                job()
+        return 1000 * (time.process_time() - began) / (repeats * len(jobs))
+
+    title = f"zones of a camera, {SPEED_EVENTS:,} events"
+    with threadpool_limits(1):
+        turns = {"refreshed": partial(timed, ours, 20), "HDBSCAN": partial(timed, theirs, 1)}
+        costs = ratios.take_turns(turns, rounds)
+    return ratios.compare(title, "CPU ms", costs, "refreshed")
 
 
 def rightness(cameras: int, first: int) -> None:

@@ -39,14 +39,10 @@ class Row(Struct):
     ratio: Spread
     at_most: float | None = None
     """Target: largest ratio."""
-    at_least: float | None = None
-    """Target: least ratio, where the baseline of the table is the method to be measured."""
 
     @property
     def reached(self) -> bool | None:
-        """True if the median ratio is within ``at_most`` or ``at_least``; None without either."""
-        if self.at_least is not None:
-            return self.ratio.median >= self.at_least
+        """True if the median ratio is within ``at_most``; None without it."""
         return None if self.at_most is None else self.ratio.median <= self.at_most
 
 
@@ -101,24 +97,15 @@ def compare(
     costs: Mapping[str, Sequence[float]],
     baseline: str,
     at_most: Mapping[str, float] | None = None,
-    at_least: Mapping[str, float] | None = None,
 ) -> Table:
     """Compare costs, as returned by `take_turns`, with those of ``baseline``.
 
-    ``at_most`` and ``at_least`` are targets of the ratios, by contestant.
+    ``at_most``: targets of the ratios, by contestant.
     """
     rows = []
     for name, own in costs.items():
         ratios = [cost / base for cost, base in zip(own, costs[baseline], strict=True)]
-        rows.append(
-            Row(
-                name,
-                spread(own),
-                spread(ratios),
-                (at_most or {}).get(name),
-                (at_least or {}).get(name),
-            )
-        )
+        rows.append(Row(name, spread(own), spread(ratios), (at_most or {}).get(name)))
     return Table(title, unit, baseline, rows)
 
 
@@ -127,8 +114,9 @@ def lines(table: Table) -> list[str]:
     cost, ratio = f"{table.unit} (quartiles)", f"/ {table.baseline}"
     result = [f"{table.title:52}{cost:>30}{ratio:>30}{'to reach':>14}"]
     for row in table.rows:
-        limit = f"<= {row.at_most:.2f}" if row.at_most is not None else f">= {row.at_least or 0:g}"
-        wanted = "" if row.reached is None else f"{limit} {'yes' if row.reached else 'NO'}"
+        wanted = ""
+        if row.at_most is not None:
+            wanted = f"<= {row.at_most:.2f} {'yes' if row.reached else 'NO'}"
         result.append(
             f"  {row.name:50}{_cell(row.cost, 3):>30}{_cell(row.ratio, 2):>30}{wanted:>14}"
         )

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench import ablation
+from bench import ablation, zones
 from bench.change import Found, summary
-from bench.support import zone_speed
 from bench.support.regimes import REGIMES
 from camtopod.codec import to_json
 from camtopod.records import Event
@@ -111,12 +110,10 @@ def test_a_regime_is_made(name: str) -> None:
 
 def test_the_cost_of_zones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("sklearn")
-    monkeypatch.setattr(zone_speed, "HDBSCAN_POINTS", 200)
-    monkeypatch.setattr(zone_speed, "SPECTRAL_POINTS", 200)
-    monkeypatch.setattr(zone_speed, "REPEATS", 1)
-    arguments = ["--speed", "--events", "300", "--rounds", "1", "--json", str(tmp_path / "out")]
+    monkeypatch.setattr(zones, "SPEED_EVENTS", 400)
+    arguments = ["--speed", "--rounds", "1", "--json", str(tmp_path / "out")]
 
-    assert import_module("bench.zones").main(arguments) == 0
+    assert zones.main(arguments) == 0
 
     tables = json.loads((tmp_path / "out").read_text())["tables"]
     assert all(row["cost"]["median"] > 0 for table in tables for row in table["rows"])
