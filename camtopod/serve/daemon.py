@@ -35,7 +35,6 @@ from camtopod.records import DaemonStatus, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
 from camtopod.serve.bus import (
-    JSON,
     Bus,
     OtherDaemons,
     QueryError,
@@ -65,15 +64,13 @@ from camtopod.serve.live_predictions import Live
 from camtopod.serve.runtime import Heartbeat, Progress, changed_settings, clock as clocks
 from camtopod.serve.storage import (
     NAMES_KEY,
-    CurrentVersion,
     Journal,
     JournalWriter,
     StateError,
     Version,
     command_entry,
-    head_of,
 )
-from camtopod.topology import links_in_words, waiting_for_links
+from camtopod.topology import links_between_views, links_in_words, waiting_for_links
 
 log = logging.getLogger(__name__)
 
@@ -108,7 +105,7 @@ class Daemon:
         """True when `start` has succeeded."""
         self.progress = Progress()
         """Progress of the daemon's loops and, before they run, of the start."""
-        self.newest: CurrentVersion | None = None
+        self.topology: Topology | None = None
         """The newest version, as published."""
 
     @property
@@ -121,11 +118,6 @@ class Daemon:
         """The session in use; valid after `start`."""
         assert self._bus is not None, "the daemon has not been started"
         return self._bus
-
-    @property
-    def topology(self) -> Topology | None:
-        """The newest version, as published; it is decoded at each access."""
-        return None if self.newest is None else self.newest.topology
 
     @property
     def learner_pid(self) -> int:
@@ -177,8 +169,8 @@ class Daemon:
             undo.pop_all()
 
         # Publish the newest version again, and start the threads.
-        if self.newest is not None:
-            self._bus.publish("topology", self.newest.raw, "topology")
+        if self.topology is not None:
+            self._bus.publish("topology", self.topology, "topology")
         health, limits, stall = config.health, config.limits, config.health.stall_seconds
         self._start_thread(
             "receive", lambda mark: self._intake.work(self._stopping, mark.beat), stall
@@ -269,7 +261,7 @@ class Daemon:
         counted = intake.cameras.status({aliases.get(name, name) for name in intake.alive.copy()})
 
         # The first reason found is given.
-        head = self.newest and self.newest.head
+        topology = self.topology
         reason = (
             self._reason
             or self._rivals.reason
@@ -282,8 +274,8 @@ class Daemon:
             state="degraded" if reason else "running",
             reason=redact(reason),
             site=self._config.site.name,
-            epoch=self.epoch if head is None else head.epoch,
-            version=0 if head is None else head.version,
+            epoch=self.epoch if topology is None else topology.epoch,
+            version=0 if topology is None else topology.version,
             t=self._clock(),
             events={
                 **intake.counts,
@@ -299,8 +291,8 @@ class Daemon:
             predictions=self._live.counts["predictions"],
             predictions_skipped=self._live.counts["predictions_skipped"],
             questions_refused=self._live.counts["questions_refused"],
-            score=None if head is None else head.score,
-            alarms=[] if head is None else head.alarms[-STATUS_ALARMS:],
+            score=None if topology is None else topology.score,
+            alarms=((topology and topology.alarms) or [])[-STATUS_ALARMS:],
             names=intake.names.status(),
             journal=replace(self._journal.status(), damaged=self._learning.damaged),
             cameras=counted,
@@ -314,7 +306,6 @@ class Daemon:
             intake.writer.reason
             or intake.event_clock.reason(self._clock())
             or intake.cameras.refused_reason(self._steady())
-            or self._learning.refused_reason
         )
 
     def __enter__(self) -> Daemon:
@@ -364,9 +355,9 @@ class Daemon:
 
         # Predictions, from the newest version until there is another.
         self._live = Live(self._publish_prediction)
-        if (topology := newest_topology(self._journal)) is not None:
-            self.newest = CurrentVersion(head_of(topology), codec.to_msgpack(topology))
-            self._live.use(topology)
+        self.topology = newest_topology(self._journal)
+        if self.topology is not None:
+            self._live.use(self.topology)
 
         # Event time as the learner knows it; the newest events may be newer than the snapshot.
         recent = recent_events(self._journal)
@@ -394,7 +385,7 @@ class Daemon:
             JournalWriter(self._journal, self._clock, self._announce),
             limits,
             see=self._live.see,
-            learn=lambda stored: self._learning.feed(stored),
+            learn=lambda _: self._learning.note_stored(),
             rewound=self._rewound,
             clock=self._clock,
             steady=self._steady,
@@ -446,18 +437,18 @@ class Daemon:
         """Take note of the event time that the learner waits for."""
         self._intake.event_clock.deadline = deadline
 
-    def _version(self, parameters: dict[str, str]) -> Topology | msgspec.Raw:
+    def _version(self, parameters: dict[str, str]) -> Topology:
         """Return the newest version, or an older one of the epoch (``version``) if it is kept.
 
         Raises `QueryError`.
         """
         # The newest version is at hand.
-        if (newest := self.newest) is None:
+        if (newest := self.topology) is None:
             raise QueryError("nothing has been learned yet")
-        wanted = parameters.get("version", str(newest.head.version))
-        epoch = parameters.get("epoch", newest.head.epoch)
-        if (epoch, wanted) == (newest.head.epoch, str(newest.head.version)):
-            return newest.topology if parameters.get("format") == JSON else newest.raw
+        wanted = parameters.get("version", str(newest.version))
+        epoch = parameters.get("epoch", newest.epoch)
+        if (epoch, wanted) == (newest.epoch, str(newest.version)):
+            return newest
 
         # Older ones are in the journal.
         try:
@@ -481,30 +472,32 @@ class Daemon:
 
     def _on_version(self, version: Version) -> None:
         """Prepare predictions with a version that was learned, and store it."""
-        self._live.prepare(version.packed)
+        self._live.prepare(version.topology)
         self._intake.writer.on_version(version)
 
     def _announce(self, version: Version) -> None:
         """Predict with a version that is stored and publish it, with its delta and its alarms."""
-        self._live.use(version.packed)
-        self.newest, said = version.newest, version.head
+        topology = version.topology
+        self._live.use(topology)
+        self.topology = topology
         if version.delta is not None:
             self.bus.publish_raw("topology/delta", version.delta, "topology-delta")
         self.bus.publish_raw("topology", version.packed, "topology")
 
         # Log the new alarms and the version.
-        for alarm in said.alarms:
-            if alarm.version == said.version:
+        for alarm in topology.alarms or []:
+            if alarm.version == topology.version:
                 log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
+        links = len(links_between_views(topology))
         log.info(
             "version %d: %d cameras, %d zones, %s",
-            said.version,
-            said.cameras,
-            said.zones,
-            links_in_words(said.links),
+            topology.version,
+            len(topology.cameras),
+            len(topology.zones),
+            links_in_words(links),
         )
-        if not said.links:
-            log.info("%s", waiting_for_links(version.newest.topology))
+        if not links:
+            log.info("%s", waiting_for_links(topology))
 
     def _publish_prediction(self, prediction: Prediction) -> None:
         self.bus.publish(f"prediction/{prediction.camera}", prediction, "prediction")

@@ -15,7 +15,6 @@ from camtopod.topology.camera_pairs import (
     relation_of as relation_of,
 )
 from camtopod.topology.first_links import (
-    joins_two_views as joins_two_views,
     lacks_in_words as lacks_in_words,
     likely_links as likely_links,
     links_between_views as links_between_views,

@@ -32,12 +32,10 @@ def give(one: Installation, command: Command, learn: bool = True) -> None:
     if isinstance(command, TakeBack):
         received = names.carry_out(Forget("x"), site)[0]
         one.journal.commit([received.entry], meta={NAMES_KEY: received.names or ""})
-        one.learning.feed([received])
     names.state = read_names(one.journal.meta(NAMES_KEY))
     received = names.carry_out(command, site)[0]
     one.journal.commit([received.entry], meta={NAMES_KEY: received.names or ""})
     if learn:
-        one.learning.feed([received])
         one.run()
 
 
@@ -52,7 +50,6 @@ def rest(one: Installation) -> None:
         )
     ]
     one.journal.commit([received.entry for received in passed])
-    one.learning.feed(passed)
     one.run()
 
 

@@ -22,11 +22,9 @@ from camtopod.codec import to_msgpack
 from camtopod.records import Event
 from camtopod.serve.learner_process import feeder, recovery
 from camtopod.serve.learner_process.messages import (
-    Answer,
     Begin,
     LearnBatch,
     LearnProgress,
-    Question,
 )
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 
@@ -35,7 +33,7 @@ FAULTY = "learners.faulty"
 
 def begun(program: str = PROGRAM) -> LearnerProcess:
     process = LearnerProcess(program)
-    assert isinstance(process.ask(Begin(SETTINGS, "s", "E", {}, False)), LearnProgress)
+    process.ask(Begin(SETTINGS, "s", "E", {}, False), LearnProgress)
     return process
 
 
@@ -65,41 +63,30 @@ def test_how_much_is_taught_at_a_time_changes_nothing(
     monkeypatch.setattr(feeder, "GATHER_SECONDS", 0.0)
     with contextlib.closing(Installation(tmp_path)) as one:
         for first in range(0, len(EVENTS), 50):
-            one.learning.feed(one.store(EVENTS[first : first + 50]))
+            one.store(EVENTS[first : first + 50])
         one.run()
         assert one.published == uninterrupted()
 
 
-@pytest.mark.parametrize("queued", [0, 20])
-def test_what_is_more_than_is_kept_in_memory_is_learned_from_the_journal(
-    queued: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_events_that_come_while_it_works_are_learned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Events arrive while the learner works, and are read from the queue or from the journal."""
-    monkeypatch.setattr(feeder, "QUEUED_EVENTS_MAX", queued)
     monkeypatch.setattr(feeder, "INPUTS_MAX", 8)
     monkeypatch.setattr(feeder, "GATHER_SECONDS", 0.0)
-    waiting, stop, came = (
-        iter([EVENTS[first : first + 11] for first in range(0, len(EVENTS), 11)]),
-        threading.Event(),
-        [],
-    )
+    waiting = iter([EVENTS[first : first + 11] for first in range(0, len(EVENTS), 11)])
+    stop = threading.Event()
     with contextlib.closing(Installation(tmp_path)) as one:
 
         def beat() -> None:
-            """After each step, so that there is always something to come: twice as much as is
-            learned in a step.
-            """
+            """Store more than is learned in a step."""
             if more := next(waiting, None):
-                one.learning.feed(one.store(more))
-                came.append(one.learning._behind)
-                assert one.learning._queued <= queued
+                one.store(more)
             elif not one.learning.waiting:
                 stop.set()
 
         one.learning.work(stop, beat)
         one.run()
         assert one.published == uninterrupted()
-    assert set(came) == ({True} if queued == 0 else {True, False})
 
 
 def test_what_the_terminal_and_systemd_tell_the_group_is_not_for_it(
@@ -107,7 +94,7 @@ def test_what_the_terminal_and_systemd_tell_the_group_is_not_for_it(
 ) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(process.pid, number)
-    assert isinstance(process.ask(LearnBatch(0, [event("1")])), LearnProgress)
+    process.ask(LearnBatch(0, [event("1")]), LearnProgress)
 
 
 def test_what_cannot_be_read_teaches_nothing_and_is_counted(process: LearnerProcess) -> None:
@@ -121,20 +108,11 @@ def test_what_cannot_be_read_teaches_nothing_and_is_counted(process: LearnerProc
                 event("1"),
                 ("event", b'{"camera":"a","kind":"exit","t":1700000000.0}'),
             ],
-        )
+        ),
+        LearnProgress,
     )
-    assert isinstance(answer, LearnProgress)
     assert (answer.position, answer.unreadable) == (5, 1)
     assert answer.statistics["accepted"] == 2
-
-
-def all_said(process: LearnerProcess, question: Question) -> list[Answer]:
-    process.send(question)
-    said: list[Answer] = []
-    while not (said and isinstance(said[-1], LearnProgress)):
-        if (answer := process.receive(1.0)) is not None:
-            said.append(answer)
-    return said
 
 
 def test_it_gives_way(process: LearnerProcess) -> None:
@@ -142,16 +120,16 @@ def test_it_gives_way(process: LearnerProcess) -> None:
 
 
 def test_killed_while_it_had_nothing_to_do_is_nobodys_fault(process: LearnerProcess) -> None:
-    assert isinstance(process.ask(LearnBatch(0, [event("1")])), LearnProgress)
+    process.ask(LearnBatch(0, [event("1")]), LearnProgress)
     os.kill(process.pid, signal.SIGKILL)
     with pytest.raises(LearnerEnded) as ended:
-        process.ask(LearnBatch(1, [event("2")]))
+        process.ask(LearnBatch(1, [event("2")]), LearnProgress)
     assert (ended.value.status, ended.value.at) == (-signal.SIGKILL, 0)
 
 
 def test_a_question_that_takes_too_long_ends_it(process: LearnerProcess) -> None:
     with pytest.raises(LearnerEnded) as ended:
-        process.ask(LearnBatch(0, [event("1"), event("lasts")]), seconds_max=0.3)
+        process.ask(LearnBatch(0, [event("1"), event("lasts")]), LearnProgress, 0.3)
     assert ended.value.at == 2
 
 
@@ -162,7 +140,7 @@ def test_an_endless_step_holds_up_no_stop_and_loses_nothing(
     stop = threading.Event()
     with contextlib.closing(Installation(tmp_path, program=FAULTY)) as one:
         one.learn(EVENTS[:100])
-        one.learning.feed(one.store([msgspec.structs.replace(EVENTS[100], track="lasts")]))
+        one.store([msgspec.structs.replace(EVENTS[100], track="lasts")])
         working = threading.Thread(target=one.learning.work, args=(stop,))
         working.start()
         wait_for(lambda: one.process.has_progressed(), "the step to begin")
@@ -181,8 +159,7 @@ def test_an_endless_step_holds_up_no_stop_and_loses_nothing(
 
 def test_told_to_hurry_it_answers_after_the_entry_it_is_at(process: LearnerProcess) -> None:
     process.hurry()
-    answer = process.ask(LearnBatch(7, [event(str(number)) for number in range(50)]))
-    assert isinstance(answer, LearnProgress)
+    answer = process.ask(LearnBatch(7, [event(str(number)) for number in range(50)]), LearnProgress)
     assert (answer.position, answer.statistics["accepted"]) == (8, 1)
 
 

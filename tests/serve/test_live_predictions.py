@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 
 import pytest
 from msgspec.structs import replace
 from serving import closing_event, numbered, walkers
 
-from camtopod.codec import to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Prediction, Topology
@@ -29,16 +27,13 @@ def learned() -> Topology:
     return learner.topology
 
 
-@pytest.mark.parametrize("as_sent", [lambda topology: topology, to_msgpack])
-def test_exits_are_predicted_by_the_version_in_use(
-    learned: Topology, as_sent: Callable[[Topology], Topology | bytes]
-) -> None:
+def test_exits_are_predicted_by_the_version_in_use(learned: Topology) -> None:
     made: list[Prediction] = []
     live = Live(made.append)
     live._step(EXIT)
     assert made == [], "no version is in use yet"
     for number in (1, 2, 3):
-        version = as_sent(replace(learned, version=number))
+        version = replace(learned, version=number)
         if number > 1:
             live.prepare(version)
             live._step(EXIT)

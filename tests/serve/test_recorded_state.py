@@ -65,7 +65,7 @@ def daemon_on(state: Path, events: list[Event]) -> Daemon:
         wait_for(lambda: not daemon.status().events["waiting"], "learning")
         learned = daemon.status().learner["version"]
         wait_for(
-            lambda: daemon.newest is not None and daemon.newest.head.version == learned,
+            lambda: daemon.topology is not None and daemon.topology.version == learned,
             "the newest version",
         )
     finally:
@@ -93,8 +93,8 @@ def test_a_daemon_goes_on_from_a_recording(recording: Path, site: Path, tmp_path
     assert len(expected) >= 2
 
     daemon = daemon_on(state, [])
-    assert daemon.newest is not None
-    assert (daemon.newest.head.version, daemon.newest.head.digest) == (1, first.digest)
+    assert daemon.topology is not None
+    assert (daemon.topology.version, daemon.topology.digest) == (1, first.digest)
     daemon.stop()
     daemon = daemon_on(state, [*LATER, closing_event()])
     daemon.stop()

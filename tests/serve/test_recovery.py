@@ -20,15 +20,13 @@ from camtopod.codec import to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
-from camtopod.serve.ingest import Received
 from camtopod.serve.learner_process import recovery
 from camtopod.serve.learner_process.feeder import CATCHING_UP_SECONDS, LearnerFeeder
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import recover
 from camtopod.serve.runtime.progress import no_beat
-from camtopod.serve.storage import command_entry
+from camtopod.serve.storage import Version, command_entry
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
-from camtopod.serve.storage.packed_version import Version
 from camtopod.serve.storage.sqlite_file import StateError, crc
 
 SETTINGS = msgspec.structs.replace(small_config(Path()).learn, lateness_seconds=5.0)
@@ -76,17 +74,16 @@ class Installation:
         self.journal.set_meta("epoch", epoch)
         return epoch
 
-    def store(self, events: list[Event]) -> list[Received]:
+    def store(self, events: list[Event]) -> None:
         """Store events in the journal, as the daemon does."""
-        received = [
-            Received(Entry("event", e.camera, e.boot, e.seq, to_msgpack(e)), e) for e in events
-        ]
-        self.journal.commit([one.entry for one in received])
-        return received
+        self.journal.commit(
+            [Entry("event", e.camera, e.boot, e.seq, to_msgpack(e)) for e in events]
+        )
+        self.learning.note_stored()
 
     def learn(self, events: list[Event]) -> None:
         """Store and learn events, and store the versions."""
-        self.learning.feed(self.store(events))
+        self.store(events)
         self.run()
 
     def run(self) -> None:
@@ -99,10 +96,10 @@ class Installation:
 
         self.learning.work(stop, beat)
         self.learning._take_snapshot(stop, no_beat)
-        for head, content, *_ in self._versions:
-            stored = StoredVersion(head.epoch, head.version, head.digest, content)
-            self.journal.commit([], [stored])
-            self.published.append((head.epoch, head.version, head.digest))
+        for topology, content, *_ in self._versions:
+            made = topology.epoch, topology.version, topology.digest
+            self.journal.commit([], [StoredVersion(*made, content)])
+            self.published.append(made)
         for snapshot in self._snapshot:
             self.journal.commit([], snapshot=snapshot)
         self._versions.clear()
@@ -157,7 +154,7 @@ def test_a_version_that_was_not_stored_is_made_again(start: Start) -> None:
     one.learn(EVENTS[:100])
     before = one.published
     assert before
-    one.learning.feed(one.store(EVENTS[100:]))
+    one.store(EVENTS[100:])
     stop = threading.Event()
     one.learning.work(
         stop, lambda: stop.set() if not one.learning.waiting else None
@@ -173,7 +170,7 @@ def test_it_says_how_far_it_is_behind(start: Start) -> None:
     one.learn(EVENTS[:100])
     watermark = one.learning.statistics["watermark"]
     assert one.learning.catching_up(watermark + 1000.0) is None, "all of it is learned"
-    one.learning.feed(one.store(EVENTS[100:150]))
+    one.store(EVENTS[100:150])
     assert one.learning.catching_up(watermark + CATCHING_UP_SECONDS - 1.0) is None
     behind = one.learning.catching_up(watermark + 1000.0)
     assert behind is not None
@@ -286,7 +283,6 @@ def test_a_rewind_is_replayed_like_an_event(start: Start, tmp_path: Path) -> Non
     to = EVENTS[119].t + 1.0
     entry = command_entry(Rewind(to, one.learning.epoch, one.new_epoch()))
     one.journal.commit([entry])
-    one.learning.feed([Received(entry)])
     one.run()
     assert (one.learning.epoch, one.learning.statistics["watermark"]) == ("F", to)
     one.learn(EVENTS[120:])
@@ -309,7 +305,6 @@ def test_a_rewind_is_replayed_like_an_event(start: Start, tmp_path: Path) -> Non
         other.learn([])
         entries = [entry for _, entry in replayed.journal.entries() if entry is not None]
         other.journal.commit(entries)
-        other.learning.feed([])
     anew = Installation(tmp_path / "other")
     with contextlib.closing(anew):
         anew.run()

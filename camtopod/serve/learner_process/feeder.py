@@ -1,25 +1,23 @@
 """Feed the journal's entries to the learner, and take its versions.
 
-First come the entries behind the snapshot, then new ones as they are stored; when more are waiting
-than are kept in memory, they are read from the journal again. The learner runs in its own process,
-so that a refit delays nothing here; order, position and failures are looked after on this side.
+They are read from the journal as they are stored, beginning behind the snapshot. The learner runs
+in its own process, so that a refit delays nothing here; order, position and failures are looked
+after on this side.
 """
 
 from __future__ import annotations
 
 import logging
-import math
-import queue
 import threading
 import time
 from collections.abc import Callable
 
-from camtopod.records import CatchingUp
-from camtopod.serve.ingest import Received
+from camtopod import codec
+from camtopod.records import CatchingUp, Topology
 from camtopod.serve.learner_process.messages import (
     INPUTS_MAX,
-    Answer,
     Input,
+    Kind,
     LearnBatch,
     LearnProgress,
     NewEpoch,
@@ -33,36 +31,23 @@ from camtopod.serve.learner_process.messages import (
 from camtopod.serve.learner_process.process import LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import Recovered, note_failure
 from camtopod.serve.runtime import Beat, no_beat
-from camtopod.serve.storage import (
-    Journal,
-    Snapshot,
-    Version,
-    head_of,
-)
+from camtopod.serve.storage import Journal, Snapshot, Version
 
 log = logging.getLogger(__name__)
 
 FINISH_SECONDS = 3.0
-"""Time that a step may still take when the daemon stops; what is not learned is in the journal."""
-SAVE_SECONDS_MAX = 3.0
-"""Time that the snapshot at the end may take."""
+"""Time that a step, and the snapshot at the end, may still take when the daemon stops."""
 GATHER_SECONDS = 0.02
 """Time in which new events are gathered into one message.
 
 A message for each event would cost more than learning it.
 """
-QUEUED_EVENTS_MAX = 20_000
-"""Most events kept in memory for the learner; more are read from the journal again."""
 CATCHING_UP_SECONDS = 180.0
 """Event time by which the learner may be behind the newest stored event until it is catching up.
 
 A fit takes this long on a large site, and a camera's clock may be a minute ahead.
 """
-REFUSED_SECONDS = 60.0
-"""How long the status mentions refused cameras after an event of one."""
 _TICK_SECONDS = 0.2
-_PROGRESS_ENTRIES = 200_000
-"""Number of replayed entries between two log lines."""
 
 
 class LearnerFeeder:
@@ -96,39 +81,31 @@ class LearnerFeeder:
         self._on_snapshot = on_snapshot
         self._on_deadline = on_deadline
         self._new_epoch = new_epoch
-
-        # Progress through the journal.
-        self._replay_until = self._stored = len(journal)
-        self._saved = self._up_to_date_at = self.position
+        self._replay_until = len(journal)
+        self._saved = self.position
+        self._up_to_date_at = self.position
         self._due = False
         self._busy = False  # True while the process owes an answer
-
-        # Entries in memory.
-        self._queue: queue.SimpleQueue[list[Input]] = queue.SimpleQueue()
-        self._queued = 0
-        self._behind = True  # True while entries after the queue have to be read from the journal
-        self._mutex = threading.Lock()
+        self._stored = threading.Event()
         self.damaged = 0
         """Number of damaged journal entries that were left out."""
         self.statistics = recovered.progress.statistics
         """The learner's statistics, as of its last step."""
-        self._refused_at = -math.inf
         on_deadline(recovered.progress.deadline)
 
-    def feed(self, batch: list[Received]) -> None:
-        """Queue entries that have just been stored, to be learned in this order. Any thread."""
-        with self._mutex:
-            self._stored += len(batch)
-            self._behind = self._behind or self._queued + len(batch) > QUEUED_EVENTS_MAX
-            if self._behind:
-                return
-            self._queued += len(batch)
-        self._queue.put([(one.entry.kind, one.entry.raw) for one in batch])
+    def note_stored(self) -> None:
+        """Entries have just been stored, to be learned soon. Any thread."""
+        self._stored.set()
 
     @property
     def waiting(self) -> int:
-        """Number of events stored and not learned yet."""
-        return max(0, self._stored - self.position)
+        """Number of entries stored and not learned yet."""
+        return max(0, len(self._journal) - self.position)
+
+    @property
+    def replaying(self) -> int:
+        """Number of entries from before the start that are not learned yet."""
+        return max(0, self._replay_until - self.position)
 
     def catching_up(self, newest: float) -> CatchingUp | None:
         """Return how far the learner is behind; None if it is up to date. Any thread.
@@ -137,32 +114,16 @@ class LearnerFeeder:
         ``share``: events learned, of those stored since this was last asked of a learner that was
         up to date.
 
-        newest: event time of the newest stored event, Unix seconds.
+        newest: event time of the newest event stored, Unix seconds.
         """
         watermark = self.statistics["watermark"]
         seconds = newest - watermark if watermark else 0.0  # it has none before its first events
-        if not self.waiting or seconds < CATCHING_UP_SECONDS:
+        waiting = self.waiting
+        if not waiting or seconds < CATCHING_UP_SECONDS:
             self._up_to_date_at = self.position
             return None
-        since = self._up_to_date_at
-        learned = (self.position - since) / max(1, self._stored - since)
-        return CatchingUp(seconds, min(1.0, max(0.0, learned)))
-
-    @property
-    def replaying(self) -> int:
-        """Number of entries from before the start that are not learned yet."""
-        return max(0, self._replay_until - self.position)
-
-    @property
-    def refused_reason(self) -> str:
-        """Why some cameras are stored but not learned, and what to do; else "". Any thread."""
-        if time.monotonic() - self._refused_at > REFUSED_SECONDS:
-            return ""
-        return (
-            "there are more cameras than learn.cameras_max: events of further ones are stored but"
-            " not learned until another has been silent for an hour; if all are cameras of this"
-            " site, raise learn.cameras_max"
-        )
+        learned = self.position - self._up_to_date_at
+        return CatchingUp(seconds, max(0.0, learned / max(1, learned + waiting)))
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Feed the learner until ``stopping``; entries not learned by then are in the journal.
@@ -172,10 +133,13 @@ class LearnerFeeder:
         try:
             self._learn(Refresh(self.position), stopping, beat)
             while not stopping.is_set():
-                if self._queued == 0 and self._behind:
-                    self._learn_from_journal(stopping, beat)
-                else:
-                    self._learn_from_queue(stopping, beat)
+                if not self.waiting and not self._stored.wait(_TICK_SECONDS):
+                    self._process.check()
+                elif self._stored.is_set():
+                    stopping.wait(GATHER_SECONDS)
+                self._stored.clear()
+                self._learn_stored(stopping, beat)
+                beat()
         except LearnerEnded as ended:
             if stopping.is_set():
                 return
@@ -194,7 +158,7 @@ class LearnerFeeder:
         if self._busy or (self.position == self._saved and not self._due):
             return None
         try:
-            saved = self._process.ask(Save(), SAVE_SECONDS_MAX)
+            saved = self._process.ask(Save(), Saved, FINISH_SECONDS)
         except LearnerEnded as ended:
             log.warning(
                 "the learner's last state is not saved, so the next start repeats some entries of"
@@ -202,17 +166,14 @@ class LearnerFeeder:
                 ended,
             )
             return None
-        assert isinstance(saved, Saved)
         return Snapshot(self.position, self.epoch, saved.state)
 
-    def _learn_from_journal(self, stopping: threading.Event, beat: Beat) -> None:
-        """Learn what the journal has by now; meanwhile nothing is queued."""
-        # Learn in batches.
-        begun = self.position
-        until = self._stored
+    def _learn_stored(self, stopping: threading.Event, beat: Beat) -> None:
+        """Learn what the journal has by now, in batches."""
+        until = len(self._journal)
         damaged = self.damaged
         batch: list[Input] = []
-        for number, entry in self._journal.entries(after=begun, up_to=until):
+        for number, entry in self._journal.entries(after=self.position, up_to=until):
             if not batch:
                 self.position = number - 1
             self.damaged += entry is None
@@ -223,53 +184,16 @@ class LearnerFeeder:
                 batch = []
             if stopping.is_set():
                 return
-            if (number - begun) % _PROGRESS_ENTRIES == 0:
-                log.info("replayed %d of %d journal entries", number - begun, until - begun)
-
-        # Report damage, and return to the queue if it is up to date.
         self.position = max(self.position, until)
         if self.damaged > damaged:
             log.error(
                 "%d damaged entries of the journal are not learned; they are still in the file",
                 self.damaged,
             )
-        with self._mutex:
-            self._behind = self.position < self._stored
-        self._take_snapshot(stopping, beat)
-
-    def _learn_from_queue(self, stopping: threading.Event, beat: Beat) -> None:
-        """Learn what is queued, or wait for something."""
-        try:
-            batch = self._queue.get(timeout=_TICK_SECONDS)
-        except queue.Empty:
-            self._process.check()
-            beat()
-            return
-
-        # Gather more entries, then learn them in batches.
-        if len(batch) < INPUTS_MAX:
-            stopping.wait(GATHER_SECONDS)
-        while len(batch) < INPUTS_MAX and not self._queue.empty():
-            batch += self._queue.get()
-
-        for first in range(0, len(batch), INPUTS_MAX):
-            some = batch[first : first + INPUTS_MAX]
-            self._learn(LearnBatch(self.position, some), stopping, beat)
-            with self._mutex:
-                self._queued -= len(some)
-            beat()
-            if stopping.is_set():
-                return
-        self._take_snapshot(stopping, beat)
 
     def _learn(self, task: Refresh | LearnBatch, stopping: threading.Event, beat: Beat) -> None:
         """Send a task to the learner and note the progress."""
-        progress = self._ask(task, stopping, beat)
-        assert isinstance(progress, LearnProgress)
-
-        # Note what it says.
-        if progress.statistics.get("refused", 0) > self.statistics.get("refused", 0):
-            self._refused_at = time.monotonic()
+        progress = self._ask(task, LearnProgress, stopping, beat)
         self.position = progress.position
         self.statistics = progress.statistics
         self.epoch = progress.epoch
@@ -284,13 +208,14 @@ class LearnerFeeder:
     def _take_snapshot(self, stopping: threading.Event, beat: Beat) -> None:
         """Take a snapshot between batches if one is due."""
         if self._due or self.position - self._saved >= self._snapshot_events:
-            saved = self._ask(Save(), stopping, beat)
-            assert isinstance(saved, Saved)
+            saved = self._ask(Save(), Saved, stopping, beat)
             self._on_snapshot(Snapshot(self.position, self.epoch, saved.state))
             self._saved = self.position
             self._due = False
 
-    def _ask(self, question: Question, stopping: threading.Event, beat: Beat) -> Answer:
+    def _ask(
+        self, question: Question, kind: type[Kind], stopping: threading.Event, beat: Beat
+    ) -> Kind:
         """Send a question, handle its new versions, return the last answer. Raises `LearnerEnded`.
 
         It beats while the learner moves from entry to entry.
@@ -306,7 +231,7 @@ class LearnerFeeder:
                 self._hand_over_version(answer)
             elif isinstance(answer, VersionMismatch):
                 self._begin_epoch(answer.version)
-            elif answer is not None:
+            elif isinstance(answer, kind):
                 self._busy = False
                 return answer
 
@@ -323,7 +248,8 @@ class LearnerFeeder:
     def _hand_over_version(self, made: NewVersion) -> None:
         """Hand a new version over."""
         self._due = True
-        self._on_version(Version(head_of(made.packed), made.content, made.packed, made.delta))
+        topology = codec.read(Topology, made.packed, pack=True)
+        self._on_version(Version(topology, made.content, made.packed, made.delta))
 
     def _begin_epoch(self, version: int) -> None:
         """Begin an epoch, as a stored version was not reproduced."""

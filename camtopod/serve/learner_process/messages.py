@@ -6,6 +6,8 @@ with one of the other answers. Both sides are this program, so an invalid messag
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import msgspec
 from msgspec import Struct
 
@@ -26,7 +28,7 @@ Input = tuple[str, bytes]
 class Load(Struct):
     """Question: can this state of a learner be used? `Begin` follows.
 
-    Answer: `Loaded` or `Unusable`.
+    Answer: `Loaded`.
     """
 
     state: bytes
@@ -74,18 +76,16 @@ class Save(Struct):
 
 
 class Loaded(Struct):
-    """The state can be used; it was saved with these settings, for this site and epoch."""
+    """The state was saved with these settings, for this site; or it cannot be used.
 
-    settings: Settings
-    site: str
-    epoch: str
+    reason: why it cannot be used; "" if it can.
+    newer: it was saved by a newer program.
+    """
 
-
-class Unusable(Struct):
-    """The state cannot be used; ``newer``: it was saved by a newer program."""
-
-    reason: str
-    newer: bool
+    settings: Settings | None = None
+    site: str = ""
+    reason: str = ""
+    newer: bool = False
 
 
 class NewVersion(Struct):
@@ -95,9 +95,6 @@ class NewVersion(Struct):
     delta: difference from the version before, as MessagePack.
     """
 
-    epoch: str
-    version: int
-    digest: str
     content: bytes
     packed: bytes
     delta: bytes | None
@@ -133,4 +130,6 @@ class Saved(Struct):
 
 
 Question = Load | Begin | Refresh | LearnBatch | NewEpoch | Save
-Answer = Loaded | Unusable | NewVersion | VersionMismatch | LearnProgress | Saved
+Answer = Loaded | NewVersion | VersionMismatch | LearnProgress | Saved
+Kind = TypeVar("Kind", bound=Answer)
+"""The kind of answer that a question has."""

@@ -11,7 +11,7 @@ from ctypes import c_longlong
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
 
-from camtopod.serve.learner_process.messages import Answer, Question
+from camtopod.serve.learner_process.messages import Answer, Kind, Question
 
 PROGRAM = "camtopod.serve.learner_process.worker"
 """The module whose `main` the process runs."""
@@ -85,8 +85,8 @@ class LearnerProcess:
             raise self._end() from None
         return answer
 
-    def ask(self, question: Question, seconds_max: float = math.inf) -> Answer:
-        """Send a question and return its answer. Raises `LearnerEnded`.
+    def ask(self, question: Question, kind: type[Kind], seconds_max: float = math.inf) -> Kind:
+        """Send a question and return its answer of this kind. Raises `LearnerEnded`.
 
         The process is killed after ``seconds_max``.
         """
@@ -95,6 +95,7 @@ class LearnerProcess:
         while (answer := self.receive(_LOOK_SECONDS)) is None:
             if time.monotonic() > until:
                 self.kill()
+        assert isinstance(answer, kind)
         return answer
 
     def check(self) -> None:

@@ -22,7 +22,6 @@ from camtopod.serve.learner_process.messages import (
     LearnProgress,
     Load,
     Loaded,
-    Unusable,
 )
 from camtopod.serve.learner_process.process import LearnerProcess
 from camtopod.serve.storage import (
@@ -78,8 +77,7 @@ def recover(
         if begun and begun[-1][1] == epoch:
             epoch = begun[0][0]
         stored = {name: journal.versions(name) for name in {epoch, *(new for _, new in begun)}}
-        progress = process.ask(Begin(settings, site, epoch, stored, load))
-        assert isinstance(progress, LearnProgress)
+        progress = process.ask(Begin(settings, site, epoch, stored, load), LearnProgress)
         return Recovered(position, epoch, progress)
 
     # A new state begins an epoch.
@@ -184,15 +182,14 @@ def _newest_state(journal: Journal, process: LearnerProcess) -> tuple[int, Loade
     is tried; one of a newer program raises `StateError`.
     """
     for snapshot in journal.snapshots():
-        answer = process.ask(Load(snapshot.state))
-        if isinstance(answer, Loaded):
-            return snapshot.position, answer
+        loaded = process.ask(Load(snapshot.state), Loaded)
+        if not loaded.reason:
+            return snapshot.position, loaded
 
         # It cannot be used: try the one before, unless the program is too old.
-        assert isinstance(answer, Unusable)
-        if answer.newer:
+        if loaded.newer:
             raise StateError(
-                f"the snapshot was saved by a newer camtopod ({answer.reason}): use that version"
+                f"the snapshot was saved by a newer camtopod ({loaded.reason}): use that version"
             )
-        log.error("the snapshot at entry %d cannot be used: %s", snapshot.position, answer.reason)
+        log.error("the snapshot at entry %d cannot be used: %s", snapshot.position, loaded.reason)
     return None

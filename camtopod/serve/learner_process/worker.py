@@ -39,7 +39,6 @@ from camtopod.serve.learner_process.messages import (
     Refresh,
     Save,
     Saved,
-    Unusable,
     VersionMismatch,
 )
 from camtopod.serve.storage import read_command
@@ -103,13 +102,13 @@ class Worker:
                 case NewEpoch():
                     raise ValueError("a new epoch was sent without a version mismatch")
 
-    def _load(self, packed: bytes) -> Loaded | Unusable:
+    def _load(self, packed: bytes) -> Loaded:
         """Unpack a state and keep it for `Begin`."""
         try:
             self._loaded = state = unpack(packed)
         except SnapshotError as error:
-            return Unusable(str(error), isinstance(error, NewerSnapshot))
-        return Loaded(state.settings, state.site, state.epoch)
+            return Loaded(reason=str(error), newer=isinstance(error, NewerSnapshot))
+        return Loaded(state.settings, state.site)
 
     def _begin(self, given: Begin) -> None:
         """Make the learner, with the loaded state if the daemon wants it."""
@@ -252,16 +251,7 @@ class Worker:
         delta = None
         if before is not None and alarms_follow(before, topology):
             delta = codec.to_msgpack(make_delta(before, topology))
-        self._send(
-            NewVersion(
-                topology.epoch,
-                topology.version,
-                topology.digest,
-                codec.to_json(topology),
-                codec.to_msgpack(topology),
-                delta,
-            )
-        )
+        self._send(NewVersion(codec.to_json(topology), codec.to_msgpack(topology), delta))
 
     def _send(self, answer: Answer) -> None:
         self._pipe.send(answer)

@@ -19,6 +19,7 @@ from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus, QueryError
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.monitoring.health import Page
+from camtopod.topology import links_between_views
 
 if TYPE_CHECKING:
     from prometheus_client import Metric as Family
@@ -200,7 +201,8 @@ class _Scrape:
     """A collector that reads the figures of one moment."""
 
     def __init__(self, daemon: Daemon, cameras_max: int) -> None:
-        self._daemon, self._cameras_max = daemon, cameras_max
+        self._daemon = daemon
+        self._cameras_max = cameras_max
 
     def collect(self) -> Iterator[Family]:
         """Yield all metrics."""
@@ -243,13 +245,12 @@ def site_status(daemon: Daemon) -> dict[str, Any]:
     status["learner"]["watermark"] = status["learner"]["watermark"] or None
 
     # Add the newest topology.
-    if daemon.newest is not None:
-        newest = daemon.newest.head
+    if (newest := daemon.topology) is not None:
         status["topology"] = {
             "as_of": newest.as_of,
-            "cameras": newest.cameras,
-            "zones": newest.zones,
-            "links": newest.links,
+            "cameras": len(newest.cameras),
+            "zones": len(newest.zones),
+            "links": len(links_between_views(newest)),
             "alarm": newest.alarms[-1].t if newest.alarms else 0.0,
         }
 

@@ -21,10 +21,8 @@ from camtopod.serve.storage.journal import (
     StoredVersion as StoredVersion,
 )
 from camtopod.serve.storage.journal_schema import NAMES_KEY as NAMES_KEY
-from camtopod.serve.storage.journal_writer import JournalWriter as JournalWriter
-from camtopod.serve.storage.packed_version import (
-    CurrentVersion as CurrentVersion,
+from camtopod.serve.storage.journal_writer import (
+    JournalWriter as JournalWriter,
     Version as Version,
-    head_of as head_of,
 )
 from camtopod.serve.storage.sqlite_file import StateError as StateError, lock_reason as lock_reason

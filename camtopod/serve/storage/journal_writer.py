@@ -14,7 +14,9 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
+from camtopod.records import Topology
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.serve.storage.journal import (
     Entry,
@@ -24,7 +26,6 @@ from camtopod.serve.storage.journal import (
     Stream,
     highest_numbers,
 )
-from camtopod.serve.storage.packed_version import Version
 from camtopod.serve.storage.sqlite_file import StateError
 
 log = logging.getLogger(__name__)
@@ -36,6 +37,19 @@ SLOW_SECONDS = 5.0
 
 On a slow memory card one can take several seconds.
 """
+
+
+class Version(NamedTuple):
+    """A new version on its way to the journal and then to the bus.
+
+    content, packed: the version as JSON and as MessagePack.
+    delta: the changes since the last version as MessagePack; None for the first.
+    """
+
+    topology: Topology
+    content: bytes
+    packed: bytes
+    delta: bytes | None
 
 
 class JournalWriter:
@@ -99,7 +113,9 @@ class JournalWriter:
         snapshot = self._snapshots.popleft() if self._snapshots else None
         versions = [self._versions.popleft() for _ in range(len(self._versions))]
         stored = [
-            StoredVersion(one.head.epoch, one.head.version, one.head.digest, one.content)
+            StoredVersion(
+                one.topology.epoch, one.topology.version, one.topology.digest, one.content
+            )
             for one in versions
         ]
 
