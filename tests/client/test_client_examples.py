@@ -24,7 +24,6 @@ from camtopod.serve.bus.session import dial
 
 README = (ROOT / "README.md").read_text()
 PROTOCOL = (DEPLOY / "protocol.md").read_text()
-INTEGRATIONS = (DEPLOY / "integrations.md").read_text()
 LINES_MAX = 10
 """Without imports."""
 
@@ -190,12 +189,3 @@ def test_the_client_as_readme_shows_it(hub: Hub) -> None:
     here = shown.replace("connect()", f"connect(connect={hub.daemon.endpoint!r})")
     lines = printed_until_a_prediction(hub, here, 1)
     assert re.fullmatch(r"[abc] -> [abc] \d+% in -?\d+ to \d+ s\n", lines[0])
-
-
-def test_the_page_has_the_tested_lines() -> None:
-    assert code("gating.py") in blocks(INTEGRATIONS, "python")
-
-
-def code(name: str) -> str:
-    """Return an example without its docstring."""
-    return (EXAMPLES / name).read_text().split('"""', 2)[2].lstrip()
