@@ -257,7 +257,6 @@ class Soak:
         keep = KeepSettings(
             journal_days=3.0,
             history_days=3.0,
-            snapshot_events=2000,
             journal_bytes_max=JOURNAL_BYTES + JOURNAL_EVENT_BYTES * events,
         )
         self._config = Config(

@@ -29,6 +29,7 @@ from camtopod.config import DEFAULT_ENDPOINT, is_endpoint, secret_files, setting
 from camtopod.predict import Predictor
 from camtopod.records import CAMERA_PATTERN, Event, Prediction, Topology as Version
 from camtopod.serve.bus import (
+    QUERY_SECONDS,
     Bus,
     BusError,
     TopologySubscriber,
@@ -84,7 +85,7 @@ class SiteView:
             self._view = TopologySubscriber(self._bus)
             self._bus.subscribe("topology/delta", lambda key, payload: self._wake.set())
             self._bus.watch_alive("daemon", self._on_daemon)
-            self._wake.wait(settings.bus.query_seconds)  # a running daemon is announced at once
+            self._wake.wait(QUERY_SECONDS)  # a running daemon is announced at once
             self._refresh()
             self._thread.start()
             undo.pop_all()

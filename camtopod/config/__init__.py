@@ -30,5 +30,6 @@ from camtopod.config.settings import (
 from camtopod.config.toml_tables import (
     DEFAULT_ENDPOINT as DEFAULT_ENDPOINT,
     FLOAT_MAX as FLOAT_MAX,
+    fields as fields,
     is_endpoint as is_endpoint,
 )

@@ -2,7 +2,8 @@
 
 Every limit that users may set has its default and its unit here, in `camtopod.learn.settings` or in
 `camtopod.vision.settings`, and nowhere else. The docstrings of fields also become the comments of
-the example configuration and the descriptions of the JSON schema.
+the example configuration and the descriptions of the JSON schema. Fields that `toml_tables.is_gone`
+names are for programs, not for files.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ from camtopod.config import secret_files, toml_lines
 from camtopod.config.page_settings import Address, MapSettings, PlaceOnPlan, WebSettings
 from camtopod.config.toml_tables import (
     DEFAULT_ENDPOINT,
-    GONE,
     Endpoint,
     Problem,
     TableReader,
     did_you_mean,
     is_endpoint,
+    is_gone,
     syntax,
 )
 from camtopod.learn.settings import Settings
@@ -82,8 +83,6 @@ class BusSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Endpoints at which the daemon listens; empty: tcp/127.0.0.1:7447, or none if it connects."""
     connect_seconds: Positive = 3.0
     """Time to try to reach the meeting point until an error is reported."""
-    query_seconds: Positive = 2.0
-    """Time to wait for the answer to a query."""
     message_bytes_max: Count = 16 * 1024 * 1024
     """Maximum size of a message; larger ones are refused. A daemon that is the meeting point takes
     1 to 2 MiB.
@@ -110,10 +109,6 @@ class KeepSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Maximum size of the journal's database; beyond it the oldest events are deleted."""
     history_days: Positive = 90.0
     """Days that old versions of the topology are kept, which can be queried."""
-    history_bytes_max: Count = 256 * 1024**2
-    """Maximum size of the old versions, compressed; beyond it the oldest are deleted."""
-    snapshot_events: Count = 20_000
-    """Number of events after which the learner's state is saved; also after every version."""
 
 
 class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -127,10 +122,10 @@ class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Instead of source: a file whose first line is the source, so that no password stands here; a
     path as in [bus.tls], e.g. $CREDENTIALS_DIRECTORY/lobby.
     """
-    start: float = 0.0
-    """A file only: time of its first frame, seconds since the Unix epoch."""
     realtime: bool = False
     """A file only: play it at its own speed, not as fast as it decodes."""
+    start: float = 0.0
+    """A file only: time of its first frame, seconds since the Unix epoch."""
     speed: Positive = 1.0
     """A file only, with realtime: play it at this many times its own speed."""
     page: Address = ""
@@ -154,16 +149,10 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     """Events stamped further ahead of this machine's clock are stored but not learned; those less
     far ahead wait until their time.
     """
-    camera_events_per_second_max: Count = 200
-    """Maximum number of events of one camera within a second of event time; further ones are
-    counted, not learned.
-    """
     cameras_max: Count = 1_000
     """Maximum number of cameras; events of further ones are refused until one is silent for an
     hour.
     """
-    commit_events_max: Count = 2_000
-    """Maximum number of events in one transaction of the journal."""
     commit_seconds: float = 0.02
     """Time that a transaction waits for more events; predictions do not wait for it. Raise it on an
     SD card (0.05).
@@ -183,7 +172,7 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """``[health]``: when a running program counts as stalled, and who can ask."""
+    """``[health]``: who can ask whether the daemon is well."""
 
     listen: Annotated[
         str,
@@ -194,25 +183,6 @@ class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
     ] = ""
     """Address at which the daemon answers GET /healthz and /readyz, e.g. "127.0.0.1:8787"; empty:
     nowhere.
-    """
-    stall_seconds: Positive = 30.0
-    """A loop of the daemon, the page's server or the bridge without progress for this long makes
-    the program unhealthy, and systemd restarts it.
-    """
-    learn_seconds: Positive = 900.0
-    """The same for a step of the learner (a refit takes long on a small machine) and for the start.
-    """
-    hung_seconds: Positive = 30.0
-    """A camera's process without progress for this long is killed and restarted."""
-    start_seconds: Positive = 60.0
-    """Time that a camera's process may take to start; loading OpenCV takes a while on a small
-    machine.
-    """
-    restart_seconds_min: Positive = 1.0
-    """First wait before a camera's process is restarted; it doubles up to restart_seconds_max."""
-    restart_seconds_max: Positive = 60.0
-    """Largest wait before a camera's process is restarted; after a run of this length the first
-    wait is used again.
     """
 
 
@@ -397,7 +367,7 @@ class _Reader(TableReader):
     def config(self, data: dict[str, Any]) -> Config:
         known = [*TABLES, "cameras"]
         for key in data:
-            if key in GONE:
+            if is_gone("", key):
                 self.report((key,), f"{key}: no longer needed: delete the table")
             elif key not in known:
                 self.report((key,), f"{key}: no such table{did_you_mean(key, known)}")

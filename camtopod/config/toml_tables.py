@@ -35,24 +35,59 @@ _ELSEWHERE = {
     "area": "min_height",
 }
 """Names of similar settings in Frigate and Viseron -> their names here."""
-GONE = frozenset(
+_GONE = frozenset(
     {
         "ack_seconds",
+        "ahead_seconds_max",
+        "background_seconds",
+        "backoff_max_seconds",
+        "backoff_min_seconds",
+        "bootstrap_seconds",
+        "camera_events_per_second_max",
+        "candidates_max",
+        "commit_events_max",
+        "confirm_seconds",
+        "future_seconds_max",
         "gap_seconds",
         "hardware_decoding",
         "held_events_max",
+        "history_bytes_max",
+        "hung_seconds",
         "inbox_camera_events_max",
         "inbox_events_max",
+        "learn.cameras_max",
         "learn_events_max",
+        "learn_seconds",
+        "missed_share_max",
+        "open_timeout_seconds",
+        "overlap_max_seconds",
+        "overlap_tolerance_seconds",
+        "patience_seconds",
+        "publish_probability_min",
+        "publish_q_max",
         "pull_events_max",
         "pull_seconds",
+        "query_seconds",
+        "read_timeout_seconds",
+        "restart_seconds_max",
+        "restart_seconds_min",
+        "settle_seconds",
         "shards",
+        "snapshot_events",
+        "speed",
         "spool_batch_events",
         "spool_kept_events",
+        "stall_seconds",
+        "start",
+        "start_seconds",
+        "stitch_seconds",
         "streams_max",
+        "tracks_max",
+        "window_camera_events",
+        "window_events_max",
     }
 )
-"""Names of settings and tables of earlier versions that have gone without a replacement."""
+"""Tables, keys and table.keys of earlier versions that have gone without a replacement."""
 _T = TypeVar("_T", bound=Struct)
 
 
@@ -127,7 +162,7 @@ class TableReader:
             data = {}
 
         # Known keys: those of the struct itself, and those of the structs in `flat`.
-        own = {f.name: f for f in msgspec.structs.fields(kind) if f.name not in flat}
+        own = {f.name: f for f in fields(title, kind) if f.name not in flat}
         homes = {f.name: (name, f) for name in flat for f in msgspec.structs.fields(flat[name])}
         values: dict[str, Any] = {}
         changes: dict[str, dict[str, Any]] = {name: {} for name in flat}
@@ -137,7 +172,7 @@ class TableReader:
             if (nested := self._tables.get(f"{title}.{key}")) is not None and key in own:
                 values[key] = self.table(nested, data, (*path, key))
                 continue
-            if key in GONE:
+            if is_gone(title, key):
                 self.report((*path, key), f"{title}.{key}: no longer needed: delete the line")
                 continue
             home, field = homes[key] if key in homes else ("", own.get(key))
@@ -202,6 +237,16 @@ class TableReader:
             if name != table and key in kind.__struct_fields__
         ]
         return f"; it belongs in [{homes[0]}]" if homes else did_you_mean(key, known)
+
+
+def is_gone(table: str, key: str) -> bool:
+    """Return True if files of earlier versions could have ``key`` in ``table``, and now cannot."""
+    return key in _GONE or f"{table}.{key}" in _GONE
+
+
+def fields(table: str, kind: type[Struct]) -> list[msgspec.structs.FieldInfo]:
+    """Return the fields of ``kind`` that a file may set in ``table``."""
+    return [one for one in msgspec.structs.fields(kind) if not is_gone(table, one.name)]
 
 
 def is_endpoint(value: object) -> bool:

@@ -61,7 +61,14 @@ from camtopod.serve.learner_process import (
     recover,
 )
 from camtopod.serve.live_predictions import Live
-from camtopod.serve.runtime import Heartbeat, Progress, changed_settings, clock as clocks
+from camtopod.serve.runtime import (
+    LEARN_SECONDS,
+    STALL_SECONDS,
+    Heartbeat,
+    Progress,
+    changed_settings,
+    clock as clocks,
+)
 from camtopod.serve.storage import (
     NAMES_KEY,
     Journal,
@@ -136,7 +143,7 @@ class Daemon:
         Return False if ``cancel`` was set before that was done.
         """
         cancelled = cancel or self._stopping
-        self.progress.watch("start", self._config.health.learn_seconds)
+        self.progress.watch("start", LEARN_SECONDS)
         config = self._config
         self._journal = Journal(config.state_directory, config.keep)
 
@@ -171,19 +178,19 @@ class Daemon:
         # Publish the newest version again, and start the threads.
         if self.topology is not None:
             self._bus.publish("topology", self.topology, "topology")
-        health, limits, stall = config.health, config.limits, config.health.stall_seconds
+        limits = config.limits
         self._start_thread(
-            "receive", lambda mark: self._intake.work(self._stopping, mark.beat), stall
+            "receive", lambda mark: self._intake.work(self._stopping, mark.beat), STALL_SECONDS
         )
         self._start_thread(
-            "store", lambda mark: self._intake.store(self._stopping, mark.beat), stall
+            "store", lambda mark: self._intake.store(self._stopping, mark.beat), STALL_SECONDS
         )
         self._start_thread(
             "learn",
             lambda mark: self._learning.work(self._stopping, mark.beat),
-            health.learn_seconds,
+            LEARN_SECONDS,
         )
-        self._start_thread("status", self._publish_status, limits.status_seconds + stall)
+        self._start_thread("status", self._publish_status, limits.status_seconds + STALL_SECONDS)
         self.progress.unwatch("start")
         self.started = True
         log.info(
@@ -248,8 +255,7 @@ class Daemon:
         """Apply settings that can change at run time; return the names of those that cannot."""
         limits, waiting = changed_settings(self._config, config)
         self._config = msgspec.structs.replace(self._config, limits=limits)
-        stall = self._config.health.stall_seconds
-        self.progress.set_limit("status", limits.status_seconds + stall)
+        self.progress.set_limit("status", limits.status_seconds + STALL_SECONDS)
         self._intake.limits = limits
         return waiting
 
@@ -370,7 +376,7 @@ class Daemon:
 
         # Receiving and storing.
         numbers = Numbers(*self._journal.numbers())
-        cameras = Cameras(limits.cameras_max, limits.camera_events_per_second_max)
+        cameras = Cameras(limits.cameras_max)
         wall, now = self._clock(), self._steady()
         for camera in numbers.cameras[-limits.cameras_max :]:
             cameras.register(camera, now)
@@ -396,7 +402,6 @@ class Daemon:
             recovered,
             process,
             self._journal,
-            self._config.keep.snapshot_events,
             self._on_version,
             self._intake.writer.on_snapshot,
             self._on_deadline,

@@ -23,6 +23,8 @@ GHOST_MOVE_HEIGHTS = 0.1
 """An object that moves less than this (heights of the object) stands still."""
 STEP_SECONDS_MAX = 1.0
 """Longest interval between two frames that background learning takes into account."""
+BOOTSTRAP_SECONDS = 3.0
+"""The first background is the median of the frames of this period."""
 BOOTSTRAP_FRAMES_KEPT = 100
 """Number of frames that may wait for the first background."""
 
@@ -73,7 +75,7 @@ class ViewPipeline:
         if self._tracker is not None and self._motion.ready:
             return self._step(t, small, image)
         self._waiting.append((t, small))
-        enough = t - self._waiting[0][0] >= self._settings.bootstrap_seconds
+        enough = t - self._waiting[0][0] >= BOOTSTRAP_SECONDS
         if enough or len(self._waiting) >= BOOTSTRAP_FRAMES_KEPT:
             return self._bootstrap()
         return []

@@ -34,26 +34,6 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """
     working_width: Annotated[int, Meta(ge=1)] = 320
     """Wider frames are scaled down to this width (pixels) before analysis."""
-    bootstrap_seconds: float = 3.0
-    """The first background is the median of the frames of this period."""
-    background_seconds: Positive = 20.0
-    """Time constant with which the background follows changes of the settled scene."""
-    confirm_seconds: float = 0.5
-    """Minimum time something must be tracked, and move, before it counts as an object."""
-    patience_seconds: Positive = 1.5
-    """Time an object may go undetected before its track ends."""
-    stitch_seconds: float = 10.0
-    """Time within which a track lost in mid-view may be found again and continue its passage."""
-    tracks_max: Annotated[int, Meta(ge=1)] = 200
-    """Maximum number of tracks at a time; further objects are not tracked."""
-    open_timeout_seconds: Positive = 5.0
-    """Timeout for opening a stream."""
-    read_timeout_seconds: Positive = 3.0
-    """Time without a frame after which a stream is reopened."""
-    backoff_min_seconds: Positive = 0.5
-    """Delay before a lost stream is reopened for the first time; it doubles with each attempt."""
-    backoff_max_seconds: Positive = 15.0
-    """Maximum delay before a lost stream is reopened."""
     ignore: Areas = ()
     """Areas in which motion is ignored (a tree, a street behind the fence, a clock in the
     picture): polygons of [x, y] points in fractions of the picture, such as [[[0.0, 0.0],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 import os
 import re
 import socket
@@ -27,7 +26,7 @@ from starlette.staticfiles import StaticFiles
 
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus
-from camtopod.serve.runtime import Beat, Clock, Progress
+from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
 from camtopod.web.api import Api
 from camtopod.web.configured import Configured
 from camtopod.web.feed import Feed
@@ -235,7 +234,6 @@ def serving(
     status_seconds: float,
     is_public: bool = False,
     progress: Progress | None = None,
-    stall_seconds: float = math.inf,
     login: Login | None = None,
     configured: Configured = _NOTHING,
 ) -> Iterator[Callable[[], bool]]:
@@ -246,14 +244,13 @@ def serving(
     names: accepted host names, besides IP addresses.
     is_public: whether other machines can connect; then the API needs a login.
     progress: receives the progress of the threads.
-    stall_seconds: time after which a thread without progress counts as stalled.
     login: None for a page without a password.
     configured: the configuration's settings of the page.
     """
     # Progress marks, bus followers, HTTP server.
     marks = progress or Progress()
     page, versions, messages = (
-        marks.watch(name, stall_seconds) for name in ("page", "versions", "messages")
+        marks.watch(name, STALL_SECONDS) for name in ("page", "versions", "messages")
     )
     stop = threading.Event()
     page_queues = PageQueues()

@@ -134,7 +134,7 @@ def test_a_camera_s_own_settings_and_another_source(
     config, out = tmp_path / "c.toml", str(tmp_path / "e.jsonl")
     config.write_text(
         "[vision]\nanalysed_fps = 5\n[cameras.lobby]\nmin_height = 0.2\n"
-        "[cameras.hall]\nsource_file = 'nowhere'\nspeed = 2\nanalysed_fps = 9\n"
+        "[cameras.hall]\nsource_file = 'nowhere'\nanalysed_fps = 9\n"
     )
     grab = ["--config", str(config), "grab", "--out", out, "--camera"]
     for camera in ("lobby", "hall", "other"):
@@ -142,10 +142,7 @@ def test_a_camera_s_own_settings_and_another_source(
     lobby, hall, other = FakeGrabber.made
     assert [made.source for made in FakeGrabber.made] == ["lobby.mp4", "hall.mp4", "other.mp4"]
     assert lobby.options["settings"] == VisionSettings(analysed_fps=5.0, min_height=0.2)
-    assert (hall.options["settings"], hall.options["speed"]) == (
-        VisionSettings(analysed_fps=9.0),
-        2.0,
-    )
+    assert hall.options["settings"] == VisionSettings(analysed_fps=9.0)
     assert other.options["settings"] == VisionSettings(analysed_fps=5.0)
 
     # Without a source on the command line one in the configuration is needed.

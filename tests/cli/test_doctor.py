@@ -136,7 +136,7 @@ def test_a_wrong_configuration_and_nothing_there(
 ) -> None:
     path = tmp_path / "c.toml"
     path.write_text(
-        '[cameras.lobby]\nsource = "rtsp://u:hunter2@h"\nspede = 1\npassword = "hunter2"\n'
+        '[cameras.lobby]\nsource = "rtsp://u:hunter2@h"\npgae = 1\npassword = "hunter2"\n'
     )
 
     def away(config: Config) -> NoReturn:
@@ -148,7 +148,7 @@ def test_a_wrong_configuration_and_nothing_there(
     assert main(["--config", str(path), "--connect", "tcp/192.0.2.1:7447", "doctor"]) == 0
     text = capsys.readouterr().out
     assert "hunter2" not in text
-    assert f"{path}:3: cameras.lobby.spede: no such key; did you mean 'speed'?" in text
+    assert f"{path}:3: cameras.lobby.pgae: no such key; did you mean 'page'?" in text
     assert "journal.db: -rw-------, user" in text
     assert "== bus ==\nthe bus at tcp/192.0.2.1:7447 is away\n" in text
     assert main(["doctor", "--out", str(tmp_path / "none" / "x.txt")]) == 1

@@ -34,7 +34,7 @@ from camtopod.serve.daemon import Daemon
 from camtopod.vision.source.probe import PIXELS_MAX, Probe
 from camtopod.web import pictures
 
-QUICK = VisionSettings(open_timeout_seconds=1.0, read_timeout_seconds=1.0)
+QUICK = VisionSettings()
 PASSWORD = "p@ss:w/0rd"
 
 

@@ -182,7 +182,7 @@ def test_logs_are_redacted(form: str) -> None:
 
 
 def test_a_configuration_error_is_redacted() -> None:
-    text = '[cameras.lobby]\nsource = "rtsp://admin:p@ss w/rd@host/x"\nspeed = "rtsp://admin:p@ss w/rd@host/x"\n'
+    text = '[cameras.lobby]\nsource = "rtsp://admin:p@ss w/rd@host/x"\npage = "rtsp://admin:p@ss w/rd@host/x"\n'
     text += '[bus]\nconnect = ["bad/admin:p@ss w/rd@host"]\n'
     with pytest.raises(ConfigError) as caught:
         parse(text)

@@ -28,7 +28,7 @@ from camtopod.cli.cameras.heartbeat import Heartbeat, HeartbeatReceiver, Heartbe
 from camtopod.cli.common import SignalRequests, signals
 from camtopod.cli.exits import CommandError
 from camtopod.config import settings as configs
-from camtopod.config.settings import CameraSettings, HealthSettings
+from camtopod.config.settings import CameraSettings
 from camtopod.serve.bus import session as buses
 
 CHILD = """
@@ -53,7 +53,13 @@ for turn in range(100000):
     beat()
     time.sleep(0.02)
 """
-QUICK = "[health]\nhung_seconds = 0.6\nstart_seconds = 1.2\nrestart_seconds_min = 0.05\nrestart_seconds_max = 0.4\n"
+QUICK = {
+    "HUNG_SECONDS": 0.6,
+    "START_SECONDS": 1.2,
+    "RESTART_SECONDS_MIN": 0.05,
+    "RESTART_SECONDS_MAX": 0.4,
+    "STOP_SECONDS": 0.3,
+}
 
 
 class Box:
@@ -64,7 +70,7 @@ class Box:
         self.file = folder / "c.toml"
         self.requests = SignalRequests(threading.Event(), threading.Event())
         self.args = options(self.file)
-        self.head = f'{QUICK}[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.1\n[limits]\nstatus_seconds = 0.1\n'
+        self.head = '[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.1\n[limits]\nstatus_seconds = 0.1\n'
         self.statuses: list[int] = []
         self._thread: threading.Thread | None = None
         child = [sys.executable, "-c", CHILD]
@@ -73,7 +79,8 @@ class Box:
             "command",
             lambda process, args, fd: [*child, process.camera, str(fd), str(folder)],
         )
-        monkeypatch.setattr(camera_process, "STOP_SECONDS", 0.3)
+        for name, seconds in QUICK.items():
+            monkeypatch.setattr(camera_process, name, seconds)
 
     def configure(self, *cameras: str, end: str = "", **sources: str) -> None:
         """Write the configuration; ``end``: its last lines."""
@@ -273,7 +280,7 @@ def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:
 
 
 def test_a_camera_s_command_line_has_no_source_in_it() -> None:
-    process = CameraProcess("lobby", CameraSettings("rtsp://h/x"), HealthSettings())
+    process = CameraProcess("lobby", CameraSettings("rtsp://h/x"))
     process.restarts = 3
     process.last_end = "hung for 30 s"
     given = options(
@@ -289,7 +296,7 @@ def test_backoff_grows_has_jitter_and_starts_anew_after_a_steady_run(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A process that cannot be started is one that failed."""
-    process = CameraProcess("lobby", CameraSettings("rtsp://h/x"), HealthSettings())
+    process = CameraProcess("lobby", CameraSettings("rtsp://h/x"))
     monkeypatch.setattr(camera_process.random, "random", lambda: 0.5)
     waits = []
     now = 100.0

@@ -24,21 +24,16 @@ from bench.support.rtsp_streams import Host, hang_up, rtsp_answer, silent
 from camtopod.codec import event_from_json
 from camtopod.serve.daemon import Daemon
 from camtopod.vision.grabber import Grabber
-from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source import live
 from camtopod.vision.source.ffmpeg_log import reason_in
 
 FILM_SECONDS = 12.0
 SPEED = 3.0
-QUICK = (
-    "[vision]\nopen_timeout_seconds = 0.7\nread_timeout_seconds = 0.7\nbackoff_min_seconds = 0.2\n"
-)
-SETTINGS = VisionSettings(
-    open_timeout_seconds=0.7,
-    read_timeout_seconds=0.7,
-    backoff_min_seconds=0.2,
-    backoff_max_seconds=0.5,
-)
+QUICK = {
+    "camtopod.cli.cameras.camera_process:HUNG_SECONDS": 3,
+    "camtopod.cli.cameras.camera_process:RESTART_SECONDS_MIN": 0.5,
+    "camtopod.cli.cameras.camera_process:RESTART_SECONDS_MAX": 4,
+}
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +83,7 @@ def test_every_bad_camera_is_named_and_the_good_one_is_on_time(
     with socket.socket() as reserved:
         reserved.bind(("127.0.0.1", 0))  # bound, not listening: refuses
         sources = {
-            "good": f'{film}"\nrealtime = true\nspeed = {SPEED}\n#"',
+            "good": f'{film}"\nrealtime = true\n#"',
             "blocked": str(tmp_path / "fifo"),
             "missing": str(tmp_path / "nowhere.mp4"),
             "refused": f"rtsp://127.0.0.1:{reserved.getsockname()[1]}/x",
@@ -119,23 +114,28 @@ def _watched(
     daemon._bus.subscribe("status/*", on_status)
     config = directory / "c.toml"
     config.write_text(
-        f'[bus]\nconnect = ["{daemon.endpoint}"]\n[state]\ndirectory = "{directory}/state"\n{QUICK}'
+        f'[bus]\nconnect = ["{daemon.endpoint}"]\n[state]\ndirectory = "{directory}/state"\n'
         "[limits]\nstatus_seconds = 0.2\n"
-        "[health]\nhung_seconds = 3\nrestart_seconds_min = 0.5\nrestart_seconds_max = 4\n"
         + "".join(f'[cameras.{name}]\nsource = "{source}"\n' for name, source in sources.items())
     )
     config.chmod(0o600)
     with (directory / "log").open("wb") as log:
-        box = camtopod("--config", str(config), "grab", stderr=log)
+        box = camtopod(
+            "--config", str(config), "grab", "--speed", str(SPEED), constants=QUICK, stderr=log
+        )
     try:
 
         def told(camera: str, what: str) -> bool:
             return any(what in reason for reason in reasons[camera])
 
-        wait_for(lambda: said.get("frozen", {}).get("failures", 0) >= 1, "the frozen one to run")
-        os.kill(children_of(box.pid)["frozen"], signal.SIGSTOP)
         wait_for(lambda: said.get("good", {}).get("state") == "running", "the good one to run")
         began = time.monotonic() - said["good"]["frames_grabbed"] / FPS / SPEED
+        wait_for(lambda: said["good"]["state"] == "ended", "the good one's end")
+        assert time.monotonic() - began < FILM_SECONDS / SPEED + 3.0, "it was held up"
+        assert gaps["good"] < 1.5, "it was held up"
+        assert said["good"]["restarts"] == 0
+        wait_for(lambda: said.get("frozen", {}).get("failures", 0) >= 1, "the frozen one to run")
+        os.kill(children_of(box.pid)["frozen"], signal.SIGSTOP)
         for camera, what in (
             ("refused", "nothing listens at this address and port"),
             ("secret", "the camera refuses the user name or password (401)"),
@@ -145,10 +145,6 @@ def _watched(
         ):
             wait_for(lambda camera=camera, what=what: told(camera, what), camera)  # type: ignore[misc]
         wait_for(lambda: said["silent"]["failures"] >= 2, "another try")
-        wait_for(lambda: said["good"]["state"] == "ended", "the good one's end")
-        assert time.monotonic() - began < FILM_SECONDS / SPEED + 3.0, "it was held up"
-        assert gaps["good"] < 1.5, "it was held up"
-        assert said["good"]["restarts"] == 0
         wait_for(lambda: daemon.status().events["stored"] == expected_events, "all of its events")
         wait_for(lambda: told("frozen", "hung for 3 s while connecting"), "frozen")
         hung = "restarted once, last: hung for 3 s while connecting"
@@ -191,8 +187,9 @@ def test_a_call_of_opencv_that_takes_too_long_is_seen(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(live, "Capture", Blocked)
     monkeypatch.setattr(live, "MARGIN_SECONDS", 0.1)
-    settings = msgspec.structs.replace(SETTINGS, open_timeout_seconds=0.1, read_timeout_seconds=0.1)
-    grabber = Grabber("cam", "rtsp://127.0.0.1:1/x", wall_clock=time.time, settings=settings)
+    monkeypatch.setattr(live, "OPEN_SECONDS_MAX", 0.1)
+    monkeypatch.setattr(live, "READ_SECONDS_MAX", 0.1)
+    grabber = Grabber("cam", "rtsp://127.0.0.1:1/x", wall_clock=time.time)
     stream = grabber.events()
     assert grabber.overdue_seconds == 0.0
     wait_for(lambda: next(stream) is None and grabber.overdue_seconds > 0.0, "it to be overdue")

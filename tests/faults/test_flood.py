@@ -37,10 +37,12 @@ MEGABYTE = 1024**2
 GROWTH_MAX = 0.05
 """Of memory from the second to the last third of a flood; in the first its buffers fill."""
 SOON_FULL = "[learn]\nversion_seconds = 0.5\nlateness_seconds = 1.0\nwindow_events_max = 500\n"
+ANY_SETTING = {"camtopod.config.toml_tables:_GONE": ()}
+"""`SOON_FULL` has settings that only programs can set."""
 """With these the reorder buffer and the window are full within two seconds; as they are by default,
 within 200.
 """
-UNGUARDED = "[limits]\ncamera_events_per_second_max = 1_000_000\n"
+UNGUARDED = {"camtopod.serve.ingest.cameras:EVENTS_PER_SECOND_MAX": 1_000_000}
 """With this all of the flood comes to the learner, which holds it for the next version: by default
 once a minute.
 """
@@ -49,10 +51,12 @@ once a minute.
 class Flooded:
     """The real daemon, a camera that floods it, and quiet cameras without spools."""
 
-    def __init__(self, directory: Path, settings: str = "") -> None:
+    def __init__(self, directory: Path, settings: str | dict[str, object] = "") -> None:
         self.health = free_endpoint().removeprefix("tcp/")
         listen = f'[health]\nlisten = "{self.health}"\n'
-        self.daemon = RealDaemon(directory, f"{OPEN}{listen}{settings}")
+        constants = settings if isinstance(settings, dict) else ANY_SETTING
+        tables = settings if isinstance(settings, str) else ""
+        self.daemon = RealDaemon(directory, f"{OPEN}{listen}{tables}", constants=constants)
         self.bus = self.daemon.dial()
         self.sent = 0
         self._floods: list[subprocess.Popen[bytes]] = []

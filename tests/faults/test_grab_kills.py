@@ -56,6 +56,12 @@ def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
         yield number
 
 
+QUICK = {
+    "camtopod.cli.cameras.camera_process:RESTART_SECONDS_MIN": 0.1,
+    "camtopod.cli.cameras.camera_process:RESTART_SECONDS_MAX": 0.2,
+}
+
+
 class Box:
     """`camtopod grab` of one camera, in a process under a supervisor."""
 
@@ -65,7 +71,6 @@ class Box:
         self.spool = spool_path(state, SiteSettings().name, CAMERA)
         self._config.write_text(
             f'[bus]\nconnect = ["{endpoint}"]\n[state]\ndirectory = "{state}"\n'
-            "[health]\nrestart_seconds_min = 0.1\nrestart_seconds_max = 0.2\n"
             f'[cameras.{CAMERA}]\nsource = "rtsp://127.0.0.1:{port}/camera"\n'
         )
         self._process: subprocess.Popen[bytes] | None = None
@@ -73,7 +78,9 @@ class Box:
 
     def start(self) -> None:
         with self._log.open("ab") as log:
-            self._process = camtopod("--config", str(self._config), "grab", stderr=log)
+            self._process = camtopod(
+                "--config", str(self._config), "grab", constants=QUICK, stderr=log
+            )
 
     @property
     def grabber(self) -> int | None:

@@ -23,7 +23,7 @@ from serving import T0, WAIT_SECONDS, camtopod, free_endpoint, small_config, wai
 from sizes import size
 
 from camtopod.cli.cameras.camera_process import CameraProcess
-from camtopod.config.settings import BusSettings, CameraSettings, HealthSettings
+from camtopod.config.settings import BusSettings, CameraSettings
 from camtopod.records import Event
 from camtopod.serve.bus.session import dial
 from camtopod.serve.daemon import Daemon
@@ -47,7 +47,7 @@ class Under:
         self.file.write_text(
             f'[bus]\nlisten = ["{self.endpoint}"]\nconnect_seconds = 0.3\n[state]\ndirectory = "{directory}/state"\n'
             "[learn]\nlateness_seconds = 2400\n"
-            '[vision]\nopen_timeout_seconds = 1\n[cameras.lobby]\nsource = "rtsp://127.0.0.1:1/x"\n'
+            '[cameras.lobby]\nsource = "rtsp://127.0.0.1:1/x"\n'
             '[cameras.hall]\nsource = "rtsp://127.0.0.1:1/x"\n'
         )
         self.file.chmod(0o600)
@@ -168,7 +168,7 @@ def test_the_daemon_at_a_few_moments(under: Under) -> None:
 
 def test_a_hangup_in_the_first_moment_of_a_camera_s_process(under: Under) -> None:
     """Before the interpreter starts the signal is blocked until the program can handle it."""
-    child = CameraProcess("lobby", CameraSettings("rtsp://127.0.0.1:1/x"), HealthSettings())
+    child = CameraProcess("lobby", CameraSettings("rtsp://127.0.0.1:1/x"))
     line = [sys.executable, "-m", "camtopod", "--config", str(under.file), "grab"]
     line += ["--camera", "lobby", "--beat-fd"]
 

@@ -16,7 +16,7 @@ from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.sqlite_file import damaged_files
 
-KEEP = KeepSettings(journal_bytes_max=150_000, history_bytes_max=20_000)
+KEEP = KeepSettings(journal_bytes_max=150_000)
 """Retention settings, small so that old data is deleted."""
 EPOCH = "e1"
 PRUNE_EVERY, PRUNE_AT = 40, 39

@@ -14,7 +14,7 @@ from camtopod.cli.cameras.status_reporter import CLOSE_SECONDS
 from camtopod.cli.commands.grab import LEAVE_SECONDS as GRAB_LEAVE_SECONDS
 from camtopod.cli.commands.run import LEAVE_SECONDS as RUN_LEAVE_SECONDS
 from camtopod.cli.main import COMMANDS, parser_of
-from camtopod.config.settings import HealthSettings
+from camtopod.serve.runtime import STALL_SECONDS
 
 UNITS = {
     "camtopod.service": "camtopod.service",
@@ -78,7 +78,7 @@ def test_no_service_shares_its_user_or_gives_up() -> None:
 def test_systemd_starts_again_what_hangs(file: str) -> None:
     unit = directives(DEPLOY / file)
     assert (unit["Type"], unit["Restart"][0] in ("always", "on-failure")) == (["notify"], True)
-    assert float(unit["WatchdogSec"][0]) > HealthSettings().stall_seconds
+    assert float(unit["WatchdogSec"][0]) > STALL_SECONDS
 
 
 def assert_confined_as_the_daemon_is(file: str) -> None:

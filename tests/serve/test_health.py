@@ -23,6 +23,7 @@ from serving import T0, WAIT_SECONDS, camtopod, free_endpoint, small_config, wai
 
 from camtopod.config.settings import Config, HealthSettings, parse
 from camtopod.records import Event
+from camtopod.serve import daemon as daemons
 from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.live_predictions import Live
@@ -61,14 +62,11 @@ def test_a_loop_that_does_not_get_on_is_named_and_one_that_does_is_not() -> None
 # --- the daemon's loops ---------------------------------------------------------------------------
 
 
-def strict(directory: Path, **health_settings: float) -> Config:
-    given = {"stall_seconds": 0.4, "learn_seconds": 0.4, **health_settings}
-    return msgspec.structs.replace(small_config(directory), health=HealthSettings(**given))  # type: ignore[arg-type]
-
-
 @pytest.fixture
-def daemon(tmp_path: Path) -> Iterator[Daemon]:
-    one = Daemon(strict(tmp_path))
+def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Daemon]:
+    monkeypatch.setattr(daemons, "STALL_SECONDS", 0.4)
+    monkeypatch.setattr(daemons, "LEARN_SECONDS", 0.4)
+    one = Daemon(small_config(tmp_path))
     one.start()
     yield one
     one.stop()
@@ -155,7 +153,7 @@ def test_a_full_disk_is_not_ready_but_starting_again_would_not_help(
 
 
 def test_not_ready_before_the_start_and_after_the_stop(tmp_path: Path) -> None:
-    daemon = Daemon(strict(tmp_path))
+    daemon = Daemon(small_config(tmp_path))
     assert daemon.unready() == ["the daemon is starting"]
     assert daemon.failing() == []
     daemon.start()
@@ -424,7 +422,7 @@ def test_a_grabber_under_systemd_and_one_that_is_stopped(program: Program) -> No
         ("127.0.0.1", 0)
     ) as silent:  # accepts and says nothing: the loop gets on all the same
         program.configure(
-            f'[vision]\nopen_timeout_seconds = 1\n[cameras.lobby]\nsource = "rtsp://127.0.0.1:{silent.getsockname()[1]}/x"\n'
+            f'[cameras.lobby]\nsource = "rtsp://127.0.0.1:{silent.getsockname()[1]}/x"\n'
         )
         program.start("grab", "--camera", "lobby")
         program.systemd.wait_for("READY=1")

@@ -299,8 +299,11 @@ def test_what_is_left_to_forget_is_said_whatever_is_missing(
         assert calls < 10
 
 
-def test_history_is_bounded_by_bytes_and_by_days(tmp_path: Path) -> None:
-    keep = KeepSettings(history_days=10.0, history_bytes_max=3000)
+def test_history_is_bounded_by_bytes_and_by_days(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(journals, "HISTORY_BYTES_MAX", 3000)
+    keep = KeepSettings(history_days=10.0)
     with closing(Journal(tmp_path, keep)) as journal:
         for day in range(8):
             content = bytes(range(256)) * (day + 1)

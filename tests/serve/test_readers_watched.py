@@ -20,6 +20,7 @@ from camtopod.config.settings import BusSettings
 from camtopod.mqtt import RetainedMessages
 from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
+from camtopod.web import app
 from camtopod.web.feed import Feed
 
 STALL_SECONDS = 1.0
@@ -40,11 +41,11 @@ def started(
 ) -> Iterator[str]:
     """Run the command in a thread while the block runs; yield its status when it is ready."""
     stop, status, endpoint = threading.Event(), [-1], free_endpoint()
+    monkeypatch.setattr(bridge, "STALL_SECONDS", STALL_SECONDS)
+    monkeypatch.setattr(app, "STALL_SECONDS", STALL_SECONDS)
     monkeypatch.setattr(module, "until_signal", lambda: contextlib.nullcontext(stop))
     settings = folder / "c.toml"
-    settings.write_text(
-        f'[bus]\nconnect = ["{endpoint}"]\n[health]\nstall_seconds = {STALL_SECONDS}\n'
-    )
+    settings.write_text(f'[bus]\nconnect = ["{endpoint}"]\n')
     config = msgspec.structs.replace(small_config(folder), bus=BusSettings(listen=(endpoint,)))
     thread = threading.Thread(
         target=lambda: status.insert(0, main(["--config", str(settings), *arguments]))

@@ -61,11 +61,11 @@ class Installation:
             recovered,
             self.process,
             self.journal,
-            snapshot_events,
             self._versions.append,
             self._snapshot.append,
             lambda _: None,
             self.new_epoch,
+            snapshot_events,
         )
 
     def new_epoch(self) -> str:

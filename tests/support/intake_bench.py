@@ -83,7 +83,7 @@ class IntakeBench:
         future = self.limits.future_seconds_max
         self.intake = Intake(
             Numbers(*self.journal.numbers()),
-            Cameras(self.limits.cameras_max, self.limits.camera_events_per_second_max),
+            Cameras(self.limits.cameras_max),
             Names(read_names(self.journal.meta(NAMES_KEY)), lambda: self.wall),
             Merger(LATENESS, future, newest, self.now - merge.SETTLE_SECONDS * settled),
             EventClock(EventTime(LATENESS), newest, future, 10.0, self.wall, self.now),

@@ -9,8 +9,9 @@ import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import msgspec
 from paths import ROOT
@@ -104,12 +105,25 @@ def numbered(events: list[Event], boot: str = "b1") -> list[Event]:
     return result
 
 
-def camtopod(*arguments: str, **popen: object) -> subprocess.Popen[bytes]:
-    """Start the program in a process of its own."""
+def camtopod(
+    *arguments: str, constants: Mapping[str, object] = MappingProxyType({}), **popen: object
+) -> subprocess.Popen[bytes]:
+    """Start the program in a process of its own.
+
+    constants: other values of "module:NAME", in that process alone.
+    """
+    program = ["-m", "camtopod"]
+    if constants:
+        lines = [
+            f"import {module}; {module}.{name} = {value!r}"
+            for (module, _, name), value in (
+                (key.partition(":"), constants[key]) for key in constants
+            )
+        ]
+        main = "import sys, camtopod.cli.main; sys.exit(camtopod.cli.main.main())"
+        program = ["-c", "\n".join([*lines, main])]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(
-        [sys.executable, "-m", "camtopod", *arguments], env=environment, **popen
-    )  # type: ignore[call-overload]
+    return subprocess.Popen([sys.executable, *program, *arguments], env=environment, **popen)  # type: ignore[call-overload]
 
 
 class Failing:

@@ -18,23 +18,29 @@ from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Scene, line
 from bench.support.rtsp_streams import FaultProxy, missing, served, transcode
 from bench.support.watched_clips import best_offset, match, shifted
 from camtopod.records import Event
+from camtopod.vision import pipeline
 from camtopod.vision.grabber import Grabber
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source import capture, live
 from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.errors import SourceError
 from camtopod.vision.source.recorded import RecordedSource
 
 SECONDS = 7.5
-QUICK = VisionSettings(
-    bootstrap_seconds=1.0,
-    open_timeout_seconds=1.0,
-    read_timeout_seconds=1.0,
-    backoff_min_seconds=0.2,
-    backoff_max_seconds=0.4,
-)
 needs_server = pytest.mark.skipif(
     missing() is not None, reason=f"needs an RTSP server: {missing()}"
 )
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Begin, and give up, sooner."""
+    monkeypatch.setattr(pipeline, "BOOTSTRAP_SECONDS", 1.0)
+    monkeypatch.setattr(live, "BACKOFF_SECONDS_MIN", 0.2)
+    monkeypatch.setattr(live, "BACKOFF_SECONDS_MAX", 0.4)
+    for module in (capture, live):
+        monkeypatch.setattr(module, "OPEN_SECONDS_MAX", 1.0)
+        monkeypatch.setattr(module, "READ_SECONDS_MAX", 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +63,7 @@ def server(film: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[int
 
 
 def grab(source: Path | str, **arguments: object) -> Grabber:
-    options: dict[str, Any] = {"settings": QUICK, **arguments}
+    options: dict[str, Any] = {"settings": VisionSettings(), **arguments}
     return Grabber("cam", str(source), wall_clock=time.time, **options)
 
 

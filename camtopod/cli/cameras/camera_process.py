@@ -16,12 +16,20 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.cameras.heartbeat import HeartbeatReceiver
-from camtopod.config import CameraSettings, HealthSettings
+from camtopod.config import CameraSettings
 from camtopod.serve.runtime import SOCKET_VARIABLE
 from camtopod.vision.source import kind_of
 
 log = logging.getLogger(__name__)
 
+HUNG_SECONDS = 30.0
+"""A camera's process without progress for this long is killed and restarted."""
+START_SECONDS = 2 * HUNG_SECONDS
+"""Time that a camera's process may take to start: OpenCV loads slowly on a small machine."""
+RESTART_SECONDS_MIN = 1.0
+"""First wait before a camera's process is restarted; it doubles up to `RESTART_SECONDS_MAX`."""
+RESTART_SECONDS_MAX = 60.0
+"""Largest wait; after a run of this length the first wait is used again."""
 STOP_SECONDS = 4.5
 """Time after which a process that was asked to end, or to log where it hangs, is killed."""
 _WORDS = {
@@ -58,10 +66,9 @@ def with_restarts(times: int, why: str, reason: str = "") -> str:
 class CameraProcess:
     """Process of one camera, running or waiting to be started."""
 
-    def __init__(self, camera: str, settings: CameraSettings, health: HealthSettings) -> None:
+    def __init__(self, camera: str, settings: CameraSettings) -> None:
         self.camera = camera
         self.settings = settings
-        self.health = health
         self.process: subprocess.Popen[bytes] | None = None
         self.state = "connecting"
         self.reason = ""
@@ -75,7 +82,7 @@ class CameraProcess:
 
         None if the process is running, has ended, or must not be restarted.
         """
-        self._backoff = health.restart_seconds_min
+        self._backoff = RESTART_SECONDS_MIN
         self._started_at = 0.0
         self._heartbeat_at: float | None = None
         """Time of the last heartbeat; None before the first."""
@@ -131,7 +138,7 @@ class CameraProcess:
     def restart(self, settings: CameraSettings, now: float) -> None:
         """Start the process anew with other settings."""
         self.settings = settings
-        self._backoff = self.health.restart_seconds_min
+        self._backoff = RESTART_SECONDS_MIN
         self.request_end(now, start_at=now)
 
     def summary(self, now: float) -> dict[str, Any]:
@@ -149,10 +156,10 @@ class CameraProcess:
 
     def _silence(self, now: float) -> float:
         """Return how long the process has been silent, seconds; 0 if it may be."""
-        allowed = self.health.hung_seconds
+        allowed = HUNG_SECONDS
         since = self._heartbeat_at
         if since is None:
-            allowed = self.health.start_seconds
+            allowed = START_SECONDS
             since = self._started_at
         return now - since if now - since > allowed else 0.0
 
@@ -225,10 +232,10 @@ class CameraProcess:
 
     def _restart_later(self, now: float, ran: float, why: str) -> None:
         """Schedule a restart; the wait doubles unless the process ran for a while."""
-        if ran >= self.health.restart_seconds_max:
-            self._backoff = self.health.restart_seconds_min
+        if ran >= RESTART_SECONDS_MAX:
+            self._backoff = RESTART_SECONDS_MIN
         wait = self._backoff * (0.5 + random.random())
-        self._backoff = min(2 * self._backoff, self.health.restart_seconds_max)
+        self._backoff = min(2 * self._backoff, RESTART_SECONDS_MAX)
         self.start_at = now + wait
         self.restarts += 1
         self.last_end = why

@@ -20,7 +20,14 @@ from camtopod.config import CameraSettings, Config, detector_line, toml_lines
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
 from camtopod.visible import visible
-from camtopod.vision.source import PROBE_SECONDS, SETTLE_SECONDS_MAX, Probe, ProbeRequest
+from camtopod.vision.source import (
+    OPEN_SECONDS_MAX,
+    PROBE_SECONDS,
+    READ_SECONDS_MAX,
+    SETTLE_SECONDS_MAX,
+    Probe,
+    ProbeRequest,
+)
 from camtopod.web import pictures
 
 PROGRAM = "camtopod.vision.source.probe"
@@ -70,8 +77,8 @@ def _probe(settings: CameraSettings, picture: bool) -> Probe:
     """Probe one camera in a process, which gets it through a pipe: command lines are public."""
     request = ProbeRequest(settings.source, settings.vision, picture, settings.detector)
     seconds = (
-        settings.vision.open_timeout_seconds
-        + settings.vision.read_timeout_seconds
+        OPEN_SECONDS_MAX
+        + READ_SECONDS_MAX
         + PROBE_SECONDS
         + (SETTLE_SECONDS_MAX if picture else 0.0)
         + START_SECONDS

@@ -64,8 +64,7 @@ class _Supervisor:
         self._args = args
         self._config = config
         self._processes = {
-            name: CameraProcess(name, _filled(config, name), config.health)
-            for name in config.cameras
+            name: CameraProcess(name, _filled(config, name)) for name in config.cameras
         }
         """Those of removed cameras are included until they have ended."""
         self._reporter = StatusReporter(config)
@@ -116,10 +115,9 @@ class _Supervisor:
             settings = _filled(config, name)
             process = self._processes.get(name)
             if process is None:
-                self._processes[name] = CameraProcess(name, settings, config.health)
+                self._processes[name] = CameraProcess(name, settings)
                 started.append(name)
                 continue
-            process.health = config.health
             if every or name not in old.cameras or process.settings != settings:
                 process.restart(settings, now)
                 restarted.append(name)

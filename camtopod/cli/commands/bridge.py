@@ -17,7 +17,7 @@ from camtopod.cli.site_choice import dial_as_reader
 from camtopod.export import homeassistant
 from camtopod.records import CAMERA_PATTERN, CameraFigures, DaemonStatus, Prediction, Status
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
-from camtopod.serve.runtime import Progress
+from camtopod.serve.runtime import STALL_SECONDS, Progress
 
 LOOK_SECONDS = 1.0
 """Interval at which changes are published."""
@@ -148,7 +148,7 @@ def run(args: argparse.Namespace) -> int:
                 contextlib.closing(mqtt.RetainedMessages(target, topics.bridge))
             )
         progress = Progress()
-        mark = progress.watch("bridge", config.health.stall_seconds)
+        mark = progress.watch("bridge", STALL_SECONDS)
         stack.enter_context(reporting_to_systemd(progress, f"publishing below {target.prefix}"))
         while not stop.is_set():
             mark.beat()

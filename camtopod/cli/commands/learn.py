@@ -168,7 +168,7 @@ def _left(share: float | None, seconds: float) -> str:
 _WHY = {
     "late": "later than the lateness allows (learn.lateness_seconds)",
     "duplicate": "same boot and seq as an earlier event",
-    "refused": "more cameras than learn.cameras_max",
+    "refused": "more cameras than can be learned",
 }
 """Verdict of the learner -> reason in words."""
 

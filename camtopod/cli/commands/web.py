@@ -122,7 +122,6 @@ def run(args: argparse.Namespace) -> int:
                 config.limits.status_seconds,
                 not is_loopback(host),
                 progress,
-                config.health.stall_seconds,
                 login,
                 settings,
             )

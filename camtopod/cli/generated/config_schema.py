@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Struct
 
 from camtopod.cli.generated.example_config import attribute_docs
-from camtopod.config import FLOAT_MAX, RESERVED, TABLES, CameraSettings, polygons
+from camtopod.config import FLOAT_MAX, RESERVED, TABLES, CameraSettings, fields, polygons
 from camtopod.records import CAMERA_PATTERN
 from camtopod.vision.settings import DetectorSettings, VisionSettings
 
@@ -26,7 +26,7 @@ def schema() -> dict[str, Any]:
 
     It describes tables and keys; `camtopod check` finds more mistakes.
     """
-    tables = {name: _table(kind) for name, kind in TABLES.items()}
+    tables = {name: _table(name, kind) for name, kind in TABLES.items()}
     for name in [name for name in tables if "." in name]:
         parent, _, key = name.partition(".")
         tables[parent]["properties"][key] = tables.pop(name)
@@ -44,14 +44,14 @@ def _cameras() -> dict[str, Any]:
 
     It has one of source and source_file, or neither.
     """
-    camera = _table(CameraSettings)
+    camera = _table("cameras", CameraSettings)
     del camera["properties"]["vision"]
-    detector = _table(DetectorSettings)
+    detector = _table("detector", DetectorSettings)
     camera["properties"]["detector"] = {
         "description": attribute_docs(CameraSettings)["detector"],
         "anyOf": [{"const": False}, {"type": "object", **detector}],
     }
-    camera["properties"] |= _table(VisionSettings)["properties"]
+    camera["properties"] |= _table("vision", VisionSettings)["properties"]
     sources = ("source", "source_file")
     camera["oneOf"] = [
         *({"required": [key], "properties": {key: {"minLength": 1}}} for key in sources),
@@ -66,7 +66,7 @@ def _cameras() -> dict[str, Any]:
     }
 
 
-def _table(kind: type[Struct]) -> dict[str, Any]:
+def _table(name: str, kind: type[Struct]) -> dict[str, Any]:
     """Return the schema of one table, each key with its description.
 
     A number may not be negative unless its default is.
@@ -75,7 +75,9 @@ def _table(kind: type[Struct]) -> dict[str, Any]:
     documents = attribute_docs(kind)
     table["description"] = " ".join(table["description"].split()).replace("`", "")
     del table["title"], table["required"]
-    for field in msgspec.structs.fields(kind):
+    keys = table["properties"]
+    table["properties"] = {field.name: keys[field.name] for field in fields(name, kind)}
+    for field in fields(name, kind):
         key = table["properties"][field.name]
         key["description"] = documents[field.name].replace("`", "")
         if points_min := polygons.points_min(field):

@@ -8,10 +8,9 @@ import json
 import textwrap
 from typing import Any
 
-import msgspec
 from msgspec import Struct
 
-from camtopod.config import TABLES, CameraSettings
+from camtopod.config import TABLES, CameraSettings, fields
 
 _HEAD = """\
 #:schema ./camtopod.schema.json
@@ -38,7 +37,7 @@ def example() -> str:
     """Return a valid configuration file in which every setting is explained."""
     parts = [_HEAD, table("site", TABLES["site"], {"name": "hq"})]
     parts += [table(name, TABLES[name], {}) for name in ("bus", "bus.tls", "state", "keep")]
-    parts += [_CAMERAS + "\n".join(_settings(CameraSettings, _HALL))]
+    parts += [_CAMERAS + "\n".join(_settings("cameras", CameraSettings, _HALL))]
     parts += [
         table(name, TABLES[name], {})
         for name in ("vision", "detector", "learn", "limits", "health", "web", "map")
@@ -48,14 +47,14 @@ def example() -> str:
 
 def table(name: str, kind: type[Struct], given: dict[str, Any]) -> str:
     """Return one table with every setting; those not in ``given`` are comments with the default."""
-    return "\n".join([f"[{name}]", *_settings(kind, given)])
+    return "\n".join([f"[{name}]", *_settings(name, kind, given)])
 
 
-def _settings(kind: type[Struct], given: dict[str, Any]) -> list[str]:
+def _settings(name: str, kind: type[Struct], given: dict[str, Any]) -> list[str]:
     """Return the lines of one table: explanation and value of each setting."""
     documents = attribute_docs(kind)
     lines = []
-    for field in msgspec.structs.fields(kind):
+    for field in fields(name, kind):
         if field.required or isinstance(field.default, Struct):  # a table of its own
             continue
         lines += [f"# {line}" for line in textwrap.wrap(documents.get(field.name, ""), _WIDTH - 2)]

@@ -12,6 +12,7 @@ from __future__ import annotations
 from camtopod.serve.bus import access as access, session as session
 from camtopod.serve.bus.session import (
     JSON as JSON,
+    QUERY_SECONDS as QUERY_SECONDS,
     Bus as Bus,
     BusError as BusError,
     OnMessage as OnMessage,

@@ -35,6 +35,8 @@ _PACK = "application/msgpack;schema=camtopod.{}.1"
 JSON = "application/json"
 _OPEN_RETRY_SECONDS = 0.2
 """Time between two attempts to open a session, in seconds."""
+QUERY_SECONDS = 2.0
+"""Time to wait for the answer to a query."""
 _REPLIES_MAX = 4096
 """Most answers to one query that are kept; closing the channel drops the rest."""
 _PROMPT = ("prediction", "status")
@@ -87,7 +89,6 @@ class Bus:
         self.endpoint = endpoint
         """The endpoint listened on, with the actual port, or the first one connected to."""
         self._session = session
-        self._query_seconds = settings.query_seconds
         self._bytes_max = settings.message_bytes_max
         self._too_large: set[str] = set()
         self._declared: list[Any] = []
@@ -193,7 +194,7 @@ class Bus:
 
         key: key below the site (may contain ``*``).
         parameters: sent with the query.
-        seconds: time limit; `bus.query_seconds` by default.
+        seconds: time limit; `QUERY_SECONDS` by default.
         one: return after the first answer. On a busy machine zenoh (1.10.2) sometimes loses the
             message that ends a query, which then lasts for its whole time limit.
 
@@ -211,7 +212,7 @@ class Bus:
             replies = self._session.get(
                 f"{self._full(key)}?{given}",
                 zenoh.handlers.FifoChannel(_REPLIES_MAX),
-                timeout=seconds or self._query_seconds,
+                timeout=seconds or QUERY_SECONDS,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 priority=_ASKED,
             )
@@ -289,7 +290,7 @@ class Bus:
         answers = self._session.liveliness().get(
             self._full(f"alive/{role}/*"),
             zenoh.handlers.FifoChannel(_REPLIES_MAX),
-            timeout=self._query_seconds,
+            timeout=QUERY_SECONDS,
         )
         names = [
             str(reply.ok.key_expr).rsplit("/", 1)[-1] for reply in answers if reply.ok is not None
@@ -301,7 +302,7 @@ class Bus:
         answers = self._session.liveliness().get(
             f"{PREFIX}/*/alive/daemon/*",
             zenoh.handlers.FifoChannel(_REPLIES_MAX),
-            timeout=self._query_seconds,
+            timeout=QUERY_SECONDS,
         )
         keys = [str(reply.ok.key_expr) for reply in answers if reply.ok is not None]
         names = {key.removeprefix(f"{PREFIX}/").partition("/")[0] for key in keys}

@@ -18,6 +18,8 @@ from msgspec import Struct, field
 from camtopod.records import CameraFigures, Event
 from camtopod.serve.ingest.received import Received
 
+EVENTS_PER_SECOND_MAX = 200
+"""Events of one camera within a second of event time; further ones are counted, not learned."""
 FLOOD_SECONDS_KEPT = 128
 """Number of seconds of event time for which a camera's events are counted."""
 IDLE_SECONDS = 3600.0
@@ -88,9 +90,8 @@ class CameraState(Struct):
 class Cameras:
     """All cameras. ``now`` is the time of a clock that never steps."""
 
-    def __init__(self, cameras_max: int, events_per_second_max: int) -> None:
+    def __init__(self, cameras_max: int) -> None:
         self._cameras_max = cameras_max
-        self._events_per_second_max = events_per_second_max
         self._cameras: dict[str, CameraState] = {}
         self._refused: dict[str, float] = {}  # when each was refused last
         self._full_until = -math.inf  # until then no camera can be replaced for its silence
@@ -130,7 +131,7 @@ class Cameras:
             camera = self._cameras[event.camera] = CameraState(event.camera, -math.inf)
         second = int(event.t)
         count = camera.seconds.get(second, 0)
-        if count >= self._events_per_second_max:
+        if count >= EVENTS_PER_SECOND_MAX:
             return False
         camera.seconds[second] = count + 1
         if len(camera.seconds) > FLOOD_SECONDS_KEPT:

@@ -43,6 +43,8 @@ from camtopod.serve.storage import NAMES_KEY, Entry, JournalWriter
 
 EVENTS_MAX = 50_000
 """Most events in memory, received and not yet stored; further requests are answered ``busy``."""
+COMMIT_EVENTS_MAX = 2_000
+"""Maximum number of events in one transaction of the journal."""
 PREDICT_SECONDS_MAX = 0.25
 """Longest time for the predictions of one step; the exits after that get none."""
 PREDICT_SECONDS_BUSY = 0.002
@@ -133,7 +135,7 @@ class Intake:
             self._answers.end_held(now)
 
             # 2. Merge by time.
-            room = max(0, 2 * self.limits.commit_events_max - self.queue.waiting)
+            room = max(0, 2 * COMMIT_EVENTS_MAX - self.queue.waiting)
             released = self.merger.release(wall, now, room)
 
             # 3. Names, floods, and time that passes without events.
@@ -158,7 +160,7 @@ class Intake:
         """
         # 5. Store.
         limits = self.limits
-        ready = self.queue.take(limits.commit_events_max, seconds, limits.commit_seconds)
+        ready = self.queue.take(COMMIT_EVENTS_MAX, seconds, limits.commit_seconds)
         entries = [received.entry for received in ready]
         names = [received.names for received in ready if received.names is not None]
         meta = {NAMES_KEY: names[-1]} if names else None

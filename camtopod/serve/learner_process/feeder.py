@@ -47,6 +47,8 @@ CATCHING_UP_SECONDS = 180.0
 
 A fit takes this long on a large site, and a camera's clock may be a minute ahead.
 """
+SNAPSHOT_ENTRIES = 20_000
+"""Number of entries after which the learner's state is saved; also after every version."""
 _TICK_SECONDS = 0.2
 
 
@@ -59,6 +61,7 @@ class LearnerFeeder:
     on_snapshot: with each snapshot, after the versions it includes.
     on_deadline: with the event time that the learner waits for.
     new_epoch: to begin and store an epoch.
+    snapshot_entries: number of entries after which the learner's state is saved.
     """
 
     def __init__(
@@ -66,17 +69,16 @@ class LearnerFeeder:
         recovered: Recovered,
         process: LearnerProcess,
         journal: Journal,
-        snapshot_events: int,
         on_version: Callable[[Version], None],
         on_snapshot: Callable[[Snapshot], None],
         on_deadline: Callable[[float | None], None],
         new_epoch: Callable[[], str],
+        snapshot_entries: int = SNAPSHOT_ENTRIES,
     ) -> None:
         self.position = recovered.position
         self.epoch = recovered.epoch
         self._process = process
         self._journal = journal
-        self._snapshot_events = snapshot_events
         self._on_version = on_version
         self._on_snapshot = on_snapshot
         self._on_deadline = on_deadline
@@ -85,6 +87,7 @@ class LearnerFeeder:
         self._saved = self.position
         self._up_to_date_at = self.position
         self._due = False
+        self._snapshot_entries = snapshot_entries
         self._busy = False  # True while the process owes an answer
         self._stored = threading.Event()
         self.damaged = 0
@@ -122,8 +125,8 @@ class LearnerFeeder:
         if not waiting or seconds < CATCHING_UP_SECONDS:
             self._up_to_date_at = self.position
             return None
-        learned = self.position - self._up_to_date_at
-        return CatchingUp(seconds, max(0.0, learned / max(1, learned + waiting)))
+SNAPSHOT_ENTRIES = 20_000
+"""Number of entries after which the learner's state is saved; also after every version."""
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Feed the learner until ``stopping``; entries not learned by then are in the journal.
@@ -207,8 +210,8 @@ class LearnerFeeder:
 
     def _take_snapshot(self, stopping: threading.Event, beat: Beat) -> None:
         """Take a snapshot between batches if one is due."""
-        if self._due or self.position - self._saved >= self._snapshot_events:
-            saved = self._ask(Save(), Saved, stopping, beat)
+SNAPSHOT_ENTRIES = 20_000
+"""Number of entries after which the learner's state is saved; also after every version."""
             self._on_snapshot(Snapshot(self.position, self.epoch, saved.state))
             self._saved = self.position
             self._due = False

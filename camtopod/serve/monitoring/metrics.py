@@ -265,7 +265,7 @@ def site_status(daemon: Daemon) -> dict[str, Any]:
 def grabbers(bus: Bus) -> dict[str, dict[str, Any]]:
     """Return the statuses of the grabbers by camera.
 
-    A grabber that hangs delays the answer, by `bus.query_seconds` at most.
+    A grabber that hangs delays the answer, by `QUERY_SECONDS` at most.
     """
     try:
         answers = bus.query("status/*")

@@ -15,6 +15,8 @@ from camtopod.serve.runtime.clock import (
     wall as wall,
 )
 from camtopod.serve.runtime.progress import (
+    LEARN_SECONDS as LEARN_SECONDS,
+    STALL_SECONDS as STALL_SECONDS,
     Beat as Beat,
     Heartbeat as Heartbeat,
     Progress as Progress,

@@ -13,6 +13,10 @@ import threading
 import time
 from collections.abc import Callable
 
+STALL_SECONDS = 30.0
+"""A loop without progress for this long makes its program unhealthy, and systemd restarts it."""
+LEARN_SECONDS = 900.0
+"""The same for a step of the learner (a refit takes long on a small machine) and for the start."""
 Beat = Callable[[], None]
 """A function that a loop calls when it makes progress. Cheap, thread-safe, never blocks."""
 

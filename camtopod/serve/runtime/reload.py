@@ -8,11 +8,7 @@ import msgspec
 
 from camtopod.config import TABLES, Config, Limits
 
-WHILE_RUNNING = (
-    "commit_events_max",
-    "commit_seconds",
-    "status_seconds",
-)
+WHILE_RUNNING = ("commit_seconds", "status_seconds")
 """Settings of [limits] that are read at every use, so that a change takes effect at once."""
 _OF_OTHERS = ("vision",)
 """Tables that the daemon does not read. ([cameras] is not in `TABLES` at all.)"""

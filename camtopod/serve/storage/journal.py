@@ -39,6 +39,8 @@ STREAMS_KEPT_MAX = 100_000
 """Most (camera, boot) whose stored seq is kept, over all cameras, as anyone can invent names."""
 PRUNED_ROWS_MAX = 5_000
 """Most entries deleted at a time, so that a transaction stays short."""
+HISTORY_BYTES_MAX = 256 << 20
+"""Maximum size of the old versions, compressed; beyond it the oldest are deleted."""
 CHUNK_ENTRIES = 1_000
 """Entries read at a time; a long read would keep SQLite from checkpointing the log."""
 VERSIONS_TRIED_MAX = 10
@@ -297,9 +299,7 @@ class Journal:
                     "DELETE FROM version WHERE stored < ? AND id < (SELECT MAX(id) FROM version)",
                     (now - keep.history_days * DAY_SECONDS,),
                 )
-                while (
-                    self._history_bytes() > keep.history_bytes_max and self._forget_oldest_version()
-                ):
+                while self._history_bytes() > HISTORY_BYTES_MAX and self._forget_oldest_version():
                     pass
             return gone > 0 and until <= oldest
 

@@ -26,6 +26,8 @@ from camtopod.vision.detect.watched import watched_pixels
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import VisionSettings
 
+BACKGROUND_SECONDS = 20.0
+"""Time constant with which the background follows changes of the settled scene."""
 DIFFERENCE_MIN = 15.0
 """Smallest difference (grey levels) of a moving pixel, in an image without noise."""
 NOISE_FACTOR = 4.0
@@ -136,7 +138,7 @@ class MotionDetector:
     def bootstrap(self, frames: list[Luma]) -> None:
         """Take the median of ``frames`` (at most 24 of them) as the settled scene."""
         step = -(-len(frames) // BOOTSTRAP_FRAMES_MAX)
-        self._background = Background(frames[::step], self._settings.background_seconds)
+        self._background = Background(frames[::step], BACKGROUND_SECONDS)
         self._settled: Luma = self._without_ignored(np.full(frames[0].shape, 255, np.uint8))
         self._swaying = Swaying(frames[0].shape[:2])
         self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)

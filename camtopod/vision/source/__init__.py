@@ -7,6 +7,10 @@ capture times from presentation stamps. `ffmpeg_log` finds out why a stream cann
 `settled_picture`; `errors` has the exceptions.
 """
 
+from camtopod.vision.source.capture import (
+    OPEN_SECONDS_MAX as OPEN_SECONDS_MAX,
+    READ_SECONDS_MAX as READ_SECONDS_MAX,
+)
 from camtopod.vision.source.ffmpeg_log import FfmpegLog as FfmpegLog, captured_log as captured_log
 from camtopod.vision.source.live import LiveSource as LiveSource
 from camtopod.vision.source.makers import streams_by_maker as streams_by_maker

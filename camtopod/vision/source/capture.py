@@ -35,6 +35,10 @@ _DECODER_OPTION = "video_codec"
 """FFmpeg option that names a decoder."""
 LUMA_FORMATS = frozenset({"I420", "YV12", "Y42B", "444P", "NV12", "NV21", "Y800"})
 """FFmpeg's names of pixel formats that begin with a plane of 8-bit luma."""
+OPEN_SECONDS_MAX = 5.0
+"""Timeout for opening a stream."""
+READ_SECONDS_MAX = 3.0
+"""Time without a frame after which a stream is reopened."""
 IMAGE_WIDTH_MAX = 1920
 """Largest width (pixels) of an image in colour, which a detector examines."""
 _VIDEO_RANGE = (16 + np.arange(256) * 219 / 255).round().astype(np.uint8)
@@ -77,7 +81,7 @@ class Capture:
         if kind == "device":
             self._capture = cv2.VideoCapture(int(source))
         else:
-            self._capture = _opened(source, kind == "stream", options, settings)
+            self._capture = _opened(source, kind == "stream", options)
 
         # Request the luma plane if the pixel format has one.
         self._width_max = settings.working_width
@@ -191,16 +195,16 @@ class FrameSelector:
         return due
 
 
-def _opened(source: str, stream: bool, options: str, settings: VisionSettings) -> cv2.VideoCapture:
+def _opened(source: str, stream: bool, options: str) -> cv2.VideoCapture:
     """Open a file or stream with FFmpeg's ``options``."""
     parameters = [cv2.CAP_PROP_N_THREADS, 1]
     if stream:
         source = percent_encoded(source)
         parameters += [
             cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
-            round(1000 * settings.open_timeout_seconds),
+            round(1000 * OPEN_SECONDS_MAX),
             cv2.CAP_PROP_READ_TIMEOUT_MSEC,
-            round(1000 * settings.read_timeout_seconds),
+            round(1000 * READ_SECONDS_MAX),
         ]
     if _DEVICES_OPTION in options:
         parameters += [cv2.CAP_PROP_HW_ACCELERATION, cv2.VIDEO_ACCELERATION_ANY]

@@ -15,7 +15,13 @@ from collections.abc import Callable, Iterator
 from typing import Literal
 
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.capture import Capture, Frame, FrameSelector
+from camtopod.vision.source.capture import (
+    OPEN_SECONDS_MAX,
+    READ_SECONDS_MAX,
+    Capture,
+    Frame,
+    FrameSelector,
+)
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.frame_times import StampClock
 from camtopod.vision.source.source_url import RETRY_SEPARATOR
@@ -29,6 +35,10 @@ The first frames are old by an unknown delay; prompt frames that follow reveal i
 """
 HEARTBEAT_SECONDS = 0.5
 """Longest time until `LiveSource.frames` yields."""
+BACKOFF_SECONDS_MIN = 0.5
+"""Delay before a lost stream is reopened for the first time; it doubles with each attempt."""
+BACKOFF_SECONDS_MAX = 15.0
+"""Maximum delay before a lost stream is reopened."""
 HEALTHY_SECONDS = 10.0
 """Duration of a connection after which the backoff starts from its minimum again."""
 MARGIN_SECONDS = 1.0
@@ -104,11 +114,7 @@ class LiveSource:
     @property
     def _blocked_seconds_max(self) -> float:
         """Longest time a call of OpenCV should take."""
-        return (
-            self._settings.open_timeout_seconds
-            + self._settings.read_timeout_seconds
-            + MARGIN_SECONDS
-        )
+        return OPEN_SECONDS_MAX + READ_SECONDS_MAX + MARGIN_SECONDS
 
     def close(self) -> None:
         """Stop; waits for a blocked read, at most the sum of the timeouts."""
@@ -120,7 +126,7 @@ class LiveSource:
 
     def _run(self) -> None:
         """Connect, read, and reconnect after a delay, until stopped."""
-        wait = self._settings.backoff_min_seconds
+        wait = BACKOFF_SECONDS_MIN
         while not self._stop.is_set():
             self._ffmpeg_log.newest_reason()  # discard those of an earlier connection
 
@@ -144,10 +150,10 @@ class LiveSource:
             self.failures += 1
             self.state = "stalled" if self.grabbed else "connecting"
             if time.monotonic() - began > HEALTHY_SECONDS:
-                wait = self._settings.backoff_min_seconds
+                wait = BACKOFF_SECONDS_MIN
             pause = wait * random.uniform(0.5, 1.0)
             self.reason = f"{reason}{RETRY_SEPARATOR}{pause:.1f} s"
-            wait = min(2 * wait, self._settings.backoff_max_seconds)
+            wait = min(2 * wait, BACKOFF_SECONDS_MAX)
             self._stop.wait(pause)
 
     def _read(self, capture: Capture) -> str:
@@ -162,12 +168,12 @@ class LiveSource:
             grab = capture.grab()
             arrival = time.monotonic()
             if grab is None:
-                slow = arrival - asked > 0.9 * self._settings.read_timeout_seconds
+                slow = arrival - asked > 0.9 * READ_SECONDS_MAX
                 if slow:
                     return "no frame within the read timeout"
                 return "the source ended or closed the connection"
 
-            if arrival - asked > self._settings.read_timeout_seconds / 2:
+            if arrival - asked > READ_SECONDS_MAX / 2:
                 self.dropped += 1  # the first frames after a stall are old
                 continue
             if first is None:

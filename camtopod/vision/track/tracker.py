@@ -35,6 +35,14 @@ from camtopod.vision.track.stature import Stature
 from camtopod.vision.track.swap import find_swap
 from camtopod.vision.track.track import HISTORY_SIGHTINGS, Changes, Sighting, Track, Unmet
 
+CONFIRM_SECONDS = 0.5
+"""Minimum time something must be tracked, and move, before it counts as an object."""
+PATIENCE_SECONDS = 1.5
+"""Time an object may go undetected before its track ends."""
+STITCH_SECONDS = 10.0
+"""Time within which a track lost in mid-view may be found again and continue its passage."""
+TRACKS_MAX = 200
+"""Maximum number of tracks at a time; further objects are not tracked."""
 GATE_HEIGHTS = 0.35
 """Gate: largest distance (heights, plus two sigma) of head or foot from the expected position."""
 CONFIRM_SIGHTINGS_SHARE = 0.6
@@ -116,7 +124,6 @@ class Tracker:
     def __init__(
         self, settings: VisionSettings, edges: Edges, recorder: Recorder | None = None
     ) -> None:
-        self._settings = settings
         self._note = (recorder or Recorder()).note
         self._height_min = settings.min_height * edges.size[1]
         self._edges = edges
@@ -141,7 +148,7 @@ class Tracker:
         left = []
 
         # A pause in the frames interrupts all tracks.
-        if dt > self._settings.patience_seconds:
+        if dt > PATIENCE_SECONDS:
             left = self._interrupt(t)
 
         # Predict.
@@ -306,7 +313,7 @@ class Tracker:
 
     def _start_track(self, t: float, blob: Blob) -> None:
         """Start a tentative track, unless the blob is too small or a fragment of an object."""
-        if len(self.active) >= self._settings.tracks_max:
+        if len(self.active) >= TRACKS_MAX:
             return
         expected = self.stature.height(blob.bottom)
         cut = self._touches(blob.box)
@@ -372,8 +379,8 @@ class Tracker:
     def _unmet(self, t: float, track: Track) -> Unmet | None:
         """Return what a track that is seen at ``t`` lacks to be an object; None if nothing."""
         seconds = t - track.first.t
-        if seconds < self._settings.confirm_seconds:
-            return Unmet("brief", seconds, self._settings.confirm_seconds)
+        if seconds < CONFIRM_SECONDS:
+            return Unmet("brief", seconds, CONFIRM_SECONDS)
         if track.sightings < CONFIRM_SIGHTINGS_SHARE * track.frames:
             return Unmet("patchy", track.sightings / track.frames, CONFIRM_SIGHTINGS_SHARE)
         if track.reach < CONFIRM_HEIGHTS * track.height:
@@ -515,7 +522,7 @@ class Tracker:
         for track in self.active:
             patience = TENTATIVE_PATIENCE_SECONDS
             if track.confirmed:
-                patience = self._settings.patience_seconds
+                patience = PATIENCE_SECONDS
             if track.occluded:
                 patience *= OCCLUDED_PATIENCE_FACTOR
             elif self._touches(track.last.box) and self._at_edge(track):
@@ -532,7 +539,7 @@ class Tracker:
         self.active = kept
 
         # Lost tracks that were not continued have vanished.
-        deadline = t - self._settings.stitch_seconds
+        deadline = t - STITCH_SECONDS
         vanished = [track for track in self.lost if track.last.t < deadline]
         self.lost = [track for track in self.lost if track.last.t >= deadline]
         return Changes(appeared, left, vanished)

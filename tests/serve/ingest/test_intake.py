@@ -10,7 +10,7 @@ from intake_bench import IntakeBench, Request, event_bytes
 
 from camtopod import codec
 from camtopod.config import Limits
-from camtopod.serve.ingest import intake as intake_module, numbers as numbers_module
+from camtopod.serve.ingest import cameras, intake as intake_module, numbers as numbers_module
 from camtopod.serve.requests import BATCH_EVENTS_MAX, Batch, Hello
 
 
@@ -177,8 +177,8 @@ def test_a_malformed_request_is_answered_and_counted(
     assert bench.intake.rejects.counts.total() == 1
 
 
-def test_a_flood_is_stored_as_numbers(tmp_path: Path) -> None:
-    bench = IntakeBench(tmp_path, Limits(camera_events_per_second_max=2, commit_seconds=0.0))
+def test_a_flood_is_stored_as_numbers(bench: IntakeBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cameras, "EVENTS_PER_SECOND_MAX", 2)
     bench.hello()
 
     answer = bench.send(times=dict.fromkeys(range(1, 6), -1.0)).answer
