@@ -2,8 +2,8 @@
 
 Read `formats` first, the table of all formats, and `adapter`, the interface that they implement.
 `tracks.TrackEvents` turns the tracks of any tracker into events; it is public, through
-`camtopod.client`. `axis`, `onvif` and `deepstream` share `camera_streams`. `box_linking` makes
-tracks of boxes without identity, and `fragmentation` notices a tracker that breaks tracks up.
+`camtopod.client`. `axis`, `onvif`, `deepstream` and `scenescape` share `camera_streams`.
+`box_linking` makes tracks of boxes without identity.
 """
 
 from camtopod.adapt.adapter import (
@@ -15,5 +15,4 @@ from camtopod.adapt.adapter import (
 )
 from camtopod.adapt.camera_streams import StreamAdapter as StreamAdapter
 from camtopod.adapt.formats import FORMATS as FORMATS, FormatOptions as FormatOptions
-from camtopod.adapt.fragmentation import Fragmentation as Fragmentation
 from camtopod.adapt.tracks import TrackEvents as TrackEvents

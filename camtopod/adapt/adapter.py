@@ -12,6 +12,8 @@ from camtopod.records import Event
 
 LINE_BYTES_MAX = 1024 * 1024
 """Longest accepted line, bytes. Frigate's lines grow with the path of an object."""
+REMEMBERED_MAX = 10_000
+"""Objects remembered, the latest ones, so that a repeated message counts once."""
 ANY_CAMERA = ""
 """Key in `Sizes` for all cameras that are not named."""
 

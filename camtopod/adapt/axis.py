@@ -22,7 +22,7 @@ from collections.abc import Collection, Sequence
 from msgspec import Struct, field
 
 from camtopod import codec
-from camtopod.adapt.adapter import checked, remember
+from camtopod.adapt.adapter import REMEMBERED_MAX, checked, remember
 from camtopod.adapt.camera_streams import (
     Box,
     Name,
@@ -36,8 +36,6 @@ from camtopod.adapt.tracks import LIFE_SECONDS
 from camtopod.codec import TRACK_CHARACTERS_MAX, Rejected
 from camtopod.records import Event, Kind
 
-REMEMBERED_MAX = 10_000
-"""Whole tracks remembered, the latest ones, so that a repeated message counts once."""
 _SOURCES = ("com.axis.", "axis.scene.", "frame", "object_track")
 """Beginnings of a last topic level that names the kind of data, not the camera."""
 

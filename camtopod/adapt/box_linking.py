@@ -7,14 +7,10 @@ from collections.abc import Sequence
 
 from msgspec import Struct
 
-from camtopod.adapt.tracks import LOST_SECONDS, TRACKS_MAX
+from camtopod.adapt.tracks import LIFE_SECONDS, LOST_SECONDS, TRACKS_MAX
 
 REACH = 0.75
 """Largest distance of a box from a predicted middle, in larger sides of the smaller box."""
-COAST_SECONDS = 0.5
-"""Time for which a track that is not seen is predicted to move on; then it waits."""
-_NEW_SHARE = 0.5
-"""Weight of the newest step in a track's velocity."""
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom, pixels."""
@@ -22,29 +18,31 @@ Point = tuple[float, float]
 
 
 class _Track(Struct):
+    kind: str
     box: Box
     t: float
     velocity: Point = (0.0, 0.0)
     """Velocity of the box's middle, pixels per second."""
 
     def at(self, t: float) -> Point:
-        """Return the predicted middle of the box at ``t``."""
+        """Return the predicted middle of the box at ``t``: it moves on for `LIFE_SECONDS`."""
         x, y = _middle(self.box)
-        ahead = min(max(t - self.t, 0.0), COAST_SECONDS)
+        ahead = min(max(t - self.t, 0.0), LIFE_SECONDS)
         return x + ahead * self.velocity[0], y + ahead * self.velocity[1]
 
     def move(self, box: Box, t: float) -> None:
         """Record that the track was seen there."""
         if t > self.t:
+            # Half of the old velocity, and half of the newest step.
             steps = zip(_middle(self.box), _middle(box), self.velocity, strict=True)
-            x, y = (v + _NEW_SHARE * ((new - old) / (t - self.t) - v) for old, new, v in steps)
+            x, y = (((new - old) / (t - self.t) + v) / 2 for old, new, v in steps)
             self.velocity = (x, y)
         self.box = box
         self.t = t
 
 
 class BoxLinker:
-    """Links the boxes of one kind in one camera into tracks, numbered from 1. Deterministic.
+    """Links the boxes in one camera into tracks, each of one kind, numbered from 1. Deterministic.
 
     The nearest pair of box and track is linked first. Two people who meet and turn back may
     exchange numbers: entries and exits stay the same, only their pairing into passages does not. At
@@ -55,36 +53,42 @@ class BoxLinker:
         self._tracks: dict[int, _Track] = {}
         self._count = 0
 
-    def link(self, boxes: Sequence[Box], t: float) -> list[int | None]:
+    def link(self, kinds: Sequence[str], boxes: Sequence[Box], t: float) -> list[int | None]:
         """Return the track number of each box of the frame at ``t``; None beyond the limit."""
         self._tracks = {
             n: track for n, track in self._tracks.items() if abs(t - track.t) <= LOST_SECONDS
         }
         found: dict[int, int] = {}
         taken: set[int] = set()
-        for _, number, index in sorted(self._pairs(boxes, t)):
+        for _, number, index in sorted(self._pairs(kinds, boxes, t)):
             if number not in taken and index not in found:
                 found[index] = number
                 taken.add(number)
                 self._tracks[number].move(boxes[index], t)
-        return [found.get(index) or self._begin(box, t) for index, box in enumerate(boxes)]
+        return [
+            found.get(index) or self._begin(kinds[index], box, t) for index, box in enumerate(boxes)
+        ]
 
-    def _begin(self, box: Box, t: float) -> int | None:
+    def _begin(self, kind: str, box: Box, t: float) -> int | None:
         """Begin a track and return its number; None if there are too many."""
         if len(self._tracks) >= TRACKS_MAX:
             return None
         self._count += 1
-        self._tracks[self._count] = _Track(box, t)
+        self._tracks[self._count] = _Track(kind, box, t)
         return self._count
 
-    def _pairs(self, boxes: Sequence[Box], t: float) -> list[tuple[float, int, int]]:
+    def _pairs(
+        self, kinds: Sequence[str], boxes: Sequence[Box], t: float
+    ) -> list[tuple[float, int, int]]:
         """Return (distance, track, index of the box) of all pairs near enough to be one object."""
         pairs = []
         for number, track in self._tracks.items():
             there = track.at(t)
             for index, box in enumerate(boxes):
                 distance = math.dist(there, _middle(box))
-                if distance <= REACH * min(_larger_side(track.box), _larger_side(box)):
+                if kinds[index] == track.kind and distance <= REACH * min(
+                    _larger_side(track.box), _larger_side(box)
+                ):
                     pairs.append((distance, number, index))
         return pairs
 

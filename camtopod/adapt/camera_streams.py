@@ -1,6 +1,6 @@
 """Tracks of several cameras that come in one stream: whose a message is, when, and what it shows.
 
-Shared by `axis`, `onvif` and `deepstream`, whose messages are frames with tracked boxes.
+Shared by `axis`, `onvif`, `deepstream` and `scenescape`, whose messages are frames with boxes.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from collections.abc import Collection, Iterable, Sequence
 from datetime import UTC, datetime
 
 from camtopod import codec
-from camtopod.adapt.adapter import Size, checked, remember
-from camtopod.adapt.tracks import TrackEvents
+from camtopod.adapt.adapter import REMEMBERED_MAX, Size, checked, remember
+from camtopod.adapt.tracks import TRACKS_MAX, TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import CAMERA_PATTERN, Event
 
@@ -24,12 +24,6 @@ SILENT_SECONDS = 2.5
 Many sources send nothing while the view is empty. An exit that waited for the next frame would be
 too late to be learned.
 """
-_CHECK_SECONDS = 0.5
-"""Interval at which silence is looked for."""
-OBJECTS_MAX = 1000
-"""Objects accepted in a frame."""
-KINDS_MAX = 10_000
-"""Tracks of a stream whose kind is remembered, the latest ones."""
 PARTS = frozenset({"head", "face", "humanface", "licenseplate"})
 """Kinds of boxes that are part of an object, in lower case.
 
@@ -53,8 +47,8 @@ class TrackedBoxes:
 
     def add(self, name: Name, box: Box, kind: str) -> None:
         """Add a box. Raises `Rejected` if the frame has too many."""
-        if len(self.names) >= OBJECTS_MAX:
-            raise Rejected("too-many", f"more than {OBJECTS_MAX} objects in a frame")
+        if len(self.names) >= TRACKS_MAX:
+            raise Rejected("too-many", f"more than {TRACKS_MAX} objects in a frame")
         self.names.append(name)
         self.boxes.append(box)
         self.kinds.append(kind)
@@ -82,8 +76,7 @@ class CameraStream:
 
         Raises `Rejected` if a later frame came before.
         """
-        if self._tracks.is_late(t):
-            raise Rejected("out-of-order", "a later frame of this camera came before")
+        self.require_newer(t)
 
         # Boxes of the wanted kinds, or of all that are no part of another object.
         names: list[Name] = []
@@ -100,6 +93,11 @@ class CameraStream:
             events += self._tracks.end(name)
         return checked(events)
 
+    def require_newer(self, t: float) -> None:
+        """Raise `Rejected` if a frame at ``t`` comes after a later one."""
+        if self._tracks.is_late(t):
+            raise Rejected("out-of-order", "a later frame of this camera came before")
+
     def close(self) -> list[Event]:
         """Return the exits of objects out of sight in the last frame."""
         return checked(self._tracks.close())
@@ -108,7 +106,7 @@ class CameraStream:
         """Remember the kind of a track; return the latest one known."""
         kind = kind or self._kinds.get(name, "")
         if name is not None and kind:
-            remember(self._kinds, name, kind, KINDS_MAX)
+            remember(self._kinds, name, kind, REMEMBERED_MAX)
         return kind
 
 
@@ -161,7 +159,7 @@ class CameraStreams:
         and often in between. Without calls no camera counts as silent.
         """
         self._now = now
-        if now - self._checked < _CHECK_SECONDS:
+        if now - self._checked < SILENT_SECONDS / 5:
             return []
         self._checked = now
         silent = (one for one in self._streams.values() if now - one.arrived > SILENT_SECONDS)

@@ -28,10 +28,8 @@ from camtopod.adapt.camera_streams import (
 from camtopod.codec import Rejected
 from camtopod.records import Event
 
-UNTRACKED = 2**64 - 1
-"""Id of an object that DeepStream's tracker does not follow."""
-_FIELDS_MIN = 5
-"""Fields that an object's string must have."""
+_UNTRACKED = ("", "-1", str(2**64 - 1))
+"""Ids of objects that DeepStream's tracker does not follow."""
 
 
 class _Sensor(Struct, frozen=True):
@@ -107,17 +105,15 @@ class DeepStream(StreamAdapter):
 
 def _object(text: str) -> tuple[Name, Box, str]:
     """Return id, box and kind of an object's string. Raises `Rejected`."""
-    fields = text.split("|")
-    if len(fields) < _FIELDS_MIN:
-        raise Rejected("malformed", "an object is not id|left|top|right|bottom|...")
+    name, *sides, kind = (text + "|").split("|")[:6]
     try:
-        left, top, right, bottom = (float(number) for number in fields[1:_FIELDS_MIN])
+        left, top, right, bottom = map(float, sides)
     except ValueError:
-        raise Rejected("malformed", "a side of a box is no number") from None
-    kind = fields[_FIELDS_MIN] if len(fields) > _FIELDS_MIN else ""
-    return _name(fields[0]), (left, top, right, bottom), kind
+        raise Rejected("malformed", "an object is not id|left|top|right|bottom|...") from None
+    return _name(name), (left, top, right, bottom), kind
 
 
 def _name(given: str | int) -> Name:
     """Return the name of a track; None if the object is not tracked."""
-    return None if str(given).strip() in ("", "-1", str(UNTRACKED)) else str(given).strip()
+    name = str(given).strip()
+    return None if name in _UNTRACKED else name

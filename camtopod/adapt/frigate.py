@@ -20,7 +20,15 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from camtopod import codec
-from camtopod.adapt.adapter import ANY_CAMERA, Sizes, checked, payload, remember, size_of
+from camtopod.adapt.adapter import (
+    ANY_CAMERA,
+    REMEMBERED_MAX,
+    Sizes,
+    checked,
+    payload,
+    remember,
+    size_of,
+)
 from camtopod.codec import Rejected
 from camtopod.records import CameraId, Event, Kind
 
@@ -29,8 +37,6 @@ ENTRY_SECONDS_MAX = 5.0
 
 An object that begins to move later was standing there before.
 """
-OBJECTS_MAX = 10_000
-"""Objects remembered, the latest ones, so that a repeated message counts once."""
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom, pixels of the picture that Frigate detects in."""
@@ -98,7 +104,7 @@ class Frigate:
 
         known = self._objects.get(now.id) or self._met(message)
         events = self._changed(known, message)
-        remember(self._objects, now.id, known, OBJECTS_MAX)
+        remember(self._objects, now.id, known, REMEMBERED_MAX)
         return events
 
     def close(self) -> list[Event]:

@@ -15,10 +15,6 @@ from camtopod.records import Event
 
 ROWS_MAX = 5_000_000
 """Boxes accepted from a file, 48 bytes each."""
-_FIELDS_MIN = 6
-"""Fields that a line must have."""
-_CONFIDENCE = 6
-"""Index of the confidence among the fields."""
 
 
 class Mot:
@@ -46,36 +42,30 @@ class Mot:
     def receive(self, line: bytes) -> list[Event]:
         """Store a box. Raises `Rejected`."""
         fields = line.replace(b",", b" ").split()
-        if len(fields) < _FIELDS_MIN:
-            raise Rejected(
-                "malformed", f"{len(fields)} fields; frame,id,left,top,width,height,... are needed"
-            )
         try:
-            numbers = [float(field) for field in fields[: _CONFIDENCE + 1]]
+            numbers = [float(field) for field in fields[:7]]
+            frame, track, left, top, width, height, *confidence = numbers
         except ValueError:
-            raise Rejected(
-                "malformed", "not a number among frame,id,left,top,width,height,confidence"
-            ) from None
+            raise Rejected("malformed", "is not frame,id,left,top,width,height,...") from None
 
         # Validate.
-        frame, track, left, top, width, height = numbers[:_FIELDS_MIN]
         if not all(map(math.isfinite, numbers)) or frame < 0 or width < 0 or height < 0:
             raise Rejected(
                 "bad-value", "a frame, a width or a height below 0, or not a finite number"
             )
         if not codec.T_MIN <= self._time(frame) < codec.T_MAX:
             raise Rejected("bad-value", f"the time of frame {frame:g} is not between 1970 and 3000")
-        if len(self._rows) >= ROWS_MAX * _FIELDS_MIN:
+        if len(self._rows) >= 6 * ROWS_MAX:
             raise Rejected("too-many", f"more than {ROWS_MAX} boxes")
 
         # Store, unless ignored.
-        if track >= 0 and numbers[_CONFIDENCE:] != [0.0]:
+        if track >= 0 and confidence != [0.0]:
             self._rows.extend((frame, track, left, top, left + width, top + height))
         return []
 
     def close(self) -> list[Event]:
         """Return the events of the whole file."""
-        rows = np.frombuffer(self._rows).reshape(-1, _FIELDS_MIN)
+        rows = np.frombuffer(self._rows).reshape(-1, 6)
         rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
         frames, starts = np.unique(rows[:, 0], return_index=True)
         events = self._tracks.update([], [], self._time(frames.min(initial=1.0)))

@@ -36,22 +36,16 @@ from camtopod.adapt.camera_streams import (
     seconds_of,
     split_topic,
 )
-from camtopod.codec import Rejected
+from camtopod.codec import TRACK_CHARACTERS_MAX, Rejected
 from camtopod.records import Event
 from camtopod.untrusted_xml import DOCUMENT_BYTES_MAX, all_of, parse_xml, tag_of
 
-FRAMES_MAX = 1000
-"""Frames accepted in a document or message."""
 _END = re.compile(rb"</(?:[\w.-]+:)?MetadataStream\s*>|<(?:[\w.-]+:)?MetadataStream[^<>]*/>")
 """End of a document."""
 _NUMBERS = frozenset({"x", "y", "left", "top", "right", "bottom", "Likelihood"})
 """Attributes that are numbers."""
 _SEVERAL = frozenset({"Object", "Delete", "Type", "ClassCandidate"})
 """Elements of which there may be several."""
-_DEPTH_MAX = 6
-"""Levels below a frame that are read."""
-_MODULE_CHARACTERS_MAX = 30
-"""Characters of a module's name in the name of a track."""
 
 
 class _Vector(Struct, frozen=True):
@@ -195,10 +189,8 @@ class Onvif(StreamAdapter):
 
     def _read(self, camera: str, frames: list[_Frame]) -> None:
         """Read frames; their events are certain. Raises `Rejected`."""
-        if len(frames) > FRAMES_MAX:
-            raise Rejected("too-many", f"more than {FRAMES_MAX} frames in a message")
         for frame in frames:
-            module = frame.source[:_MODULE_CHARACTERS_MAX]
+            module = frame.source[: TRACK_CHARACTERS_MAX // 2]
 
             # Boxes, and the objects that are gone.
             seen = TrackedBoxes()
@@ -254,17 +246,20 @@ def _frames_of(document: bytes) -> list[_Frame]:
     return codec.read(_Message, codec.to_json({"Frame": frames})).frames  # type: ignore[return-value]
 
 
-def _plain(element: Element, depth: int = 0) -> dict[str, Any]:
-    """Return an element in the form of the JSON messages. Raises `Rejected`."""
+def _plain(element: Element, levels: int = 6) -> dict[str, Any]:
+    """Return an element in the form of the JSON messages, with so many levels below it.
+
+    Raises `Rejected`.
+    """
     plain: dict[str, Any] = {"#text": (element.text or "").strip()}
     for name, value in element.items():
         plain[f"@{name}"] = _number(value) if name in _NUMBERS else value
-    for child in element if depth < _DEPTH_MAX else ():
+    for child in element if levels else ():
         tag = tag_of(child)
         if tag in _SEVERAL:
-            plain.setdefault(tag, []).append(_plain(child, depth + 1))
+            plain.setdefault(tag, []).append(_plain(child, levels - 1))
         else:
-            plain[tag] = _plain(child, depth + 1)
+            plain[tag] = _plain(child, levels - 1)
     return plain
 
 

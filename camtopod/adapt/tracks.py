@@ -21,13 +21,6 @@ LOST_SECONDS = 2.0
 It delays exits, as `LIFE_SECONDS` delays entries, and must stay below the lateness
 (`learn.lateness_seconds`, 5 s).
 """
-START_SECONDS = 1.0
-"""Time from the first frame within which a track counts as present before, so without entry.
-
-Trackers need a moment to confirm an object.
-"""
-BOOT_CHARACTERS_MAX = 64
-"""Longest ``boot``, as in `camtopod.records.Event`."""
 TRACKS_MAX = 1000
 """Tracks followed at a time; boxes of further ones are counted as refused."""
 
@@ -56,7 +49,8 @@ class TrackEvents:
     except the first. A track's entry is at its first position and is returned once the track has
     lived for ``life_seconds``; its exit is at its last position and is returned once it has not
     been seen for more than ``lost_seconds``. Only the given times count, so the same frames give
-    the same events. Objects in view at the start (`START_SECONDS`) have no entry.
+    the same events. Objects in view at the start (within two `LIFE_SECONDS`, as
+    trackers need a moment) have no entry.
 
     camera: id of the camera, ``[A-Za-z0-9_.-]{1,64}``.
     size (pixels): width and height of the picture; (1, 1) if boxes are fractions of it.
@@ -93,8 +87,8 @@ class TrackEvents:
     ) -> None:
         if not re.match(CAMERA_PATTERN, camera):
             raise ValueError(f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
-        if boot is not None and not 0 < len(boot) <= BOOT_CHARACTERS_MAX:
-            raise ValueError(f"boot {boot!r}: 1 to {BOOT_CHARACTERS_MAX} characters")
+        if boot is not None and not 0 < len(boot) <= 64:
+            raise ValueError(f"boot {boot!r}: 1 to 64 characters")
         if len(size) != 2 or not all(0 < side < math.inf for side in size):
             raise ValueError(f"size {size!r}: width and height of the picture, in pixels")
         if not (0 <= life_seconds < math.inf and 0 < lost_seconds < math.inf):
@@ -241,7 +235,7 @@ class TrackEvents:
             if len(self._tracks) >= self._max:
                 self.refused += 1
                 return []
-            track = _Track(place, place, from_start=t - self._start <= START_SECONDS)
+            track = _Track(place, place, from_start=t - self._start <= 2 * LIFE_SECONDS)
         track.last = place
         self._tracks[label] = track
 

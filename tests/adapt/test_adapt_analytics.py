@@ -208,17 +208,6 @@ def test_onvif_documents_over_lines_and_on_one_line() -> None:
     assert short(read(Onvif("gate"), [on_one])) == wanted
 
 
-def test_onvif_transformations_of_an_appearance_come_first() -> None:
-    inner = (
-        '<tt:Object ObjectId="1"><tt:Appearance><tt:Transformation><tt:Translate x="160" y="0"/>'
-        '<tt:Scale x="2" y="1"/></tt:Transformation><tt:Shape><tt:BoundingBox left="0" top="120" '
-        'right="32" bottom="60"/></tt:Shape></tt:Appearance></tt:Object>'
-    )
-    lines = [onvif_xml(0), *(onvif_xml(2 + n / 4, inner) for n in range(3)), onvif_xml(9)]
-    events = read(Onvif("gate"), lines)
-    assert [(e.kind, e.x, e.y) for e in events] == [("entry", 0.6, 0.7498), ("exit", 0.6, 0.7498)]
-
-
 def test_onvif_json_names_the_camera_in_its_topic() -> None:
     lines = [onvif_json(n / 4, *(4,) * (n >= 8)) for n in range(12)] + [onvif_json(9)]
     assert short(read(Onvif(), lines)) == [
@@ -374,15 +363,9 @@ JSON = st.recursive(
 
 
 @settings(max_examples=40, deadline=None)
-@given(messages=st.lists(JSON, max_size=4))
-def test_arbitrary_json_is_read_or_rejected(messages: Any) -> None:
-    survived([json.dumps(message).encode() for message in messages])
-
-
-@settings(max_examples=40, deadline=None)
-@given(lines=st.lists(st.binary(max_size=80), max_size=4))
-def test_arbitrary_bytes_are_read_or_rejected(lines: list[bytes]) -> None:
-    survived(lines)
+@given(messages=st.lists(JSON, max_size=4), lines=st.lists(st.binary(max_size=80), max_size=4))
+def test_anything_is_read_or_rejected(messages: Any, lines: list[bytes]) -> None:
+    survived([*(json.dumps(message).encode() for message in messages), *lines])
 
 
 @settings(max_examples=40, deadline=None)

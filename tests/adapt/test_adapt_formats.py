@@ -13,7 +13,7 @@ from typing import Any
 import frigate_messages as says
 import pytest
 
-from camtopod.adapt import adapter, scenescape
+from camtopod.adapt import adapter, camera_streams
 from camtopod.adapt.adapter import Adapter
 from camtopod.adapt.frigate import Frigate
 from camtopod.adapt.mot import Mot
@@ -91,16 +91,6 @@ def test_only_the_kinds_asked_for() -> None:
     lines = says.passage() + says.parked(moved=1)
     assert {e.track for e in read(Frigate(SIZES, ["car"]), lines)} == {f"{T}-parked"}
     assert len(read(Frigate(SIZES, ["person", "car"]), lines)) == 3
-
-
-def test_false_positives_are_none() -> None:
-    thing = says.seen(T, 10, 300, 110, 600, false_positive=True)
-    assert (
-        read(
-            Frigate(SIZES), [says.message(kind, thing, thing) for kind in ("new", "update", "end")]
-        )
-        == []
-    )
 
 
 @pytest.mark.parametrize("where", ["before", "after"])
@@ -294,9 +284,9 @@ def test_a_frame_that_comes_too_late_changes_nothing() -> None:
 
 
 def test_scenescape_lines_that_make_no_sense(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenescape, "CAMERAS_MAX", 1)
-    monkeypatch.setattr(scenescape, "OBJECTS_MAX", 3)
-    reader = SceneScape({"cam1": (800, 600), "cam2": (800, 600)})
+    monkeypatch.setattr(camera_streams, "STREAMS_MAX", 1)
+    monkeypatch.setattr(camera_streams, "TRACKS_MAX", 3)
+    reader = SceneScape({"": (800, 600)})
     person = {"id": 1, "bounding_box": {"x": -0.1, "y": 0.2, "width": 0.1, "height": 0.4}}
     lens = {"id": "cam1", "timestamp": "2026-01-01T00:00:00Z", "objects": {"person": [person]}}
     assert reader.receive(frame(T, [(1, 100)])) == []

@@ -60,7 +60,7 @@ def by_definition(
             (start, first), (end, last) = passage[0], passage[-1]
             if end - start < life:
                 continue
-            if start - frames[0][0] > tracks.START_SECONDS:
+            if start - frames[0][0] > 2 * tracks.LIFE_SECONDS:
                 events.add(("entry", str(number), start, *foot(first)))
             if end != frames[-1][0]:
                 events.add(("exit", str(number), end, *foot(last)))
@@ -213,7 +213,9 @@ def test_boxes_are_joined_to_the_nearest_whatever_their_order() -> None:
         }
         names = sorted(places, reverse=n % 2 == 0)
         for name, number in zip(
-            names, joiner.link([places[name] for name in names], n / 10), strict=True
+            names,
+            joiner.link(["person"] * 2, [places[name] for name in names], n / 10),
+            strict=True,
         ):
             found[name].add(number)
     assert sorted(map(len, found.values())) == [1, 1]

@@ -235,15 +235,3 @@ def test_analytics_of_cameras(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         places = [(e.camera, e.kind, e.x, e.y) for e in lines_of(out)]
         assert places == [("lobby", "entry", 0.5, 0.6), ("lobby", "exit", 0.5, 0.6)]
         assert "lines were rejected: malformed 1" in capsys.readouterr().err
-
-
-def test_a_tracker_that_breaks_tracks_up_is_warned_of(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file, out = tmp_path / "ds.jsonl", tmp_path / "out.jsonl"
-    file.write_bytes(frames([""] * 20 + [str(n // 4) for n in range(400)]))
-    size = ["--size", "1900x900"]
-    assert main(["ingest", "deepstream", str(file), *size, "--out", str(out)]) == exits.DONE
-    err = capsys.readouterr().err
-    assert err.count("entries begin in mid-view") == 1
-    assert "camera lobby: 1" in err

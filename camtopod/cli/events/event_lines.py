@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from typing import BinaryIO, NamedTuple
 
-from camtopod.adapt import LINE_BYTES_MAX, Adapter, Fragmentation, quotable
+from camtopod.adapt import LINE_BYTES_MAX, Adapter, quotable
 from camtopod.cli.exits import InputError
 from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json
 from camtopod.records import Event
@@ -48,7 +48,6 @@ class LineReader:
         self.read = 0
         self.events = 0
         self._files: list[BinaryIO] = []
-        self._fragmentation = Fragmentation()
 
     def merged(self, paths: list[str]) -> Iterator[Line]:
         """Yield lines of several files, merged by event time.
@@ -97,13 +96,10 @@ class LineReader:
         silent: of lines that come live, the adapter's method that returns the events of cameras
             that are silent. Empty lines are then no lines, but occasions to ask it.
 
-        Of a rejected line only its structure is quoted, no text. A tracker that breaks tracks up is
-        warned of.
+        Of a rejected line only its structure is quoted, no text.
         """
         for event in self._adapted(path, lines, adapter, silent):
             self.events += 1
-            if (warning := self._fragmentation.note(event)) is not None:
-                log.warning("%s", warning)
             yield event
 
     def _adapted(
