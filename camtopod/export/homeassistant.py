@@ -20,8 +20,6 @@ DISCOVERY = "homeassistant"
 """Home Assistant's default topic prefix for discovery."""
 PREFIX = "camtopod"
 """Default first level of the state topics."""
-STATE_CHARACTERS_MAX = 255
-"""Longest state that Home Assistant accepts."""
 LEAVES_SITE = "leaves"
 """State in place of a camera if the object probably leaves the site."""
 NO_CAMERA = "none"
@@ -224,7 +222,7 @@ def _device(site: str, camera: str) -> dict[str, Any]:
 
 
 def _alarm(alarm: Alarm) -> dict[str, Any]:
-    text = f"{alarm.kind} {alarm.subject}"[:STATE_CHARACTERS_MAX]
+    text = f"{alarm.kind} {alarm.subject}"[:255]  # Home Assistant takes no more
     return {"alarm": text, "detail": alarm.detail, "version": alarm.version, "at": _iso(alarm.t)}
 
 

@@ -23,15 +23,10 @@ Place = tuple[float, float]
 
 OVERLAPPED_LENGTH = 0.7
 """Length of an edge between overlapping views; an unseen path has length 1."""
-ROUNDS_FRESH = 60
-ROUNDS_MOVED = 25
 MARGIN = 0.9
 """Space between connected parts."""
-SINGLE_WIDE = 0.8
-SINGLE_HIGH = 0.7
+SINGLE = (0.8, 0.7)
 """Width and height of the space of a camera that is joined with no other."""
-WIDE = 1.6
-"""Ratio of width to height that the packed parts aim at."""
 
 
 def places(
@@ -90,11 +85,13 @@ def _one_part(apart: Floats, held: list[Place | None]) -> Floats:
         for k in np.flatnonzero(~known):
             near = known & (apart[k] <= apart[k][known].min() + 1e-9)
             at[k] = at[near].mean(0) + 0.3 * np.array([np.cos(2.4 * k), np.sin(2.4 * k)])
-        return _majorised(apart, at, ROUNDS_MOVED)
+        return _majorised(apart, at, rounds=25)
 
     # Afresh, with the longer side horizontal.
-    at = _majorised(apart, _scaled(apart), ROUNDS_FRESH)
-    return at if np.ptp(at[:, 0]) >= np.ptp(at[:, 1]) else at[:, ::-1].copy()
+    at = _majorised(apart, _scaled(apart), rounds=60)
+    if np.ptp(at[:, 0]) < np.ptp(at[:, 1]):
+        at = at[:, ::-1].copy()
+    return at
 
 
 def _scaled(apart: Floats) -> Floats:
@@ -144,8 +141,8 @@ def _pack(at: Floats, parts: list[NDArray[np.intp]]) -> None:
     joined = [rows for rows in parts if len(rows) > 1]
     single = [int(rows[0]) for rows in parts if len(rows) == 1]
     sizes = [np.ptp(at[rows], axis=0) + MARGIN for rows in joined]
-    total = sum(float(size.prod()) for size in sizes) + len(single) * SINGLE_WIDE * SINGLE_HIGH
-    width = max([float((total * WIDE) ** 0.5), *(float(size[0]) for size in sizes)])
+    total = sum(float(size.prod()) for size in sizes) + len(single) * SINGLE[0] * SINGLE[1]
+    width = max([float((total * 1.6) ** 0.5), *(float(size[0]) for size in sizes)])
 
     # Parts of several cameras.
     x = y = shelf = 0.0
@@ -160,8 +157,8 @@ def _pack(at: Floats, parts: list[NDArray[np.intp]]) -> None:
 
     # Single cameras, in rows of nearly the same length, each centred.
     if single:
-        rows_of_singles = -(-len(single) // max(1, round(width / SINGLE_WIDE)))
+        rows_of_singles = -(-len(single) // max(1, round(width / SINGLE[0])))
         for k, row in enumerate(np.array_split(single, rows_of_singles)):
             middle = np.arange(len(row)) - (len(row) - 1) / 2
-            at[row, 0] = width / 2 + SINGLE_WIDE * middle
-            at[row, 1] = y + shelf + SINGLE_HIGH * (k + 0.5)
+            at[row, 0] = width / 2 + SINGLE[0] * middle
+            at[row, 1] = y + shelf + SINGLE[1] * (k + 0.5)

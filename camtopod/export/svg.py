@@ -15,19 +15,12 @@ UNIT = 130.0
 """Length of an unseen path in units of the drawing (pixels, if it is not scaled)."""
 RADIUS = 11.0
 """Radius of a camera's circle."""
-MARGIN_X = 90.0
-MARGIN_Y = 60.0
-"""Space between the outermost cameras and the border."""
+MARGIN = (90.0, 60.0)
+"""Space between the outermost cameras and the border, at the sides and above and below."""
 WIDTHS = (1.2, 7.0)
 """Widths of the lines with least and most transitions."""
-CHARACTER = 7.5
-"""Width of a character of a name, at most."""
-TIME_CHARACTER = 6.2
-"""Width of a character of a transit time, on average."""
 LINE = 16.0
 """Height of a line of text."""
-CELL = 64.0
-"""Size of the cells in which `_Taken` looks for boxes."""
 STROKE = {True: "#111513", False: "#85908a"}
 """Line colour, by whether the views overlap: black and grey in the thesis."""
 _ALONG = (0.5, 0.4, 0.6, 1 / 3, 2 / 3)
@@ -61,30 +54,6 @@ class _Box(NamedTuple):
         )
 
 
-class _Taken:
-    """The boxes that are taken, by cells, so that a new one is compared with its neighbours."""
-
-    def __init__(self) -> None:
-        self._cells: dict[tuple[int, int], list[_Box]] = {}
-
-    def add(self, box: _Box) -> None:
-        """Take a box."""
-        for cell in self._cells_of(box):
-            self._cells.setdefault(cell, []).append(box)
-
-    def is_free(self, box: _Box) -> bool:
-        """Return True if a box hits none that is taken."""
-        return not any(
-            box.hits(other) for cell in self._cells_of(box) for other in self._cells.get(cell, ())
-        )
-
-    @staticmethod
-    def _cells_of(box: _Box) -> list[tuple[int, int]]:
-        columns = range(math.floor(box.left / CELL), math.floor(box.right / CELL) + 1)
-        rows = range(math.floor(box.top / CELL), math.floor(box.bottom / CELL) + 1)
-        return [(column, row) for column in columns for row in rows]
-
-
 def to_svg(topology: Topology) -> str:
     """Return the drawing: cameras as circles, overlaps as black lines, unseen paths as grey ones.
 
@@ -102,17 +71,15 @@ def to_svg(topology: Topology) -> str:
     left, top = (min((place[axis] for place in at.values()), default=0.0) for axis in (0, 1))
     right, bottom = (max((place[axis] for place in at.values()), default=0.0) for axis in (0, 1))
     where = {
-        name: (MARGIN_X + (x - left) * UNIT, MARGIN_Y + (y - top) * UNIT)
+        name: (MARGIN[0] + (x - left) * UNIT, MARGIN[1] + (y - top) * UNIT)
         for name, (x, y) in at.items()
     }
-    width = max(2 * MARGIN_X + (right - left) * UNIT, 420.0)
-    height = 2 * MARGIN_Y + (bottom - top) * UNIT + LINE
+    width = max(2 * MARGIN[0] + (right - left) * UNIT, 420.0)
+    height = 2 * MARGIN[1] + (bottom - top) * UNIT + LINE
 
     # Lines, circles, then texts where they hit nothing.
     title = f"{topology.site}, version {topology.version}, {topology.events:,} events"
-    taken = _Taken()
-    for x, y in where.values():
-        taken.add(_Box(x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS))
+    taken = [_Box(x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS) for x, y in where.values()]
     names = [_name(name, where[name], both, where, taken) for name in sorted(where)]
     most = max((sum(way.transitions for way in ways) for ways in both.values()), default=1.0)
     lines = [_line(where[a], where[b], ways, most) for (a, b), ways in sorted(both.items())]
@@ -178,7 +145,7 @@ def _name(
     at: Point,
     both: dict[tuple[str, str], list[Edge]],
     where: dict[str, Point],
-    taken: _Taken,
+    taken: list[_Box],
 ) -> str:
     """Return the name of a camera, on the free side with fewest lines; "" if no side is free."""
     # How far lines go towards each side, as the cosine of the angle between them.
@@ -190,28 +157,28 @@ def _name(
 
     # The first free side.
     shown = name if len(name) <= 20 else name[:19] + "…"
-    half = CHARACTER * len(shown) / 2
+    half = 7.5 * len(shown) / 2  # the widest characters
     for dx, dy in sorted(_SIDES, key=lambda side: round(crowd(side), 1)):
         x = at[0] + dx * (RADIUS + half + 4)
         y = at[1] + dy * (RADIUS + LINE / 2 + 2)
         box = _Box(x - half, y - LINE / 2, x + half, y + LINE / 2)
-        if box.left >= 0 and taken.is_free(box):
-            taken.add(box)
+        if box.left >= 0 and not any(map(box.hits, taken)):
+            taken.append(box)
             return (
                 f'<text text-anchor="middle" x="{x:.1f}" y="{y + 4.5:.1f}">{_shown(shown)}</text>'
             )
     return ""
 
 
-def _times(a: Point, b: Point, ways: list[Edge], taken: _Taken) -> str:
+def _times(a: Point, b: Point, ways: list[Edge], taken: list[_Box]) -> str:
     """Return the transit times on a line, where they hit nothing; "" if nowhere."""
     text = " / ".join(_time(way) for way in ways if not way.overlapped)
-    half = TIME_CHARACTER * len(text) / 2 + 2
+    half = 6.2 * len(text) / 2 + 2  # characters of average width
     for share in _ALONG if text else ():
         x, y = (a[axis] + share * (b[axis] - a[axis]) for axis in (0, 1))
         box = _Box(x - half, y - LINE / 2, x + half, y + LINE / 2)
-        if taken.is_free(box):
-            taken.add(box)
+        if not any(map(box.hits, taken)):
+            taken.append(box)
             return (
                 f'<rect x="{box.left:.1f}" y="{box.top:.1f}" width="{2 * half:.1f}"'
                 f' height="{LINE:.0f}" rx="5" fill="#ffffff"/>'
