@@ -17,10 +17,8 @@ from camtopod import codec
 from camtopod.records import CAMERA_PATTERN, Prediction
 from camtopod.serve.bus import Bus, QueryError
 from camtopod.web.feed import Feed
-from camtopod.web.outbox import PageQueues
+from camtopod.web.outbox import BEAT_SECONDS, PageQueues
 
-BEAT_SECONDS = 10.0
-"""Longest interval between two messages of a stream; a comment is sent if there is nothing else."""
 ASKED = ("zone", "x", "y", "t", "now")
 """Parameters of a query for a prediction beside ``camera``."""
 LOOPBACK_ONLY = (

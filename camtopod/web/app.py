@@ -29,21 +29,19 @@ from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
 from camtopod.web.api import Api
 from camtopod.web.configured import Configured
+from camtopod.web.explanations import Explanations
 from camtopod.web.feed import Feed
 from camtopod.web.guards import Guard
 from camtopod.web.login import Login
-from camtopod.web.outbox import PageQueues
+from camtopod.web.outbox import BEAT_SECONDS, PageQueues
 from camtopod.web.pictures import picture_of, pictured
 
-BEAT_SECONDS = 4.0
-"""Longest interval between two messages to a page."""
 CONNECTIONS_MAX = 1_024
 """Open connections; requests on further ones are answered with 503."""
 CLOSE_SECONDS = 2
 """Time that open responses have to end when the server stops."""
-_TICK_SECONDS = 0.2
 _NOTHING = Configured()
-STATIC = resources.files("camtopod.web") / "static"
+STATIC = resources.files("camtopod.web").joinpath("static")
 
 
 class Routes:
@@ -75,8 +73,8 @@ class Routes:
         """Return one camera's zones and links, and whether there is a picture."""
         name = request.path_params["camera"]
         explanations = self._feed.explanations
-        details = explanations.camera(name) if explanations else None
-        if details is None:
+        details = explanations and explanations.camera(name)
+        if not details:
             return _json({"error": f"camera {name} is not in the newest version"}, 404)
         more = {
             "picture": self._picture_of(name) is not None,
@@ -89,20 +87,12 @@ class Routes:
         """Return the links between two cameras."""
         a = request.path_params["a"]
         b = request.path_params["b"]
-        explanations = self._feed.explanations
-        details = explanations.pair(a, b) if explanations else None
-        if details is None:
-            return _json({"error": f"the newest version has no link between {a} and {b}"}, 404)
-        return _json(details)
+        return self._explained(lambda version: version.pair(a, b), f"between {a} and {b}")
 
     def link(self, request: Request) -> Response:
         """Return one link, given by ``from``, ``to`` and ``relation``."""
         key = [request.query_params.get(name, "") for name in ("from", "to", "relation")]
-        explanations = self._feed.explanations
-        details = explanations.link(*key) if explanations else None
-        if details is None:
-            return _json({"error": f"the newest version has no link {key[0]} → {key[1]}"}, 404)
-        return _json(details)
+        return self._explained(lambda version: version.link(*key), f"{key[0]} → {key[1]}")
 
     def versions(self, request: Request) -> Response:
         """Return summaries of the versions since this server began, oldest first."""
@@ -134,6 +124,15 @@ class Routes:
         if path is None:
             return _json({"error": "no picture"}, 404)
         return FileResponse(path)
+
+    def _explained(
+        self, details_of: Callable[[Explanations], dict[str, Any] | None], ends: str
+    ) -> Response:
+        """Return details of the newest version, or that it has no link with these ends."""
+        explanations = self._feed.explanations
+        if explanations is not None and (details := details_of(explanations)) is not None:
+            return _json(details)
+        return _json({"error": f"the newest version has no link {ends}"}, 404)
 
     def _picture_of(self, camera: str) -> Path | None:
         """Return the path of a camera's picture; None if there is none that this user may read.
@@ -188,7 +187,7 @@ def application(
         async def beats() -> None:
             while True:
                 beat()
-                await asyncio.sleep(_TICK_SECONDS)
+                await asyncio.sleep(0.2)
 
         task = asyncio.create_task(beats())
         try:

@@ -15,11 +15,6 @@ from camtopod.records import CameraModel, Link, Model, Pair, Topology, Zone, Zon
 from camtopod.topology import LagBins, lacks_in_words, smooth
 from camtopod.web.map_data import nearness, why_provisional
 
-CURVE_SHARE_MIN = 0.004
-"""Share of its peak below which the fitted curve is not drawn."""
-COMMON_SHARE = 0.8
-"""Share of the transitions between the quantiles q10 and q90."""
-
 _Item = TypeVar("_Item")
 
 
@@ -168,7 +163,7 @@ def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
 
     # Samples of the curve, and the range worth drawing.
     samples = monte_carlo.observe(density, np.array([link.transit.sd]), bins, MONTE_CARLO_SEED)
-    drawn = np.flatnonzero((density[0] > CURVE_SHARE_MIN * density[0].max()) | (counts[0] > 0))
+    drawn = np.flatnonzero((density[0] > 0.004 * density[0].max()) | (counts[0] > 0))
     shown = slice(int(drawn[0]), int(drawn[-1]) + 1)
     return {
         "delay": link.histogram.delay,
@@ -204,7 +199,7 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
     if background is not None:
         span = link.transit.q90 - link.transit.q10
         unrelated = _count(background * span)
-        found = _count(COMMON_SHARE * link.transitions)
+        found = _count(0.8 * link.transitions)  # those from q10 to q90
         said.append(
             f"Within these {_seconds(span)} about {unrelated} unrelated arrivals are "
             f"expected; {found} more than that were found."

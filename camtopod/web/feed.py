@@ -47,8 +47,6 @@ INBOX_MAX = 10_000
 """Messages from the bus that wait to be processed; beyond it they are dropped and counted."""
 CAMERAS_MAX = 5_000
 """Cameras whose status is kept."""
-REASON_CHARACTERS_MAX = 500
-"""Characters kept of a camera's state and reason."""
 PREDICTIONS_PER_SECOND_MAX = 25
 """Predictions forwarded per second, of all cameras together; people cannot follow more."""
 PREDICTIONS_HELD = 20
@@ -59,8 +57,6 @@ NEXT_SHOWN = 3
 """Next cameras of a prediction that the page receives."""
 SILENT_STATUSES = 6
 """Status intervals without a status after which a daemon is not live and a grabber is silent."""
-LOOK_SECONDS = 1.0
-"""Interval of the search for cameras that have fallen silent."""
 _TICK_SECONDS = 0.2
 DAEMON = "daemon"
 WAITING = "waiting for the daemon"
@@ -221,9 +217,10 @@ class Feed:
             status = {name: one for name, one in self._status.items() if name not in ended}
             live = dict(self._live)
             daemon = self._daemon
-        known = {} if daemon is None else daemon.cameras
-        drawn = self.map.cameras if self.map is not None else {}
-        learned = {} if self.explanations is None else self.explanations.last_events
+        figures = daemon or DaemonStatus()
+        known = figures.cameras
+        drawn = self.map.cameras if self.map else {}
+        learned = self.explanations.last_events if self.explanations else {}
         rows = [
             _row(name, self._word(name, status.get(name)), known.get(name), learned.get(name))
             for name in sorted({*status, *known, *drawn})
@@ -367,8 +364,8 @@ class Feed:
         if not self._bus.connected:
             self._unheard_since = now
 
-        # Cameras, not for every message: there may be thousands.
-        if abs(now - self._looked_at_cameras) >= LOOK_SECONDS:
+        # Cameras once a second, not for every message: there may be thousands.
+        if abs(now - self._looked_at_cameras) >= 1.0:
             self._looked_at_cameras = now
             self._look_at_cameras(now)
 
@@ -377,11 +374,9 @@ class Feed:
         if not self._bus.connected:
             reason = f"the bus at {self._bus.endpoint} cannot be reached"
         elif heard is None:
-            reason = (
-                WAITING
-                if now - self._unheard_since < self._silent_seconds
-                else "no daemon has published its status yet"
-            )
+            reason = WAITING
+            if now - self._unheard_since >= self._silent_seconds:
+                reason = "no daemon has published its status yet"
         elif not abs(now - heard) < self._silent_seconds:
             reason = f"no status from the daemon for {self._silent_seconds:.0f} s"
         else:
@@ -394,9 +389,8 @@ class Feed:
                 return
             # Another reason for the same silence does not change its beginning.
             if reason != self._live["reason"] and (not reason or self._live["live"]):
-                self._live["since"] = (
-                    now if not reason else max(heard or 0.0, now - self._silent_seconds)
-                )
+                silent_since = max(heard or 0.0, now - self._silent_seconds)
+                self._live["since"] = silent_since if reason else now
             self._live = {
                 **self._live,
                 "live": not reason,
@@ -454,8 +448,8 @@ def _row(
     usual = "unknown" if counted is not None and counted.alive else "no grabber"
     return {
         "id": name,
-        "state": str(said.get("state") or usual)[:REASON_CHARACTERS_MAX],
-        "reason": str(said.get("reason") or "")[:REASON_CHARACTERS_MAX],
+        "state": str(said.get("state") or usual)[:500],
+        "reason": str(said.get("reason") or "")[:500],
         "events": None if counted is None else counted.events,
         "newest": learned if counted is None else counted.newest,
         "ahead": None if counted is None else counted.ahead,

@@ -7,9 +7,6 @@ from collections.abc import Mapping
 
 HOURS_MAX = 48
 """Hours that are kept of each camera."""
-CAMERAS_MAX = 5_000
-"""Cameras that are counted."""
-HOUR_SECONDS = 3600
 
 
 class HourlyEvents:
@@ -28,14 +25,11 @@ class HourlyEvents:
         now: Unix seconds.
         counters: events of each camera since the daemon's start.
         """
-        hour = int(now // HOUR_SECONDS)
+        hour = int(now // 3600)
         first = self._since is None
         if self._since is None:
             self._since = now
         for camera, counter in counters.items():
-            if camera not in self._counted and len(self._counted) >= CAMERAS_MAX:
-                continue
-
             # The counter starts at 0 when the daemon starts, and for a camera that is new.
             before = self._counted.get(camera, counter if first else 0)
             self._counted[camera] = counter
@@ -52,11 +46,11 @@ class HourlyEvents:
         """
         if self._since is None:
             return None
-        last = int(now // HOUR_SECONDS)
-        first = max(int(self._since // HOUR_SECONDS), last - HOURS_MAX + 1)
+        last = int(now // 3600)
+        first = max(int(self._since // 3600), last - HOURS_MAX + 1)
         held = dict(self._hours.get(camera, ()))
         return {
             "since": self._since,
-            "first": first * HOUR_SECONDS,
+            "first": first * 3600,
             "counts": [held.get(hour, 0) for hour in range(first, last + 1)],
         }

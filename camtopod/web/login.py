@@ -17,6 +17,7 @@ from urllib.parse import parse_qs
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 
+from camtopod.config import secret_files
 from camtopod.serve.runtime import Clock, clock
 
 log = logging.getLogger(__name__)
@@ -29,8 +30,6 @@ PASSWORD_CHARACTERS_MIN = 8
 """Shortest password."""
 TOKEN_CHARACTERS_MIN = 20
 """Shortest token: nothing limits how often one may be guessed."""
-FORM_BYTES_MAX = 4_096
-"""Largest login form."""
 COOKIE = "camtopod_session"
 """Name of the cookie, before the port: a browser sends cookies to all ports of a host."""
 WRONG = "That is not the password."
@@ -90,7 +89,7 @@ class Login:
         content = b""
         async for part in request.stream():
             content += part
-            if len(content) > FORM_BYTES_MAX:
+            if len(content) > secret_files.BYTES_MAX:
                 return _login_page(WRONG, 413)
         password = parse_qs(content.decode("utf-8", "replace")).get("password", [""])[0]
 

@@ -6,21 +6,17 @@ import math
 from collections.abc import Mapping
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from camtopod.export import Edge, Place, edges, places
-from camtopod.learn.settings import Settings
 from camtopod.records import Alarm, Link, Pair, PairRelation, SelfScore, Topology
-from camtopod.topology import lacks_in_words, likely_links, link_key, waiting_for_links
+from camtopod.topology import lacks_in_words, likely_links, waiting_for_links
 
 SETTLED_TRANSITIONS_MIN = 30.0
 """Transitions below which an edge is provisional.
 
 With fewer, the standard error of its median transit time is more than a fifth of the spread.
 """
-SUSPECTED_Q_MAX = 0.05
-"""Largest q value with which a weak link appears on the map, as provisional."""
-SUSPECTED_TRANSITIONS_MIN = 5.0
-"""Transitions from which a weak link appears on the map, as provisional."""
 
 
 class MapCamera(Struct, frozen=True):
@@ -75,25 +71,15 @@ class Map(Struct, frozen=True):
     """Missing evidence for the first link between views, in words; "" if there is a link."""
 
 
-class MapChange(Struct, frozen=True):
+class MapChange(Map, frozen=True, kw_only=True):
     """Difference between the map of version ``since`` and a newer one.
 
     New or changed items are complete; removed ones are given by key.
     """
 
-    site: str
-    epoch: str
     since: int
-    version: int
-    as_of: float
-    events: int
-    cameras: dict[str, MapCamera]
-    edges: dict[str, MapEdge]
     gone_cameras: list[str]
     gone_edges: list[str]
-    score: SelfScore | None
-    alarms: list[Alarm]
-    waiting: str
 
 
 def draw(topology: Topology, before: Map | None = None) -> Map:
@@ -132,20 +118,14 @@ def draw(topology: Topology, before: Map | None = None) -> Map:
 
 def change(old: Map, new: Map) -> MapChange:
     """Return what a page that shows ``old`` needs to show ``new``."""
+    fields = {name: getattr(new, name) for name in Map.__struct_fields__}
+    fields["cameras"] = {k: one for k, one in new.cameras.items() if old.cameras.get(k) != one}
+    fields["edges"] = {k: one for k, one in new.edges.items() if old.edges.get(k) != one}
     return MapChange(
-        new.site,
-        new.epoch,
-        old.version,
-        new.version,
-        new.as_of,
-        new.events,
-        {name: camera for name, camera in new.cameras.items() if old.cameras.get(name) != camera},
-        {key: edge for key, edge in new.edges.items() if old.edges.get(key) != edge},
-        [name for name in old.cameras if name not in new.cameras],
-        [key for key in old.edges if key not in new.edges],
-        new.score,
-        new.alarms,
-        new.waiting,
+        **fields,
+        since=old.version,
+        gone_cameras=[name for name in old.cameras if name not in new.cameras],
+        gone_edges=[key for key in old.edges if key not in new.edges],
     )
 
 
@@ -155,19 +135,11 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
     ways: dict[str, list[Edge]] = {}
     best: dict[str, Link] = {}
 
-    # Weak links that are worth showing, those through one view aside.
-    suspected = likely_links(topology) + [
-        link
-        for link in topology.weak_links or []
-        if link.q_value <= SUSPECTED_Q_MAX and link.transitions >= SUSPECTED_TRANSITIONS_MIN
-    ]
-    suspected = list({link_key(link): link for link in suspected}.values())
-
     # Directions of each pair, from published links first, and the link nearest to publication.
     pairs = {_key(*pair.cameras): pair for pair in topology.pairs}
-    for published, links in ((True, topology.links), (False, suspected)):
+    for published, links in ((True, topology.links), (False, likely_links(topology))):
         known = set(ways)
-        for edge in edges(_with(topology, links)):
+        for edge in edges(replace(topology, links=links, pairs=[])):
             key = _key(edge.from_, edge.to)
             if published or key not in known:
                 ways.setdefault(key, []).append(edge)
@@ -206,24 +178,12 @@ def why_provisional(pair: Pair | None, transitions: float, best: Link | None) ->
     if pair is None:
         if best is not None and best.lacks is not None:
             return f"not published yet: it lacks {lacks_in_words(best.lacks)}"
-        q_value = 1.0
-        if best is not None:
-            q_value = best.q_value
-        figure = f"q = {q_value:.2f}" if q_value >= 0.005 else "q < 0.005"
-        if q_value <= Settings().publish_q_max:
-            return (
-                f"not published: there is evidence ({figure}), "
-                "but not all rules for publishing are met yet"
-            )
-        return f"not published: it may be spurious ({figure})"
+        return "not published: not all rules for publishing are met yet"
     if transitions < SETTLED_TRANSITIONS_MIN:
         return f"new: only about {transitions:.0f} transitions are known"
-    if (
-        pair.by_lags is not None
-        and pair.by_sum_rule is not None
-        and pair.by_lags != pair.by_sum_rule
-    ):
-        return f"the two tests of its relation disagree{f' ({pair.reason})' if pair.reason else ''}"
+    if None not in (pair.by_lags, pair.by_sum_rule) and pair.by_lags != pair.by_sum_rule:
+        reason = f" ({pair.reason})" if pair.reason else ""
+        return f"the two tests of its relation disagree{reason}"
     return ""
 
 
@@ -249,23 +209,6 @@ def _joined(drawn: Mapping[str, MapEdge]) -> dict[tuple[str, str], bool]:
             a, b = key.split(" ")
             result[a, b] = edge.relation == "overlapped"
     return result
-
-
-def _with(topology: Topology, links: list[Link]) -> Topology:
-    """Return the topology with other links and no pairs."""
-    return Topology(
-        topology.schema,
-        topology.site,
-        topology.epoch,
-        topology.version,
-        topology.as_of,
-        topology.events,
-        topology.digest,
-        topology.cameras,
-        topology.zones,
-        links,
-        [],
-    )
 
 
 def _key(a: str, b: str) -> str:

@@ -13,8 +13,8 @@ BYTES_MAX = 4 << 20
 
 A version of a large site is half a megabyte. A single message may be larger than this.
 """
-PASSING_MAX = 64
-"""Waiting messages from which predictions and events are left out, so that slow pages get fewer."""
+BEAT_SECONDS = 4.0
+"""Longest interval between two messages of a stream."""
 PAGES_MAX = 64
 """Pages open at a time."""
 RESYNC = b"event: resync\ndata: {}\n\n"
@@ -29,23 +29,18 @@ class PageQueue:
 
     def __init__(self, camera: str | None) -> None:
         self.camera = camera
-        self.left_out = 0
-        """Passing messages that the page did not get."""
         self._loop = asyncio.get_running_loop()
         self._mutex = threading.Lock()
         self._messages: deque[bytes] = deque()
         self._bytes = 0
         self._something = asyncio.Event()
-        self._told = False
         self.closed = False
 
     def put(self, message: bytes, passing: bool) -> None:
         """Add a message; one that is ``passing`` may be left out. Any thread; never blocks."""
         with self._mutex:
-            if self.closed:
-                return
-            if passing and len(self._messages) >= PASSING_MAX:
-                self.left_out += 1
+            # Slow pages get fewer of the passing messages.
+            if self.closed or (passing and len(self._messages) >= MESSAGES_MAX // 4):
                 return
 
             # Too much is waiting: replace it by a request to fetch everything.
@@ -57,13 +52,13 @@ class PageQueue:
                 message = RESYNC
             self._messages.append(message)
             self._bytes += len(message)
-            self._wake()
+            self._loop.call_soon_threadsafe(self._something.set)
 
     def close(self) -> None:
         """Accept no more messages; `take` returns None. Any thread."""
         with self._mutex:
             self.closed = True
-            self._wake()
+            self._loop.call_soon_threadsafe(self._something.set)
 
     async def take(self, seconds: float) -> bytes | None:
         """Return all waiting messages joined.
@@ -76,18 +71,12 @@ class PageQueue:
             return b""
         with self._mutex:
             self._something.clear()
-            self._told = False
             if self.closed:
                 return None
             taken = b"".join(self._messages)
             self._messages.clear()
             self._bytes = 0
         return taken
-
-    def _wake(self) -> None:
-        if not self._told:
-            self._told = True
-            self._loop.call_soon_threadsafe(self._something.set)
 
 
 class PageQueues:

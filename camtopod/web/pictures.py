@@ -16,8 +16,6 @@ from camtopod.records import CAMERA_PATTERN
 
 TYPES = {".jpg": "image/jpeg", ".png": "image/png"}
 """Media type by file name extension."""
-_FOLDER_MODE = 0o750
-_FILE_MODE = 0o640
 
 
 def picture_of(folder: Path | None, camera: str) -> Path | None:
@@ -49,7 +47,7 @@ def stored_path(folder: Path, camera: str) -> Path:
 
 def make_folder(folder: Path) -> None:
     """Create the folder if it does not exist. Raises `OSError`."""
-    folder.mkdir(mode=_FOLDER_MODE, parents=True, exist_ok=True)
+    folder.mkdir(mode=0o750, parents=True, exist_ok=True)
 
 
 def store_picture(folder: Path, camera: str, jpeg: bytes) -> None:
@@ -57,4 +55,4 @@ def store_picture(folder: Path, camera: str, jpeg: bytes) -> None:
 
     Replaces an earlier one. Raises `OSError`.
     """
-    secret_files.write(stored_path(folder, camera), jpeg, _FILE_MODE)
+    secret_files.write(stored_path(folder, camera), jpeg, 0o640)

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-STATIC = resources.files("camtopod.web") / "static"
+STATIC = resources.files("camtopod.web").joinpath("static")
 FIRST = "main.js"
 """Module that the page starts with."""
 _IMPORT = re.compile(r'^import (\{[^}]*\}) from "\./([a-z]+\.js)";\n', re.MULTILINE)
