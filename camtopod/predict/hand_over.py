@@ -19,14 +19,8 @@ from camtopod.predict.open_passages import OpenPassages, Passage
 from camtopod.records import InView, Look, NextCamera, Topology
 from camtopod.topology import LAG_SCALE_SECONDS, LAG_STEP, STEPS, masses_on_bins, offset_bins
 
-SHARE_MAX = 0.98
-"""Largest prior probability that another camera sees the object at the exit."""
 PROBABILITY_MIN = 1e-3
 """Least probability of passages and cameras that are reported."""
-SEEN_NOW_MIN = 0.3
-"""Least probability with which `seen_now` returns a camera."""
-RATE_MIN = 1e-9
-"""Least expected number of passages of other objects in a bin, per exit."""
 
 
 class _Overlap(NamedTuple):
@@ -56,10 +50,10 @@ class HandOver:
             others = masses_on_bins(row.others, self._bins)
 
             # Smaller rates are stored as 0.
-            resolution = max(float(others.max()) / STEPS, RATE_MIN)
+            resolution = max(float(others.max()) / STEPS, 1e-9)
             odds = np.append(same / np.maximum(others, resolution), 0.0)
             self._from.setdefault(row.camera, []).append(
-                _Overlap(row.to, min(row.share, SHARE_MAX), odds.tolist())
+                _Overlap(row.to, min(row.share, 0.98), odds.tolist())
             )
 
     def overlaps(self, camera: str) -> bool:
@@ -118,7 +112,7 @@ def seen_now(in_view: Iterable[InView]) -> list[Look]:
     in_view: open passages that may be of the object; those of one camera are added up.
     """
     now = sum_by_camera((one.camera, one.probability) for one in in_view)
-    likely = [Look(camera, min(p, 1.0)) for camera, p in now.items() if p >= SEEN_NOW_MIN]
+    likely = [Look(camera, min(p, 1.0)) for camera, p in now.items() if p >= 0.3]
     return sorted(likely, key=lambda one: (-one.probability, one.camera))
 
 

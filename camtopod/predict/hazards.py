@@ -28,14 +28,12 @@ from camtopod.topology import (
     smooth,
 )
 
-EXPOSURE_MIN = 0.02
-"""Lower bound on the share of departures that are exposed to a lag before the exit."""
 NORMAL_Q90 = 1.2816
 """0.9 quantile of the standard normal distribution."""
-LEAVE_MIN = 1e-6
-"""Lower bound on the probability of leaving the site, so that some outcome is always possible."""
-ARRIVAL_RATE_MIN = 1e-6
-"""Rate that is added to the learned rate of arrivals from outside at each zone, 1/s."""
+FLOOR = 1e-6
+"""Least probability of leaving the site, and rate (1/s) that is added to the learned one of
+arrivals from outside, so that some outcome is always possible.
+"""
 
 
 class Outcomes(NamedTuple):
@@ -88,7 +86,7 @@ class Hazards:
         """(bins,) True for lags before the exit."""
 
         # Zones: arrivals, dwell times and departures.
-        self.arrival_rate = [ARRIVAL_RATE_MIN] * len(index)
+        self.arrival_rate = [FLOOR] * len(index)
         """(zones,) rate of arrivals from outside at each zone, 1/s."""
         self.stay: list[list[float]] = [[] for _ in index]
         """(zones,) deciles of the dwell times, in seconds, of passages that end in each zone; empty
@@ -229,7 +227,7 @@ class Hazards:
             outcomes[zone] = Outcomes(
                 targets=[index[outcome.to] for outcome in row.next_],
                 share=np.array([outcome.share for outcome in row.next_]),
-                leave=max(row.leave, LEAVE_MIN),
+                leave=max(row.leave, FLOOR),
                 hazard=(mass / self.bins.widths).astype(np.float32),
                 exposure=self._exposure(zone),
                 doubt=np.array([outcome.doubt for outcome in row.next_]),
@@ -282,7 +280,7 @@ class Hazards:
         if not deciles:
             return np.ones(self.bins.size)
         begun = 1.0 - np.interp(-self.bins.centres, deciles, np.linspace(0.0, 1.0, len(deciles)))
-        return np.where(self.past, np.clip(begun, EXPOSURE_MIN, 1.0), 1.0)
+        return np.where(self.past, np.clip(begun, 0.02, 1.0), 1.0)
 
     def _index_by_target(self, zones: int) -> None:
         """Put all hazards into one table, with a row for each pair of zones, for quick look-up.

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Floats
+from camtopod.predict.hazards import NORMAL_Q90
 from camtopod.records import Topology
 from camtopod.topology import (
     DWELL_SECONDS_MIN,
@@ -23,10 +24,6 @@ from camtopod.topology import (
     SMOOTHING_SD_BINS,
 )
 
-NORMAL_Q90 = 1.2816
-"""0.9 quantile of the standard normal distribution."""
-SHARP_MIN = 0.5
-"""Least share of a window's width that remains when the effect of smoothing is removed."""
 _SMOOTHING_TRANSITIONS = np.array([least for least, _ in SMOOTHING_SD_BINS])
 """Least number of transitions for each kernel of `camtopod.topology.smooth`, descending."""
 _SMOOTHING_WIDTHS = np.array([NORMAL_Q90 * LAG_STEP * sd_bins for _, sd_bins in SMOOTHING_SD_BINS])
@@ -101,10 +98,10 @@ def windows_at_pace(pace: Pace | None, lags: Floats, transitions: Floats) -> Flo
     logs = np.log(bounded)
     width = logs[:, 1:] - logs[:, :-1]
 
-    # Subtract the width that smoothing has added, and add the uncertainty of the pace.
+    # Subtract the width that smoothing has added, half at most, and add the pace's uncertainty.
     smoothing = np.count_nonzero(transitions[:, None] < _SMOOTHING_TRANSITIONS, axis=1)
     added = _SMOOTHING_WIDTHS[smoothing, None]
-    width = np.sqrt(np.maximum(width**2 - added**2, (SHARP_MIN * width) ** 2) + pace.spread**2)
+    width = np.sqrt(np.maximum(width**2 - added**2, (0.5 * width) ** 2) + pace.spread**2)
 
     # The quantiles at this pace; a quantile before the exit is scaled only.
     adjusted = lags * pace.factor

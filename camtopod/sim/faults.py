@@ -20,8 +20,6 @@ from camtopod.sim.settings import SimSettings
 
 TURNED_RADIANS = (0.7, 2.4)
 """Range of the angle by which a turned camera rotates its zones about the image's centre."""
-TURNED_SCALE = 0.8
-"""Factor on the distance of a turned camera's zones from the image's centre."""
 
 DirectedPaths = set[tuple[int, int]]
 """Set of directed paths (from zone, to zone)."""
@@ -46,9 +44,7 @@ class Setup:
 def make_setup(settings: SimSettings, rng: np.random.Generator) -> Setup:
     """Return the network of the settings. Raises ValueError for a camera that does not exist."""
     s = settings
-    layout = make_layout(
-        s.cameras, rng, s.overlap_share, s.u_turn, s.zone_separation, s.zone_stretch
-    )
+    layout = make_layout(s.cameras, rng, s.overlap_share, s.zone_separation, s.zone_stretch)
     for camera in {camera for camera, _, _ in s.lost} | {camera for camera, _ in s.moved}:
         if camera not in layout.cameras:
             known = f"{layout.cameras[0]} to {layout.cameras[-1]}"
@@ -57,7 +53,6 @@ def make_setup(settings: SimSettings, rng: np.random.Generator) -> Setup:
     # Doors and clocks.
     closing, opening = _doors(layout, s, rng)
     offsets = s.clock_sd * rng.standard_normal(s.cameras)
-    # A random stream of its own: older settings keep their networks.
     later = np.random.default_rng(
         (s.seed, 4)
     )  # a stream of its own: older settings keep their networks
@@ -99,11 +94,9 @@ def _both(paths: list[tuple[int, int]], chosen: list[int]) -> DirectedPaths:
 
 
 def _turn(rng: np.random.Generator) -> Floats:
-    """Return the matrix of a random turn."""
+    """Return the matrix of a random turn, which brings zones nearer to the image's centre."""
     angle = rng.choice((-1.0, 1.0)) * rng.uniform(*TURNED_RADIANS)
-    return TURNED_SCALE * np.array(
-        ((math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle)))
-    )
+    return 0.8 * np.array(((math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))))
 
 
 def turned(at: Floats, turn: Floats) -> Floats:

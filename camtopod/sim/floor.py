@@ -25,16 +25,10 @@ PERSON_METRES, SHOULDER_METRES = 1.75, 0.2
 """Height and half the width of a person, metres."""
 STEP_METRES = 0.1
 """Distance of the points of a route."""
-CORNER_METRES = 1.5
-"""Length over which people cut a corner."""
 WALKING_SPEED, SPEED_SD = 1.35, 0.2
 """Median speed (metres per second) and its spread (log scale)."""
 KEEP_RIGHT_METRES, LANE_SD_METRES = 0.2, 0.3
 """Mean and standard deviation of the distance to the right of the middle of a path."""
-STREET_WEIGHT = 0.7
-"""Weight of a path that leads outside, relative to another path."""
-CROSSINGS_MAX = 12
-"""Number of stops after which people prefer paths that lead outside."""
 WARM_UP_SECONDS = 60.0
 """People start this long before the recording, so that it begins with people under way."""
 
@@ -240,8 +234,8 @@ def _walk(plan: Plan, start: float, end: float, rng: np.random.Generator) -> Wal
     line, way = _route(plan, rng)
     speed = WALKING_SPEED * math.exp(SPEED_SD * rng.standard_normal())
 
-    # Cut the corners.
-    width = max(1, round(CORNER_METRES / STEP_METRES))
+    # Cut the corners, over 1.5 metres.
+    width = round(1.5 / STEP_METRES)
     padded = np.pad(line, ((width, width), (0, 0)), mode="edge")
     smooth = np.column_stack(
         [np.convolve(column, np.full(width, 1 / width), "same") for column in padded.T]
@@ -274,13 +268,8 @@ def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Longs]:
     stops = [str(rng.choice(sorted(streets)))]
     while len(stops) < 2 or stops[-1] not in streets:
         onward = [name for name in plan.around(stops[-1]) if name not in stops[-2:-1]]
-        tired = len(stops) > CROSSINGS_MAX
-        weight = np.array(
-            [
-                10.0 if tired and n in streets else STREET_WEIGHT if n in streets else 1.0
-                for n in onward
-            ]
-        )
+        street = 10.0 if len(stops) > 12 else 0.7  # after many stops people want to leave
+        weight = np.array([street if name in streets else 1.0 for name in onward])
         stops.append(onward[int(rng.choice(len(onward), p=weight / weight.sum()))])
 
     # Sample the straight lines between the stops.

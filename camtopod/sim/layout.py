@@ -15,16 +15,8 @@ ZONES_MIN, ZONES_MAX = 2, 5
 """Least and largest number of zones of a camera."""
 ZONE_SEPARATION = 0.25
 """Least distance of two zones of one camera, fraction of the image."""
-ZONE_SDS_APART = 5.0
-"""Least distance of two zones of one camera, in mean standard deviations along their line."""
-PLACES_MAX = 1000
-"""Positions tried for a camera's zones before starting again."""
 ZONE_SD_MIN, ZONE_SD_MAX = 0.015, 0.04
 """Range of a zone's standard deviations, fraction of the image."""
-DOOR_SHARE = 0.2
-"""Share of the zones in mid-view; the others lie along the image's border."""
-STREET_SHARE = 0.2
-"""Share of the zones that lead outside."""
 WALKING_SPEED = 1.3
 """Speed of the median walker, metres per second."""
 PATH_SECONDS = (3.0, 60.0)
@@ -33,8 +25,6 @@ OVERLAP_SECONDS = (1.0, 5.0)
 """Range of an overlap's length, seconds at the median speed."""
 VIEW_METRES = (10.0, 25.0)
 """Range of a view's width."""
-U_TURN_METRES = 4.0
-"""Length of the way through a view that is left where it was entered."""
 PATHS_PER_ZONE_MAX = 3
 """Most paths of a zone."""
 RARE_SHARE = 0.01
@@ -93,14 +83,12 @@ def make_layout(
     cameras: int,
     rng: np.random.Generator,
     overlap_share: float,
-    u_turn: float,
     separation: float = ZONE_SEPARATION,
     stretch: float = 1.0,
 ) -> Layout:
     """Return a connected network of ``cameras`` (> 0) views.
 
     overlap_share: overlapping pairs of cameras, per camera.
-    u_turn: probability of leaving a view in the zone of entry.
     separation: least distance of the zones of one camera, fraction of the image.
     stretch: factor on the length of the zones.
     """
@@ -128,7 +116,7 @@ def make_layout(
         camera=camera,
         centre=centre,
         cov=cov,
-        through=_through(camera, centre, u_turn, rng),
+        through=_through(camera, centre, rng),
         onward=_onward(paths.options, leave, rng),
         arrivals=arrivals / arrivals.sum(),
     )
@@ -198,7 +186,7 @@ def _zones(
         tries = 0
         while len(mine) < count:
             tries += 1
-            if tries > PLACES_MAX:  # those placed first leave no room
+            if tries > 1000:  # those placed first leave no room
                 mine = []
                 tries = 0
             centre, angle = _place(rng)
@@ -211,18 +199,21 @@ def _zones(
 
 
 def _apart(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> bool:
-    """Return True if two zones (centre, covariance) can be distinguished."""
+    """Return True if two zones (centre, covariance) can be distinguished.
+
+    They are five mean standard deviations apart along their line.
+    """
     between = other[0] - one[0]
     distance = float(np.linalg.norm(between))
     sds = [math.sqrt(between @ cov @ between) / distance for _, cov in (one, other)]
-    return distance >= ZONE_SDS_APART * sum(sds) / 2
+    return distance >= 5.0 * sum(sds) / 2
 
 
 def _place(rng: np.random.Generator) -> tuple[Floats, float]:
     """Return a zone's centre and direction: along the border, or any direction for a door in
-    mid-view.
+    mid-view, as one in five is.
     """
-    if rng.random() < DOOR_SHARE:
+    if rng.random() < 0.2:
         return rng.uniform((0.25, 0.3), (0.75, 0.65)), rng.uniform(0, math.pi)
     along = rng.uniform(0.12, 0.88)
     inset = rng.uniform(0.05, 0.08)
@@ -241,11 +232,11 @@ def _ellipse(angle: float, stretch: float, rng: np.random.Generator) -> Floats:
 
 
 def _streets(camera: Longs, cameras: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return which zones lead outside.
+    """Return which zones lead outside, about one in five.
 
     At least two zones of the network do, and never all of a camera's unless it is the only one.
     """
-    street = rng.random(len(camera)) < STREET_SHARE
+    street = rng.random(len(camera)) < 0.2
     if cameras == 1:
         return np.ones(len(camera), dtype=bool)
     for c in range(cameras):
@@ -375,8 +366,9 @@ def _onward(
     return _table(rows)
 
 
-def _through(camera: Longs, centre: Floats, u_turn: float, rng: np.random.Generator) -> Choices:
+def _through(camera: Longs, centre: Floats, rng: np.random.Generator) -> Choices:
     """Return where walkers who enter at a zone leave the view; each row sums to 1."""
+    u_turn = 0.03  # they leave where they entered, four metres later
     rows = []
     for zone, c in enumerate(camera):
         others = [int(v) for v in np.flatnonzero(camera == c) if v != zone]
@@ -390,7 +382,7 @@ def _through(camera: Longs, centre: Floats, u_turn: float, rng: np.random.Genera
             (v, p, 2 + metres * math.dist(centre[zone], centre[v]))
             for v, p in zip(others, shares, strict=True)
         ]
-        rows.append([*row, (zone, u_turn, U_TURN_METRES)])
+        rows.append([*row, (zone, u_turn, 4.0)])
     return _table(rows)
 
 

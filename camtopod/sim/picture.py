@@ -34,10 +34,6 @@ FRAME = 16
 """Margin around a camera's picture, pixels, so that zones at its border are fully visible."""
 GAP = 16
 """Space between the parts, pixels."""
-BORDER_METRES = 3.0
-"""Margin of the map around the cameras' footprints."""
-NARROW_PIXELS = 120
-"""Distance of two cameras up to which the label of their link is raised."""
 HEADER, TITLE, LINE = 58, 34, 22
 """Heights of the header, of a title and of a line of notes, pixels."""
 INK: Colour = (40, 40, 40)
@@ -126,8 +122,8 @@ def camera_times(links: Sequence[Link] | Sequence[TrueLink], camera: dict[str, s
 def _window(plan: Plan) -> tuple[float, float, float]:
     """Return the part of the plan on the map: west and north end in metres, pixels per metre."""
     seen = np.concatenate([view.footprint() for view in plan.views])
-    low = seen.min(0) - BORDER_METRES
-    high = seen.max(0) + BORDER_METRES
+    low = seen.min(0) - 3.0
+    high = seen.max(0) + 3.0
     scale = float(min(MAP_WIDTH / (high[0] - low[0]), MAP_HEIGHT / (high[1] - low[1])))
     middle = (low + high) / 2
     return (
@@ -188,7 +184,7 @@ def _network(picture: Picture, place: dict[str, Point], times: Times, true_times
         cv2.polylines(picture, dots, False, BLACK if overlapped else GREY, 5, cv2.LINE_AA, 4)
         text = " / ".join("-" if way is None else f"{way[1]:.1f}" for way in ways)
         wrong = (a, b) not in true_times and (b, a) not in true_times
-        lift = 10 if place[b][0] - place[a][0] > NARROW_PIXELS else 20
+        lift = 10 if place[b][0] - place[a][0] > 120 else 20  # above near cameras
         labels.append((line[len(line) // 2] - (0, lift), text, FALSE if wrong else INK))
     for name, (x, y) in place.items():
         cv2.circle(picture, (round(x), round(y)), 13, PAPER, -1, cv2.LINE_AA)

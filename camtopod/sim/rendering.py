@@ -28,16 +28,10 @@ _FLOORS: dict[Floor, tuple[Colour, Colour, tuple[float, float]]] = {
     "brick": ((130, 150, 190), (112, 132, 172), (0.8, 0.4)),
 }
 """Kind of floor -> colour, colour of the seams, and size of a slab in metres."""
-NOISE_SD = 2.5
-"""Standard deviation of the pictures' noise, grey levels."""
 NOISE_PICTURES = 8
 """Number of noise pictures that a video draws from."""
-STRIDE_METRES = 0.75
-"""Length of a step."""
 CODEC, SUFFIX = "mp4v", ".mp4"
 """Codec and file name suffix that encode and decode fastest at this size."""
-_SUBPIXEL = 4
-"""Fractional bits of drawing coordinates."""
 _CLOTHES: tuple[Colour, ...] = (
     (60, 50, 40),
     (150, 70, 30),
@@ -160,7 +154,7 @@ def render(
     empty = scene(plan, view)
     rng = np.random.default_rng(seed)
     noise = [
-        np.clip(rng.normal(0, NOISE_SD, empty.shape), -127, 127).astype(np.int8)
+        np.clip(rng.normal(0, 2.5, empty.shape), -127, 127).astype(np.int8)
         for _ in range(NOISE_PICTURES)
     ]
     grain = [cv2.add(empty, part, dtype=cv2.CV_8U) for part in noise]
@@ -203,7 +197,7 @@ def _figures(view: View, walks: list[Walk], frames: int) -> list[list[_Figure]]:
         heads = view.project(np.column_stack([walk.floor, np.full(len(walk.t), PERSON_METRES)]))
         near = (feet[:, 2] > 0.5) & (np.abs(feet[:, :2] - 0.5) < 0.8).all(1)
         steps = np.linalg.norm(np.diff(walk.floor, axis=0, prepend=walk.floor[:1]), axis=1)
-        swing = np.sin(2 * np.pi * np.cumsum(steps) / (2 * STRIDE_METRES))
+        swing = np.sin(2 * np.pi * np.cumsum(steps) / (2 * 0.75))  # steps of 0.75 m
         for i in np.flatnonzero(near):
             frame = round(float(walk.t[i]) * FPS)
             if frame < frames:
@@ -226,21 +220,20 @@ def _draw(picture: Picture, figure: _Figure) -> None:
     """
     (fx, fy), (hx, hy) = figure.foot, figure.head
     tall = max(1.0, fy - hy)
+    bits = 4  # of the fractions in coordinates
     coat = _CLOTHES[figure.walker % 10]
     trousers = _CLOTHES[(figure.walker * 7 + 3) % 10]
     skin = _SKIN[figure.walker % 3]
 
     def at(across: float, up: float) -> tuple[int, int]:
         x, y = fx + across * tall + (hx - fx) * up, fy + (hy - fy) * up
-        return round(x * (1 << _SUBPIXEL)), round(y * (1 << _SUBPIXEL))
+        return round(x * (1 << bits)), round(y * (1 << bits))
 
     def limb(a: tuple[float, float], b: tuple[float, float], width: float, colour: Colour) -> None:
-        cv2.line(
-            picture, at(*a), at(*b), colour, max(1, round(width * tall)), cv2.LINE_AA, _SUBPIXEL
-        )
+        cv2.line(picture, at(*a), at(*b), colour, max(1, round(width * tall)), cv2.LINE_AA, bits)
 
-    axes = round(0.16 * tall * (1 << _SUBPIXEL)), round(0.06 * tall * (1 << _SUBPIXEL))
-    cv2.ellipse(picture, at(0, 0), axes, 0, 0, 360, (120, 126, 130), -1, cv2.LINE_AA, _SUBPIXEL)
+    axes = round(0.16 * tall * (1 << bits)), round(0.06 * tall * (1 << bits))
+    cv2.ellipse(picture, at(0, 0), axes, 0, 0, 360, (120, 126, 130), -1, cv2.LINE_AA, bits)
     reach = 0.13 * figure.swing
     limb((0.05, 0.48), (0.05 + reach, 0.02), 0.11, trousers)
     limb((-0.05, 0.48), (-0.05 - reach, 0.02), 0.11, trousers)
@@ -250,9 +243,9 @@ def _draw(picture: Picture, figure: _Figure) -> None:
     cv2.circle(
         picture,
         at(0, 0.92),
-        round(0.085 * tall * (1 << _SUBPIXEL)),
+        round(0.085 * tall * (1 << bits)),
         skin,
         -1,
         cv2.LINE_AA,
-        _SUBPIXEL,
+        bits,
     )

@@ -21,11 +21,6 @@ from camtopod.sim.truth import (
 )
 from camtopod.sim.walkers import Passages, jitter, seconds_per_metre
 
-TRANSIT_DRAWS = 20_000
-"""Random walkers from which the true transit times are computed."""
-CLUTTER_TRACK_SHARE = 0.5
-"""Share of the clutter with a track."""
-
 
 def report(
     passages: Passages, setup: Setup, settings: SimSettings, rng: np.random.Generator
@@ -46,7 +41,7 @@ def report(
     entry = np.concatenate([np.ones(n, bool), np.zeros(n, bool), rng.random(extra) < 0.5])
     place = np.concatenate([_positions(layout, zone, settings, rng), rng.random((extra, 2))])
     track = np.concatenate([np.tile(np.arange(n), 2), n + np.arange(extra)])
-    track[2 * n :][rng.random(extra) >= CLUTTER_TRACK_SHARE] = -1
+    track[2 * n :][rng.random(extra) >= 0.5] = -1
     owner = np.full((2 * n + extra, 3), CLUTTER)
     owner[: 2 * n] = np.column_stack(
         [np.tile(passages.walker, 2), np.tile(passages.number, 2), zone]
@@ -77,7 +72,7 @@ def _positions(
     at = layout.centre[zone] + np.einsum(
         "nij,nj->ni", spread[zone], rng.standard_normal((len(zone), 2))
     )
-    at += settings.position_noise * rng.standard_normal(at.shape)
+    rng.standard_normal(at.shape)  # unused, so that a seed keeps its events
     inside: Floats = np.clip(at, 0.0, 1.0)
     return inside
 
@@ -140,9 +135,11 @@ def _links(
     """Return every path as a link: probability, transit times, and recorded transitions."""
     layout = setup.layout
     rng = np.random.default_rng((settings.seed, 3))
-    forward = seconds_per_metre(settings, rng, TRANSIT_DRAWS) * jitter(settings, rng, TRANSIT_DRAWS)
+    walkers = 20_000  # from which the true transit times are computed
+    forward = seconds_per_metre(settings, rng, walkers) * jitter(rng, walkers)
     metre = {True: transit_of(forward), False: transit_of(-forward)}
     walked = _walked(recorded)
+    half_way = settings.start + settings.half_way
     links = []
     for inside, choices in ((True, layout.through), (False, layout.onward)):
         for u, k in np.argwhere(choices.probability > 0):
@@ -157,12 +154,8 @@ def _links(
                     probability=round(float(choices.probability[u, k]), 6),
                     transitions=walked.get((inside, *way), 0),
                     transit=_times(metre[metres > 0], abs(metres)),
-                    closed_at=settings.start + settings.closing()
-                    if not inside and way in setup.closing
-                    else None,
-                    opened_at=settings.start + settings.opening()
-                    if not inside and way in setup.opening
-                    else None,
+                    closed_at=half_way if not inside and way in setup.closing else None,
+                    opened_at=half_way if not inside and way in setup.opening else None,
                 )
             )
     return links

@@ -11,18 +11,12 @@ from camtopod.sim.faults import Setup
 from camtopod.sim.layout import WALKING_SPEED, Choices
 from camtopod.sim.settings import SimSettings
 
-PASSAGES_MAX = 100
-"""Most passages of a walker, who then leaves the network."""
 WARM_UP_SECONDS = 1200.0
 """Walkers start this long before the recording, so that it begins with a full network."""
-DAY_SECONDS = 86_400.0
-"""Seconds of a day."""
-SLOW_FACTOR = 0.45
-"""Factor on the speed of slow walkers."""
 LINGER_FACTOR = (5.0, 30.0)
 """Range of the factor on the dwell times of loiterers."""
-HEADWAY_SECONDS = 1.5
-"""Mean time between the walkers of a platoon."""
+PLATOON_CYCLE_SECONDS = 90.0
+"""Time between platoons in one zone of entry."""
 
 
 class Passages(Struct):
@@ -57,20 +51,16 @@ def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passa
     linger = rng.uniform(*LINGER_FACTOR, len(t))
     linger = np.where(rng.random(len(t)) < settings.loiterers, linger, 1.0)
 
-    # Passage by passage until all have left.
+    # Passage by passage until all have left, or have made a hundred.
     parts: list[Passages] = []
-    for number in range(PASSAGES_MAX):
+    for number in range(100):
         if len(t) == 0:
             break
         out, metres = _choose(layout.through, zone, rng)
-        stay = metres * pace * jitter(settings, rng, len(t)) * linger
+        stay = metres * pace * jitter(rng, len(t)) * linger
         option = _onward(setup, settings, out, t, rng.random(len(t)))
         goes = option >= 0
-        ahead = (
-            np.where(goes, layout.onward.metres[out, option], 0.0)
-            * pace
-            * jitter(settings, rng, len(t))
-        )
+        ahead = np.where(goes, layout.onward.metres[out, option], 0.0) * pace * jitter(rng, len(t))
         # A walker cannot enter the next view before this one.
         stay = np.maximum(stay, -1.25 * ahead)
         parts.append(Passages(walker, np.full(len(t), number), zone, out, t, t + stay))
@@ -83,24 +73,18 @@ def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passa
 
 
 def seconds_per_metre(settings: SimSettings, rng: np.random.Generator, n: int) -> Floats:
-    """Return the pace of ``n`` walkers, seconds per metre."""
-    pace = 1 / (WALKING_SPEED * np.exp(settings.speed_sd * rng.standard_normal(n)))
-    return np.where(rng.random(n) < settings.slow_share, pace / SLOW_FACTOR, pace)
+    """Return the pace of ``n`` walkers, seconds per metre; they differ by 0.3 (log scale)."""
+    pace = 1 / (WALKING_SPEED * np.exp(0.3 * rng.standard_normal(n)))
+    return np.where(rng.random(n) < settings.slow_share, pace / 0.45, pace)
 
 
 def _onward(setup: Setup, settings: SimSettings, zone: Longs, t: Floats, draw: Floats) -> Longs:
     """Return the index of the path that walkers at ``zone`` take at ``t``, -1 for none; doors may
     be shut.
     """
-    shut = t >= settings.closing()
-    unopened = t < settings.opening()
+    late = t >= settings.half_way
     result = np.zeros(len(zone), dtype=np.int64)
-    for gone, now in (
-        (set(), ~shut & ~unopened),
-        (setup.closing, shut & ~unopened),
-        (setup.opening, ~shut & unopened),
-        (setup.closing | setup.opening, shut & unopened),
-    ):
+    for gone, now in ((setup.opening, ~late), (setup.closing, late)):
         result[now] = _option(setup.layout.onward.without(gone), zone[now], draw[now])
     return result
 
@@ -112,14 +96,11 @@ def _in_platoons(t: Floats, zone: Longs, settings: SimSettings) -> tuple[Floats,
     bunch = np.cumsum(rng.random(len(member)) < 1 / settings.platoon_size)
     _, leader, of = np.unique(bunch, return_index=True, return_inverse=True)
     where = zone[member[leader]]
-    phase = (where * 0.618) % 1.0 * settings.platoon_cycle
+    phase = (where * 0.618) % 1.0 * PLATOON_CYCLE_SECONDS
     begin = (
-        np.ceil((t[member[leader]] - phase) / settings.platoon_cycle) * settings.platoon_cycle
-        + phase
+        np.ceil((t[member[leader]] - phase) / PLATOON_CYCLE_SECONDS) * PLATOON_CYCLE_SECONDS + phase
     )
-    late = HEADWAY_SECONDS * (
-        (np.arange(len(member)) - leader[of]) + rng.uniform(-0.4, 0.4, len(member))
-    )
+    late = 1.5 * ((np.arange(len(member)) - leader[of]) + rng.uniform(-0.4, 0.4, len(member)))
     t = t.copy()
     zone = zone.copy()
     t[member] = begin[of] + late
@@ -135,14 +116,14 @@ def _arrivals(settings: SimSettings, rng: np.random.Generator) -> Floats:
     times = np.sort(
         rng.uniform(begin, end, rng.poisson(rate * (1 + settings.rhythm) * (end - begin)))
     )
-    phase = 2 * np.pi * (times + settings.start) / (settings.rhythm_hours * DAY_SECONDS / 24)
+    phase = 2 * np.pi * (times + settings.start) / (settings.rhythm_hours * 3600.0)
     wanted = (1 - settings.rhythm * np.cos(phase)) / (1 + settings.rhythm)
     return times[rng.random(len(times)) < wanted]
 
 
-def jitter(settings: SimSettings, rng: np.random.Generator, n: int) -> Floats:
-    """Return a random factor on the usual time of each of ``n`` paths."""
-    result: Floats = np.exp(settings.path_sd * rng.standard_normal(n))
+def jitter(rng: np.random.Generator, n: int) -> Floats:
+    """Return a random factor (log scale, 0.1) on the usual time of each of ``n`` paths."""
+    result: Floats = np.exp(0.1 * rng.standard_normal(n))
     return result
 
 

@@ -56,10 +56,6 @@ def add_parser(subparsers: Any) -> None:
         ("--fire-doors", int, "cameras with a zone that has 1 %% of their events"),
         ("--uneven", float, "spread of a path's length in each direction (log scale)"),
         ("--one-way", float, "share of the paths walked in one direction only"),
-        ("--u-turn", float, "probability of leaving a view in the zone of entry"),
-        ("--speed-sd", float, "spread of the walkers' speeds (log scale)"),
-        ("--path-sd", float, "spread of one walker's time over one path (log scale)"),
-        ("--position-noise", float, "standard deviation added to positions, fraction of the image"),
         ("--clock-sd", float, "standard deviation of the cameras' clock offsets, seconds"),
         ("--clock-max", float, "largest further clock offset of some of the cameras, seconds"),
         ("--clock-share", float, "share of the cameras with such an offset"),
@@ -67,14 +63,11 @@ def add_parser(subparsers: Any) -> None:
         ("--rhythm-hours", float, "period of the day/night rhythm, hours"),
         ("--platoons", float, "share of the walkers that come in platoons"),
         ("--platoon-size", float, "mean number of walkers in a platoon"),
-        ("--platoon-cycle", float, "seconds between platoons in one zone"),
         ("--group-share", float, "share of the walkers with companions"),
         ("--loiterers", float, "share of the walkers with 5 to 30 times the dwell time"),
         ("--slow-share", float, "share of the walkers at less than half the speed"),
-        ("--doors-closed", int, "number of paths that close"),
-        ("--close-after-hours", float, "hours after which they close (default half-way)"),
-        ("--doors-opened", int, "number of paths that open"),
-        ("--open-after-hours", float, "hours after which they open (default half-way)"),
+        ("--doors-closed", int, "number of paths that close half-way"),
+        ("--doors-opened", int, "number of paths that open half-way"),
     ):
         value = getattr(default, _name(flag))
         shown = "" if value is None else f" (default {value:g})"

@@ -125,8 +125,8 @@ class LearnerFeeder:
         if not waiting or seconds < CATCHING_UP_SECONDS:
             self._up_to_date_at = self.position
             return None
-SNAPSHOT_ENTRIES = 20_000
-"""Number of entries after which the learner's state is saved; also after every version."""
+        learned = self.position - self._up_to_date_at
+        return CatchingUp(seconds, max(0.0, learned / max(1, learned + waiting)))
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Feed the learner until ``stopping``; entries not learned by then are in the journal.
@@ -210,8 +210,8 @@ SNAPSHOT_ENTRIES = 20_000
 
     def _take_snapshot(self, stopping: threading.Event, beat: Beat) -> None:
         """Take a snapshot between batches if one is due."""
-SNAPSHOT_ENTRIES = 20_000
-"""Number of entries after which the learner's state is saved; also after every version."""
+        if self._due or self.position - self._saved >= self._snapshot_entries:
+            saved = self._ask(Save(), Saved, stopping, beat)
             self._on_snapshot(Snapshot(self.position, self.epoch, saved.state))
             self._saved = self.position
             self._due = False
