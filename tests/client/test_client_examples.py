@@ -28,7 +28,7 @@ LINES_MAX = 10
 """Without imports."""
 
 
-def said(
+def printed(
     hub: Hub, name: str, events: list[Event], looks: dict[str, list[float]] | None = None
 ) -> list[str]:
     """Return the output of an example for these events, with an appearance for each track."""
@@ -55,7 +55,8 @@ def walk(track: int, t: float, to: str) -> list[Event]:
 
 def test_where_next(hub: Hub) -> None:
     found = re.fullmatch(
-        r"a -> [bc] (\d+)%, in (\d+) to (\d+) s", said(hub, "next_camera.py", walk(1, NOW, "b"))[0]
+        r"a -> [bc] (\d+)%, in (\d+) to (\d+) s",
+        printed(hub, "next_camera.py", walk(1, NOW, "b"))[0],
     )
     assert found is not None
     chance, soonest, latest = map(int, found.groups())
@@ -103,7 +104,11 @@ def test_who_is_who(hub: Hub) -> None:
         [*walk(1, NOW, "b"), *walk(2, NOW + 6, "c"), *walk(3, NOW + 60, "b")],
         key=lambda event: event.t,
     )
-    assert sorted(said(hub, "gating.py", events)) == ["a/11 = b/12", "a/21 = c/22", "a/31 = b/32"]
+    assert sorted(printed(hub, "gating.py", events)) == [
+        "a/11 = b/12",
+        "a/21 = c/22",
+        "a/31 = b/32",
+    ]
 
 
 def test_who_is_who_by_looks_and_by_the_site(hub: Hub) -> None:
@@ -112,7 +117,7 @@ def test_who_is_who_by_looks_and_by_the_site(hub: Hub) -> None:
     looks = {"11": red, "21": blue, "12": blue, "22": red, "31": red, "32": blue}
     walks = [*walk(1, NOW, "b"), *walk(2, NOW + 0.3, "b"), *walk(3, NOW + 300, "b")]
 
-    found = said(hub, "by_looks.py", sorted(walks, key=lambda event: event.t), looks)
+    found = printed(hub, "by_looks.py", sorted(walks, key=lambda event: event.t), looks)
 
     assert sorted(found) == ["a/11 = b/22", "a/21 = b/12"]
 

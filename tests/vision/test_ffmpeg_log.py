@@ -24,7 +24,7 @@ print("data")
 """
 
 
-def said(text: str) -> None:
+def write_as_ffmpeg(text: str) -> None:
     os.write(1, text.encode())
 
 
@@ -32,9 +32,9 @@ def test_a_reason_is_heard_and_standard_output_is_itself_again(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     with captured_log() as ffmpeg_log:
-        said("[rtsp] method DESCRIBE failed: 401 Unauthorized\n")
+        write_as_ffmpeg("[rtsp] method DESCRIBE failed: 401 Unauthorized\n")
         assert "user name or password" in ffmpeg_log.newest_reason()
-    said("data\n")
+    write_as_ffmpeg("data\n")
     assert capfd.readouterr().out == "data\n"
 
 
