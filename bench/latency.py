@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import shutil
 import tempfile
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -21,6 +22,7 @@ from typing import NamedTuple
 from bench.support import ratios, site
 from bench.support.clients import client, learned_status, ready_at, result, status_of, write_events
 from bench.support.site import learned_site, running, traffic
+from camtopod.serve.ingest.merge import SETTLE_SECONDS
 
 BARE, QUIET, REFITTING = "bare zenoh", "daemon", "daemon, refitting"
 """Names of the contestants."""
@@ -69,6 +71,7 @@ class Case:
         shutil.copytree(self._learned, self._folder / "state")
         with running(self._folder, LEARN[name]) as (endpoint, _):
             before = learned_status(endpoint)
+            time.sleep(SETTLE_SECONDS)  # until then it waits for spools
             median = self._measure(name, endpoint)
             after = status_of(endpoint)
             self.rounds[name][-1] = self.rounds[name][-1]._replace(

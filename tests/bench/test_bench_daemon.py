@@ -32,7 +32,7 @@ def test_the_same_network_at_every_rate() -> None:
     ("part", "arguments"),
     [
         ("ingest", ["--events", "500"]),
-        ("latency", ["--rate", "100", "--seconds", "2"]),
+        ("latency", ["--rate", "100", "--seconds", "1"]),
         ("router", ["--events", "300", "--readers", "1", "--cameras", "4", "--rounds", "1"]),
         ("memory", ["--events", "300", "--cameras", "4"]),
     ],
