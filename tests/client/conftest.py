@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from fake_bus_daemon import Hub, a_hub
+from fake_bus_daemon import LearnedDaemon, running_learned_daemon
 
 
 @pytest.fixture(scope="session")
-def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
+def learned_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LearnedDaemon]:
     """Return a daemon that has learned, with a client that publishes."""
-    with a_hub(tmp_path_factory.mktemp("hub")) as one:
+    with running_learned_daemon(tmp_path_factory.mktemp("site")) as one:
         yield one

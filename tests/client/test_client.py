@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from fake_bus_daemon import LEFT, NOW, Hub, later, learned, put, running, there
+from fake_bus_daemon import LEFT, NOW, LearnedDaemon, later, learned, put, running, there
 from serving import (
     SPAN_SECONDS,
     T0,
@@ -33,19 +33,21 @@ from camtopod.serve.bus.session import dial
 
 
 @pytest.fixture
-def site(hub: Hub) -> Iterator[Topology]:
-    with Topology.connect(connect=hub.daemon.endpoint) as one:
+def site(learned_daemon: LearnedDaemon) -> Iterator[Topology]:
+    with Topology.connect(connect=learned_daemon.daemon.endpoint) as one:
         yield one
 
 
 # --- what is held ---------------------------------------------------------------------------------
 
 
-def test_what_has_been_learned_is_there_at_once(hub: Hub, site: Topology) -> None:
+def test_what_has_been_learned_is_there_at_once(
+    learned_daemon: LearnedDaemon, site: Topology
+) -> None:
     assert site.current is not None
-    assert hub.daemon.topology is not None
+    assert learned_daemon.daemon.topology is not None
     assert site.current.version >= 1
-    wait_for(lambda: site.current == hub.daemon.topology, "what other tests have put")
+    wait_for(lambda: site.current == learned_daemon.daemon.topology, "what other tests have put")
     assert (site.site, site.version, site.stale_since) == ("site", site.current.version, None)
     assert site.wait_for(1, 0.0) is site.current
     assert next(site.versions()) is site.current
@@ -112,9 +114,9 @@ def test_it_goes_on_when_the_daemon_comes_back(tmp_path: Path) -> None:
 # --- what is said ---------------------------------------------------------------------------------
 
 
-def test_a_prediction_is_the_daemons(hub: Hub, site: Topology) -> None:
+def test_a_prediction_is_the_daemons(learned_daemon: LearnedDaemon, site: Topology) -> None:
     said = site.predict(**LEFT, track="7")
-    (answer,) = hub.bus.query("predict/a", {"zone": said.zone, "t": NOW})
+    (answer,) = learned_daemon.bus.query("predict/a", {"zone": said.zone, "t": NOW})
     asked = read(Prediction, answer[1], pack=True)
     assert (said.camera, said.t, said.track, said.version) == ("a", NOW, "7", site.version)
     assert [one.zone for one in said.next_[:2]] == [one.zone for one in asked.next_[:2]]
@@ -136,7 +138,7 @@ def test_priors_are_those_of_the_version_held(site: Topology) -> None:
     assert odds[1, 0] < 0
 
 
-def test_what_makes_no_sense_is_said(hub: Hub, site: Topology) -> None:
+def test_what_makes_no_sense_is_said(learned_daemon: LearnedDaemon, site: Topology) -> None:
     with pytest.raises(UnknownPlace, match="no camera 'd'; there are"):
         site.predict("d", NOW, x=0.5, y=0.5)
     with pytest.raises(KeyError, match=r"no zone of a called 'b/1'; there are a/\d, a/\d"):
@@ -155,7 +157,7 @@ def test_what_makes_no_sense_is_said(hub: Hub, site: Topology) -> None:
         Topology.connect("h q")
     tls = Config(bus=BusSettings(tls=TlsSettings("ca.pem", "certificate.pem", "key.pem")))
     with pytest.raises(ValueError, match="write tls/"):
-        Topology.connect(connect=hub.daemon.endpoint, config=tls)
+        Topology.connect(connect=learned_daemon.daemon.endpoint, config=tls)
 
 
 def test_nobody_there_is_said(tmp_path: Path) -> None:
@@ -200,10 +202,12 @@ def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
 # --- the daemon's own predictions -----------------------------------------------------------------
 
 
-def test_each_exit_is_heard_of(hub: Hub, site: Topology) -> None:
+def test_each_exit_is_heard_of(learned_daemon: LearnedDaemon, site: Topology) -> None:
     with site.predictions() as everywhere, site.predictions("b", seconds=0.5) as of_b:
         there(site)
-        exits = sorted((e.camera, e.t, e.track) for e in hub.walks(5, 14) if e.kind == "exit")
+        exits = sorted(
+            (e.camera, e.t, e.track) for e in learned_daemon.walks(5, 14) if e.kind == "exit"
+        )
         heard = [everywhere.get(10.0) for _ in exits]
         assert sorted((p.camera, p.t, p.track) for p in heard if p is not None) == exits
         assert everywhere.get(0.0) is None
@@ -211,14 +215,18 @@ def test_each_exit_is_heard_of(hub: Hub, site: Topology) -> None:
             "ends when none comes for 0.5 s"
         )
         assert (everywhere.dropped, everywhere.unreadable) == (0, 0)
-        hub.bus.publish_raw("prediction/b", b"\xc1", "prediction")
+        learned_daemon.bus.publish_raw("prediction/b", b"\xc1", "prediction")
         wait_for(lambda: everywhere.unreadable == of_b.unreadable == 1, "what is no prediction")
 
 
-def test_who_does_not_read_loses_the_oldest_and_is_told(hub: Hub, site: Topology) -> None:
+def test_who_does_not_read_loses_the_oldest_and_is_told(
+    learned_daemon: LearnedDaemon, site: Topology
+) -> None:
     with site.predictions("a", waiting_max=3) as predictions:
         there(site)
-        times = sorted(e.t for e in hub.walks(10, 15) if e.kind == "exit" and e.camera == "a")
+        times = sorted(
+            e.t for e in learned_daemon.walks(10, 15) if e.kind == "exit" and e.camera == "a"
+        )
         wait_for(lambda: predictions.dropped == 7, "the oldest to be dropped")
         assert [getattr(predictions.get(0.0), "t", None) for _ in range(4)] == [*times[-3:], None]
 

@@ -6,14 +6,14 @@ import asyncio
 import time
 
 import pytest
-from fake_bus_daemon import LEFT, Hub, there
+from fake_bus_daemon import LEFT, LearnedDaemon, there
 
 from camtopod.client import aio
 
 
-def test_asyncio_has_the_same(hub: Hub) -> None:
+def test_asyncio_has_the_same(learned_daemon: LearnedDaemon) -> None:
     async def main() -> None:
-        async with aio.Topology.connect(connect=hub.daemon.endpoint) as site:
+        async with aio.Topology.connect(connect=learned_daemon.daemon.endpoint) as site:
             assert site.stale_since is None
             assert site.predict(**LEFT).next_
             assert await site.wait_for(1, 0.0) is site.current
@@ -23,7 +23,9 @@ def test_asyncio_has_the_same(hub: Hub) -> None:
             assert versions[0] >= 1
             async with site.predictions("b", seconds=0.5) as predictions:
                 there(site)
-                exits = [e.t for e in hub.walks(4, 16) if e.kind == "exit" and e.camera == "b"]
+                exits = [
+                    e.t for e in learned_daemon.walks(4, 16) if e.kind == "exit" and e.camera == "b"
+                ]
                 assert [p.t async for p in predictions] == exits
                 assert await predictions.get(0.0) is None
         assert [one.version async for one in site.versions()] == []
@@ -31,9 +33,9 @@ def test_asyncio_has_the_same(hub: Hub) -> None:
     asyncio.run(main())
 
 
-def test_what_waits_in_asyncio_can_be_cancelled(hub: Hub) -> None:
+def test_what_waits_in_asyncio_can_be_cancelled(learned_daemon: LearnedDaemon) -> None:
     async def main() -> tuple[float, int]:
-        async with aio.Topology.connect(connect=hub.daemon.endpoint) as site:
+        async with aio.Topology.connect(connect=learned_daemon.daemon.endpoint) as site:
             waiting = [
                 asyncio.create_task(site.wait_for(10**6, 60.0)),
                 asyncio.create_task(site.predictions().get()),

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_bus_daemon import NOW, Hub, learned, put, running
+from fake_bus_daemon import NOW, LearnedDaemon, learned, put, running
 from pages import blocks
 from paths import DEPLOY, EXAMPLES, ROOT
 from serving import T0, closing_event, free_endpoint, numbered, small_config, wait_for
@@ -29,10 +29,13 @@ LINES_MAX = 10
 
 
 def printed(
-    hub: Hub, name: str, events: list[Event], looks: dict[str, list[float]] | None = None
+    learned_daemon: LearnedDaemon,
+    name: str,
+    events: list[Event],
+    looks: dict[str, list[float]] | None = None,
 ) -> list[str]:
     """Return the output of an example for these events, with an appearance for each track."""
-    command = [sys.executable, str(EXAMPLES / name), hub.daemon.endpoint]
+    command = [sys.executable, str(EXAMPLES / name), learned_daemon.daemon.endpoint]
     lines = [json.loads(to_json(event)) for event in events]
     if looks is not None:
         lines = [{**line, "look": looks[line["track"]]} for line in lines]
@@ -53,10 +56,10 @@ def walk(track: int, t: float, to: str) -> list[Event]:
     ]
 
 
-def test_where_next(hub: Hub) -> None:
+def test_where_next(learned_daemon: LearnedDaemon) -> None:
     found = re.fullmatch(
         r"a -> [bc] (\d+)%, in (\d+) to (\d+) s",
-        printed(hub, "next_camera.py", walk(1, NOW, "b"))[0],
+        printed(learned_daemon, "next_camera.py", walk(1, NOW, "b"))[0],
     )
     assert found is not None
     chance, soonest, latest = map(int, found.groups())
@@ -99,32 +102,37 @@ def test_where_views_overlap_the_track_that_goes_on_is_named(tmp_path: Path) -> 
     assert all(int(share.rstrip("%")) >= 70 for _, share in found)
 
 
-def test_who_is_who(hub: Hub) -> None:
+def test_who_is_who(learned_daemon: LearnedDaemon) -> None:
     events = sorted(
         [*walk(1, NOW, "b"), *walk(2, NOW + 6, "c"), *walk(3, NOW + 60, "b")],
         key=lambda event: event.t,
     )
-    assert sorted(printed(hub, "gating.py", events)) == [
+    assert sorted(printed(learned_daemon, "gating.py", events)) == [
         "a/11 = b/12",
         "a/21 = c/22",
         "a/31 = b/32",
     ]
 
 
-def test_who_is_who_by_looks_and_by_the_site(hub: Hub) -> None:
+def test_who_is_who_by_looks_and_by_the_site(learned_daemon: LearnedDaemon) -> None:
     """Appearance decides between simultaneous exits; strangers are not joined."""
     red, blue = [1.0, 0.0, 0.2], [0.0, 1.0, 0.2]
     looks = {"11": red, "21": blue, "12": blue, "22": red, "31": red, "32": blue}
     walks = [*walk(1, NOW, "b"), *walk(2, NOW + 0.3, "b"), *walk(3, NOW + 300, "b")]
 
-    found = printed(hub, "by_looks.py", sorted(walks, key=lambda event: event.t), looks)
+    found = printed(learned_daemon, "by_looks.py", sorted(walks, key=lambda event: event.t), looks)
 
     assert sorted(found) == ["a/11 = b/22", "a/21 = b/12"]
 
 
-def test_as_it_comes(hub: Hub) -> None:
+def test_as_it_comes(learned_daemon: LearnedDaemon) -> None:
     """It follows until interrupted, and then ends completely."""
-    command = [sys.executable, "-u", str(EXAMPLES / "in_asyncio.py"), hub.daemon.endpoint]
+    command = [
+        sys.executable,
+        "-u",
+        str(EXAMPLES / "in_asyncio.py"),
+        learned_daemon.daemon.endpoint,
+    ]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as running:
@@ -134,7 +142,7 @@ def test_as_it_comes(hub: Hub) -> None:
         reader.start()
 
         def heard() -> bool:
-            hub.walks(1, 15)
+            learned_daemon.walks(1, 15)
             return any(re.match(r"a -> \['[bc]'\]", line) for line in lines)
 
         try:
@@ -147,7 +155,9 @@ def test_as_it_comes(hub: Hub) -> None:
     assert re.match(r"version \d+: \d pairs of cameras", lines[0])
 
 
-def printed_until_a_prediction(hub: Hub, block: str, lines_min: int) -> list[str]:
+def printed_until_a_prediction(
+    learned_daemon: LearnedDaemon, block: str, lines_min: int
+) -> list[str]:
     """Run a block of Python while objects pass, until it has printed so many lines."""
     with subprocess.Popen(
         [sys.executable, "-u", "-c", block], stdout=subprocess.PIPE, text=True
@@ -158,7 +168,7 @@ def printed_until_a_prediction(hub: Hub, block: str, lines_min: int) -> list[str
         reader.start()
 
         def enough() -> bool:
-            hub.walks(1, 15)
+            learned_daemon.walks(1, 15)
             return len(lines) >= lines_min
 
         try:
@@ -169,7 +179,7 @@ def printed_until_a_prediction(hub: Hub, block: str, lines_min: int) -> list[str
     return lines
 
 
-def test_the_bus_itself_as_the_page_shows_it(hub: Hub) -> None:
+def test_the_bus_itself_as_the_page_shows_it(learned_daemon: LearnedDaemon) -> None:
     """The lines without camtopod run as shown, except for the endpoint."""
     [shown] = blocks(PROTOCOL, "python")
     assert (
@@ -178,7 +188,7 @@ def test_the_bus_itself_as_the_page_shows_it(hub: Hub) -> None:
     )
     assert shown.count('"tcp/127.0.0.1:7447"') == 1
     lines = printed_until_a_prediction(
-        hub, shown.replace("tcp/127.0.0.1:7447", hub.daemon.endpoint), 2
+        learned_daemon, shown.replace("tcp/127.0.0.1:7447", learned_daemon.daemon.endpoint), 2
     )
     assert [pair["cameras"] for pair in ast.literal_eval(lines[0])] == [["a", "b"], ["a", "c"]]
     prediction = ast.literal_eval(lines[1])
@@ -188,9 +198,9 @@ def test_the_bus_itself_as_the_page_shows_it(hub: Hub) -> None:
     ) == pytest.approx(1.0)
 
 
-def test_the_client_as_readme_shows_it(hub: Hub) -> None:
+def test_the_client_as_readme_shows_it(learned_daemon: LearnedDaemon) -> None:
     [shown] = blocks(README, "python")
     assert shown.count("Topology.connect()") == 1
-    here = shown.replace("connect()", f"connect(connect={hub.daemon.endpoint!r})")
-    lines = printed_until_a_prediction(hub, here, 1)
+    here = shown.replace("connect()", f"connect(connect={learned_daemon.daemon.endpoint!r})")
+    lines = printed_until_a_prediction(learned_daemon, here, 1)
     assert re.fullmatch(r"[abc] -> [abc] \d+% in -?\d+ to \d+ s\n", lines[0])

@@ -81,7 +81,7 @@ def learned(daemon: Daemon, events: list[Event]) -> Version:
     return daemon.topology
 
 
-class Hub:
+class LearnedDaemon:
     """A daemon that has learned from 200 walkers, and a client that publishes events."""
 
     def __init__(self, daemon: Daemon, bus: Bus) -> None:
@@ -107,10 +107,10 @@ class Hub:
 
 
 @contextlib.contextmanager
-def a_hub(directory: Path) -> Iterator[Hub]:
-    """Run a hub of its own."""
+def running_learned_daemon(directory: Path) -> Iterator[LearnedDaemon]:
+    """Run a daemon of its own that has learned."""
     with (
         running(directory, free_endpoint()) as daemon,
         dial(small_config(directory, daemon.endpoint)) as bus,
     ):
-        yield Hub(daemon, bus)
+        yield LearnedDaemon(daemon, bus)

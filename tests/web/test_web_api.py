@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from fake_bus_daemon import LEFT, Hub, a_hub, later, put, there
+from fake_bus_daemon import LEFT, LearnedDaemon, later, put, running_learned_daemon, there
 from serving import numbered, wait_for, walkers
 
 from camtopod.cli.commands.web import listening, names
@@ -24,15 +24,15 @@ HOST = "127.0.0.1"
 
 
 @pytest.fixture(scope="module")
-def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
-    with a_hub(tmp_path_factory.mktemp("hub")) as one:
+def learned_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LearnedDaemon]:
+    with running_learned_daemon(tmp_path_factory.mktemp("site")) as one:
         yield one
 
 
 @contextlib.contextmanager
-def served(hub: Hub, any_address: bool = False) -> Iterator[str]:
-    """Serve the page of the hub's site; yield the address of its API."""
-    config = Config(bus=BusSettings(connect=(hub.daemon.endpoint,)))
+def served(learned_daemon: LearnedDaemon, any_address: bool = False) -> Iterator[str]:
+    """Serve the page of the learned_daemon's site; yield the address of its API."""
+    config = Config(bus=BusSettings(connect=(learned_daemon.daemon.endpoint,)))
     with (
         dial(config) as bus,
         listening(HOST, 0) as listener,
@@ -44,8 +44,8 @@ def served(hub: Hub, any_address: bool = False) -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def api(hub: Hub) -> Iterator[str]:
-    with served(hub) as address:
+def api(learned_daemon: LearnedDaemon) -> Iterator[str]:
+    with served(learned_daemon) as address:
         yield address
 
 
@@ -66,9 +66,9 @@ def content(url: str) -> Any:
     return found
 
 
-def test_the_topology_and_its_versions(api: str, hub: Hub) -> None:
-    assert hub.daemon.topology is not None
-    newest = json.loads(to_json(hub.daemon.topology))
+def test_the_topology_and_its_versions(api: str, learned_daemon: LearnedDaemon) -> None:
+    assert learned_daemon.daemon.topology is not None
+    newest = json.loads(to_json(learned_daemon.daemon.topology))
     number = newest["version"]
 
     assert content(f"{api}/topology") == newest
@@ -83,9 +83,9 @@ def test_the_topology_and_its_versions(api: str, hub: Hub) -> None:
         assert (got, said in error["error"]) == (status, True), error
 
 
-def test_a_prediction_is_the_daemon_s(api: str, hub: Hub) -> None:
+def test_a_prediction_is_the_daemon_s(api: str, learned_daemon: LearnedDaemon) -> None:
     query = "&".join(f"{name}={value}" for name, value in LEFT.items())
-    with Topology.connect(connect=hub.daemon.endpoint) as site:
+    with Topology.connect(connect=learned_daemon.daemon.endpoint) as site:
         expected = json.loads(to_json(site.predict(**LEFT)))
 
     got = content(f"{api}/predict?{query}")
@@ -119,15 +119,15 @@ def test_the_status(api: str) -> None:
     assert {"a", "b", "c"} <= {one["id"] for one in status["cameras"]}
 
 
-def test_predictions_are_streamed(api: str, hub: Hub) -> None:
+def test_predictions_are_streamed(api: str, learned_daemon: LearnedDaemon) -> None:
     events = later(numbered(walkers(40, seed=7), boot="stream"), 12)
     exits = {event.t for event in events if event.kind == "exit" and event.camera == "a"}
     with (
         urllib.request.urlopen(api + "/predictions?camera=a", timeout=30) as stream,
-        Topology.connect(connect=hub.daemon.endpoint) as site,
+        Topology.connect(connect=learned_daemon.daemon.endpoint) as site,
     ):
         there(site)
-        put(hub.bus, *events)
+        put(learned_daemon.bus, *events)
         lines = (line.decode().rstrip("\n") for line in stream)
         data = (line.removeprefix("data: ") for line in lines if line.startswith("data: "))
         got = [json.loads(next(data)) for _ in range(5)]
@@ -137,8 +137,8 @@ def test_predictions_are_streamed(api: str, hub: Hub) -> None:
     assert {one["t"] for one in got} <= exits
 
 
-def test_without_a_password_other_machines_are_refused(hub: Hub) -> None:
-    with served(hub, any_address=True) as address:
+def test_without_a_password_other_machines_are_refused(learned_daemon: LearnedDaemon) -> None:
+    with served(learned_daemon, any_address=True) as address:
         for path in ("/topology", "/versions", "/status", "/predict?camera=a", "/predictions"):
             status, error = answer(address + path)
             assert (status, "on its own machine only" in error["error"]) == (403, True), path
