@@ -1,0 +1,97 @@
+"""`bench quality`: its figures, its continuation of earlier runs, and its output."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+from synthetic_events import topology_of
+
+import bench.quality as quality
+from bench.support.measure import (
+    Record,
+    network_figures,
+)
+from bench.support.table import tables
+from camtopod.learn.settings import Settings
+from camtopod.records import Event
+from camtopod.sim.simulation import SimSettings, simulate
+from camtopod.sim.truth import Truth
+
+
+class Small(msgspec.Struct):
+    """A regime of a few cameras; counts how often it is simulated."""
+
+    made: list[int] = msgspec.field(default_factory=list)
+
+    def make(self, seed: int, scale: float) -> tuple[list[Event], Truth]:
+        self.made.append(seed)
+        return simulate(SimSettings(cameras=3, hours=0.15 * scale, seed=seed, clock_sd=2.0))
+
+    def learning(self, scale: float) -> Settings:
+        return Settings()
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> Small:
+    regime = Small()
+    monkeypatch.setattr(quality, "REGIMES", {"small": regime})
+    monkeypatch.delenv("CAMTOPOD_TEST_DATA", raising=False)
+    return regime
+
+
+def test_a_run_goes_on_where_it_was_left(
+    small: Small, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "results.jsonl"
+    asked = ["--seeds", "2", "--jobs", "1", "--json", str(path), "--methods", "batch"]
+    assert quality.main(asked) == 0
+    assert small.made == [0, 1]
+    first = capsys.readouterr().out
+    assert "== small: 2 networks" in first
+    assert "campus-auditorium: skipped" in first
+    lines = path.read_bytes().splitlines(keepends=True)
+    assert len(lines) == 2
+    assert quality.main(asked) == 0
+    assert small.made == [0, 1]
+    assert capsys.readouterr().out == first
+    path.write_bytes(lines[0] + lines[1][:100])  # killed while writing
+    assert quality.main(asked) == 0
+    assert small.made == [0, 1, 1]
+    assert len(path.read_bytes().splitlines()) == 2
+
+
+def test_everything_is_in_the_table(small: Small, capsys: pytest.CaptureFixture[str]) -> None:
+    assert quality.main(["--seeds", "1", "--jobs", "1", "--scale", "0.5"]) == 0
+
+    shown = capsys.readouterr().out
+    for name in ("online", "live", "oracle", "log loss", "Makris", "Hawkes", "k-means"):
+        assert name in shown
+
+
+def test_figures_of_a_perfect_topology() -> None:
+    events, truth = simulate(SimSettings(cameras=4, hours=0.3))
+    figures = network_figures(topology_of(truth), truth, events)
+    assert (
+        figures["zones_right"],
+        figures["f1"],
+        figures["relation_right"],
+        figures["silent"],
+    ) == (1, 1, 1, 1)
+    assert figures["median_error"] == 0
+    assert figures["recorded_median_error"] > 0  # so few walkers have another median than all
+    assert "clock_error" not in figures
+
+
+def test_targets_are_judged_by_their_means() -> None:
+    records = [
+        Record("sparse", seed, "online", 1.0, {"f1": f1}) for seed, f1 in enumerate((0.97, 0.996))
+    ]
+    records += [
+        Record("sparse", seed, "batch", 1.0, {"f1": f1}) for seed, f1 in enumerate((0.97, 0.98))
+    ]
+    line = next(
+        line for line in tables(records, ["sparse"]) if line.startswith("sparse: links, F1")
+    )
+    assert line.split()[-6:] == ["0.983", "±0.013", "yes", "0.975", "±0.005", "NO"]
