@@ -91,6 +91,7 @@ def test_pairwise_methods_find_the_links_and_their_times(
         for u, v in ((0, 3), (3, 1), (2, 3), (3, 2))
         if np.isfinite(result.score[u, v])
     ]
+
     assert min(result.score[0, 1], result.score[1, 2]) > 1.5 * max(unrelated)
     assert result.transit[0, 1] == pytest.approx(FIRST, abs=2.5)
     assert result.transit[1, 2] == pytest.approx(SECOND, abs=2.5)
@@ -113,6 +114,7 @@ def test_clusterings_find_three_doors(method: str) -> None:
     positions = np.repeat(doors, 150, axis=0) + 0.02 * rng.standard_normal((450, 2))
     centres = [cluster(positions) for cluster in methods()[method].values()]
     right = [c for c in centres if len(c) == 3]
+
     assert right
     distance = np.linalg.norm(right[0][:, None] - doors[None], axis=2)
     assert distance.min(axis=0).max() < 0.03
@@ -139,6 +141,7 @@ def test_the_told_chain_counts_with_a_part_of_a_count_for_everything() -> None:
     here, elsewhere = oracle_predictions(
         events, truth, cut, [event.camera for event in events], 0.5
     )
+
     assert here.leave == pytest.approx((1 + 0.5) / (4 + 1.0))
     assert [(c.camera, c.probability) for c in here.next_] == [("b", pytest.approx(3.5 / 5.0))]
     assert elsewhere.leave == here.leave  # nothing was ever seen to leave b: as all together

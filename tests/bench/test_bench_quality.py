@@ -46,6 +46,7 @@ def test_a_run_goes_on_where_it_was_left(
 ) -> None:
     path = tmp_path / "results.jsonl"
     asked = ["--seeds", "2", "--jobs", "1", "--json", str(path), "--methods", "batch"]
+
     assert quality.main(asked) == 0
     assert small.made == [0, 1]
     first = capsys.readouterr().out
@@ -73,6 +74,7 @@ def test_everything_is_in_the_table(small: Small, capsys: pytest.CaptureFixture[
 def test_figures_of_a_perfect_topology() -> None:
     events, truth = simulate(SimSettings(cameras=4, hours=0.3))
     figures = network_figures(topology_of(truth), truth, events)
+
     assert (
         figures["zones_right"],
         figures["f1"],
@@ -94,4 +96,5 @@ def test_targets_are_judged_by_their_means() -> None:
     line = next(
         line for line in tables(records, ["sparse"]) if line.startswith("sparse: links, F1")
     )
+
     assert line.split()[-6:] == ["0.983", "±0.013", "yes", "0.975", "±0.005", "NO"]

@@ -48,6 +48,7 @@ def test_what_has_been_learned_is_there_at_once(
     assert learned_daemon.daemon.topology is not None
     assert site.current.version >= 1
     wait_for(lambda: site.current == learned_daemon.daemon.topology, "what other tests have put")
+
     assert (site.site, site.version, site.stale_since) == ("site", site.current.version, None)
     assert site.wait_for(1, 0.0) is site.current
     assert next(site.versions()) is site.current
@@ -88,6 +89,7 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
         assert site._held.predictor.save().under_way[0][:2] == ("a", "7"), (
             "what was observed outlives a version"
         )
+
     assert [one.version for one in site.versions()] == [], "closed"
     assert site.predict(**LEFT).next_, "what is held stays usable"
     assert site.stale_since is not None
@@ -100,6 +102,7 @@ def test_it_goes_on_when_the_daemon_comes_back(tmp_path: Path) -> None:
             site = stack.enter_context(Topology.connect(connect=endpoint))
             before = time.time()
         wait_for(lambda: site.stale_since is not None, "staleness to be noticed")
+
         assert before <= (site.stale_since or 0.0) <= time.time()
         with pytest.raises(TimeoutError, match="no daemon is there"):
             site.wait_for(1, 0.0)
@@ -118,6 +121,7 @@ def test_a_prediction_is_the_daemons(learned_daemon: LearnedDaemon, site: Topolo
     said = site.predict(**LEFT, track="7")
     (answer,) = learned_daemon.bus.query("predict/a", {"zone": said.zone, "t": NOW})
     asked = read(Prediction, answer[1], pack=True)
+
     assert (said.camera, said.t, said.track, said.version) == ("a", NOW, "7", site.version)
     assert [one.zone for one in said.next_[:2]] == [one.zone for one in asked.next_[:2]]
     assert {one.camera for one in said.next_[:2]} == {"b", "c"}
@@ -133,6 +137,7 @@ def test_priors_are_those_of_the_version_held(site: Topology) -> None:
         [Event("a", "exit", NOW, 0.9, 0.5), Event("a", "exit", NOW + 20.0, 0.9, 0.5)],
         [Event("b", "entry", NOW + 9.0, 0.1, 0.5), Event("c", "entry", NOW + 29.0, 0.1, 0.5)],
     )
+
     assert (odds[0, 0], odds[1, 1]) > (0.0, 0.0)
     assert odds[0, 1] < 0
     assert odds[1, 0] < 0
@@ -209,6 +214,7 @@ def test_each_exit_is_heard_of(learned_daemon: LearnedDaemon, site: Topology) ->
             (e.camera, e.t, e.track) for e in learned_daemon.walks(5, 14) if e.kind == "exit"
         )
         heard = [everywhere.get(10.0) for _ in exits]
+
         assert sorted((p.camera, p.t, p.track) for p in heard if p is not None) == exits
         assert everywhere.get(0.0) is None
         assert [p.t for p in of_b] == [t for camera, t, _ in exits if camera == "b"], (
@@ -228,6 +234,7 @@ def test_who_does_not_read_loses_the_oldest_and_is_told(
             e.t for e in learned_daemon.walks(10, 15) if e.kind == "exit" and e.camera == "a"
         )
         wait_for(lambda: predictions.dropped == 7, "the oldest to be dropped")
+
         assert [getattr(predictions.get(0.0), "t", None) for _ in range(4)] == [*times[-3:], None]
 
 
@@ -247,4 +254,5 @@ sys.meta_path.insert(0, Only())
 import camtopod.client.aio
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+
     assert done.stderr == ""

@@ -61,6 +61,7 @@ def test_where_next(learned_daemon: LearnedDaemon) -> None:
         r"a -> [bc] (\d+)%, in (\d+) to (\d+) s",
         printed(learned_daemon, "next_camera.py", walk(1, NOW, "b"))[0],
     )
+
     assert found is not None
     chance, soonest, latest = map(int, found.groups())
     assert 40 <= chance <= 60
@@ -96,6 +97,7 @@ def test_where_views_overlap_the_track_that_goes_on_is_named(tmp_path: Path) -> 
         )
         given = b"".join(to_json(event) + b"\n" for event in two)
         done = subprocess.run(command, input=given, capture_output=True, timeout=100)
+
     assert done.stderr == b""
     found = [line.rsplit(" ", 1) for line in done.stdout.decode().splitlines()]
     assert [pair for pair, _ in found] == ["a/3011 = b/3012", "a/3021 = b/3022"]
@@ -107,6 +109,7 @@ def test_who_is_who(learned_daemon: LearnedDaemon) -> None:
         [*walk(1, NOW, "b"), *walk(2, NOW + 6, "c"), *walk(3, NOW + 60, "b")],
         key=lambda event: event.t,
     )
+
     assert sorted(printed(learned_daemon, "gating.py", events)) == [
         "a/11 = b/12",
         "a/21 = c/22",
@@ -182,6 +185,7 @@ def printed_until_a_prediction(
 def test_the_bus_itself_as_the_page_shows_it(learned_daemon: LearnedDaemon) -> None:
     """The lines without camtopod run as shown, except for the endpoint."""
     [shown] = blocks(PROTOCOL, "python")
+
     assert (
         len([line for line in shown.splitlines() if line and not line.startswith("import ")])
         <= LINES_MAX

@@ -99,6 +99,7 @@ def integral(gate: Gate, from_zone: str, to_camera: str, to_zone: str | None = N
 def test_the_density_sums_to_the_probability_of_the_link() -> None:
     gate = Gate(THREE)
     found = [integral(gate, "a/1", camera) for camera in "bca"]
+
     assert found == pytest.approx([0.5, 0.3, 0.1], abs=0.002)
     assert sum(found) + math.exp(gate.gate_gone("a/1")) == pytest.approx(1.0, abs=0.002)
     assert integral(gate, "a/1", "a", "a/2") == pytest.approx(0.1, abs=0.002)
@@ -118,6 +119,7 @@ def test_odds_are_those_of_one_object_against_two() -> None:
     exits = [LEFT, replace(LEFT, t=1004.0, x=0.9)]
     entries = [came("b", 1009.0), came("c", 1021.0, None), came("a", 1030.0, 0.9)]
     odds = gate.affinity(exits, entries)
+
     assert odds.shape == (2, 3)
     gone = gate.gate_gone("a/1", 30.0)
     for column, (entry, zone) in enumerate(zip(entries, ("b/1", "c/1", "a/2"), strict=True)):
@@ -147,6 +149,7 @@ def test_an_open_track_that_came_when_those_from_there_do_is_the_same_object() -
     others = [came("b", 994.0), came("b", 998.0)]
     gate = Gate(overlapping())
     known = gate.affinity(exits, [own, *others])[0]
+
     assert known[1] > 2.0
     assert known[1] > known[2] + 3.0
     unknown = gate.affinity(exits, others)[0]
@@ -176,6 +179,7 @@ def test_of_an_unknown_camera_nothing_is_said() -> None:
     odds = Gate(THREE).affinity(
         [LEFT, replace(LEFT, camera="new")], [came("b", 1008.0), came("new", 1008.0)]
     )
+
     assert odds[0, 0] > 0
     assert (odds[:, 1] == 0).all()
     assert (odds[1] == 0).all()

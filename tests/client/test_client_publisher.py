@@ -24,6 +24,7 @@ def test_a_daemon_stores_what_is_published(tmp_path: Path) -> None:
     ):
         publisher.publish(*EVENTS[:10])
         publisher.publish(*EVENTS[10:])
+
         assert publisher.wait_stored(WAIT_SECONDS)
         assert (publisher.waiting, publisher.dropped) == (0, 0)
         wait_for(lambda: daemon.status().events["stored"] == len(EVENTS), "all events")
@@ -39,6 +40,7 @@ def test_events_wait_for_a_daemon_that_comes_later(tmp_path: Path) -> None:
         running(tmp_path, endpoint) as daemon,
     ):
         publisher.publish(*EVENTS[10:])
+
         assert publisher.wait_stored(WAIT_SECONDS)
         wait_for(lambda: daemon.status().events["stored"] == len(EVENTS), "all events")
 
@@ -69,6 +71,7 @@ def test_a_program_that_never_closes_it_ends_in_peace(tmp_path: Path) -> None:
         "Event('a', 'entry', 1.0))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, cwd=ROOT)
+
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
     with Publisher("a", connect=free_endpoint(), state=tmp_path) as publisher:
         assert publisher.waiting == 1

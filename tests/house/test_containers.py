@@ -52,6 +52,7 @@ def routers(tmp_path: Path) -> dict[str, zenoh.Config]:
 
 def test_compose_confines_every_container() -> None:
     services = COMPOSE["services"]
+
     assert set(services) == {"router", "daemon", "grabbers", "web"}
     for name, service in services.items():
         assert (service["user"], service["read_only"], service["cap_drop"]) == (
@@ -82,6 +83,7 @@ def test_compose_starts_what_there_is() -> None:
             started[name] = args.command
             assert args.connect == ["tcp/router:7447"]
             assert service["depends_on"] == {"router": {"condition": "service_healthy"}}
+
     assert started == {"daemon": "run", "grabbers": "grab", "web": "web"}
     named = {
         volume.split(":")[0]
@@ -106,6 +108,7 @@ def test_kubernetes_confines_every_container_and_starts_what_there_is() -> None:
         assert "memory" in container["resources"]["limits"]
     [daemon] = [container for container in containers() if container["image"] == "camtopod"]
     parser, _ = parser_of(COMMANDS)
+
     assert parser.parse_args([*ENTRYPOINT[1:], *daemon["args"]]).command == "run"
     [config_map] = of_kind("ConfigMap")
     listen = parse(config_map["data"]["camtopod.toml"]).health.listen

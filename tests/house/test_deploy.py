@@ -114,6 +114,7 @@ def test_systemd_takes_the_units(file: str, name: str, tmp_path: Path) -> None:
     if shutil.which("systemd-analyze") is None:
         pytest.skip("needs systemd-analyze (Debian: systemd)")
     text = (DEPLOY / file).read_text()
+
     assert text.count("/opt/camtopod/bin/camtopod ") == 1
     unit = tmp_path / name
     unit.write_text(text.replace("/opt/camtopod/bin/camtopod ", "/bin/true "))

@@ -52,6 +52,7 @@ def test_the_example_sees_who_comes_and_goes(package: str, film: Path) -> None:
     passages = {
         tuple(e.kind for e in events if e.track == track) for track in {e.track for e in events}
     }
+
     assert passages == {("entry", "exit")}
 
 
@@ -112,6 +113,7 @@ def test_the_example_reads_the_documented_output(package: str, film: Path, tmp_p
         env={**os.environ, "PYTHONPATH": str(tmp_path)},
     )
     events = [event_from_json(text) for text in done.stdout.splitlines()]
+
     assert [event.track for event in events] == ["1", "2", "1", "2"]
     assert_near(events, "entry", [(3.75, 0.0, 0.5), (9.75, 1.0, 0.9)])
     assert_near(events, "exit", [(11.25, 1.0, 0.5), (17.25, 0.0, 0.9)])

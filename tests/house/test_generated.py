@@ -34,6 +34,7 @@ def test_the_manual_has_every_command_and_every_option() -> None:
                     name,
                     action.dest,
                 )
+
     assert "--beat-fd" not in page, "it is for a camera's process only"
 
 

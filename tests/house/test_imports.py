@@ -230,6 +230,7 @@ def test_the_guard_sees_the_wall_clock() -> None:
 @pytest.mark.parametrize("package", [name for name in PACKAGES if name.count(".")])
 def test_a_package_is_small_and_has_a_door(package: str) -> None:
     folder = ROOT / package.replace(".", "/")
+
     assert len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) <= 20
     door = importlib.import_module(package)
     assert door.__doc__

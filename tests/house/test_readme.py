@@ -65,6 +65,7 @@ def test_every_page_is_listed() -> None:
         for folder in ("bench", "camtopod", "deploy", "tests")
         for path in (ROOT / folder).rglob("*.md")
     }
+
     assert found | {ROOT / "README.md"} == set(PAGES)
 
 
@@ -88,6 +89,7 @@ def test_every_page_can_be_reached_from_readme() -> None:
         targets = (page.parent / target.partition("#")[0] for target in links(page.read_text()))
         pages = (target.resolve() for target in targets if target.suffix == ".md")
         waiting += [target for target in pages if target not in reached]
+
     assert reached >= set(PAGES)
 
 
@@ -115,6 +117,7 @@ def test_every_command_exists() -> None:
                 except SystemExit as end:  # 0: an option that prints and ends
                     if end.code != 0:
                         pytest.fail(f"{page}: {line}")
+
     assert replaced == set(PLACEHOLDERS)
     assert seen == set(COMMANDS)
 
@@ -156,6 +159,7 @@ def test_every_bench_takes_what_it_is_given(monkeypatch: pytest.MonkeyPatch) -> 
 def test_every_test_exists() -> None:
     tests = {path.stem for path in ROOT.glob("tests/**/test_*.py")}
     named = set(re.findall(r"\b(test_\w+?)(?:\.py)?\b(?!\()", ALL))
+
     assert len(named) > 25
     functions = {
         name
@@ -179,6 +183,7 @@ def test_every_module_exists(page: str) -> None:
     """`folder/module` is below the package, or below the page's own folder."""
     named = set(re.findall(r"`([a-z_]+/[a-z_/]*[a-z_])`", TEXTS[page]))
     named = {name for name in named if not name.startswith(("tests/", "bench/", "deploy/"))}
+
     assert len(named) > 10
     bases = (ROOT / "camtopod", (ROOT / page).parent)
     found = {
@@ -193,6 +198,7 @@ def test_every_module_exists(page: str) -> None:
 def test_architecture_lists_every_package() -> None:
     listed = blocks(TEXTS["camtopod/ARCHITECTURE.md"], "text")[0]
     folders = {path.parent.name for path in (ROOT / "camtopod").rglob("__init__.py")}
+
     assert folders - {"camtopod"} == set(re.findall(r"(?<![\w/.])([a-z_]+)/", listed)) - {
         "camtopod",
         "static",
@@ -210,6 +216,7 @@ def test_every_extra_exists() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = set(project["optional-dependencies"])
     asked = {extra for some in re.findall(r"'\.\[([\w,]+)\]'", ALL) for extra in some.split(",")}
+
     assert {"test", "web", "keys", "bench", "dev", "examples", "metrics", "mqtt"} <= asked
     assert asked <= extras
     packages = TEXTS["deploy/commands.md"].split("\n## Packages\n")[1].split("\n## ")[0]

@@ -40,6 +40,7 @@ def later(seconds: float, events: list[Event], topology: Topology = THREE) -> Pr
 def test_who_has_not_come_is_elsewhere_or_gone() -> None:
     """From a/1: 0.5 to b in 8 s, 0.3 to c in 20 s, 0.1 to a/2 in 30 s, 0.1 leave the site."""
     none_at_b = later(14.0, [])
+
     assert chances(none_at_b).get("b/1", 0.0) < 0.01
     assert chances(none_at_b)["c/1"] == pytest.approx(0.6, abs=0.02)
     assert chances(none_at_b)["a/2"] == pytest.approx(0.2, abs=0.02)
@@ -52,6 +53,7 @@ def test_who_has_not_come_is_elsewhere_or_gone() -> None:
 
 def test_who_came_when_due_was_it() -> None:
     came = later(14.0, [AT_B])
+
     assert chances(came)["b/1"] > 0.98
     assert 7.0 < came.next_[0].q10 <= 8.0 <= came.next_[0].q90 < 9.0
     assert chances(later(14.0, [replace(AT_B, t=1002.0)])).get("b/1", 0.0) < 0.01, (
@@ -76,6 +78,7 @@ def test_at_the_exit_the_answer_is_that_of_the_exit(topology: Topology) -> None:
     for event in (ENTERED, THERE):
         predictor.observe(event)
     at_exit = predictor.predict(EXIT)
+
     assert predictor.predict(EXIT, EXIT.t) == at_exit
     predictor.observe(EXIT)
     again = predictor.predict(EXIT, EXIT.t)
@@ -90,6 +93,7 @@ def test_clocks_are_taken_as_they_are() -> None:
     ahead = replace(
         THREE, cameras=[replace(c, clock_offset=5.0 * (c.id == "b")) for c in THREE.cameras]
     )
+
     assert chances(later(11.0, [], THREE)).get("b/1", 0.0) < 0.05
     waiting = later(11.0, [], ahead)
     assert chances(waiting)["b/1"] > 0.45
@@ -112,6 +116,7 @@ def test_who_was_slow_is_awaited_for_longer() -> None:
     )
     entered = replace(ENTERED, x=0.9, y=0.5)
     usual, slow = [entered], [replace(entered, t=970.0)]
+
     assert chances(later(15.0, usual, walk)).get("b/1", 0.0) < 0.02
     assert chances(later(15.0, slow, walk))["b/1"] == pytest.approx(0.8, abs=0.02)
     assert 20.0 < later(15.0, slow, walk).next_[0].q50 < 28.0

@@ -97,6 +97,7 @@ def test_multipliers_equal_their_slow_twin(
     slow, stays = naive.surroundings(
         {2: b, 3: c}, leave, steps, BACK_OFF_DEPARTURES, MULTIPLIER_MAX, LEAVE_FLOOR
     )
+
     assert fast == pytest.approx([slow[2], slow[3]])
     assert leaving == pytest.approx(stays)
 
@@ -111,6 +112,7 @@ def test_a_context_never_seen_says_nothing_and_a_rare_one_little() -> None:
         known.multipliers(0, outcomes([0.4, 0.4], 0.2), block, None, None, 0.0)[0][0]
         for block in (6, 7, 8)
     )
+
     assert never == 1.0
     assert rare == pytest.approx(1.0, abs=0.2)
     assert often == pytest.approx(1 / 0.4, rel=0.02)
@@ -167,6 +169,7 @@ def test_on_a_road_the_camera_before_says_which_way() -> None:
         )
     }
     answers = asked(events, 2 * len(events) // 3)
+
     assert right(answers, goes_to) > 0.93
     forgetful = [Event(e.camera, e.kind, e.t) for e in events]  # no tracks: no direction
     by_time = {

@@ -124,6 +124,7 @@ def sound(prediction: Prediction) -> None:
 def test_without_further_knowledge_the_learned_shares() -> None:
     prediction = Predictor(THREE).predict(EXIT)
     sound(prediction)
+
     assert (prediction.camera, prediction.zone, prediction.t, prediction.track) == (
         "a",
         "a/1",
@@ -166,6 +167,7 @@ def test_a_topology_that_has_only_what_the_contract_asks() -> None:
     plain = replace(THREE, weak_links=None, chain=None, model=None)
     prediction = Predictor(plain).predict(EXIT)
     sound(prediction)
+
     assert list(chances(prediction)) == ["b/1", "c/1"]
     assert prediction.next_[0].q50 == pytest.approx(8.0, abs=0.5)
     empty = replace(plain, links=[])
@@ -199,6 +201,7 @@ def test_who_has_been_seen_in_the_overlapping_view_is_there() -> None:
 def test_who_has_not_been_seen_there_is_not() -> None:
     """The share of the overlapped view, 0.4, is gone; the ratios of the others stay."""
     prediction = after([ENTERED])
+
     assert chances(prediction).get("d/1", 0.0) < 0.01
     assert chances(prediction)["b/1"] == pytest.approx(0.3 / 0.6, abs=0.01)
     assert prediction.leave == pytest.approx(0.3 / 0.6, abs=0.01)
@@ -220,6 +223,7 @@ def test_others_who_may_be_the_one_seen_lower_the_chance() -> None:
     inside = chances(after([ENTERED, replace(ENTERED, track="18"), THERE]))["d/1"]
     crowd = [replace(ENTERED, track=str(k)) for k in range(100, 160)]
     crowded = chances(after([ENTERED, *crowd, THERE]))["d/1"]
+
     assert two < alone
     assert crowded < inside < alone
     unrelated = [replace(ENTERED, camera="b", x=0.5, y=0.5, track=str(k)) for k in range(5)]
@@ -229,6 +233,7 @@ def test_others_who_may_be_the_one_seen_lower_the_chance() -> None:
 def test_a_silent_camera_is_not_where_they_appear() -> None:
     talk = [Event(camera, "entry", 900.0 + k, 0.5, 0.5) for k in range(30) for camera in "abd"]
     silent = after(talk, THREE)
+
     assert chances(silent)["b/1"] == pytest.approx(
         chances(Predictor(THREE).predict(EXIT))["b/1"], rel=0.5
     )
@@ -255,6 +260,7 @@ def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes = {name: len(value) for name, value in held if isinstance(value, dict | list)}
     sizes["in view"] = sum(map(len, predictor._open_passages._in_view.values()))
     state = predictor.save()
+
     assert (
         max(sizes.values())
         == sizes["in view"]
@@ -279,6 +285,7 @@ def test_a_newer_version_remembers_what_has_been_seen() -> None:
         predictor.observe(event)
     reordered = replace(OVERLAP, version=8, zones=OVERLAP.zones[::-1])
     followed = predictor.follow(reordered)
+
     assert replace(followed.predict(EXIT), version=7) == predictor.predict(EXIT)
     gone = replace(OVERLAP, version=8, zones=[z for z in OVERLAP.zones if z.camera != "d"])
     gone = replace(
@@ -496,6 +503,7 @@ def test_predictions_on_a_made_up_network() -> None:
         )
         for p in predictions
     ]
+
     assert scored.top1 > 0.6
     assert scored.top3 > 0.85
     assert (

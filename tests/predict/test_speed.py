@@ -43,6 +43,7 @@ def window(
 def test_who_took_twice_as_long_is_expected_later() -> None:
     site = paces(Pace(1.0, 0.6, 0.3, [Way("a/1", "a/2", 5.0)]))
     usual, slow = (window(site, 0, 1, stay, 100.0, 8.0, 10.0, 12.0) for stay in (5.0, 10.0))
+
     assert usual[1] == pytest.approx(10.0)
     # The next view's slowness is expected to be 0.6 of this one's.
     assert slow[1] == pytest.approx(10.0 * 2**0.8)
@@ -67,6 +68,7 @@ def test_windows_hold_what_they_say() -> None:
     for event in events[:cut]:
         learner.receive(event)
     learner.flush()
+
     assert learner.topology is not None
     model = learner.topology.model
     assert model is not None

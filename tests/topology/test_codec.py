@@ -61,6 +61,7 @@ def test_events_come_back(
     x, y = place or (None, None)
     boot, seq = count or (None, None)
     event = msgspec.structs.replace(event, x=x, y=y, boot=boot, seq=seq)
+
     assert event_from_json(to_json(event)) == event
     assert event_from_json(to_json(event).decode()) == event
     assert event_from_msgpack(to_msgpack(event)) == event
@@ -163,6 +164,7 @@ def test_other_nouns() -> None:
     prediction = Prediction(
         "a", "a/1", 5.0, None, 3, 0.25, [NextCamera("b", "b/1", 0.75, 1.0, 2.0, 3.0)]
     )
+
     assert b'"next":[{"camera":"b"' in to_json(prediction)
     assert read(Prediction, to_json(prediction)) == prediction
     assert read(Prediction, to_msgpack(prediction), pack=True) == prediction
@@ -175,6 +177,7 @@ def test_other_nouns() -> None:
 
 def test_every_name_in_a_topology_stands_for_something() -> None:
     site = synthetic_topology(4)
+
     assert decode_topology(to_json(site)) == site
     assert decode_topology(to_msgpack(site), pack=True) == site
     zone = site.zones[0]
@@ -205,6 +208,7 @@ def test_a_topology_in_messagepack_is_the_same_and_a_damaged_one_is_rejected() -
     for event in [*walkers(40), closing_event()]:
         learner.receive(event)
     packed = to_msgpack(learner.topology)
+
     assert to_msgpack(read(Topology, packed, pack=True)) == packed
     assert read(Topology, packed, pack=True) == learner.topology
     for spoiled in (packed[:-1], packed[: len(packed) // 2], packed.replace(b"zones", b"zonen")):

@@ -35,6 +35,7 @@ def test_links_are_those_between_views() -> None:
 def test_the_nearest_one_is_named_with_what_it_has_and_lacks() -> None:
     topology = without_links([(3.0, 40.0, 9000.0), (4.0, 6.0, 2400.0)])
     passages = sum(zone.exits for zone in topology.zones)
+
     assert waiting_for_links(topology) == (
         f"No two cameras are linked yet: {passages:,} passages so far. The nearest one, "
         f"{A.camera} to {B.camera}, has 4 of about 10; about 40 minutes at this traffic."

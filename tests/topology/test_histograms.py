@@ -46,6 +46,7 @@ def test_one_that_an_older_program_wrote_is_read() -> None:
 
 def test_what_lies_beyond_the_bins_is_left_out() -> None:
     bins = LagBins(0.0, 60.0)
+
     assert masses_on_bins(Histogram(-2, [1.0, 2.0, 3.0]), bins)[:2].tolist() == [3.0, 0.0]
     assert masses_on_bins(Histogram(bins.first + bins.size - 1, [4.0, 5.0]), bins)[-1] == 4.0
     assert (

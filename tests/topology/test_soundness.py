@@ -188,6 +188,7 @@ def test_a_file_of_ten_gigabytes_is_refused_before_it_is_read(
     ):
         assert main(command) == 66
         assert "is not a topology: it has more than 536870912 bytes" in capsys.readouterr().err
+
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000, "KiB"
 
 
@@ -199,6 +200,7 @@ def test_a_pipe_without_end_is_refused(
     with open("/dev/zero", "rb") as zeros:
         monkeypatch.setattr("sys.stdin", io.TextIOWrapper(zeros))
         assert main(["export", "-", "--format", "svg"]) == 66
+
     assert "- is not a topology: it has more than" in capsys.readouterr().err
 
 
@@ -260,6 +262,7 @@ def test_what_is_believed_can_be_used() -> None:
     use(SITE)
     plain: dict[str, Any] = json.loads(to_json(FEW))
     chance, sites, believed = random.Random(4), places(plain), 0
+
     assert sites == places(PLAIN), "nothing is left out"
     for _ in range(40):
         raw = changed(chance.choice(sites), chance.choice(ODD), plain)

@@ -100,6 +100,7 @@ def topologies(draw: st.DrawFn, version: int = 1) -> Topology:
 @given(topologies(4), topologies(5))
 def test_old_and_delta_are_new(old: Topology, new: Topology) -> None:
     delta = make_delta(old, new)
+
     assert apply_delta(old, delta) == new
     for pack, encode in ((False, to_json), (True, to_msgpack)):  # and after a way over the bus
         received = read(Delta, encode(delta), pack)
@@ -112,6 +113,7 @@ def test_old_and_delta_are_new(old: Topology, new: Topology) -> None:
 def test_digest_is_of_the_content_alone(topology: Topology) -> None:
     assert topology.digest == digest_of(topology) == digest_of(replace(topology, digest=""))
     elsewhere = replace(topology, site="other", epoch="02", version=9)
+
     assert digest_of(elsewhere) == topology.digest
     assert digest_of(read(Topology, to_json(topology))) == topology.digest
     assert digest_of(replace(topology, events=topology.events + 1)) != topology.digest
@@ -146,4 +148,5 @@ def test_a_foreign_schema_is_refused() -> None:
     raw = msgspec.json.encode(msgspec.to_builtins(EMPTY) | {"schema": "x", "more": 1})
     with pytest.raises(ValueError, match="schema is 'x'"):
         read(Topology, raw)
+
     assert read(Topology, raw.replace(b'"x"', b'"camtopod/topology/1"')) == EMPTY

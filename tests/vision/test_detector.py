@@ -105,6 +105,7 @@ def kinds(events: list[Event]) -> list[str]:
 def test_two_who_enter_side_by_side_are_two() -> None:
     scene = ColouredScene(SIDE_BY_SIDE)
     events = scene.events(20, drawn(scene))
+
     assert kinds(events) == ["entry", "entry", "exit", "exit"]
     assert len({event.track for event in events}) == 2
     for entry in events[:2]:
@@ -118,6 +119,7 @@ def test_a_model_splits_two_who_enter_side_by_side(detector: Callable[..., Detec
         Person(line(5.3, (-0.05, 0.66), (1.05, 0.66), 8.0), seed=2),
     )
     events = ColouredScene(apart).events(20, detector())
+
     assert kinds(events) == ["entry", "entry", "exit", "exit"]
     assert len({event.track for event in events}) == 2
 
@@ -169,6 +171,7 @@ def test_where_agreement_falls_motion_alone_counts_again(detector: Callable[...,
     both = detector()
     view = ViewPipeline("cam", SETTINGS, lambda seen: trusted.append(both.result.trusted), both)
     events = ColouredScene(ALONE, later).events(50, both, pipeline=view)
+
     assert any(trusted)
     assert not trusted[-1]
     assert sum(event.t > 35 for event in events) >= 4, "people that it does not see"
@@ -227,6 +230,7 @@ def test_a_detection_without_motion_counts_where_something_is_tracked() -> None:
 def test_a_tracked_neighbour_that_is_not_detected_is_kept_by_its_motion() -> None:
     group, known = blob(50, 20, 80, 60), TrackedBox((66, 20, 80, 60), True, False)
     found = fuse([group], [(50, 20, 64, 60)], WHOLE, [known], mask(group.box))
+
     assert sorted((one.box, one.detected) for one in found) == [
         ((50, 20, 64, 60), True),
         ((66, 20, 80, 60), False),

@@ -48,6 +48,7 @@ def assert_near(box: Box, expected: tuple[int, int, int, int], pixels: float) ->
 @pytest.mark.parametrize("layout", layouts.LAYOUTS)
 def test_a_layout_is_recognised_and_its_boxes_are_right(tmp_path: Path, layout: Layout) -> None:
     model = Model(settings(write_model(tmp_path / "m.onnx", layout)))
+
     assert model.form.layout == layout
     assert model.size == (160, 160)
     people = found(model)
@@ -68,6 +69,7 @@ def test_positions_may_be_pixels_where_the_layout_is_named(tmp_path: Path) -> No
     path = write_model(tmp_path / "m.onnx", "yolox", decoded=True)
     with pytest.raises(DetectorError, match='write layout = "yolox" or "yolov5"') as caught:
         Model(settings(path))
+
     assert caught.value.key == "model"
     people = found(Model(settings(path, layout="yolox")))
     assert len(people) == 2

@@ -53,6 +53,7 @@ def test_what_happens_in_an_ignored_area_changes_nothing() -> None:
     settings = VisionSettings(ignore=(tree,))
     quiet, pipeline = watched(Scene([walker], **light), 18, settings)
     busy, other = watched(Scene([walker], front=leaves(tree), **light), 18, settings)
+
     assert [event.kind for event in quiet] == ["entry", "exit"]
     assert busy == quiet
     assert other.statistics() == pipeline.statistics()
@@ -96,6 +97,7 @@ def test_a_named_door_counts_from_the_first_time_on(door: Polygon) -> None:
     out = Person(line(6.0, (0.5, 0.55), (-0.05, 0.75), 6.0))
     back = Person(line(16.0, (-0.05, 0.75), (0.5, 0.55), 6.0), seed=2)
     scene = Scene([out, back])
+
     assert [event.kind for event in scene.events(34)] == ["exit", "entry"]
     events = scene.events(34, VisionSettings(doors=(door,)))
     assert [event.kind for event in events] == ["entry", "exit", "entry", "exit"]
@@ -110,6 +112,7 @@ def test_what_is_lower_than_the_least_height_makes_no_events() -> None:
     cat = Person(line(5.0, (-0.05, 0.8), (1.05, 0.8), 8.0), tall=0.1)
     man = Person(line(8.0, (1.05, 0.5), (-0.05, 0.5), 8.0), tall=0.25, seed=1)
     scene = Scene([cat, man])
+
     assert len(scene.events(20)) == 4
     events = scene.events(20, VisionSettings(min_height=0.18))
     assert [event.kind for event in events] == ["entry", "exit"]
@@ -127,4 +130,5 @@ def test_a_faint_person_needs_more_of_it() -> None:
             picture = 0.7 * empty.picture(k / FPS) + 0.3 * seen.picture(k / FPS)
             events += pipeline.process(k / FPS, picture.astype(np.uint8))
         found[sensitivity] = [event.kind for event in events + pipeline.finish()]
+
     assert found == {0.5: [], 1.0: [], 3.0: ["entry", "exit"]}

@@ -27,6 +27,7 @@ def side(event: Event) -> str:
 def test_one_passage_is_an_entry_and_an_exit_with_capture_times() -> None:
     scene = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.5), 8.0))])
     events = scene.events(18)
+
     assert passages(events) == [("entry", "left"), ("exit", "right")]
     entry, leaving = events
     assert entry.track == leaving.track
@@ -82,6 +83,7 @@ def test_two_who_cross_are_two_passages() -> None:
         ]
     )
     events = scene.events(20)
+
     assert passages(events) == [
         ("entry", "left"),
         ("entry", "right"),
@@ -121,6 +123,7 @@ def test_two_who_change_places_at_the_border_are_an_exit_and_an_entry() -> None:
     )
     events = scene.events(26)
     kinds = sorted(passages(events))
+
     assert kinds == [("entry", "left"), ("entry", "right"), ("exit", "left"), ("exit", "right")]
 
 

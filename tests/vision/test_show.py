@@ -81,6 +81,7 @@ def test_a_picture_is_replaced_now_and_then(
 ) -> None:
     name = "now.jpg"
     file = open_shown_file(tmp_path / name)
+
     assert list(tmp_path.iterdir()) == [], "nothing before the first picture"
     monkeypatch.setattr(shown_file, "PICTURE_SECONDS", 2.0)
     file.write(0.0, 100.0, GREY)
@@ -120,6 +121,7 @@ def test_a_full_disk_ends_the_picture_with_one_warning_and_no_event(
     monkeypatch.setattr(shown_file, "PICTURE_SECONDS", 0.0)
     monkeypatch.setattr(shown_file, "_free_bytes", lambda folder: next(free, 1 << 20))
     warnings: list[str] = []
+
     assert shown(tmp_path / name, 14.0, warnings) == ["entry", "exit"]
     assert warnings == [f"cannot write {tmp_path / name}: less than 64 MiB of the disk are free"]
     assert [one.name for one in tmp_path.iterdir()] == [name]

@@ -96,12 +96,14 @@ def test_times_are_the_start_plus_the_position(film: Path) -> None:
     np.testing.assert_allclose(
         [frame.t for frame in frames], 1000.0 + np.arange(len(frames)) / FPS, atol=1e-3
     )
+
     assert len(frames) == round(SECONDS * FPS)
     assert frames[0].luma.shape == (HEIGHT, WIDTH)
 
 
 def test_a_file_to_events(film: Path) -> None:
     grabber = grab(film, start=1000.0)
+
     assert grabber.state == "connecting"
     events = sorted(events_of(grabber), key=lambda event: event.t)
     assert [event.kind for event in events] == ["entry", "entry", "exit", "exit"]
@@ -137,6 +139,7 @@ def test_the_decoder_s_plane_is_taken_where_there_is_one(
         Capture(str(path), VisionSettings()),
         cv2.VideoCapture(str(path), cv2.CAP_FFMPEG),
     )
+
     assert (capture._capture.get(cv2.CAP_PROP_CONVERT_RGB) == 0.0) == plane
     seen = []
     for _ in range(3):
@@ -193,6 +196,7 @@ def test_a_stream_that_is_not_there_is_waited_for() -> None:
     with socket.socket() as reserved:
         reserved.bind(("127.0.0.1", 0))  # bound, not listening: refuses
         grabber = grab(f"rtsp://user:pa@ss@127.0.0.1:{reserved.getsockname()[1]}/s")
+
         assert run_until(grabber.events(), lambda: grabber.statistics()["failures"] >= 2) == []
         assert grabber.state == "connecting"
         assert "trying again" in grabber.reason
@@ -207,6 +211,7 @@ def test_a_stream_has_the_events_of_the_file(film: Path, server: int) -> None:
     before = time.time()
     streamed = run_until(grabber.events(), lambda: grabber.statistics()["exits"] >= 2, SECONDS + 10)
     grabber.close()
+
     assert all(before < event.t < time.time() for event in streamed)
     aspect = WIDTH / HEIGHT
     offset = best_offset(recorded, streamed, aspect)

@@ -25,6 +25,7 @@ def picture(rng: np.random.Generator, height: int, width: int, coarse: int = 4) 
 def test_shrunk_is_the_mean_over_the_area(height: int, width: int) -> None:
     large = picture(np.random.default_rng(1), height, width, coarse=width // 40)
     small = shrink.shrunk(large, 320)
+
     assert small.shape == (round(height * 320 / width), 320)
     twin = cv2.resize(large, small.shape[::-1], interpolation=cv2.INTER_AREA)
     difference = np.abs(small.astype(int) - twin)
@@ -41,6 +42,7 @@ def test_a_picture_is_moved_back(x: float, y: float) -> None:
     settled = np.full(scene.shape, 255, np.uint8)
     back = shake.shifted_back(frame, scene, settled, shake.shift(frame, scene, settled))
     inner = (slice(8, -8), slice(8, -8))
+
     assert np.abs(back[inner].astype(int) - scene[inner]).mean() < 0.5
 
 

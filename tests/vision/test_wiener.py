@@ -33,4 +33,5 @@ def test_noise_is_measured_whatever_the_texture_and_some_motion(sigma: float) ->
         for _ in range(2)
     )
     b[50:150, 100:160] = 20  # somebody came
+
     assert temporal_noise(b, a) == pytest.approx(sigma, rel=0.2)

@@ -42,15 +42,17 @@ DOTTED = "gate.1-_x"
 
 
 class Site:
-    """A daemon that can be restarted, and a page that stays; time runs, from long after `T0`."""
+    """A daemon and its page; time runs, from long after `T0`."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
         self.endpoint = free_endpoint()
         self._began = time.monotonic()
         self._open = contextlib.ExitStack()
-        self.daemon = self._daemon()
-        self.start()
+        config = msgspec.structs.replace(
+            small_config(directory / "state"), bus=BusSettings(listen=(self.endpoint,))
+        )
+        self.daemon = self._open.enter_context(Daemon(config, clock=self.now))
         bus = self._open.enter_context(self.client())
         cv2.imwrite(str(directory / "a.png"), np.full((90, 120, 3), 200, np.uint8))
         self.port = self._open.enter_context(self.page(bus))
@@ -67,12 +69,6 @@ class Site:
     def client(self) -> Bus:
         return buses.dial(small_config(self.directory, self.endpoint))
 
-    def _daemon(self) -> Daemon:
-        config = msgspec.structs.replace(
-            small_config(self.directory / "state"), bus=BusSettings(listen=(self.endpoint,))
-        )
-        return Daemon(config, clock=self.now)
-
     @contextlib.contextmanager
     def page(self, bus: Bus, port: int = 0) -> Iterator[int]:
         """Serve the page; yield its port."""
@@ -81,11 +77,6 @@ class Site:
             app.serving(bus, listener, names("127.0.0.1"), self.directory, self.now, 1.0),
         ):
             yield listener.getsockname()[1]
-
-    def start(self) -> None:
-        """Start the same daemon again, on its stored state."""
-        self.daemon = self._daemon()
-        self.daemon.start()
 
     def learn(self, bus: Bus) -> None:
         """Publish enough walkers for a topology."""
@@ -101,7 +92,6 @@ class Site:
 
     def close(self) -> None:
         self._open.close()
-        self.daemon.stop()
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +129,7 @@ def leave(site: Site, bus: Bus, camera: str = "a", seq: int = 0) -> None:
 
 def test_the_map_shows_what_was_learned(site: Site, shown: Browser) -> None:
     topology = site.daemon.topology
+
     assert topology is not None
     names = shown.run(
         "return [...document.querySelectorAll('.node')].map((node) => node.dataset.id)"
@@ -164,6 +155,7 @@ def test_keys_open_a_camera_and_its_link(site: Site, shown: Browser) -> None:
     shown.run("document.querySelector('nav a:last-child').focus()")
     shown.press("TAB")
     reached = shown.run("return document.activeElement.dataset.id")
+
     assert reached, "Tab reaches a camera"
     for key in ("ARROW_LEFT", "ARROW_RIGHT", "ARROW_UP", "ARROW_DOWN"):
         shown.press(key)
@@ -191,6 +183,7 @@ def test_a_cameras_page_has_its_picture_zones_and_live_events(site: Site, shown:
     shown.go("#/camera/a")
     shown.wait(lambda: shown.count(".scene image") == 1, "the picture")
     box = shown.run("return document.querySelector('.scene svg').getAttribute('viewBox')")
+
     assert [float(part) for part in box.split()] == pytest.approx([-7.2, -5.4, 134.4, 100.8])
     assert shown.count(".scene .zone ellipse") == 2
     with site.client() as bus:
@@ -218,6 +211,7 @@ def test_hostile_text_and_odd_names_stay_text(site: Site, shown: Browser) -> Non
         shown.wait(lambda: HOSTILE in shown.text(".panel .reason"), "the reason as it is")
         shown.go("#/health")
         shown.wait(lambda: HOSTILE in shown.text(".page table"), "the reason in the table")
+
     assert shown.count("img, script:not([src])") == 0
     assert "owned" not in shown.run("return document.title")
     shown.go("#/camera/%3Cimg%20src%3Dx%3E")
@@ -246,6 +240,7 @@ def test_a_phone_has_nothing_to_scroll_sideways(site: Site, shown: Browser, dark
         )
     background = shown.run("return getComputedStyle(document.body).backgroundColor")
     level = sum(int(part) for part in re.findall(r"\d+", background)[:3]) / 3
+
     assert (level < 60) is dark
     shown.dark(False)
 
@@ -283,6 +278,7 @@ def test_a_report_of_many_cameras_needs_no_server(
     browser.open(path.as_uri())
     browser.wait(lambda: browser.count(".node") == 450, "the cameras")
     browser.wait(lambda: browser.count(".labels .name") > 20, "names, as many as fit")
+
     assert browser.count(".labels text") < 300
     pairs = Counter(
         (edge.relation, edge.provisional != "") for edge in draw(topology).edges.values()

@@ -32,6 +32,7 @@ def test_it_links_to_the_recorder_and_counts_events_by_the_hour(browser: Browser
         browser.go(f"#/camera/{B}")
         browser.wait(lambda: browser.text(".panel h2") == B, "another camera")
         assert "At the recorder" not in browser.text(".panel")
+
     assert browser.complaints() == []
 
 

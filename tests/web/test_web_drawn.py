@@ -99,6 +99,7 @@ def test_an_edges_colour_dash_and_width_say_what_it_is(browser: Browser, show: S
         )
     )
     edges: dict[str, Any] = browser.run(STYLES)
+
     assert edges["a b"]["stroke"] != edges["b c"]["stroke"]
     level = {
         key: sum(int(part) for part in one["stroke"][4:-1].split(",")) / 3
@@ -122,6 +123,7 @@ def test_each_time_says_which_way_it_is_of_where_they_differ(browser: Browser, s
     a, b = browser.run(
         f"{BOXES} return ['a', 'b'].map((id) => boxes(`.node[data-id=${{id}}] circle`)[0]).map((one) => [one.x, one.y])"
     )
+
     assert abs(a[0] - b[0]) > 5 * abs(a[1] - b[1]), "they lie beside each other"
     there, back = ("→", "←") if a[0] < b[0] else ("←", "→")
     assert sorted(times(browser)) == sorted(["9.0 s", f"{there} 15 {back} 27 s"])

@@ -29,6 +29,7 @@ def details_of(link: Link, topology: Topology = SITE) -> dict[str, Any]:
 
 def test_a_links_chart_holds_all_transitions_and_the_same_samples_each_time() -> None:
     chart = details_of(LINK)["chart"]
+
     assert sum(chart["counts"]) == pytest.approx(LINK.transitions, rel=0.02)
     assert sum(chart["curve"]) == pytest.approx(LINK.transitions, rel=0.02)
     edges = [
@@ -46,6 +47,7 @@ def test_a_links_chart_holds_all_transitions_and_the_same_samples_each_time() ->
 
 def test_the_words_follow_the_figures() -> None:
     overlapped = made_link("a/1", "b/1", -1.5, 90.0, overlapped=True)
+
     assert "before they leave at a/1" in " ".join(why(overlapped, False, None, None))
     seen = made_link("a/1", "a/2", 9.0, 90.0, visible=True)
     assert "in one view" in why(seen, False, None, None)[0]
@@ -69,6 +71,7 @@ def test_the_words_follow_the_figures() -> None:
 
 def test_a_pair_says_what_its_two_tests_say() -> None:
     both = Pair(("a", "b"), "overlapped", "overlapped", "overlapped")
+
     assert "Both tests agree" in why_pair(both)[1]
     differ = msgspec.structs.replace(both, by_sum_rule="unseen_path", reason="few were counted")
     assert "no camera sees" in why_pair(differ)[2]

@@ -135,6 +135,7 @@ def test_events_are_passed_on_while_somebody_watches_without_who_it_was(rig: Rig
             assert len(rig.bus.subscribed["event/a"]) == 1, "two pages, one subscription"
         rig.bus.publish("event/a", Event("a", "exit", 5.0, 0.1, 0.2, "somebody", "boot", 3))
         event = rig.wait_for("event", 1)
+
     assert event == {"camera": "a", "kind": "exit", "t": 5.0, "x": 0.1, "y": 0.2}
     assert rig.bus.subscribed["event/a"] == []
 

@@ -39,6 +39,7 @@ def test_without_a_link_it_says_what_it_waits_for_and_dots_what_is_likely(browse
         opened(browser, shown)
         waiting = draw(YOUNG).waiting
         browser.wait(lambda: browser.text(".waiting") == waiting, "what it waits for")
+
         assert "has 4 of about 7; about 30 minutes" in waiting
         assert browser.count(".edge.likely") == browser.count(".edge") == 1
         assert browser.text(".key summary .quiet").endswith("0 pairs (0 overlapping), 1 likely")
@@ -71,4 +72,5 @@ def test_cameras_with_a_picture_are_shown_by_it(browser: Browser, tmp_path: Path
             lambda: browser.run(height, f".node[data-id={NAMES[0]}] image") == 0,
             "a circle where there is no room for a picture",
         )
+
     assert browser.complaints() == []

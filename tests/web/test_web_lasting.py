@@ -68,6 +68,7 @@ def test_a_cameras_page_follows_the_versions_and_keeps_its_events(browser: Brows
         zones = [msgspec.structs.replace(zone, entries=777_777) for zone in SITE.zones]
         shown.publish(newer(2, zones=zones))
         browser.wait(lambda: "777,777" in browser.text(".panel table"), "the newer figures")
+
         assert browser.count(".event.exit") == 1
 
 
@@ -84,6 +85,7 @@ def test_who_uses_keys_stays_where_they_are(browser: Browser) -> None:
         links = [msgspec.structs.replace(link, probability=0.11) for link in SITE.links]
         shown.publish(newer(2, links=links))
         browser.wait(lambda: "11 %" in browser.text(".panel .links"), "the newer share")
+
         assert browser.run(focused) == before
         browser.go("#/links")
         browser.wait(lambda: browser.count(".sort") > 0, "the table")
@@ -115,6 +117,7 @@ def test_nothing_that_is_missing_breaks_it(browser: Browser, topology: Topology)
             browser.go(place)
             browser.wait(lambda place=place: browser.run("return location.hash") == place, place)  # type: ignore[misc]
             browser.wait(lambda: "…" not in browser.text("main"), "all of it")
+
     assert [
         text for text in browser.complaints() if "404" not in text and "REFUSED" not in text
     ] == []
@@ -131,6 +134,7 @@ def test_a_report_of_a_recording_counts_its_seconds(browser: Browser, tmp_path: 
     axis = browser.run(
         "return [...document.querySelectorAll('.axis text')].map((one) => one.textContent)"
     )
+
     assert {"400 s", "800 s"} <= set(axis)
     assert "1970" not in browser.text("body")
     assert browser.complaints() == []
@@ -169,6 +173,7 @@ def test_what_is_drawn_can_be_seen(browser: Browser, dark: bool) -> None:
         ):
             assert contrast(browser.run(style, what, part), ground) >= least, what
         browser.dark(False)
+
         assert float(browser.run(style, ".labels .time", "strokeWidth").removesuffix("px")) >= 10, (
             "a line behind the dot of 1.5 s made it 1:5 s"
         )

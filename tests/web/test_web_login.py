@@ -159,6 +159,7 @@ def test_password_and_token_are_read_from_files(
     settings = WebSettings(
         secret(tmp_path / "p", password, mode), secret(tmp_path / "t", token, mode)
     )
+
     assert web._login(Config()) is None
     if not said:
         assert web._login(Config(web=settings)) is not None

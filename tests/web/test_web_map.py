@@ -35,6 +35,7 @@ def apart(a: Place, b: Place) -> float:
 def test_a_pair_is_an_edge_with_both_ways() -> None:
     topology = synthetic_topology(12)
     drawn = draw(topology)
+
     assert set(drawn.cameras) == {camera.id for camera in topology.cameras}
     assert set(drawn.edges) == {" ".join(pair.cameras) for pair in topology.pairs}
     for pair in topology.pairs:
@@ -67,6 +68,7 @@ def test_evidence_that_is_nearly_enough_is_on_the_map() -> None:
 def test_a_map_without_links_says_what_it_waits_for() -> None:
     topology = synthetic_topology(12)
     inside = [link for link in topology.links if link.relation == "visible"]
+
     assert draw(topology).waiting == ""
     without = replace(topology, links=inside, pairs=[])
     assert draw(without).waiting.startswith("No two cameras are linked yet: ")
@@ -95,6 +97,7 @@ def test_a_change_makes_the_new_map_of_the_old() -> None:
     old = draw(topology)
     new = draw(newer, old)
     delta = change(old, new)
+
     assert applied(old, delta) == (new.cameras, new.edges)
     assert delta.gone_cameras == ["cam0005"]
     assert (delta.since, delta.version) == (1, 2)
@@ -131,5 +134,6 @@ def test_a_small_change_moves_little() -> None:
     more = {**joined, ("0505", "new"): False}
     after = places(names_of(more), more, before)
     shift = [apart(after[name], before[name]) for name in before]
+
     assert max(shift) < 0.5, "those that were there stay about where they were"
     assert apart(after["new"], after["0505"]) < 1.6

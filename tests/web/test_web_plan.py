@@ -55,6 +55,7 @@ def test_cameras_stand_where_they_are_on_the_plan_on_every_screen(
         assert box["width"] == pytest.approx(2 * box["height"], rel=0.01)
         assert box["left"] >= 0
         assert box["right"] <= size[0]
+
     assert browser.complaints() == []
 
 
@@ -65,6 +66,7 @@ def test_the_plan_is_beside_the_configuration_and_places_need_it(tmp_path: Path)
     path = tmp_path / "camtopod.toml"
     cameras = '[cameras.a]\nsource = "1"\nat = [0.2, 0.7]\npage = "https://nvr.example/a"\n'
     path.write_text('[map]\nplan = "floor.png"\n' + cameras)
+
     assert Configured.of(load(path)) == Configured(
         {"a": "https://nvr.example/a"}, tmp_path / "floor.png", {"a": (0.2, 0.7)}
     )
