@@ -2,12 +2,12 @@
 
 Theory of operation. Besides the bus's own there are these threads:
 
-- *receive* decodes what comes, merges it by time, and answers exits with the newest version;
+- *receive* decodes what comes, merges it by time, and predicts from exits with the newest version;
 - *store* owns the journal: it commits events, queues them for the learner, answers the grabbers'
   requests, and stores each version before it is published;
 - *learn* passes committed events, in the journal's order, to the learner, which runs in its own
   process;
-- *status* publishes the status;
+- *status* publishes the status.
 
 All queues between them are bounded; when one is full, events stay in the grabbers' spools.
 """

@@ -58,9 +58,10 @@ class Batch(Struct, frozen=True, tag="batch"):
     """Events of one boot, by rising number.
 
     number: of the camera's last hello.
-    after: the last ``have`` that the daemon has told of this boot; 0 if none. Events between it and
-        the first of the batch are lost.
-    events: (seq, bytes); empty to ask for the state of what was sent up to ``after``.
+    after: the last ``have`` that the daemon has told of this boot, or less; 0 if none. Events
+        between it and the first of the batch that the daemon does not have are lost. Of a batch
+        without events, the number up to which events were sent.
+    events: (seq, bytes); empty to be told when what was sent up to ``after`` is stored.
     more: how many events of the camera wait behind these.
     """
 
@@ -77,7 +78,7 @@ class Answer(Struct, frozen=True, omit_defaults=True):
     have: for the boot of the batch, or each of the hello's, the highest number that is on disk; 0
         if none is. A boot is left out if the daemon does not know.
     batch: how many events the next batch may have.
-    reason: why nothing was taken; "" if the batch is stored.
+    reason: why nothing was taken, or that the batch is held; "" if ``have`` says it all.
     detail: the reason as a sentence for people.
     late: how many events of the batch came too late to be learned.
     refused: how many of them were malformed, too many, or too far ahead of the clock.

@@ -15,8 +15,9 @@ of what is to be stored, and `Intake.store_waiting` from there into the journal:
 
 Guarantees. An answer names the highest number that is on disk. A camera's events are taken,
 released, stored and learned in the order of their numbers, so everything below is on disk, too.
-Every request is answered: at once if nothing is taken, with the reason; with ``held`` if its events
-are not stored after a minute. What is held in memory is bounded by `EVENTS_MAX`.
+Every request is answered: at once if nothing is taken, with the reason or with where to begin; with
+``held`` if its events are not stored after a minute. The events in memory are bounded by
+`EVENTS_MAX`, and requests by one a camera (`camtopod.keys.rules` bounds their size).
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from camtopod.serve.ingest.received import Received
 
 
 class StoreQueue:
-    """A queue; `put` and `close` are called from one thread, `take` and `done` from another."""
+    """A queue; `take` and `done` are called from one thread, the others from any."""
 
     def __init__(self) -> None:
         self._ready: collections.deque[Received] = collections.deque()
@@ -31,10 +31,6 @@ class StoreQueue:
     def is_finished(self) -> bool:
         """True if nothing is there and nothing will come."""
         return self._ended and not self._ready
-
-    def open(self) -> None:
-        """Open the queue."""
-        self._ended = False
 
     def put(self, ready: Sequence[Received]) -> None:
         """Append events."""
@@ -68,8 +64,3 @@ class StoreQueue:
         with self._changed:
             self._taken = 0
             self._changed.notify_all()
-
-    def wait_for_room(self, seconds: float) -> None:
-        """Wait until something is stored, at most ``seconds``."""
-        with self._changed:
-            self._changed.wait(seconds)

@@ -104,6 +104,7 @@ class Spool:
         self._kept_max = kept_max
         self._first_boot = boot
         self._later_boots: dict[str, str] = {}
+        self._boots_begun = 0
         self._boots: defaultdict[str, dict[str, _Boot]] = defaultdict(dict)
         # (camera, boot) of which this process was given events -> the highest number of them.
         self._tops: dict[tuple[str, str], int] = {}
@@ -238,7 +239,8 @@ class Spool:
         """Begin another boot for ``camera``, and number what waits of the present one within it."""
         with self._using():
             old = self.boot(camera)
-            new = f"{self._first_boot}.{len(self._later_boots) + 1}"
+            self._boots_begun += 1
+            new = f"{self._first_boot}.{self._boots_begun}"
             above = camera, old, self._boots[camera].get(old, _Boot()).have
             rows = self._db.execute(f"SELECT * {_WAITING}", above).fetchall()
             good = [row for row in rows if sqlite_file.crc(*row[1:-1]) == row[-1]]

@@ -181,8 +181,8 @@ class Journal:
     def new_entries(self, entries: Sequence[Entry]) -> Sequence[Entry]:
         """Return the entries whose number (boot, seq) no stored entry has.
 
-        That is all of them, except after a rescue, when entries may be stored behind a hole that
-        the spools fill now. Raises `sqlite3.Error`.
+        That is nearly always all of them. After a rescue entries may be stored behind a hole that
+        the spools fill now, and the entries of a boot outlast its number. Raises `sqlite3.Error`.
         """
         lowest: dict[Stream, int] = {}
         for one in entries:
@@ -210,6 +210,10 @@ class Journal:
             return entries
         return [one for one in entries if (one.camera, one.boot, one.seq) not in stored]
 
+    def look_again(self) -> None:
+        """Have `new_entries` look up every stream, as an entry was there that it did not know."""
+        self._without_holes.clear()
+
     def commit(
         self,
         entries: Sequence[Entry],
@@ -228,8 +232,9 @@ class Journal:
         numbers: the highest number of streams that count as stored further than these entries say.
         forgotten: streams whose number is deleted.
 
-        Raises `sqlite3.Error`; then the same call may be repeated. A commit can fail although its
-        rows are durable, so a repeated call first looks whether they are there. Without anything to
+        Raises `sqlite3.Error`; then the same call may be repeated, after an
+        `sqlite3.IntegrityError` with the `new_entries`. A commit can fail although its rows are
+        durable, so a repeated call first looks whether they are there. Without anything to
         store, only `Displaced` is raised if the file is not in place.
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
@@ -259,6 +264,7 @@ class Journal:
                     self._db.check()  # again, as a transaction can take long
             self._sure = True
             self._last += len(entries)
+            self._without_holes.difference_update(forgotten)
 
             # Record how far the journal has come.
             known = self._witness.known
@@ -352,8 +358,8 @@ class Journal:
     def numbers(self) -> tuple[dict[Stream, int], set[Stream]]:
         """Return the highest stored number of each stream, in the order of their last entries.
 
-        A damaged one is that of the newest entry. The second value has the streams without
-        one: the publisher tells how far it has come.
+        A damaged number is that of the newest undamaged entry. The second value has the streams
+        without one: the publisher tells how far it has come.
         """
         numbers: dict[Stream, int] = {}
         unknown: set[Stream] = set()
@@ -364,9 +370,11 @@ class Journal:
                 stream = (row[0], row[1])
                 seq = row[2]
                 if crc(*row) != checksum:
-                    [seq] = self._db.execute(
-                        "SELECT MAX(seq) FROM entry WHERE camera = ? AND boot = ?", stream
-                    ).fetchone()
+                    entries = self._db.execute(
+                        "SELECT * FROM entry WHERE camera = ? AND boot = ? ORDER BY seq DESC",
+                        stream,
+                    )
+                    seq = next((one[5] for one in entries if crc(*one[:-1]) == one[-1]), None)
                     log.error("a number of camera %s in the journal is damaged", row[0])
                 if seq is None:
                     unknown.add(stream)

@@ -121,12 +121,12 @@ class JournalWriter:
 
         # Retry until it succeeds, or until the daemon stops.
         new: Sequence[Entry] | None = None
-        numbers = highest_numbers(entries)
         while True:
             try:
                 with self._timed():
                     if new is None:
                         new = self._journal.new_entries(entries)
+                        numbers = highest_numbers(entries) if len(new) < len(entries) else {}
                     self._journal.commit(
                         new, stored, snapshot, self._clock(), meta, numbers, forgotten
                     )
@@ -135,6 +135,9 @@ class JournalWriter:
                 if not self._failure:
                     log.error("cannot write the journal, so nothing is acknowledged: %s", error)
                 self._failure = f"cannot write the journal: {error}"
+                if isinstance(error, sqlite3.IntegrityError):
+                    new = None  # some entries are there already
+                    self._journal.look_again()
                 beat()  # a restart would not help
                 if stopping.wait(_RETRY_SECONDS):
                     # The next snapshot includes these versions, so they have to come before it.

@@ -470,3 +470,26 @@ def test_idle_time_advances_for_the_learner(bench: IntakeBench) -> None:
 def test_a_hello_is_answered_again(bench: IntakeBench) -> None:
     assert bench.ask("a", Hello("h1", [])).answer is not None
     assert bench.ask("a", Hello("h2", [])).answer is not None
+
+
+def test_events_of_a_forgotten_boot_that_come_again_count_once(
+    bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(numbers_module, "BOOTS_MAX", 3)
+    for number in range(6):
+        bench.hello(boots=[f"boot-{number}"])
+        bench.send(boot=f"boot-{number}", times={1: -1.0})
+
+    bench.hello(boots=["boot-0"])
+    answer = bench.send(boot="boot-0", times={1: -1.0, 2: -0.5}).answer
+
+    assert answer is not None
+    assert answer.have == {"boot-0": 2}
+    assert len(bench.stored) == 7
+    assert [one.entry.seq for one in bench.learned][-1] == 2
+
+
+def test_publications_may_count_from_zero(bench: IntakeBench) -> None:
+    bench.publish("a", boot="b1", seq=0)
+    bench.publish("a", boot="b1", seq=0)
+    assert bench.stored == [("event", "a", 0)]
