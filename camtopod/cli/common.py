@@ -20,23 +20,13 @@ from msgspec.structs import replace
 
 from camtopod.cli import exits, implicit_config
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.config import (
-    DEFAULT_ENDPOINT,
-    RESERVED,
-    Config,
-    is_endpoint,
-    secret_files,
-    settings,
-)
+from camtopod.config import DEFAULT_ENDPOINT, RESERVED, Config, is_endpoint, secret_files, settings
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
 from camtopod.serve.runtime import Progress, systemd
 from camtopod.visible import visible, visible_lines
 
 log = logging.getLogger(__name__)
-
-_PARENT_LOOK_SECONDS = 0.5
-"""Interval at which `ends_within` checks that its parent process still exists."""
 
 
 def configuration(args: argparse.Namespace) -> Config:
@@ -116,6 +106,11 @@ def with_options(args: argparse.Namespace, loaded: Config) -> Config:
     if getattr(args, "state", None):
         loaded = replace(loaded, state=settings.StateSettings(args.state))
     return loaded
+
+
+def counted(number: int, thing: str) -> str:
+    """Return "1 camera", "2 cameras" and so on."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def check_name(option: str, name: str) -> None:
@@ -235,7 +230,9 @@ def signals(reloads: bool = True) -> Iterator[SignalRequests]:
     the main thread is inside a library.
     """
     requests = SignalRequests(threading.Event(), threading.Event())
-    numbers = [signal.SIGTERM, signal.SIGINT] + ([signal.SIGHUP] if reloads else [])
+    numbers = [signal.SIGTERM, signal.SIGINT]
+    if reloads:
+        numbers.append(signal.SIGHUP)
     at_a_terminal = os.isatty(0)
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
@@ -289,7 +286,7 @@ def ends_within(
     forced_exit = ForcedExit()
 
     def watch() -> None:
-        while not stop.wait(_PARENT_LOOK_SECONDS):
+        while not stop.wait(0.5):
             if parent is not None and os.getppid() != parent:
                 stop.set()
         if not done.wait(seconds):

@@ -22,8 +22,9 @@ def raise_limit() -> None:
     Raises `CommandError` if that is fewer than `NEEDED`.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    unlimited = hard == resource.RLIM_INFINITY
-    allowed = WANTED_MAX if unlimited else min(hard, WANTED_MAX)
+    allowed = WANTED_MAX
+    if hard != resource.RLIM_INFINITY:
+        allowed = min(hard, WANTED_MAX)
     if soft != resource.RLIM_INFINITY and soft < allowed:
         resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
     if allowed < NEEDED:

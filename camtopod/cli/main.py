@@ -304,37 +304,39 @@ def _import(path: str, command: str) -> Any:
 def _add_common(parser: argparse.ArgumentParser, top: bool) -> None:
     """Add the common options; after the command's name they default to the values before it."""
     group = parser.add_argument_group("common options")
-    default: Any = None if top else argparse.SUPPRESS
+    defaults: dict[str, Any] = {"value": None, "format": "text", "level": "info"}
+    if not top:
+        defaults = dict.fromkeys(defaults, argparse.SUPPRESS)
     group.add_argument(
         "--config",
         metavar="FILE",
-        default=default,
+        default=defaults["value"],
         help="configuration, a TOML file; none: read no file (default: ./camtopod.toml, else "
         "/etc/camtopod/camtopod.toml, if there is one)",
     )
     group.add_argument(
         "--site",
         metavar="NAME",
-        default=default,
+        default=defaults["value"],
         help="name of the site, the second part of every key on the bus",
     )
     group.add_argument(
         "--connect",
         metavar="ENDPOINT",
         action="append",
-        default=default,
+        default=defaults["value"],
         help="zenoh endpoint to connect to, for example tcp/192.168.1.5:7447; may be repeated",
     )
     group.add_argument(
         "--log-format",
         choices=LOG_FORMATS,
-        default="text" if top else argparse.SUPPRESS,
+        default=defaults["format"],
         help="format of the messages on standard error (default: text)",
     )
     group.add_argument(
         "--log-level",
         choices=LOG_LEVELS,
-        default="info" if top else argparse.SUPPRESS,
+        default=defaults["level"],
         help="least important messages to show (default: info)",
     )
 

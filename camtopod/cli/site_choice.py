@@ -37,8 +37,4 @@ def right_site(bus: Bus, config: Config) -> str:
 def _named(sites: list[str]) -> str:
     if not sites:
         return ""
-    one = len(sites) == 1
-    return (
-        f"; there is {'one' if one else 'a daemon each'} of {'site' if one else 'sites'} "
-        f"{', '.join(sites)}: add --site {sites[0] if one else 'NAME'}"
-    )
+    return f"; there is a daemon of site {' and of site '.join(sites)}: add --site {sites[0]}"

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
-import json
-import os
-import pty
 import random
-import re
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
-from serving import camtopod
 
 from camtopod.cli import exits, main
 from camtopod.cli.commands.learn import EPOCH
@@ -106,11 +99,11 @@ def test_learn_takes_its_settings_from_the_configuration(
     run: Run, recording: Path, tmp_path: Path
 ) -> None:
     config = tmp_path / "camtopod.toml"
-    config.write_text('[site]\nname = "museum"\n[learn]\nwindow_events_max = 100\n')
+    config.write_text('[site]\nname = "museum"\n[learn]\nwindow_hours = 0.1\n')
     _, printed, _ = run("learn", recording, "--config", config)
     learned = read(Topology, printed)
     assert learned.site == "museum"
-    assert sum(zone.entries + zone.exits for zone in learned.zones) <= 100
+    assert sum(zone.entries + zone.exits for zone in learned.zones) < len(EVENTS) / 2
 
 
 def test_lines_that_do_not_fit_are_counted_and_quoted_once(run: Run, topology: Path) -> None:
@@ -162,13 +155,6 @@ def test_nothing_to_learn_from(run: Run) -> None:
     assert "1 of 1 lines were rejected" in said
 
 
-def test_an_output_that_cannot_be_written(run: Run, recording: Path, tmp_path: Path) -> None:
-    for option in ("--topology", "--updates"):
-        status, _, said = run("learn", recording, option, tmp_path / "no" / "folder")
-        assert status == exits.FAILED
-        assert "cannot write" in said
-
-
 # --- predict ---
 
 
@@ -191,19 +177,6 @@ def test_one_prediction_for_each_exit_in_input_order(run: Run, topology: Path) -
     assert all(
         sorted(orders) == [False, True] for orders in found.values()
     )  # whatever the order, the same answers
-
-
-def test_predictions_are_the_contracts(run: Run, topology: Path, recording: Path) -> None:
-    _, printed, _ = run("predict", topology, recording)
-    cameras = {event.camera for event in EVENTS}
-    for line in printed.splitlines():
-        fields = json.loads(line)
-        assert list(fields) == ["camera", "zone", "t", "track", "version", "leave", "next"]
-        assert fields["leave"] + sum(n["probability"] for n in fields["next"]) == pytest.approx(1.0)
-        ranks = [n["probability"] for n in fields["next"]]
-        assert ranks == sorted(ranks, reverse=True)
-        assert {n["camera"] for n in fields["next"]} <= cameras
-    assert sum(bool(json.loads(line)["next"]) for line in printed.splitlines()) > 100
 
 
 def test_later_lines_change_no_answer(run: Run, topology: Path) -> None:
@@ -285,28 +258,3 @@ def test_long_lines_are_skipped_whole(capsys: pytest.CaptureFixture[str]) -> Non
     end = LineReader()
     assert list(end.lines("f", io.BytesIO(b"z" * 200_000))) == []
     assert end.rejected == {"too-long": 1}
-
-
-def test_a_terminal_gets_the_links_as_a_table(recording: Path) -> None:
-    ours, its = pty.openpty()
-    learn = camtopod("learn", str(recording), stdout=its, stderr=subprocess.PIPE)
-    os.close(its)
-    shown = b""
-    with contextlib.suppress(OSError):  # the end of a terminal
-        while piece := os.read(ours, 65_536):
-            shown += piece
-    os.close(ours)
-    _, said = learn.communicate(timeout=60)
-    assert learn.returncode == 0
-    assert b"--topology OUT.json keeps the topology" in said
-    [count] = re.findall(rb"(\d+) links between views", said)
-    table = shown.decode().splitlines()
-    assert len(table) == int(count) > 0
-    row = r"cam\d+/\d+ +-> cam\d+/\d+ +\d+%  (overlap, .* before|[\d.]+ \([\d.]+ to [\d.]+\) s)"
-    assert all(re.fullmatch(row, line) for line in table)
-
-
-def test_a_topology_is_no_recording(run: Run, topology: Path) -> None:
-    status, _, said = run("learn", topology)
-    assert status == exits.INPUT
-    assert f"{topology} is a topology, which `predict`, `report` and `export` read" in said

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import logging
-import os
 import re
 import resource
 import subprocess
@@ -177,19 +176,6 @@ def test_expected_errors_become_statuses(
     assert out == ""
     assert said in err
     assert "Traceback" not in err
-
-
-def test_the_last_message_has_the_form_of_the_log_too(
-    command: types.ModuleType, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fail(args: argparse.Namespace) -> int:
-        raise CommandError('no "good"')
-
-    command.act = fail  # type: ignore[attr-defined]
-    main.main(["probe", "--log-format", "json"])
-    assert json.loads(capsys.readouterr().err) == {"level": "error", "message": 'no "good"'}
-    main.main(["probe", "--log-format", "logfmt"])
-    assert capsys.readouterr().err == 'level=error message="no \\"good\\""\n'
 
 
 def test_a_package_that_is_missing_is_named(
@@ -412,26 +398,3 @@ def test_a_crash_shows_no_password_and_ends_with_a_status() -> None:
     assert "in thread other:" in done.stderr
     assert done.stderr.count("ValueError: rtsp://***@h/x is broken") == 2
     assert "hunter2" not in done.stderr
-
-
-def test_the_help_of_keys_needs_no_further_package(tmp_path: Path) -> None:
-    without = "import sys; sys.modules['cryptography'] = None; from camtopod.cli.main import main; "
-    for arguments, status, said in (
-        (["keys", "--help"], 0, "certificate authority"),
-        (["keys", "camera", "--help"], 0, "--for"),
-        (
-            ["keys", "init"],
-            exits.FAILED,
-            "needs the package 'cryptography', which is not installed",
-        ),
-    ):
-        program = f"{without}sys.exit(main({arguments!r}))"
-        done = subprocess.run(
-            [sys.executable, "-c", program],
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-        )
-        assert done.returncode == status
-        assert said in done.stdout + done.stderr

@@ -41,10 +41,6 @@ def test_the_example_is_right_with_and_without_its_defaults() -> None:
     assert parse(everything).site.name == "hq"
 
 
-def test_an_editor_finds_it_from_the_example() -> None:
-    assert example().splitlines()[0] == "#:schema ./camtopod.schema.json"
-
-
 @pytest.mark.parametrize(
     ("toml", "where"),
     [
@@ -76,13 +72,6 @@ def test_an_editor_finds_it_from_the_example() -> None:
 )
 def test_a_mistake_is_found_where_it_is(toml: str, where: str) -> None:
     assert wrong(toml) == [where]
-
-
-def test_settings_of_one_camera() -> None:
-    toml = "[cameras.lobby]\nmin_height = 0.1\nignore = ['0,0,1,0,1,1', [[0, 0], [1, 0], [1, 1]]]\n"
-    assert (
-        wrong(f"{toml}doors = [[0.5, 0.5], [[0, 0], [1, 0], [1, 1]]]\n[vision]\nignore = ''") == []
-    )
 
 
 def test_every_key_says_what_it_is() -> None:

@@ -113,20 +113,6 @@ def test_a_model_that_cannot_be_read_is_78_with_its_line(
     assert main(["--config", str(path), "grab", "--camera", "b", str(film), "--out", out]) == 0
 
 
-def test_a_model_of_another_layout_is_78_with_the_line_of_the_layout(
-    tmp_path: Path, film: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_model(tmp_path / "person.onnx", "yolov8")
-    text = f'[cameras.a]\nsource = "{film}"\n[detector]\nmodel = "person.onnx"\nlayout = "ssd"\n'
-    path = write(tmp_path, BUS + text)
-    assert main(["--config", str(path), "grab", "--camera", "a", "--out", "-"]) == 78
-    assert f"{path}:8: detector.layout: its outputs, (1, 84, 525), are not of the layout" in (
-        capsys.readouterr().err
-    )
-    assert main(["check", str(path), "--probe"]) == 78
-    assert f"{path}:8: detector.layout: its outputs" in capsys.readouterr().err
-
-
 def test_probe_looks_once_and_prints_layout_milliseconds_and_boxes(
     tmp_path: Path, film: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

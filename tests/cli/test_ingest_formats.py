@@ -82,29 +82,6 @@ def test_from_standard_input_to_standard_output(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "line", "because"),
-    [
-        (["mot", "--camera", "a", "--fps", "5", "--size", "9x9"], b"1,-1,0,0,5,5,1", "detections"),
-        (["frigate", "--label", "cat"], says.passage()[0], "not among --label"),
-    ],
-)
-def test_lines_that_come_to_nothing_are_not_passed_over_in_silence(
-    arguments: list[str],
-    line: bytes,
-    because: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    (tmp_path / "lines").write_bytes(2 * (line + b"\n"))
-    name, *options = arguments
-    assert main(["ingest", name, str(tmp_path / "lines"), *options, "--out", "-"]) == exits.DONE
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert "2 lines gave no event" in err
-    assert because in err
-
-
-@pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["mot", "x.txt"], "mot needs --camera and --fps and --size"),
@@ -139,35 +116,6 @@ def test_usage(arguments: list[str], said: str, capsys: pytest.CaptureFixture[st
     err = capsys.readouterr().err
     assert said in err
     assert "hunter2" not in err
-
-
-def test_what_cannot_be_read_or_written(
-    tmp_path: Path, recording: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["ingest", "frigate", str(tmp_path / "none"), "--out", "-"]) == exits.INPUT
-    assert (
-        main(["ingest", "frigate", str(recording), "--out", str(tmp_path / "no" / "x")])
-        == exits.FAILED
-    )
-    password = ["--password-file", str(tmp_path / "none")]
-    assert (
-        main(["ingest", "frigate", "mqtt://u@127.0.0.1/frigate", "--out", "-", *password])
-        == exits.INPUT
-    )
-    capsys.readouterr()
-
-
-def test_a_line_without_end_is_not_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
-) -> None:
-    for name in ("camtopod.cli.events.input_formats", "camtopod.cli.events.event_lines"):
-        monkeypatch.setattr(f"{name}.LINE_BYTES_MAX", 5000)
-    path = tmp_path / "x"
-    path.write_bytes(b'{"a":"' + b"x" * 100_000 + b'"}\n' + b"\n".join(says.passage()))
-    assert main(["ingest", "frigate", str(path), "--out", "-"]) == exits.DONE
-    captured = capsys.readouterr()
-    assert len(captured.out.splitlines()) == 2
-    assert "x:1: more than 5000 bytes" in captured.err
 
 
 def test_reading_that_fails_in_the_middle_is_no_success(

@@ -15,15 +15,7 @@ import pytest
 from rendered_scenes import FPS, Person, Scene, line
 from serving import camtopod, small_config
 
-from bench.support.rtsp_streams import (
-    Host,
-    hang_up,
-    missing,
-    rtsp_answer,
-    served,
-    silent,
-    transcode,
-)
+from bench.support.rtsp_streams import Host, hang_up, rtsp_answer, silent
 from camtopod import redact
 from camtopod.cli.cameras import probe as probes
 from camtopod.cli.cameras.naming import with_names
@@ -129,7 +121,7 @@ def test_a_process_that_hangs_or_crashes_is_given_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     os.mkfifo(tmp_path / "fifo")  # opening it blocks for ever
-    monkeypatch.setattr(probes, "START_SECONDS", -3.7)
+    monkeypatch.setattr(probes, "START_SECONDS", -9.7)
     assert probed({"a": str(tmp_path / "fifo")}) == {"a": Probe("no answer within 0 s")}
     monkeypatch.setattr(probes, "START_SECONDS", 30.0)
     monkeypatch.setattr(probes, "PROGRAM", "camtopod.none_such")
@@ -363,27 +355,6 @@ def test_sources_from_standard_input_and_a_daemon_elsewhere(tmp_path: Path) -> N
     )
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["init"],
-        ["init", "a=0", "a=1"],
-        ["init", "daemon=0"],
-        ["--site", "a/b", "init", "0"],
-        ["init", "a\x7f"],
-        ["init", "..=0"],
-    ],
-)
-def test_usage(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    try:
-        status = main(arguments)
-    except SystemExit as error:
-        status = error.code  # type: ignore[assignment]
-    assert status == 2
-    assert not list(tmp_path.iterdir())
-
-
 # --- pictures ------------------------------------------------------------------------------------
 
 
@@ -430,7 +401,7 @@ def test_the_picture_is_the_scene_without_people(
     Scene([walker]).film(tmp_path / "short.mp4", 3.0)
     assert main(["init", "yard.mp4", "short.mp4", "--pictures", "pictures"]) == 0
     said = capsys.readouterr().err
-    assert "probing 2 cameras, up to 30 s for a picture ...\n" in said
+    assert "probing 2 cameras ...\n" in said
     assert "  yard   MPEG-4, 192x144, 7 frames a second\n" in said
     assert (
         "7 frames a second; the scene has not settled within 3 s, so its picture may show" in said
@@ -440,20 +411,6 @@ def test_the_picture_is_the_scene_without_people(
     assert picture is not None
     assert np.abs(picture.mean(axis=2) - empty).max() < 30
     assert Path("pictures/short.jpg").stat().st_size > 1000
-
-
-def test_pictures_that_cannot_be_kept(
-    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").write_text("")
-    assert main(["init", str(film), "--pictures", "file"]) == 1
-    assert "cannot write file: File exists" in capsys.readouterr().err
-    assert not (tmp_path / "camtopod.toml").exists()
-    assert main(["init", str(film)]) == 0
-    assert main(["check", "camtopod.toml", "--pictures", "folder"]) == 2
-    assert "--pictures needs --probe" in capsys.readouterr().err
-    assert not (tmp_path / "folder").exists()
 
 
 # --- check --probe -------------------------------------------------------------------------------
@@ -486,18 +443,3 @@ def test_check_probe_opens_the_cameras_and_the_bus(
     err = capsys.readouterr().err
     assert f"{path}:4: cameras.gone: cannot be opened: /dev/video4242 does not exist\n" in err
     assert "cannot reach the bus at" in err
-
-
-@pytest.mark.skipif(missing() is not None, reason=f"needs an RTSP server: {missing()}")
-def test_a_real_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    film = Scene([]).film(tmp_path / "film.mp4", 5.0)
-    transcode(film, tmp_path / "served.mp4", FPS)
-    with served(tmp_path / "served.mp4") as port:
-        assert (
-            main(["init", f"rtsp://127.0.0.1:{port}/camera", "--out", str(tmp_path / "c.toml")])
-            == 0
-        )
-    loaded = settings.load(tmp_path / "c.toml")
-    assert loaded.cameras["camera"].source == f"rtsp://127.0.0.1:{port}/camera"
-    rate = float(capsys.readouterr().err.partition("H.264, 192x144, ")[2].split()[0])
-    assert rate == pytest.approx(FPS, rel=0.15)

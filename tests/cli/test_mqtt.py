@@ -188,26 +188,6 @@ def test_nobody_there_or_somebody_else(
     assert f"cannot reach 127.0.0.1:{port}" in capsys.readouterr().err
 
 
-def test_topics_tell_cameras_apart(tmp_path: Path) -> None:
-    from paho.mqtt.publish import multiple
-
-    with mosquitto(tmp_path) as broker:
-        source = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/axis")
-        with contextlib.closing(
-            mqtt.MessageSubscription(source, "#", with_topics=True)
-        ) as messages:
-            topics = ("axis/lobby", "axis/hall/com.axis.scene.frame.v1", "other/lobby", "axis/end")
-            sent = [{"topic": topic, "payload": b"{}", "qos": 1} for topic in topics]
-            multiple(sent, hostname="127.0.0.1", port=broker.port)
-            read = messages.read(threading.Event())
-            assert [next(read) for _ in range(3)] == [
-                b"axis/lobby {}",
-                b"axis/hall/com.axis.scene.frame.v1 {}",
-                b"axis/end {}",
-            ]
-            assert next(messages.read(threading.Event(), ticks=True)) == b""
-
-
 def test_bytes_that_wait_have_a_limit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -227,61 +207,6 @@ def test_bytes_that_wait_have_a_limit(
 
 
 # --- a message of 200 MB --------------------------------------------------------------------------
-
-
-def packet(kind: int, content: bytes, more: int = 0) -> bytes:
-    """Return the head of an MQTT packet; ``more`` bytes of content follow."""
-    length, head = len(content) + more, bytes([kind])
-    while True:
-        length, digit = divmod(length, 128)
-        head += bytes([digit | 0x80 if length else digit])
-        if not length:
-            return head + content
-
-
-def text(value: str) -> bytes:
-    return len(value).to_bytes(2, "big") + value.encode()
-
-
-class Old:
-    """A broker of MQTT 3.1.1, whose subscribers get a passage."""
-
-    def __init__(self, answers_5: bool) -> None:
-        self._answers_5 = answers_5
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port: int = self._listener.getsockname()[1]
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def close(self) -> None:
-        self._listener.close()
-
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                client, _ = self._listener.accept()
-                threading.Thread(target=self._serve, args=(client,), daemon=True).start()
-
-    def _serve(self, client: socket.socket) -> None:
-        with client, contextlib.suppress(OSError):
-            if client.recv(4096)[8] != 4:  # the version, behind the length and the protocol's name
-                client.sendall(b"\x20\x02\x00\x01" if self._answers_5 else b"")
-                return
-            client.sendall(b"\x20\x02\x00\x00")
-            asked = client.recv(4096)
-            client.sendall(b"\x90\x03" + asked[2:4] + b"\x01")
-            for line in says.passage(1):
-                client.sendall(packet(0x30, text("frigate/events") + line))
-            while client.recv(4096):
-                pass
-
-
-@pytest.mark.parametrize("answers_5", [True, False])
-def test_an_older_broker_is_spoken_to_in_its_version(answers_5: bool, tmp_path: Path) -> None:
-    with (
-        contextlib.closing(Old(answers_5)) as broker,
-        Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest,
-    ):
-        ingest.wait_for_lines(2)
 
 
 def test_without_the_extra_it_says_so(

@@ -74,7 +74,7 @@ def test_a_site_that_was_not_named_is_left_alone(
     status, out, err = told(capsys, "--connect", daemon.endpoint, "forget", "b")
     assert (status, out) == (exits.BUS, "")
     assert "no daemon of site site answers" in err
-    assert "there is one of site hq: add --site hq" in err
+    assert "there is a daemon of site hq: add --site hq" in err
     assert "b" in cameras(daemon)
 
 

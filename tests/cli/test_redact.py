@@ -60,12 +60,6 @@ def test_the_decoded_and_the_encoded_form_are_hidden() -> None:
     assert "x%40yz%3Aw" not in redact.redact("opening with x%40yz%3Aw")
 
 
-def test_parameters_are_hidden() -> None:
-    text = redact.redact("rtsp://192.0.2.7/user=admin&password=hunter2&channel=1")
-    assert "hunter2" not in text
-    assert "channel=1" in text
-
-
 TOKENS = (
     "3f9c8a7be1d24c5d",
     "3f9c8a7b-e1d2-4c5d-9a7b-e1d24c5d8a7b",
@@ -140,12 +134,6 @@ def test_what_looks_like_a_token_outside_of_a_url_is_left_alone() -> None:
         '{"at":"rtsp://h/live","digest":"3f9c8a7be1d24c5d3f9c8a7be1d24c5d"}',
     ):
         assert redact.redact(text) == text
-
-
-@pytest.mark.parametrize("before", ["1", "-", "...", "+", "x", "source="])
-def test_a_url_behind_other_characters_is_a_url(before: str) -> None:
-    said = redact.redact(f"{before}rtsp://admin:hunter2@192.0.2.7/3f9c8a7be1d24c5d")
-    assert said == f"{before}rtsp://{HIDDEN}@192.0.2.7/{HIDDEN}"
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ from synthetic_topology import synthetic_topology
 from camtopod import codec
 from camtopod.cli import exits, main
 from camtopod.records import Topology
-from camtopod.web import single_file
 
 SITE = msgspec.structs.replace(synthetic_topology(12), version=3)
 
@@ -93,18 +92,6 @@ def test_pictures_are_in_it(tmp_path: Path) -> None:
         "cam0001": "data:image/png;base64," + base64.b64encode(b"a picture").decode()
     }
     assert [name for name, camera in data["cameras"].items() if camera["picture"]] == ["cam0001"]
-
-
-def test_every_module_is_in_the_script_before_those_that_use_it() -> None:
-    script = single_file.scripts()
-    modules = [path.name.removesuffix(".js") for path in Path(str(single_file.STATIC)).glob("*.js")]
-    at = {name: script.index(f"const module_{name} = ") for name in modules}
-    for name in modules:
-        source = (Path(str(single_file.STATIC)) / f"{name}.js").read_text("utf-8")
-        assert all(at[other] < at[name] for other in re.findall(r'from "\./(\w+)\.js"', source))
-    assert "import " not in re.sub(r"//.*", "", script)
-    assert not re.search(r"^export ", script, re.MULTILINE)
-    assert max(at, key=lambda name: at[name]) == "main"
 
 
 def test_what_cannot_be_read_or_written_is_told(

@@ -126,11 +126,3 @@ def test_mistakes_in_an_event_are_found(given: dict[str, Any], wrong: bool) -> N
     event = json.loads(to_json(Event("a", "exit", 1.5, 0.5, 0.5))) | given
     event = {key: value for key, value in event.items() if value is not None}
     assert validator("event").is_valid(event) != wrong
-
-
-@pytest.mark.parametrize("name", ["event", "prediction"])
-def test_every_field_that_people_handle_is_described(name: str) -> None:
-    for kind, described in message_schema(name)["$defs"].items():
-        for field, schema in described["properties"].items():
-            assert schema.get("description"), f"{kind}.{field}"
-            assert "None" not in schema["description"]

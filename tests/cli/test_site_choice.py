@@ -57,7 +57,7 @@ def test_a_reader_keeps_the_site_that_it_was_told(
         config = replace(config, site=SiteSettings("hq"))
     with as_reader(config, "hq" if where == "option" else None) as site:
         assert site == "hq"
-    assert "no daemon of site hq is there; there is one of site mall: add --site mall" in (
+    assert "no daemon of site hq is there; there is a daemon of site mall: add --site mall" in (
         caplog.text
     )
 
@@ -69,7 +69,7 @@ def test_with_several_sites_none_is_taken(mall: Daemon, tmp_path: Path) -> None:
         with dial(config) as bus:
             assert bus.list_sites() == ["annex", "mall"]
             assert right_site(bus, config) == (
-                "; there is a daemon each of sites annex, mall: add --site NAME"
+                "; there is a daemon of site annex and of site mall: add --site annex"
             )
         with as_reader(config) as site:
             assert site == "site"
@@ -90,7 +90,7 @@ def test_ingest_takes_no_site_but_names_it(
     assert main([*options, "--state", str(tmp_path / "spool")]) == exits.BUS
     said = capsys.readouterr().err
     assert "running for site site?" in said
-    assert "there is one of site mall: add --site mall" in said
+    assert "there is a daemon of site mall: add --site mall" in said
 
 
 def test_the_client_takes_the_only_site_too(mall: Daemon) -> None:

@@ -19,7 +19,6 @@ from serving import free_endpoint, small_config, wait_for
 from camtopod import codec
 from camtopod.cli.commands.watch import lines
 from camtopod.cli.common import _Formatter
-from camtopod.cli.main import main
 from camtopod.cli.terminal.site_state import SiteState
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
@@ -129,16 +128,6 @@ def test_no_name_on_the_bus_makes_a_line_of_the_log(tmp_path: Path) -> None:
     assert "FORGED" in text
     assert [line for line in text.split("\n") if not line.isprintable()] == []
     assert [line for line in text.splitlines() if line.startswith(("FORGED", "2026-01-01"))] == []
-
-
-def test_what_ends_a_command_is_said_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for form in ("text", "logfmt", "json"):
-        assert (
-            main(["--log-format", form, "export", "--format", "dot", f"{tmp_path}/\x1b[2J\x9bx"])
-            == 66
-        )
-        (line,) = capsys.readouterr().err.splitlines()
-        assert ACTING.search(line) is None
 
 
 def test_a_crash_is_told_so() -> None:

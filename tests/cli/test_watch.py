@@ -153,15 +153,6 @@ def test_predictions_in_words() -> None:
     assert prediction_line(unknown) == "lobby -> next camera unknown"
 
 
-def test_a_transit_time_between_overlapping_views() -> None:
-    [link] = topology(links=1).links
-    early = msgspec.structs.replace(link.transit, q50=-4.53)
-    overlapping = msgspec.structs.replace(
-        NOTHING, links=[msgspec.structs.replace(link, transit=early)]
-    )
-    assert "overlap, 4.5 s before" in "\n".join(lines(SiteState("hq"), overlapping))
-
-
 def test_a_sender_of_statuses_may_fall_silent() -> None:
     steady = Steady()
     site = busy_site(2, steady)

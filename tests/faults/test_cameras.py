@@ -147,7 +147,7 @@ def _watched(
         wait_for(lambda: said["silent"]["failures"] >= 2, "another try")
         wait_for(lambda: daemon.status().events["stored"] == expected_events, "all of its events")
         wait_for(lambda: told("frozen", "hung for 3 s while connecting"), "frozen")
-        hung = "restarted once, last: hung for 3 s while connecting"
+        hung = "restarted 1 time, last: hung for 3 s while connecting"
         wait_for(lambda: told("blocked", hung), "blocked")
         wait_for(lambda: said["frozen"]["state"] == "connecting", "its return")
         assert said["frozen"]["restarts"] == 1

@@ -16,6 +16,7 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.cameras.heartbeat import HeartbeatReceiver
+from camtopod.cli.common import counted
 from camtopod.config import CameraSettings
 from camtopod.serve.runtime import SOCKET_VARIABLE
 from camtopod.vision.source import kind_of
@@ -33,6 +34,7 @@ RESTART_SECONDS_MAX = 60.0
 STOP_SECONDS = 4.5
 """Time after which a process that was asked to end, or to log where it hangs, is killed."""
 _WORDS = {
+    exits.DONE: "ended by itself",
     exits.FAILED: "failed",
     exits.USAGE: "refused its command line",
     exits.INPUT: "cannot read its source",
@@ -58,9 +60,10 @@ def with_restarts(times: int, why: str, reason: str = "") -> str:
     """Return ``reason`` followed by the number of restarts and the cause of the last one."""
     if not times:
         return reason
-    count = "once" if times == 1 else f"{times} times"
-    restarted = f"restarted {count}, last: {why}"
-    return f"{reason}; {restarted}" if reason and reason != why else restarted
+    restarted = f"restarted {counted(times, 'time')}, last: {why}"
+    if reason and reason != why:
+        return f"{reason}; {restarted}"
+    return restarted
 
 
 class CameraProcess:
@@ -161,7 +164,9 @@ class CameraProcess:
         if since is None:
             allowed = START_SECONDS
             since = self._started_at
-        return now - since if now - since > allowed else 0.0
+        if now - since <= allowed:
+            return 0.0
+        return now - since
 
     def _signal(self, number: signal.Signals, now: float) -> None:
         """Send a signal that should end the process; it is killed if it does not."""
@@ -217,8 +222,7 @@ class CameraProcess:
         elif status == exits.USAGE:
             self._give_up(f"{exit_reason(status)}; it is not restarted")
         else:
-            why = "ended by itself" if status == exits.DONE else exit_reason(status)
-            why = self._hung or why
+            why = self._hung or exit_reason(status)
             if self.state in ("running", "ended") and kind_of(self.settings.source) == "file":
                 self._give_up(f"{why}; not restarted, as the events of a file would count twice")
             else:

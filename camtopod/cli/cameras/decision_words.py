@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
+from camtopod.cli.common import counted
 from camtopod.vision.track import Decision, Edge, Reason
 
 RECORDING_SECONDS_MAX = 366 * 86400.0
@@ -68,7 +69,7 @@ def words_of(decision: Decision) -> str:
     return _WORDS[decision.reason].format(
         edge="the border" if decision.edge is None else _EDGES[decision.edge],
         place=f"({x:.2f}, {y:.2f})",
-        seen="1 sighting" if decision.sightings == 1 else f"{decision.sightings} sightings",
+        seen=counted(decision.sightings, "sighting"),
         value=decision.value,
         least=decision.least,
         other=decision.other,

@@ -9,8 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from camtopod.cli.cameras import onvif
 from camtopod.vision.source import Probe, streams_by_maker
 
-ASKED_AT_ONCE = 16
-"""Cameras that are asked for their streams at the same time."""
 ENOUGH_HEIGHT = 360
 """Height (pixels) of a stream that is big enough: pictures are analysed at 320 pixels of width."""
 ENOUGH_FPS = 6.5
@@ -32,7 +30,7 @@ def streams_by_onvif(cameras: Mapping[str, str]) -> tuple[dict[str, str], dict[s
     asked = [name for name, source in cameras.items() if source.startswith(f"{onvif.SCHEME}://")]
     found = dict(cameras)
     missing = {}
-    with ThreadPoolExecutor(ASKED_AT_ONCE) as pool:
+    with ThreadPoolExecutor(16) as pool:
         waiting = {name: pool.submit(onvif.streams, cameras[name]) for name in asked}
         for name, answer in waiting.items():
             try:
@@ -62,7 +60,7 @@ def streams_by_path(
         for maker, url in streams_by_maker(source).items()
     }
     found: dict[str, tuple[str, str, Probe]] = {}
-    for key, probe in (look(guesses) if guesses else {}).items():
+    for key, probe in look(guesses).items():
         name, _, maker = key.partition(" ")
         if not probe.problem and name not in found:
             found[name] = guesses[key], maker, probe

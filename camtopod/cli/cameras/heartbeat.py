@@ -14,11 +14,6 @@ from msgspec import Struct
 from camtopod.redact import redact
 from camtopod.serve.runtime import systemd
 
-REASON_CHARACTERS_MAX = 300
-"""Longest reason in a heartbeat."""
-_READ_BYTES = 65536
-"""Most bytes read at a time: all that a pipe holds."""
-
 
 class Heartbeat(Struct, frozen=True):
     """Content of a heartbeat: the state of the camera's process."""
@@ -42,7 +37,7 @@ class HeartbeatSender:
     def beat(self, state: str, reason: str) -> None:
         """Send a heartbeat unless nothing changed and the last one is recent; never blocks."""
         now = time.monotonic()
-        heartbeat = Heartbeat(state, redact(reason)[:REASON_CHARACTERS_MAX])
+        heartbeat = Heartbeat(state, redact(reason)[:300])
         if now < self._next_at and heartbeat == self._last:
             return
         first = not self._last.state
@@ -71,7 +66,7 @@ class HeartbeatReceiver:
     def newest(self) -> Heartbeat | None:
         """Return the newest heartbeat since the last call; None if there was none. Never blocks."""
         try:
-            lines = os.read(self._fd, _READ_BYTES).splitlines()
+            lines = os.read(self._fd, 65536).splitlines()
         except BlockingIOError:
             return None
         return msgspec.json.decode(lines[-1], type=Heartbeat) if lines else None

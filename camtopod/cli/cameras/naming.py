@@ -16,8 +16,6 @@ from camtopod.config import RESERVED
 from camtopod.redact import holds_secret, redact
 from camtopod.vision.source import kind_of, percent_encoded
 
-NAME_CHARACTERS_MAX = 64
-"""Longest camera id."""
 _GIVEN = re.compile(r"([A-Za-z0-9_.-]{1,64})=(.+)", re.DOTALL)
 """Argument of the form NAME=SOURCE."""
 _NAMED_URL = re.compile(r"[^=:/]+=[a-z]+://")
@@ -37,7 +35,10 @@ def named_sources(arguments: Sequence[str]) -> list[tuple[str, str]]:
                     f"{redact(text)}: a name has 1 to 64 of the characters A-Z a-z 0-9 _ . -",
                     exits.USAGE,
                 )
-            found += [(match[1], match[2])] if match else [("", text)] if text else []
+            if match is not None:
+                found.append((match[1], match[2]))
+            elif text:
+                found.append(("", text))
     if arguments and not found:
         raise InputError("no camera given on standard input")
     return found
@@ -59,9 +60,7 @@ def with_names(given: Sequence[tuple[str, str]]) -> dict[str, str]:
             own = _short(source)
             own = own if short[own] == 1 else _long(source)
             taken = {*cameras, *RESERVED, *(name for name, _ in given)}
-            numbers = (
-                f"{own[: NAME_CHARACTERS_MAX - 5]}-{number}" for number in range(2, len(given) + 3)
-            )
+            numbers = (f"{own[: 64 - 5]}-{number}" for number in range(2, len(given) + 3))
             name = next(one for one in (own, *numbers) if one not in taken)
         cameras[name] = source
     return cameras
@@ -76,18 +75,18 @@ def _short(source: str) -> str:
         return _id(Path(source).stem)
     host = _host(source)
     try:
-        address = ipaddress.ip_address(host)
+        local = ipaddress.ip_address(host).is_loopback
     except ValueError:
-        label = host.partition(".")[0]
-        return _id(label) if label != "localhost" else _id(_path(source))
-    return _id(_path(source)) if address.is_loopback else _id(host)
+        host = host.partition(".")[0]
+        local = host == "localhost"
+    return _id(_path(source) if local else host)
 
 
 def _long(source: str) -> str:
     """Return a longer id, with the path, for cameras that share a host."""
-    return (
-        _id(f"{_host(source)} {_path(source)}") if kind_of(source) == "stream" else _short(source)
-    )
+    if kind_of(source) != "stream":
+        return _short(source)
+    return _id(f"{_host(source)} {_path(source)}")
 
 
 def _host(source: str) -> str:
@@ -109,4 +108,4 @@ def _path(source: str) -> str:
 
 def _id(text: str) -> str:
     """Return ``text`` as an id: other characters become hyphens."""
-    return re.sub(r"[^A-Za-z0-9_]+", "-", text).strip("-")[:NAME_CHARACTERS_MAX] or "camera"
+    return re.sub(r"[^A-Za-z0-9_]+", "-", text).strip("-")[:64] or "camera"

@@ -32,8 +32,6 @@ DEVICE_PATH = "/onvif/device_service"
 """Usual path of the device service."""
 SECONDS = 5.0
 """Longest time for one answer."""
-PROFILES_MAX = 16
-"""Most profiles of a camera that are looked at."""
 _DEVICE = "http://www.onvif.org/ver10/device/wsdl"
 _MEDIA = "http://www.onvif.org/ver10/media/wsdl"
 _SCHEMA = "http://www.onvif.org/ver10/schema"
@@ -65,7 +63,7 @@ def streams(source: str) -> list[Stream]:
     media = camera.media_service()
     body = camera.ask(media, f'<GetProfiles xmlns="{_MEDIA}"/>')
     found = []
-    for profile in list(all_of(body, "Profiles"))[:PROFILES_MAX]:
+    for profile in list(all_of(body, "Profiles"))[:16]:
         encoder = next(all_of(profile, "VideoEncoderConfiguration"), None)
         token = profile.get("token")
         if encoder is None or token is None:

@@ -32,8 +32,6 @@ from camtopod.web import pictures
 
 PROGRAM = "camtopod.vision.source.probe"
 """Module that the process runs."""
-PROCESSES_MAX = 8
-"""Most processes at a time."""
 START_SECONDS = 30.0
 """Time allowed beyond the probe itself, to load libraries on a busy machine."""
 
@@ -56,7 +54,7 @@ def probe_all(
             pictures.make_folder(folder)
 
     # Probe all, and handle each result as soon as it is known.
-    with ThreadPoolExecutor(PROCESSES_MAX) as pool:
+    with ThreadPoolExecutor(8) as pool:
         futures = {
             pool.submit(_probe, settings, folder is not None): camera
             for camera, settings in cameras.items()
@@ -113,7 +111,8 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
     def tell_source(camera: str, probe: Probe) -> None:
         where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
         _print(f"{where}: {'; '.join(probe.lines)}")
-        statuses.append(exits.INPUT if probe.problem else exits.DONE)
+        if probe.problem:
+            statuses.append(exits.INPUT)
 
     def tell(camera: str, probe: Probe) -> None:
         if cameras[camera].source:
@@ -122,7 +121,8 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
             line, name = detector_line(text, camera, probe.detector.key)
             of = f" (camera {camera})" if camera and not name.startswith("cameras.") else ""
             _print(f"{path}:{line}: {name}: {about}{of}")
-            statuses.append(exits.CONFIG if probe.detector.problem else exits.DONE)
+            if probe.detector.problem:
+                statuses.append(exits.CONFIG)
 
     # Read the sources, then open the cameras. Detectors are run also without a source here.
     for camera, settings in config.cameras.items():

@@ -21,12 +21,6 @@ from camtopod.serve.runtime import systemd
 
 log = logging.getLogger(__name__)
 
-_LOOK_SECONDS = 0.1
-"""Interval at which the processes are checked."""
-_REPORT_SECONDS = 0.5
-"""Interval at which systemd is notified and the statuses of silent cameras are updated."""
-_NAMED_MAX = 10
-"""Most cameras named in `systemctl status`."""
 _OF_ALL = ("site", "bus", "state", "limits")
 """Tables that every camera's process reads: a change restarts all cameras.
 
@@ -48,7 +42,7 @@ def supervise(args: argparse.Namespace, config: Config, requests: SignalRequests
                 systemd.reloading()
                 supervisor.reload()
             supervisor.look_after()
-            requests.stop.wait(_LOOK_SECONDS)
+            requests.stop.wait(0.1)
     finally:
         closed = supervisor.end()
     status = exits.DONE if requests.stop.is_set() else supervisor.status
@@ -89,7 +83,7 @@ class _Supervisor:
             if self._processes[name].over:
                 del self._processes[name]
         if now >= self._report_at:
-            self._report_at = now + min(_REPORT_SECONDS, systemd.feed_seconds())
+            self._report_at = now + min(0.5, systemd.feed_seconds())
             self._report(now)
 
     def reload(self) -> None:
@@ -147,7 +141,7 @@ class _Supervisor:
         while not self.over and time.monotonic() < deadline:
             for process in self._processes.values():
                 process.look_after(time.monotonic(), self._command)
-            time.sleep(_LOOK_SECONDS / 5)
+            time.sleep(0.1 / 5)
         return self._reporter.close()
 
     def _report(self, now: float) -> None:
@@ -165,7 +159,7 @@ class _Supervisor:
             if process.state != "running"
         ]
         running = len(self._processes) - len(others)
-        summary = f"{running} of {len(self._processes)} cameras run{''.join(others[:_NAMED_MAX])}"
+        summary = f"{running} of {len(self._processes)} cameras run{''.join(others[:10])}"
         systemd.notify("READY=1", "WATCHDOG=1", systemd.status(summary))
 
     def _command(self, process: CameraProcess, heartbeat_fd: int) -> list[str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.cli.common import with_options
+from camtopod.cli.common import counted, with_options
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import (
     Config,
@@ -117,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
     for line in _camera_lines(path, loaded, raw.decode()):
         print(visible(line), file=sys.stderr)
     print(
-        f"{path}: no mistakes; site {loaded.site.name}, {_cameras(len(loaded.cameras))}",
+        f"{path}: no mistakes; site {loaded.site.name}, {counted(len(loaded.cameras), 'camera')}",
         file=sys.stderr,
     )
     if not args.probe:
@@ -146,10 +146,6 @@ def _model_problems(path: Path, config: Config, text: str) -> Iterator[str]:
                 yield f"{path}:{line}: {name}: {error}"
 
 
-def _cameras(number: int) -> str:
-    return f"{number} {'camera' if number == 1 else 'cameras'}"
-
-
 def _camera_lines(path: Path, config: Config, text: str) -> Iterator[str]:
     """Yield a line for each camera without a source or with settings other than the defaults.
 
@@ -171,7 +167,7 @@ def _camera_lines(path: Path, config: Config, text: str) -> Iterator[str]:
         else:
             plain += 1
     if plain:
-        yield f"{path}: {_cameras(plain)} with default settings of vision"
+        yield f"{path}: {counted(plain, 'camera')} with default settings of vision"
 
 
 def _detector_words(config: Config, camera: str) -> list[str]:
@@ -189,8 +185,7 @@ def _setting(item: tuple[str, Any]) -> str:
     if key == "ignore" and value:
         from camtopod.vision.detect import ignored_share
 
-        areas = "1 area" if len(value) == 1 else f"{len(value)} areas"
-        return f"ignore {areas} ({ignored_share(value):.0%} of the picture)"
+        return f"ignore {counted(len(value), 'area')} ({ignored_share(value):.0%} of the picture)"
     if key == "doors" and value:
-        return "1 door" if len(value) == 1 else f"{len(value)} doors"
+        return counted(len(value), "door")
     return f"{key} = {json.dumps(value)}"

@@ -56,8 +56,6 @@ QUIET_SECONDS = 1.0
 """Everything counts as learned once no event has arrived for this long."""
 PATIENCE_SECONDS = 60.0
 """The demo gives up when there has been no progress for this long."""
-_TICK_SECONDS = 0.1
-"""Interval at which progress is checked."""
 
 
 class Recording(Struct):
@@ -301,7 +299,7 @@ def _until(daemon: Daemon, done: Callable[[], bool]) -> None:
     moved_at = time.monotonic()
     with Progress(piped=True) as progress:
         while not done():
-            if daemon.wait(_TICK_SECONDS):
+            if daemon.wait(0.1):
                 raise exits.CommandError("demo: the daemon has failed")
             before = line
             line = _progress(daemon)

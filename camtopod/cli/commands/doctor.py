@@ -15,7 +15,6 @@ import platform
 import re
 import shutil
 import stat
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -34,15 +33,6 @@ from camtopod.serve.bus import BusError, access, dial, sites_instead
 from camtopod.serve.runtime import clock
 from camtopod.visible import visible
 
-FILES_MAX = 200
-"""Most files of the state directory that are listed."""
-CLOCK_COMMANDS = (
-    ("chronyc", "-n", "tracking"),
-    ("timedatectl", "show", "--property=NTP", "--property=NTPSynchronized"),
-)
-"""Programs that know whether the clock is synchronised."""
-_CLOCK_SECONDS = 5.0
-"""Time limit for each of them."""
 _VARIABLES = re.compile(
     "(CAMTOPOD|OPENCV|OMP|OPENBLAS|MKL|RUST|ZENOH)_|"
     "(STATE|CREDENTIALS)_DIRECTORY$|XDG_STATE_HOME$|NOTIFY_SOCKET$|WATCHDOG_USEC$"
@@ -50,8 +40,6 @@ _VARIABLES = re.compile(
 """Environment variables whose names are reported, never their values."""
 _SECRET_NAME = re.compile(r"(?i)pass|pwd|secret|token|credential")
 """Names of environment variables whose values are secrets."""
-_SECRET_CHARACTERS_MIN = 6
-"""Least length of a secret in an environment variable; 'true' and 'false' are none."""
 _QUOTED = re.compile(r""": ['"].*""", re.DOTALL)
 """The quoted part of a refused message, which is not reported."""
 
@@ -61,7 +49,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "doctor",
         help="collect diagnostics for a bug report, without secrets",
-        description="Collects diagnostics for a bug report: versions, machine, clock, "
+        description="Collects diagnostics for a bug report: versions, machine, "
         "configuration, files on disk, and the statuses of the daemon and the cameras. It contains "
         "no passwords, keys or events; look through it all the same before you share it. Nothing "
         "is changed.",
@@ -91,7 +79,6 @@ def run(args: argparse.Namespace) -> int:
     parts: dict[str, Callable[[], Iterable[str]]] = {
         "versions": _versions,
         "machine": _machine,
-        "clock": _clock,
         "video": _video,
         "configuration": lambda: mistakes.splitlines() or _configuration(config, args.config),
         "state": lambda: _state(config),
@@ -121,11 +108,7 @@ def _remember_secrets(config: Config) -> None:
             continue
     for name, value in os.environ.items():
         remember(value)
-        if (
-            _SECRET_NAME.search(name)
-            and len(value) >= _SECRET_CHARACTERS_MIN
-            and not Path(value).is_absolute()
-        ):
+        if _SECRET_NAME.search(name) and len(value) >= 6 and not Path(value).is_absolute():
             remember(f"secret://:{value}@")
     folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
     for path in Path(folder).iterdir() if folder and Path(folder).is_dir() else ():
@@ -150,7 +133,7 @@ def _versions() -> Iterator[str]:
 
 def _machine() -> Iterator[str]:
     """Yield operating system, cores, memory and the names of environment variables."""
-    yield platform.platform()
+    yield f"{platform.platform()}; the clock says {clock.wall():.3f}"
     load = " ".join(f"{one:.1f}" for one in os.getloadavg())
     yield f"{os.cpu_count()} cores, {len(os.sched_getaffinity(0))} for this program, load {load}"
     for path, lines in (("/proc/meminfo", 3), ("/sys/fs/cgroup/memory.max", 1)):
@@ -159,17 +142,6 @@ def _machine() -> Iterator[str]:
             yield f"{path}: {', '.join(' '.join(one.split()) for one in text.splitlines()[:lines])}"
     names = sorted(filter(_VARIABLES.match, os.environ))
     yield f"environment variables that are set: {', '.join(names) or 'none'}"
-
-
-def _clock() -> Iterator[str]:
-    """Yield the time, and what the program that keeps the machine's clock says of it."""
-    yield f"now: {clock.wall():.3f}"
-    for command in CLOCK_COMMANDS:
-        with contextlib.suppress(OSError, subprocess.SubprocessError):
-            answer = subprocess.run(
-                command, capture_output=True, text=True, timeout=_CLOCK_SECONDS, check=True
-            )
-            yield from (f"{command[0]}: {line}" for line in answer.stdout.splitlines())
 
 
 def _video() -> list[str]:
@@ -209,10 +181,10 @@ def _state(config: Config) -> Iterator[str]:
         yield f"cannot be read: {error.strerror}"
         return
     yield f"disk: {disk.free / 2**20:.0f} MiB free of {disk.total / 2**20:.0f}"
-    for path in files[:FILES_MAX]:
+    for path in files[:200]:
         yield f"{path.relative_to(directory)}: {_mode(path)}"
-    if len(files) > FILES_MAX:
-        yield f"and {len(files) - FILES_MAX} more files"
+    if len(files) > 200:
+        yield f"and {len(files) - 200} more files"
 
 
 def _mode(path: Path) -> str:

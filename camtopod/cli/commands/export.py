@@ -21,8 +21,6 @@ TOPOLOGY_BYTES_MAX = 512 * 1024**2
 """
 TOO_LONG = f"it has more than {TOPOLOGY_BYTES_MAX} bytes"
 """Reason for refusing a larger file."""
-_PIECE_BYTES = 1 << 20
-"""Bytes read at a time."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -81,7 +79,7 @@ def _content(file: BinaryIO) -> bytes:
     """
     pieces: list[bytes] = []
     total = 0
-    while piece := file.read(_PIECE_BYTES):
+    while piece := file.read(1 << 20):
         pieces.append(piece)
         total += len(piece)
         if total > TOPOLOGY_BYTES_MAX:

@@ -53,8 +53,6 @@ DRAIN_SECONDS = 10.0
 supervised."""
 LEAVE_SECONDS = 4.0
 """Time that a blocking source may delay the end after a signal."""
-_DRAIN_LOOK_SECONDS = 0.2
-"""Interval at which it looks whether they are."""
 _DAEMON_LOOK_SECONDS = 2.0
 """Interval at which it looks for the daemon."""
 
@@ -112,9 +110,7 @@ def add_parser(subparsers: Any) -> None:
         help="video file: with --realtime, read it FACTOR times as fast",
     )
     parser.add_argument(
-        "--state",
-        metavar="DIRECTORY",
-        help="directory of the spool (default: [state] directory)",
+        "--state", metavar="DIRECTORY", help="directory of the spool (default: [state] directory)"
     )
     # Options that the supervisor passes to a camera's process.
     for option in ("with-parent", "beat-fd", "restarts"):
@@ -390,7 +386,7 @@ def _drain(
     """
     supervised = args.beat_fd is not None or systemd.SOCKET_VARIABLE in os.environ
     deadline = math.inf if supervised else time.monotonic() + DRAIN_SECONDS
-    while not requests.stop.is_set() and not publisher.wait_stored(_DRAIN_LOOK_SECONDS):
+    while not requests.stop.is_set() and not publisher.wait_stored(0.2):
         if time.monotonic() >= deadline:
             return
         publisher.retry()

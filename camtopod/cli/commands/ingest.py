@@ -17,13 +17,7 @@ import msgspec
 
 from camtopod.adapt import FORMATS
 from camtopod.cli import exits
-from camtopod.cli.common import (
-    check_name,
-    configuration,
-    open_output,
-    start_logging,
-    until_signal,
-)
+from camtopod.cli.common import check_name, configuration, open_output, start_logging, until_signal
 from camtopod.cli.events.event_lines import LineReader, open_input
 from camtopod.cli.events.input_formats import add_options, events
 from camtopod.cli.exits import CommandError, InputError
@@ -42,8 +36,6 @@ WAITING_EVENTS_MAX = 100_000
 
 The more of them are in the spool, the better the daemon knows for which cameras it has to wait.
 """
-WAITING_EVENT_BYTES = 1_000
-"""More than an event takes in the spool, in bytes."""
 PATIENCE_SECONDS = 10.0
 """Time without a stored event after which a daemon that is not visible counts as absent.
 
@@ -75,9 +67,7 @@ def add_parser(subparsers: Any) -> None:
         help="write event lines to FILE ('-': standard output) instead of the bus",
     )
     parser.add_argument(
-        "--state",
-        metavar="DIRECTORY",
-        help="directory of the spool (default: [state] directory)",
+        "--state", metavar="DIRECTORY", help="directory of the spool (default: [state] directory)"
     )
     parser.add_argument(
         "--boot",
@@ -185,7 +175,7 @@ def _publish(
     most = min(
         WAITING_EVENTS_MAX,
         limits.spool_events_max // 2,
-        limits.spool_bytes_max // 2 // WAITING_EVENT_BYTES,
+        limits.spool_bytes_max // 2 // 1_000,
     )
     for batch in source:
         publisher.publish(*batch)
@@ -197,7 +187,9 @@ def _publish(
     waiting = publisher.count_waiting(own=True)
     stored = max(0, publisher.published - waiting - publisher.dropped)
     log.info("%s", _outcome(stored, waiting, late, refused))
-    return exits.FAILED if late + refused and late + refused >= stored else exits.DONE
+    if late + refused and late + refused >= stored:
+        return exits.FAILED
+    return exits.DONE
 
 
 def _outcome(stored: int, waiting: int, late: int, refused: int) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, writing
+from camtopod.cli.common import configuration, counted, writing
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated import table
 from camtopod.config import TABLES, CameraSettings, Config, secret_files, settings as configurations
@@ -93,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     from camtopod.cli.cameras.naming import named_sources, with_names
 
     # Read the configuration to add to, if there is one, and find the cameras' streams.
-    before = None if args.force else _existing(args.out)
+    before = _existing(args)
     settings = configuration(args) if before is None else _unchanged(args, before)
     given = with_names(named_sources(args.sources))
     if before is not None and (twice := given.keys() & settings.cameras.keys()):
@@ -119,8 +118,10 @@ def run(args: argparse.Namespace) -> int:
     tables = camera_tables(cameras, words, secrets.keys(), args.credentials)
     if before is None:
         text = configuration_text(settings, tables, args.credentials)
+        done = f"{args.out} is written"
     else:
         text = with_cameras(before, args.out, tables)
+        done = f"{args.out} has {', '.join(cameras)} now, after what it had"
     with writing(args.out):
         _write(args.out, text, {path: _located(cameras[name]) for name, path in secrets.items()})
         if args.credentials and before is None:
@@ -128,18 +129,21 @@ def run(args: argparse.Namespace) -> int:
             args.out.chmod(0o644)
 
     # Say what comes next.
-    done = "is written" if before is None else f"has {', '.join(cameras)} now, after what it had"
-    where = f"; sources with secrets are in {folder}, readable only by you" if secrets else ""
-    _say(f"{args.out} {done}{where}")
+    if secrets:
+        done += f"; sources with secrets are in {folder}, readable only by you"
+    _say(done)
     if all(probe.problem for probe in probes.values()):
         _say(
             f"no camera could be opened: correct that first, and try camtopod check {args.out}"
             " --probe"
         )
-    next_commands = _next_services if args.credentials else _next
-    _say(next_commands(args.out, settings, cameras))
-    failed = bool(refusals) or any(probe.problem for probe in probes.values())
-    return exits.INPUT if failed else exits.DONE
+    if args.credentials:
+        _say(_next_services(args.out, settings, cameras))
+    else:
+        _say(_next(args.out, settings))
+    if refusals or any(probe.problem for probe in probes.values()):
+        return exits.INPUT
+    return exits.DONE
 
 
 def _refuse_to_overwrite(
@@ -181,8 +185,9 @@ def _probed(
     cameras = dict(given)
     words: dict[str, list[str]] = {}
     width = max(map(len, cameras))
-    how_long = "" if args.pictures is None else f", up to {SETTLE_SECONDS_MAX:.0f} s for a picture"
-    _say(f"probing {len(cameras)} {'camera' if len(cameras) == 1 else 'cameras'}{how_long} ...")
+    _say(f"probing {counted(len(cameras), 'camera')} ...")
+    if args.pictures is not None:
+        _say(f"a picture takes up to {SETTLE_SECONDS_MAX:.0f} s")
     probes = probe_all(described(cameras), tell, args.pictures)
 
     # Where a URL has no path, take the maker's.
@@ -233,14 +238,17 @@ def camera_tables(
     folder = CREDENTIALS if credentials else SECRETS
     parts = []
     for name, source in cameras.items():
-        key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
+        key = name
+        if "." in name:
+            key = f'"{name}"'
         setting = "source"
         value = _located(source)
         if name in secret:
             setting = "source_file"
             value = f"{folder}/{name}"
         lines = [f"[cameras.{key}]", *(f"# {word}" for word in words[name])]
-        lines += [_OF_A_FILE] if kind_of(source) == "file" else []
+        if kind_of(source) == "file":
+            lines.append(_OF_A_FILE)
         lines.append(f"{setting} = {json.dumps(value, ensure_ascii=False)}")
         parts.append("\n".join(lines))
     return parts
@@ -256,7 +264,9 @@ def with_cameras(before: str, out: Path, tables: Sequence[str]) -> str:
     added = "".join(f"\n{table}\n" for table in tables)
     if before and not before.endswith("\n"):
         added = f"\n{added}"
-    text = before + (added.replace("\n", "\r\n") if "\r\n" in before else added)
+    if "\r\n" in before:
+        added = added.replace("\n", "\r\n")
+    text = before + added
     old = configurations.parse(before)
     try:
         new = configurations.parse(text)
@@ -271,11 +281,14 @@ def with_cameras(before: str, out: Path, tables: Sequence[str]) -> str:
     return text
 
 
-def _existing(out: Path) -> str | None:
-    """Return the text of the configuration to add to; None if there is none.
+def _existing(args: argparse.Namespace) -> str | None:
+    """Return the text of the configuration to add to; None if there is none, and with --force.
 
     Raises `CommandError` if it cannot be read.
     """
+    out: Path = args.out
+    if args.force:
+        return None
     try:
         return out.read_bytes().decode("utf-8")
     except (FileNotFoundError, NotADirectoryError):
@@ -314,14 +327,13 @@ def _write(out: Path, text: str, secrets: Mapping[Path, str]) -> None:
     for path, source in secrets.items():
         path.parent.mkdir(mode=0o700, exist_ok=True)
         secret_files.write(path, source.encode() + b"\n")
-    mode = out.stat().st_mode & 0o777 if out.exists() else None
-    if mode is None:
+    if out.exists():  # the old one stays whole if the disk is full
+        secret_files.write(out.resolve(), text.encode(), out.stat().st_mode & 0o777)
+    else:
         out.write_text(text, encoding="utf-8")
-    else:  # the old one stays whole if the disk is full
-        secret_files.write(out.resolve(), text.encode(), mode)
 
 
-def _next(out: Path, settings: Config, _: Collection[str]) -> str:
+def _next(out: Path, settings: Config) -> str:
     """Return the next commands; a daemon on another machine is checked first."""
     if settings.bus.connect:
         return f"next:\n    camtopod check {out} --probe\n    camtopod --config {out} grab"

@@ -233,8 +233,8 @@ def _give(
     """Issue one certificate, with an example configuration in its folder."""
     from camtopod.keys.authority import LOCAL_HOSTS, date_text, write_public
 
-    hosts = args.host if role == "daemon" else []
-    cameras = args.cameras if role == "camera" else []
+    hosts = getattr(args, "host", [])
+    cameras = getattr(args, "cameras", [])
     folder = authority.issue(role, name, args.days, args.replace, hosts, cameras)
     several = bool(authority.issued[-1].certificate.cameras)
     write_public(folder / "camtopod.toml", _example(authority.site, config, role, name, several))
@@ -246,11 +246,10 @@ def _give(
     )
     if role == "daemon":
         where = ", ".join(host for host in authority.hosts if host not in LOCAL_HOSTS)
-        _say(
-            f"valid for connections to {where}"
-            if where
-            else "valid on this machine only: add host names or addresses with --host"
-        )
+        if where:
+            _say(f"valid for connections to {where}")
+        else:
+            _say("valid on this machine only: add host names or addresses with --host")
 
 
 def _write_access(authority: Authority, config: Config) -> None:
@@ -319,8 +318,10 @@ def _list(authority: Authority, now: float) -> int:
     for issued in authority.issued:
         certificate = issued.certificate
         days = (certificate.expires - now) / 86400.0
-        remark = "revoked" if not issued.valid else ""
-        if issued.valid and certificate.name in ending:
+        remark = ""
+        if not issued.valid:
+            remark = "revoked"
+        elif certificate.name in ending:
             remark = "EXPIRED" if days < 0 else "EXPIRES SOON"
             _say(
                 f"warning: {certificate.role} {issued.of}: {remark.lower()}, "
@@ -330,8 +331,9 @@ def _list(authority: Authority, now: float) -> int:
             f"{issued.of:<20} {certificate.role:<7} {certificate.name:<24} "
             f"{date_text(certificate.expires):<10} {days:>6.0f}"
         )
-        several = f"for {', '.join(certificate.cameras)}" if certificate.cameras else ""
-        print(" ".join(filter(None, (line, several, remark))))
+        if certificate.cameras:
+            line += f" for {', '.join(certificate.cameras)}"
+        print(f"{line} {remark}".rstrip())
     return exits.DONE
 
 

@@ -26,8 +26,6 @@ from camtopod.serve.recorded_state import RecordedState
 from camtopod.serve.runtime import wall
 from camtopod.topology import links_between_views, links_in_words
 
-_HEAD_BYTES = 200
-"""Bytes at the beginning of a file that tell whether it is a topology."""
 EPOCH = "recording"
 """Epoch of a topology learned from files, constant so that the same files give the same bytes."""
 
@@ -195,7 +193,7 @@ def _instead(paths: list[str]) -> str:
     """Return advice if a file is a topology, as the end of a sentence; "" if none is."""
     for path in paths:
         with suppress(OSError), open(path, "rb") as file:
-            if TOPOLOGY_SCHEMA.encode() in file.read(_HEAD_BYTES):
+            if TOPOLOGY_SCHEMA.encode() in file.read(200):
                 return f"; {path} is a topology, which `predict`, `report` and `export` read"
     return ""
 

@@ -20,8 +20,6 @@ from camtopod.records import InView, Look, Prediction
 _QUANTILES = ("q10", "q50", "q90")
 _PROBABILITY_DIGITS = 4
 """Decimal places of probabilities with --top."""
-_SECONDS_DIGITS = 2
-"""Decimal places of seconds with --top."""
 _T = TypeVar("_T", Look, InView)
 
 
@@ -107,7 +105,7 @@ def shortened(prediction: Prediction, most: int) -> Prediction:
             replace(
                 one,
                 probability=probability,
-                **{name: round(getattr(one, name), _SECONDS_DIGITS) for name in _QUANTILES},
+                **{name: round(getattr(one, name), 2) for name in _QUANTILES},
             )
             for one, probability in zip(kept, probabilities, strict=True)
         ],

@@ -28,8 +28,6 @@ SWITCH_SECONDS = 0.0005
 
 The default of 5 ms would delay the prediction for an exit while events are being stored.
 """
-_LOOK_SECONDS = 0.2
-"""Interval at which signals and the daemon's state are checked."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -83,7 +81,7 @@ def _run(
         return
     try:
         systemd.notify("READY=1", systemd.status(f"running at {daemon.endpoint}"))
-        while not requests.stop.wait(_LOOK_SECONDS):
+        while not requests.stop.wait(0.2):
             if daemon.wait(0):
                 raise CommandError("a part of the daemon failed, see above; start it again")
             if requests.reload.is_set():

@@ -32,10 +32,6 @@ from camtopod.visible import visible
 
 REFRESH_SECONDS = 0.5
 """Interval between two views."""
-ONCE_SECONDS = 3.0
-"""Time that --once waits for a first status."""
-PART_ROWS_MIN = 4
-"""Least rows of the cameras and of the links on a screen."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -74,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
             return lines(site, subscriber.topology, clock.wall(), rows)
 
         if args.once:
-            until = time.monotonic() + ONCE_SECONDS
+            until = time.monotonic() + 3.0
             while site.empty and time.monotonic() < until and not stop.wait(REFRESH_SECONDS / 2):
                 pass
             print("\n".join(view()), flush=True)
@@ -127,7 +123,7 @@ def lines(site: SiteState, topology: Topology | None, now: float, rows: int | No
     head = [site.daemon_line(), *topology_lines(topology), "", *alarms]
     part = None
     if rows is not None:
-        part = max(PART_ROWS_MIN, (rows - len(head) - 3) // 3)
+        part = max(4, (rows - len(head) - 3) // 3)
     text = [
         *head,
         *_cut(_cameras(site, topology, now), part),

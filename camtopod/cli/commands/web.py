@@ -38,8 +38,6 @@ PLAN_ENDINGS = (".png", ".jpg", ".jpeg", ".svg")
 """Endings of a floor plan's file."""
 LEAVE_SECONDS = 5.0
 """Time that a blocking part may delay the end after a signal."""
-_LOOK_SECONDS = 1.0
-"""Interval at which the server's state is checked."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -131,15 +129,11 @@ def run(args: argparse.Namespace) -> int:
         )
         log.info("the page is at http://%s/", _shown(listener))
         if not is_loopback(host):
-            log.warning(
-                "there is no password ([web] password_file): anyone who can connect to %s can read"
-                " the page"
-                if login is None
-                else "the password crosses the network unencrypted unless a proxy with https is in"
-                " front of %s",
-                _shown(listener),
-            )
-        while not stop.wait(_LOOK_SECONDS):
+            warning = "the password crosses the network unencrypted without a proxy with https"
+            if login is None:
+                warning = "there is no password ([web] password_file): anyone can read the page"
+            log.warning("%s listens beyond this machine: %s", _shown(listener), warning)
+        while not stop.wait(1.0):
             if not running():  # it has printed its traceback
                 raise CommandError("the web server has failed, see above; start it again")
     return exits.DONE

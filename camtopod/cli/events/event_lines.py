@@ -24,9 +24,6 @@ from camtopod.visible import visible
 
 log = logging.getLogger(__name__)
 
-QUOTE_CHARACTERS_MAX = 120
-"""Most bytes of a rejected line that are quoted."""
-
 
 class Line(NamedTuple):
     """An event with its file and line number."""
@@ -133,7 +130,7 @@ class LineReader:
         """Count a rejected line; print the first one of each reason to standard error."""
         self.rejected[reason] += 1
         if self.rejected[reason] == 1:
-            quoted = text[:QUOTE_CHARACTERS_MAX].decode("utf-8", "backslashreplace")
+            quoted = text[:120].decode("utf-8", "backslashreplace")
             message = visible(redact(f"{where}{': ' + quoted if quoted else ''}"))
             print(
                 f"camtopod: {message} (further lines rejected for this reason are only counted)",

@@ -29,8 +29,6 @@ source = "rtsp://user:password@192.0.2.10:554/stream1"
 [cameras.hall]
 """
 _HALL = {"source": "rtsp://user:password@192.0.2.11:554/stream1"}
-_WIDTH = 110
-"""Columns of the example file."""
 
 
 def example() -> str:
@@ -57,7 +55,7 @@ def _settings(name: str, kind: type[Struct], given: dict[str, Any]) -> list[str]
     for field in fields(name, kind):
         if field.required or isinstance(field.default, Struct):  # a table of its own
             continue
-        lines += [f"# {line}" for line in textwrap.wrap(documents.get(field.name, ""), _WIDTH - 2)]
+        lines += [f"# {line}" for line in textwrap.wrap(documents.get(field.name, ""), 110 - 2)]
         if field.name in given:
             lines.append(f"{field.name} = {_value(given[field.name])}")
         else:

@@ -23,7 +23,11 @@ class Progress:
 
     def __init__(self, piped: bool = False) -> None:
         self._terminal = sys.stderr.isatty()
-        self._every = SHOW_SECONDS if self._terminal else PIPED_SECONDS if piped else math.inf
+        self._every = math.inf
+        if self._terminal:
+            self._every = SHOW_SECONDS
+        elif piped:
+            self._every = PIPED_SECONDS
         self._began = time.monotonic()
         self._next = self._began + self._every
 

@@ -24,14 +24,10 @@ from camtopod.records import (
 )
 from camtopod.topology import links_between_views, links_in_words, waiting_for_links
 
-PREDICTIONS_SHOWN = 8
-"""Newest predictions that are kept and shown."""
 ALARMS_SHOWN = 5
 """Newest alarms that are shown."""
 LINKS_SHOWN = 20
 """Busiest links that are shown."""
-NEXT_SHOWN = 3
-"""Likeliest next zones that are shown of a prediction."""
 SILENT_SECONDS = 5.0
 """Time without a status after which its sender counts as silent; statuses come every second."""
 _FINE = ("running", "ended", "no grabber", "unknown", "gone")
@@ -71,7 +67,7 @@ class SiteState:
         self._daemon: tuple[float, DaemonStatus] | None = None
         self._cameras: dict[str, tuple[float, Status]] = {}
         """Camera -> (time of arrival, status)."""
-        self._predictions: deque[Prediction] = deque(maxlen=PREDICTIONS_SHOWN)
+        self._predictions: deque[Prediction] = deque(maxlen=8)
 
     def on_status(self, key: str, payload: bytes) -> None:
         """Store a status published on ``status/...``; a malformed one is ignored."""
@@ -206,18 +202,20 @@ def topology_lines(topology: Topology | None) -> list[str]:
 
 def alarm_lines(topology: Topology | None, now: float) -> list[str]:
     """Return the newest alarms in words, newest first; ``now`` in Unix seconds."""
-    alarms = [] if topology is None else topology.alarms or []
+    if topology is None or topology.alarms is None:
+        return []
     return [
         f"{(now - alarm.t) / 60:.0f} min ago, version {alarm.version}: "
         f"{alarm.kind} {alarm.subject}, {alarm.detail}"
-        for alarm in reversed(alarms[-ALARMS_SHOWN:])
+        for alarm in reversed(topology.alarms[-ALARMS_SHOWN:])
     ]
 
 
 def busiest_links(topology: Topology | None) -> list[Link]:
     """Return the links between views, busiest first."""
-    links = [] if topology is None else links_between_views(topology)
-    return sorted(links, key=lambda link: -link.transitions)
+    if topology is None:
+        return []
+    return sorted(links_between_views(topology), key=lambda link: -link.transitions)
 
 
 def transit(link: Link) -> str:
@@ -242,7 +240,7 @@ def prediction_line(prediction: Prediction) -> str:
         places.append(
             ", ".join(
                 f"{_place(prediction, following)} {following.probability:.2f} {_when(following)}"
-                for following in prediction.next_[:NEXT_SHOWN]
+                for following in prediction.next_[:3]
             )
         )
     left = prediction.zone or prediction.camera
@@ -260,5 +258,6 @@ def _when(following: NextCamera) -> str:
 
 def _place(prediction: Prediction, following: NextCamera) -> str:
     """Return where an object is expected: a zone, or that it comes back to the view it left."""
-    back = following.camera == prediction.camera
-    return f"{'back to ' if back else ''}{following.zone}"
+    if following.camera == prediction.camera:
+        return f"back to {following.zone}"
+    return following.zone
