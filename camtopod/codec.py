@@ -51,7 +51,7 @@ _CUT_OFF = "Input data was truncated"
 class Rejected(ValueError):
     """Input from another program is not valid.
 
-    ``reason`` is a short stable word for counting; ``str()`` says what is wrong, and where.
+    ``reason`` is a short stable word for counting; ``str()`` names the mistake and its place.
     """
 
     def __init__(self, reason: str, detail: str) -> None:
@@ -234,11 +234,11 @@ def _zones_of(model: Model) -> Iterator[tuple[str, str]]:
         yield f"model.pace.ways[{k}].exit", way.exit
 
 
-def to_json(noun: Event | Topology | Delta | Prediction | Any) -> bytes:
+def to_json(record: Event | Topology | Delta | Prediction | Any) -> bytes:
     """Return a record as JSON on one line, without the newline."""
-    return _to_json.encode(noun)
+    return _to_json.encode(record)
 
 
-def to_msgpack(noun: Event | Topology | Delta | Prediction | Any) -> bytes:
+def to_msgpack(record: Event | Topology | Delta | Prediction | Any) -> bytes:
     """Return a record as MessagePack."""
-    return _to_pack.encode(noun)
+    return _to_pack.encode(record)

@@ -66,7 +66,7 @@ def _names(topology: Topology) -> Iterator[str]:
 
 
 def _repeated(topology: Topology) -> Iterator[str]:
-    """Check that no item is there twice."""
+    """Check that no key occurs twice."""
     # Collect the keys of the topology's items, then those of the model's.
     keyed: list[tuple[str, Iterable[Any]]] = [
         ("cameras", (camera.id for camera in topology.cameras)),
@@ -93,7 +93,7 @@ def _repeated(topology: Topology) -> Iterator[str]:
         twice = [key for key, count in Counter(keys).items() if count > 1]
         if twice:
             yield (
-                f"{' '.join(twice[0]) if isinstance(twice[0], tuple) else twice[0]} is there twice"
+                f"duplicate key {' '.join(twice[0]) if isinstance(twice[0], tuple) else twice[0]}"
                 f" - at `$.{place}`"
             )
 

@@ -1,4 +1,4 @@
-"""Tracks of several cameras that come in one stream: whose a message is, when, and what it shows.
+"""Tracks of several cameras in one stream: camera, time and boxes of each message.
 
 Shared by `axis`, `onvif`, `deepstream` and `scenescape`, whose messages are frames with boxes.
 """

@@ -93,16 +93,16 @@ def discovery(topics: Topics, cameras: Iterable[str]) -> Messages:
 
 
 def site_state(
-    topics: Topics, alive: bool, said: DaemonStatus, topology: Topology | None
+    topics: Topics, alive: bool, status: DaemonStatus, topology: Topology | None
 ) -> Messages:
     """Return the messages with the state of the site.
 
     alive: True if the daemon is running.
-    said: its latest status.
+    status: its latest status.
     """
     state: dict[str, Any] = {
-        "problem": _switch(not alive or said.state != "running"),
-        "reason": said.reason if alive else "the daemon is not running",
+        "problem": _switch(not alive or status.state != "running"),
+        "reason": status.reason if alive else "the daemon is not running",
         **dict.fromkeys(("version", "cameras", "links", "score", "usual")),
     }
     alarm: dict[str, Any] = {"alarm": "none"}
@@ -123,18 +123,18 @@ def site_state(
 
 
 def camera_state(
-    topics: Topics, camera: str, counted: CameraFigures, said: Status | None, zones: int
+    topics: Topics, camera: str, counted: CameraFigures, status: Status | None, zones: int
 ) -> Messages:
     """Return the messages with the state of a camera.
 
-    said: status of the camera's grabber; None if its events come from another program.
+    status: of the camera's grabber; None if its events come from another program.
     """
-    online = counted.alive and (said is None or said.state == "running")
-    told = said or Status()
+    online = counted.alive and (status is None or status.state == "running")
+    reported = status or Status()
     state = {
         "online": _switch(online),
-        "state": told.state,
-        "reason": told.reason,
+        "state": reported.state,
+        "reason": reported.reason,
         "events": counted.events,
         "zones": zones,
     }

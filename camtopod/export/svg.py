@@ -122,9 +122,9 @@ def _line(a: Point, b: Point, ways: list[Edge], most: float) -> str:
     overlapped = any(way.overlapped for way in ways)
     share = math.sqrt(sum(way.transitions for way in ways) / max(most, 1e-9))
     width = WIDTHS[0] + (WIDTHS[1] - WIDTHS[0]) * share
-    told = "; ".join(f"{way.from_} → {way.to} {_time(way)}" for way in ways)
+    tooltip = "; ".join(f"{way.from_} → {way.to} {_time(way)}" for way in ways)
     return (
-        f"<g><title>{_shown(told)}</title>"
+        f"<g><title>{_shown(tooltip)}</title>"
         f'<line x1="{a[0]:.1f}" y1="{a[1]:.1f}" x2="{b[0]:.1f}" y2="{b[1]:.1f}"'
         f' stroke="{STROKE[overlapped]}" stroke-width="{width:.1f}" stroke-linecap="round"/></g>'
     )
@@ -132,9 +132,9 @@ def _line(a: Point, b: Point, ways: list[Edge], most: float) -> str:
 
 def _circle(name: str, zones: int, at: Point) -> str:
     """Return the circle of a camera."""
-    told = f"{name}, {zones} {'zone' if zones == 1 else 'zones'}"
+    tooltip = f"{name}, {zones} {'zone' if zones == 1 else 'zones'}"
     return (
-        f"<g><title>{_shown(told)}</title>"
+        f"<g><title>{_shown(tooltip)}</title>"
         f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{RADIUS:.0f}" fill="#0f6b4f"'
         f' stroke="#ffffff" stroke-width="3"/></g>'
     )

@@ -46,7 +46,7 @@ _HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(\.[A-Za-z0-9-]{1,63})*\Z")
 
 
 class KeysError(Exception):
-    """The authority cannot do what was asked; ``str()`` says why and what to do."""
+    """The authority cannot do the request; ``str()`` gives the reason and the remedy."""
 
 
 class Issued(Struct, frozen=True):

@@ -1,8 +1,8 @@
 """Settings of the bus as data, for the daemon's session and for a separate router alike.
 
 Each program that connects shows a certificate of the site's authority, whose common name decides
-what it may do. Everything that no rule allows is denied, in both directions: a camera's box
-publishes and delivers its own events and hears what is stored of them. The functions are pure:
+its rights. Everything that no rule allows is denied, in both directions: a camera's box
+publishes and delivers its own events and receives the answers. The functions are pure:
 they take names and return settings of zenoh.
 """
 

@@ -193,7 +193,8 @@ class Learner:
     def erase(self, names: Set[str]) -> bool:
         """Forget cameras with their alarms and held events; return False if unknown.
 
-        What they have taught about other cameras is kept. `camtopod.learn.rename` renames a camera.
+        The evidence of their events about other cameras is kept. `camtopod.learn.rename` renames a
+        camera.
         """
         known = names & {*self._window.cameras, *self._intake.cameras, *self.state.retired}
         self._intake.drop_held(names)
@@ -224,8 +225,8 @@ class Learner:
     def forget(self, names: Set[str]) -> None:
         """Forget cameras and their events; the next version is without them.
 
-        Their events that still wait for the watermark are kept, and so is what their events have
-        taught about other cameras.
+        Their events that still wait for the watermark are kept, and so is the evidence of their
+        events about other cameras.
         """
         self._forget(names)
         self._alarms.forget(names)

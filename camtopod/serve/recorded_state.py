@@ -1,4 +1,4 @@
-"""Make a state directory of a recording, so that a daemon continues from what was learned of it.
+"""Make a state directory of a recording, so that a daemon continues from it.
 
 Events become journal entries, as if they had been received, and the learner's state after the last
 one becomes the snapshot. If this is interrupted, a daemon can still use the directory: it learns

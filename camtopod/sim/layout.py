@@ -123,7 +123,7 @@ def make_layout(
 
 
 def without_paths(layout: Layout) -> Layout:
-    """Return the layout without paths between views: whoever leaves one has left the site."""
+    """Return the layout without paths: an object that leaves a view has left the site."""
     onward = replace(layout.onward, probability=np.zeros_like(layout.onward.probability))
     return replace(
         layout, onward=onward, arrivals=np.full(len(layout.camera), 1 / len(layout.camera))

@@ -86,7 +86,7 @@ def _lost(camera: Longs, t: Floats, layout: Layout, settings: SimSettings) -> ND
 
 
 def truth_of(setup: Setup, settings: SimSettings, recorded: Passages, owners: Longs) -> Truth:
-    """Return the network as it is at the end of the recording, and who caused each event."""
+    """Return the network at the end of the recording, and the object that caused each event."""
     layout = setup.layout
     first = np.r_[0, np.flatnonzero(np.diff(layout.camera)) + 1]
     number = np.arange(len(layout.camera)) - first[layout.camera] + 1

@@ -71,15 +71,15 @@ def waiting_for_links(topology: Topology) -> str:
         return "No camera is known yet."
     if len(cameras) < 2:
         return f"A link needs two cameras: only {cameras[0]} has sent events, {so_far}."
-    said = f"No two cameras are linked yet: {so_far}."
+    none_yet = f"No two cameras are linked yet: {so_far}."
 
     # The weak link that needs least time.
     nearest = next(iter(_lacking(topology)), None)
     if nearest is None or nearest.lacks is None:
-        return f"{said} A link takes about ten passages from one camera to another."
+        return f"{none_yet} A link takes about ten passages from one camera to another."
     total = nearest.transitions + nearest.lacks.passages
     return (
-        f"{said} The nearest one, {camera_of(nearest.from_)} to {camera_of(nearest.to)}, has "
+        f"{none_yet} The nearest one, {camera_of(nearest.from_)} to {camera_of(nearest.to)}, has "
         f"{nearest.transitions:.0f} of about {total:.0f}; "
         f"about {duration_in_words(nearest.lacks.seconds)} at this traffic."
     )

@@ -12,7 +12,7 @@ from camtopod.vision.track import Decision, Track
 
 
 class Analysis(NamedTuple):
-    """One frame and what was made of it.
+    """One frame and its analysis.
 
     Holds the pipeline's own objects, which change with the next frame.
     """

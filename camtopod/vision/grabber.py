@@ -90,7 +90,7 @@ class Grabber:
                 self._analysis_seconds += time.thread_time() - began
                 self._last_t = frame.t
 
-            # Yield what was found, or None if nothing was yielded for the heartbeat interval.
+            # Yield the events, or None if nothing was yielded for the heartbeat interval.
             yield from events
             now = time.monotonic()
             if events:

@@ -150,7 +150,7 @@ class ViewPipeline:
         return events
 
     def _show(self, t: float, frame: Luma, moving: Luma | None, events: Sequence[Event]) -> None:
-        """Pass what was made of a frame on to the observer, if there is one."""
+        """Pass the analysis of a frame to the observer, if there is one."""
         if self._observer is None:
             return
         assert self._tracker is not None

@@ -7,9 +7,9 @@ import threading
 from collections import deque
 
 MESSAGES_MAX = 256
-"""Messages that may wait for a page; beyond it the page must fetch everything anew."""
+"""Messages that may wait for a page; beyond it the page must fetch everything again."""
 BYTES_MAX = 4 << 20
-"""Bytes that may wait for a page; beyond it the page must fetch everything anew.
+"""Bytes that may wait for a page; beyond it the page must fetch everything again.
 
 A version of a large site is half a megabyte. A single message may be larger than this.
 """
@@ -18,7 +18,7 @@ BEAT_SECONDS = 4.0
 PAGES_MAX = 64
 """Pages open at a time."""
 RESYNC = b"event: resync\ndata: {}\n\n"
-"""Message that tells a page to fetch everything anew."""
+"""Message that tells a page to fetch everything again."""
 
 
 class PageQueue:
@@ -101,7 +101,7 @@ class PageQueues:
         return bool(self._queues)
 
     def leave(self, queue: PageQueue) -> None:
-        """Remove the queue of a page that has gone."""
+        """Remove the queue of a closed page."""
         with self._mutex:
             self._queues.discard(queue)
 

@@ -1,4 +1,4 @@
-"""Versions on the page's time line: figures of each, and what it changed."""
+"""Versions on the page's time line: figures and changes of each."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _RELATIONS = {"overlapped": "overlapping views", "unseen_path": "an unseen path"
 
 
 class Change(Struct, frozen=True):
-    """A part of the site that has come, gone or become another.
+    """A part of the site that was added, removed or changed.
 
     kind: ``camera``, ``pair``, ``link`` or ``zone``.
     subject: a camera, the cameras of a pair, the zones and the relation of a link, or a zone.
-    before, now: None where it was not, or is no more; the relation of a pair in words, else "".
+    before, now: None where it did not or does not exist; the relation of a pair in words, else "".
     """
 
     kind: str

@@ -139,7 +139,7 @@ class CameraProcess:
             self._signal(signal.SIGTERM, now)
 
     def restart(self, settings: CameraSettings, now: float) -> None:
-        """Start the process anew with other settings."""
+        """Restart the process with other settings."""
         self.settings = settings
         self._backoff = RESTART_SECONDS_MIN
         self.request_end(now, start_at=now)

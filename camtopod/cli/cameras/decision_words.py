@@ -77,7 +77,7 @@ def words_of(decision: Decision) -> str:
 
 
 def decision_line(camera: str, decision: Decision) -> str:
-    """Return a line about a decision: time, camera, track, what it was taken for and why.
+    """Return a line about a decision: time, camera, track, the decision and its reason.
 
     The time is that of the event: of the first sighting at a beginning, of the last one at an end.
     The end of an object also has the time of the first sighting.

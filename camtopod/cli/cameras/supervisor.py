@@ -52,7 +52,7 @@ def supervise(args: argparse.Namespace, config: Config, requests: SignalRequests
 
 
 class _Supervisor:
-    """Processes of all cameras, and what is reported about them."""
+    """Processes of all cameras, and their status reports."""
 
     def __init__(self, args: argparse.Namespace, config: Config) -> None:
         self._args = args

@@ -122,11 +122,11 @@ class HomeAssistantState:
             if prediction.camera == camera:
                 self._keep(self._predictions, camera, prediction)
 
-    def _keep(self, where: dict[str, Any], camera: str, noun: Any) -> None:
-        """Store the newest ``noun`` of a camera, unless there are too many cameras."""
+    def _keep(self, where: dict[str, Any], camera: str, record: Any) -> None:
+        """Store the newest ``record`` of a camera, unless there are too many cameras."""
         with self._mutex:
             if camera in where or len(where) < self._cameras_max:
-                where[camera] = noun
+                where[camera] = record
 
 
 def run(args: argparse.Namespace) -> int:

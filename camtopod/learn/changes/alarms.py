@@ -68,7 +68,7 @@ class AlarmState(Struct):
 
 
 class AlarmLog:
-    """The alarms raised so far, and what is needed to raise each only once."""
+    """The alarms raised so far, and the state that lets each be raised only once."""
 
     def __init__(self, state: AlarmState) -> None:
         self.state = state

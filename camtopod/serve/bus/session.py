@@ -237,8 +237,8 @@ class Bus:
     ) -> None:
         """Send a request, and call ``on_answer`` once: with the answer, or with None at the end.
 
-        It is called on a thread of the bus, at once if nobody answers on ``key`` or the program
-        that does ends, and after ``seconds`` at the latest. It must not block.
+        It is called on a thread of the bus, at once if no program answers on ``key`` or that one
+        ends, and after ``seconds`` at the latest. It must not block.
         """
         answered = threading.Lock()
 
@@ -439,7 +439,7 @@ def open_daemon_session(config: Config) -> Bus:
 
 
 def log_to_standard_output() -> None:
-    """Have zenoh write its own log: errors, and who was refused a TLS connection, and why.
+    """Have zenoh write its own log: errors, and refused TLS connections with the reason.
 
     The environment variable RUST_LOG can ask for more. Once in a process.
     """

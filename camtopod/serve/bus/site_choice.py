@@ -1,4 +1,4 @@
-"""Which site a program takes that was told none: readers take the only one on the bus."""
+"""The site of a program for which none was named: readers take the only one on the bus."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The path of events from the bus into the journal.
 
-Start with `intake`, which has the whole path. `numbers` knows what was taken and stored of each
-camera, `cameras` which cameras there are, `merge` puts events in order of time, `names` knows
+Start with `intake`, which has the whole path. `numbers` knows which events of a camera were taken
+and stored, `cameras` which cameras there are, `merge` puts events in order of time, `names` knows
 forgotten and renamed cameras, `event_clock` compares event time with this machine's clock, and
 `answers` ends the grabbers' requests. `commands` executes an operator's commands.
 """

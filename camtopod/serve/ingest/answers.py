@@ -52,7 +52,7 @@ class Answers:
         return codec.to_msgpack(Answer(have, batch, reason, detail, late, refused))
 
     def greet(self, camera: CameraState, hello: Hello) -> bytes:
-        """Return the answer to a hello: what is stored of each boot."""
+        """Return the answer to a hello: the highest stored number of each boot."""
         camera.hello = hello.number
         return self.encode(self._numbers.hello(camera.name, hello.boots))
 

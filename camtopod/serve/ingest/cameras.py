@@ -62,7 +62,7 @@ class CameraState(Struct):
     seconds: number of events by second of event time.
     waiting: events to be released (`merge`), each with the event time that the camera had reached.
     reached (Unix seconds): the newest event time that it has delivered.
-    more: how many events of it wait in its spool.
+    more: number of its events that wait in its spool.
     asked: when its last request came or was answered.
     nearest (seconds): smallest distance of ``reached`` to the clock.
     stuck (seconds): for how long that has not become smaller.

@@ -1,7 +1,7 @@
-"""Decode what comes over the bus.
+"""Decode messages from the bus.
 
-The bytes of an event out of a spool are the daemon's to judge: what is not valid is stored under
-its number, so that the spool is rid of it, and not learned. A publication has no such claim.
+An invalid event from a spool is stored under its number, so that the spool can delete it, and is
+not learned. An invalid publication is dropped.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def request(camera: str, content: bytes) -> Hello | Batch:
 
 
 def entry(camera: str, boot: str, seq: int, raw: bytes, rejects: Rejects) -> Received:
-    """Return the entry of an event out of a camera's spool; what is not valid is counted."""
+    """Return the entry of an event from a camera's spool; invalid ones are counted."""
     try:
         event = codec.event_from_bytes(raw)
         if event.camera != camera:

@@ -1,8 +1,9 @@
 """Event time beside this machine's clock.
 
-Event time is that of the newest event that is to be learned. NTP is believed: an event further
-ahead of this machine's clock is stored and not learned, and while the clock is behind event time
-nothing is taken, as one of the two is wrong. Only a step back that is seen takes event time back.
+Event time is that of the newest event to be learned. This machine's clock is assumed to be right
+(NTP): an event further ahead of it is stored and not learned, and while the clock is behind event
+time nothing is taken, as one of the two is wrong. Only an observed step back of the clock takes
+event time back.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the bus has delivered and nobody has looked at yet."""
+"""Messages from the bus that have not been processed yet."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Inbox:
             self._changed.notify()
 
     def take(self) -> list[Message]:
-        """Return all messages, and begin anew."""
+        """Return all messages and empty the inbox."""
         with self._changed:
             messages = self._messages
             self._messages = []

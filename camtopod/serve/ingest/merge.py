@@ -3,7 +3,7 @@
 When the daemon or the network was away, every spool delivers its backlog, some sooner than others.
 If events were learned in the order of arrival, the first backlog would make all others late. So
 each camera that has more to deliver is waited for, and events are released by time, up to what all
-these cameras have reached. A camera whose backlog is older than what was released already is late
+these cameras have reached. A camera whose backlog is older than the released events is late
 anyway, so nothing waits for it.
 
 An event up to a minute ahead of this machine's clock waits until its time has come: learned at
@@ -31,7 +31,7 @@ EARLY_SECONDS_MAX = 1.0
 STUCK_SECONDS_MAX = 120.0
 """A camera that comes no nearer to the clock for this long is waited for no longer.
 
-The time in which a batch of it is held does not count.
+The time in which one of its batches is held does not count.
 """
 NEARER_SECONDS = 1.0
 """Change of the distance to the clock that counts as nearer."""
@@ -44,7 +44,7 @@ class Merger:
     never steps.
 
     Nothing is released in the first `SETTLE_SECONDS`, nor for as long after the first backlog that
-    is told of since a hello: those of other cameras may follow.
+    is reported after a hello: those of other cameras may follow.
 
     lateness: the learner's (seconds). An event older than this is of a backlog.
     ahead_max: events further ahead of the clock (seconds) are stored and not learned.

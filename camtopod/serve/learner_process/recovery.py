@@ -85,8 +85,8 @@ def recover(
     if epoch is None:
         epoch = new_epoch()
 
-    # Skip an entry at which the learner has died twice, or begin anew behind it if it died of what
-    # it had learned before.
+    # Skip an entry at which the learner has died twice, or begin without a state after it if the
+    # learner died of its state.
     found = _newest_state(journal, process)
     failure = read_failure(journal)
     if failure is not None and failure.times >= DEATHS_MAX:

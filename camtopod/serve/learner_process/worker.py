@@ -265,7 +265,7 @@ def main(
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     faulthandler.enable()
-    gc.freeze()  # what was imported is never garbage
+    gc.freeze()  # imported modules are never garbage
     questions: queue.SimpleQueue[Question] = queue.SimpleQueue()
 
     def listen() -> None:

@@ -85,8 +85,8 @@ class _Handler(BaseHTTPRequestHandler):
 def _contents(pages: Pages, path: str) -> Page:
     """Return the page that lists all pages; with status 404 if another one was asked for."""
     status = HTTPStatus.OK if path == "/" else HTTPStatus.NOT_FOUND
-    said = "camtopod daemon. Pages here:" if path == "/" else "There is no such page here. Try:"
-    lines = [said, *(f"  {name}" for name in pages), "The map is served by `camtopod web`."]
+    heading = "camtopod daemon. Pages here:" if path == "/" else "There is no such page here. Try:"
+    lines = [heading, *(f"  {name}" for name in pages), "The map is served by `camtopod web`."]
     return Page(status, "text/plain; charset=utf-8", "\n".join([*lines, ""]).encode())
 
 

@@ -277,10 +277,10 @@ def grabbers(bus: Bus) -> dict[str, dict[str, Any]]:
         if camera == "daemon" or not re.match(CAMERA_PATTERN, camera):
             continue
         try:
-            said = codec.read(dict[str, Any], payload, pack=True)
+            status = codec.read(dict[str, Any], payload, pack=True)
         except codec.Rejected:
             continue
-        found[camera] = {**said, "running": said.get("state") == "running"}
+        found[camera] = {**status, "running": status.get("state") == "running"}
     return found
 
 

@@ -1,9 +1,9 @@
 """Delivery of one camera's events from its spool to the daemon, one request at a time.
 
-The daemon's word counts: its answers say how far it has stored each boot, and the queue goes on
-behind that, forwards or backwards. The next request is a hello at the start, when a daemon appears,
-and after a request without an answer; otherwise a batch. This is a state machine without I/O,
-clock, or threads.
+The daemon's answers decide: they tell how far it has stored each boot, and the queue continues
+after that number, forwards or backwards. The next request is a hello at the start, when a daemon
+appears, and after a request without an answer; otherwise a batch. This is a state machine without
+I/O, clock, or threads.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ UNANSWERED_MAX = 3
 
 
 class Queue(Protocol):
-    """The events of cameras that wait: what is needed of `camtopod.serve.outbox.spool.Spool`."""
+    """The waiting events of cameras: the part of `Spool` that deliveries use."""
 
     def boot(self, camera: str) -> str:
         """Return the boot in which this process numbers the events of ``camera``."""
@@ -114,14 +114,14 @@ class Delivery:
             return
         self.unanswered = 0
 
-        # Take what it says.
+        # Apply the answer.
         self._batch_max = answer.batch
         moved = self._note_marks(request, answer)
         if isinstance(request, Batch):
             self.late[request.boot] += answer.late
             self.refused[request.boot] += answer.refused
 
-        # Decide what is next, and when.
+        # Choose the next request and its time.
         self.no_room = ""
         if answer.reason == "cameras":
             self.no_room = answer.detail or "the daemon has as many cameras as cameras_max allows"

@@ -33,7 +33,7 @@ TRANSACTION_EVENTS_MAX = 500
 UNANSWERED = (
     "the daemon is there and does not answer: is this program's certificate for this camera?"
 )
-"""What is said of a camera whose requests remain without an answer."""
+"""The reason reported for a camera whose requests get no answer."""
 _UNREADABLE_SECONDS = 2.0
 """Wait after the spool could not be read."""
 
@@ -113,7 +113,7 @@ class Publisher:
             del self._pending[:TRANSACTION_EVENTS_MAX]
             self.published += len(numbered)
 
-            # Have it delivered, and publish it for who looks on.
+            # Have it delivered, and publish it for viewers.
             if self._bus is not None:
                 for camera in {event.camera for event in numbered}:
                     self._introduce(self._bus, camera)
@@ -246,7 +246,7 @@ class Publisher:
                 self._daemon_appeared = False
                 self._due.clear()
 
-            # Tell the deliveries, and send what they ask for.
+            # Pass answers to the deliveries, and send the next requests.
             if appeared:
                 due.update(self._deliveries)
                 for delivery in self._deliveries.copy().values():

@@ -123,7 +123,9 @@ class Spool:
                 with self._using():
                     pass
             except sqlite3.Error as error:
-                raise StateError(f"cannot read {path}: {error}; it is left as it is") from None
+                raise StateError(
+                    f"cannot read {path}: {error}; the file was not modified"
+                ) from None
             undo.pop_all()
 
     def append(self, events: Sequence[Event]) -> list[Event]:
@@ -146,7 +148,7 @@ class Spool:
             self._sure = not rows or added == len(rows)
             self._tops.update(((camera, boot), seq) for camera, boot, seq, *_ in rows)
 
-        # Say what was left out.
+        # Report the events that were left out.
         for camera, error in refused:
             self.rejects.add(error.reason, f"event of {camera}", str(error))
         if self.dropped and not self._said_full:

@@ -118,7 +118,7 @@ class Journal:
         self._seen = JournalStatus()
         self._sure = True  # False after a transaction that raised an error
         self.set_aside: Path | None = None
-        """Path of a damaged journal that was set aside on opening; this one was begun anew."""
+        """Path of a damaged journal that was set aside on opening; this one began empty."""
         self.missing = 0
         """Number of entries known to have been lost before the journal was opened."""
 
@@ -135,7 +135,7 @@ class Journal:
                     self._compare()
             except sqlite3.Error as error:
                 raise sqlite_file.StateError(
-                    f"cannot read {self._path}: {error}; it is left as it is"
+                    f"cannot read {self._path}: {error}; the file was not modified"
                 ) from None
             undo.pop_all()
         self.status()  # fills self._seen

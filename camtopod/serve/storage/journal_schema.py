@@ -49,7 +49,7 @@ position: the last entry that a snapshot's state contains.
 
 
 def rescue(database: sqlite3.Connection, aside: Path) -> int:
-    """Copy what is undamaged in a journal that was set aside; return the number of entries.
+    """Copy the undamaged rows of a journal that was set aside; return the number of entries.
 
     The epoch is not continued, as the next versions may differ from some that were published.
     What the publishers still have is sent again from the first hole in their numbers on, and counts

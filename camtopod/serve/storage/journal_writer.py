@@ -1,7 +1,7 @@
 """Store entries, versions and snapshots in the journal, and publish versions once they are stored.
 
 Nothing is acknowledged, learned or published before it is stored, so a transaction that fails is
-retried until it succeeds. One thread stores; the learner's thread hands over versions and
+retried until it succeeds. One thread stores; the learner's thread passes versions and
 snapshots.
 """
 
@@ -101,7 +101,7 @@ class JournalWriter:
         meta: Mapping[str, str] | None = None,
         forgotten: Sequence[Stream] = (),
     ) -> Sequence[Entry] | None:
-        """Commit ``entries`` and what the learner handed over, retrying as needed; then publish.
+        """Commit ``entries``, versions and snapshots of the learner, with retries; then publish.
 
         meta, forgotten: see `Journal.commit`.
 
@@ -174,7 +174,7 @@ class JournalWriter:
             self._began = None
 
     def store_remaining(self, snapshot: Snapshot | None) -> None:
-        """Store what the learner has handed over at the end, after both threads have ended."""
+        """Store the learner's last versions and snapshots, after both threads have ended."""
         if snapshot is not None:
             self.on_snapshot(snapshot)
         ended = threading.Event()

@@ -46,7 +46,7 @@ class StateError(OSError):
 
 
 class Damaged(StateError):
-    """The content of a file differs from what was written."""
+    """The content of a file is not that which was written."""
 
 
 class Displaced(sqlite3.OperationalError):
@@ -116,7 +116,7 @@ class Connection(sqlite3.Connection):
     def check(self) -> None:
         """Raise `Displaced` if the file was removed, moved or replaced since it was opened.
 
-        SQLite would go on writing into a file that nobody finds again.
+        SQLite would continue to write to a deleted file.
         """
         try:
             unchanged = os.stat(self._path).st_ino == self._inode

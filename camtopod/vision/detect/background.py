@@ -1,4 +1,4 @@
-"""Background model: what each pixel shows of the settled scene when nothing is in front of it.
+"""Background model: each pixel of the settled scene with nothing in front of it.
 
 The model is a median over the first seconds, then a running mean of the pixels without motion.
 Lighting is not learned into the model but compensated by a tone curve from model to frame: for each
@@ -76,12 +76,14 @@ class Background:
         changes = np.sort(levels * 512 + change) % 512
         counts = np.bincount(levels, minlength=TONE_BINS)
 
-        said = np.flatnonzero(counts >= _TONE_PIXELS_MIN)
-        if not len(said):
+        filled = np.flatnonzero(counts >= _TONE_PIXELS_MIN)
+        if not len(filled):
             return np.zeros(256, np.float32)
 
-        centres = np.bincount(levels, weights=model, minlength=TONE_BINS)[said] / counts[said]
-        medians = changes[(np.cumsum(counts) - counts + counts // 2)[said]].astype(np.float32) - 256
+        centres = np.bincount(levels, weights=model, minlength=TONE_BINS)[filled] / counts[filled]
+        medians = (
+            changes[(np.cumsum(counts) - counts + counts // 2)[filled]].astype(np.float32) - 256
+        )
         curve: npt.NDArray[np.float32] = np.interp(_LEVELS, centres, medians).astype(np.float32)
         return curve
 

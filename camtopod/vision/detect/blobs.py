@@ -92,7 +92,7 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     if len(kept) > BLOBS_MAX:
         kept = 1 + np.argsort(areas)[-BLOBS_MAX:]
 
-    # Merge fragments of one person and keep what looks like one.
+    # Merge fragments of one person and keep blobs of a person's shape.
     groups = _merge([(int(label), _box(stats[label])) for label in kept], cache(expected_height))
     area_min = max(AREA_PIXELS_MIN, AREA_SHARE_MIN * mask.size)
     blobs = []

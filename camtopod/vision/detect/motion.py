@@ -2,7 +2,7 @@
 
 Three rules make this work on real video: the background must not learn what stands under a
 confirmed track; light must not count as motion (tone curve in `background`, gradients here); and no
-pixel may stay frozen for ever: an image that has changed as a whole is learned anew, and
+pixel may stay frozen for ever: an image that has changed as a whole is learned again, and
 differences that no track claims are adopted after some seconds. Dynamic background, such as
 branches in the wind, is no motion either (`swaying`).
 
@@ -42,7 +42,7 @@ STRONG_MIN = 75.0
 WHOLE_IMAGE_SHARE = 0.5
 """Share of differing pixels above which the whole image counts as changed."""
 WHOLE_IMAGE_SECONDS = 1.5
-"""Time for which the whole image must have changed before it is learned anew."""
+"""Time for which the whole image must have changed before it is learned again."""
 ADOPT_SECONDS = 6.0
 """Time after which a difference that belongs to no object becomes part of the scene."""
 BOOTSTRAP_FRAMES_MAX = 24

@@ -52,7 +52,7 @@ class DetectorResult(NamedTuple):
     """Parts of the image that were examined."""
     detections: Sequence[Detection] = ()
     trusted: bool = False
-    """The detector decides who is there and how many."""
+    """True if the detector decides on the people in the image and their number."""
     agreement: float = 0.0
     """Share of the moving area inside of its boxes, a running mean."""
 
@@ -179,7 +179,7 @@ class Detector:
         return found
 
     def _measure(self, moving: Luma, crops: Sequence[Box], detections: Sequence[Detection]) -> None:
-        """Count the moving area of each crop, and how much of it is inside of detections."""
+        """Update with the moving area of each crop, and the part of it inside of detections."""
         boxes = [one.box for one in detections]
         for crop in crops:
             area, inside = share_inside(moving, crop, boxes)

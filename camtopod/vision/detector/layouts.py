@@ -49,7 +49,7 @@ class LayoutError(ValueError):
 
 
 class Form(NamedTuple):
-    """How a model writes its boxes, and what it takes."""
+    """Layout of a model's outputs, and its input size."""
 
     layout: Layout
     classes: int | None
@@ -151,7 +151,7 @@ def _possible(outputs: Sequence[Array], size: Size) -> list[Form]:
             return [grid]
         return [grid, Form("yolov5", columns - 5)]
 
-    # No grid: so many boxes at most.
+    # No grid: at most this number of boxes.
     if columns == 6:
         forms = [Form("end-to-end", None)]
         if _are_fractions(output[..., :4]):

@@ -51,9 +51,9 @@ def input_size(path: str) -> tuple[int, int]:
         raise HeaderError(f"{path} is not an ONNX model: {error}") from None
     images = [shape for shape in shapes if len(shape) == 4 and shape[1] in (0, 3)]
     if len(shapes) != 1 or len(images) != 1 or images[0][0] > 1:
-        said = " and ".join(str(tuple(shape)) for shape in shapes) or "none"
+        inputs = " and ".join(str(tuple(shape)) for shape in shapes) or "none"
         raise HeaderError(
-            f"{path} does not take one image (1, 3, height, width); its inputs: {said}"
+            f"{path} does not take one image (1, 3, height, width); its inputs: {inputs}"
         )
     height, width = (length or SIZE_UNKNOWN for length in images[0][2:])
     if max(width, height) > SIZE_MAX or width % 32 or height % 32:

@@ -50,7 +50,7 @@ _FONT_SCALE = 0.42
 
 
 class Words(NamedTuple):
-    """Words that the caller has for what is drawn."""
+    """The caller's words for the drawn objects."""
 
     time: Callable[[float], str]
     """Of a capture time, seconds."""

@@ -1,7 +1,7 @@
 """Write drawn pictures to a file on this machine: a video, or one picture that is replaced.
 
 Both are readable by their owner alone from the first byte on, and an older file is replaced whole.
-Nothing is flushed to the disk: these files are to be looked at, not to be relied on.
+Nothing is flushed to the disk: these files are for viewing and need not survive a power cut.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Describe a source after reading it for some seconds, and explain what is wrong with it.
+"""Describe a source after reading it for some seconds, and explain its problems.
 
 Runs as a process of its own,
 
@@ -83,7 +83,7 @@ class Probe(Struct):
     picture: bytes = b""
     """The scene without people as JPEG, as far as it has settled; empty unless requested."""
     detector: ModelReport = ModelReport()
-    """What the detector is, and what it saw; empty if there is none."""
+    """The detector and its detections; empty if there is none."""
 
     @property
     def lines(self) -> list[str]:

@@ -1,8 +1,8 @@
-"""Picture of a scene without the people in it: the median of pictures of some seconds.
+"""Image of a scene without its people: the median of images over some seconds.
 
-Somebody who walks covers a place in few of the pictures only, and the median shows what is there in
-most. The scene is settled if nearly every place looks the same in a clear majority of them. Who
-stands still for the whole time is part of the scene.
+A walking person covers a pixel in few of the images, so the median shows the background. The scene
+is settled if nearly every pixel looks the same in a clear majority of them. A person who stands
+still for the whole time is part of the scene.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PICTURES_MAX = 16
 MAJORITY = 0.6
 """Share of the pictures in which a settled pixel looks as in the median."""
 LATEST_PICTURES = 3
-"""A pixel that differs from the median in each of so many latest pictures is not settled either."""
+"""Number of latest images; a pixel that differs from the median in all of them is not settled."""
 SAME_GREY_LEVELS = 15
 """Largest difference of pixels that look the same, grey levels."""
 UNSETTLED_SHARE_MAX = 0.002

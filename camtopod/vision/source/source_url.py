@@ -28,7 +28,7 @@ def percent_encoded(url: str) -> str:
     """Return ``url`` with user name and password percent-encoded.
 
     Both may contain ``@``, ``:`` and ``/`` as they are. The host begins after the first ``@`` that
-    is followed by a host name and optionally a port. Text that is encoded already is left as it is.
+    is followed by a host name and optionally a port. Text that is already encoded stays unchanged.
     """
     match = _SCHEME.match(url)
     if match is None or _HOST.match(match.group(2)):  # begins with the host: no password

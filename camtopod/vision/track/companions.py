@@ -2,8 +2,8 @@
 
 Two people who walk together from the border on are one blob, and so one track. If most of the
 images of it show more heads than there are tracks, and it is as wide as that many people, the
-people without a track get one (`missing_track`). It has the beginning of the track that they were
-taken for, so whoever entered together is told to have entered together.
+people without a track get one (`missing_track`). It has the beginning of the track with which they
+were merged, so their entries have the same time.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def missing_track(t: float, blob: Blob, held: list[Track], number: int) -> Track
     """Return a track, with its number, for a person in the blob who has none; None if too unsure.
 
     t (seconds): time of the frame.
-    held: confirmed tracks in the blob, fewer than it has heads. They begin to count anew, and a
+    held: confirmed tracks in the blob, fewer than it has heads. Their counts restart, and a
         single one moves to its own head.
     """
     longest = max(held, key=lambda track: track.crowded_sightings)

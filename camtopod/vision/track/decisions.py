@@ -1,7 +1,7 @@
-"""Records of what became of a track and why, for people who ask why there was an event or none.
+"""Records of the decisions about a track, which explain its events and missing events.
 
-`Tracker` and `Crossings` make them where they decide, through a `Recorder`, and only if somebody
-asks for them. The words for them are the command line's.
+`Tracker` and `Crossings` make them where they decide, through a `Recorder`, and only on request.
+The command line puts them into words.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Detect two people who change places at the border: one leaves while another enters.
 
 If their blobs never separate, the tracker sees one object that walks out of the view and, half out
-of it, comes back at once. Somebody who really turns round slows down first. A blob that shrinks
+of it, comes back at once. A person who turns round slows down first. A blob that shrinks
 into the border and grows out of it again, at walking speed both times, is therefore taken for two
 people.
 """
