@@ -28,6 +28,7 @@ def test_the_same_network_at_every_rate() -> None:
     assert {event.camera for event in quick} == {event.camera for event in slow}
 
 
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     ("part", "arguments"),
     [

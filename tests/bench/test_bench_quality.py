@@ -6,14 +6,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from synthetic_events import topology_of
 
 import bench.quality as quality
-from bench.support.measure import (
-    Record,
-    network_figures,
-)
-from bench.support.table import tables
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.sim.simulation import SimSettings, simulate
@@ -69,32 +63,3 @@ def test_everything_is_in_the_table(small: Small, capsys: pytest.CaptureFixture[
     shown = capsys.readouterr().out
     for name in ("online", "live", "oracle", "log loss", "Makris", "Hawkes", "k-means"):
         assert name in shown
-
-
-def test_figures_of_a_perfect_topology() -> None:
-    events, truth = simulate(SimSettings(cameras=4, hours=0.3))
-    figures = network_figures(topology_of(truth), truth, events)
-
-    assert (
-        figures["zones_right"],
-        figures["f1"],
-        figures["relation_right"],
-        figures["silent"],
-    ) == (1, 1, 1, 1)
-    assert figures["median_error"] == 0
-    assert figures["recorded_median_error"] > 0  # so few walkers have another median than all
-    assert "clock_error" not in figures
-
-
-def test_targets_are_judged_by_their_means() -> None:
-    records = [
-        Record("sparse", seed, "online", 1.0, {"f1": f1}) for seed, f1 in enumerate((0.97, 0.996))
-    ]
-    records += [
-        Record("sparse", seed, "batch", 1.0, {"f1": f1}) for seed, f1 in enumerate((0.97, 0.98))
-    ]
-    line = next(
-        line for line in tables(records, ["sparse"]) if line.startswith("sparse: links, F1")
-    )
-
-    assert line.split()[-6:] == ["0.983", "±0.013", "yes", "0.975", "±0.005", "NO"]

@@ -17,7 +17,7 @@ from synthetic_topology import synthetic_topology
 from camtopod.publishers import GONE_SECONDS
 from camtopod.records import Event, InView, Look, NextCamera, Prediction
 from camtopod.serve.bus.session import Bus
-from camtopod.web import feed, outbox
+from camtopod.web import feed
 from camtopod.web.feed import Feed
 from camtopod.web.outbox import MESSAGES_MAX, RESYNC, PageQueue, PageQueues
 
@@ -260,14 +260,3 @@ def test_a_page_that_lags_gets_less_and_then_starts_anew() -> None:
     assert taken is not None
     assert taken.startswith(RESYNC)
     assert taken.count(b"must.") < MESSAGES_MAX
-
-
-def test_so_many_pages_and_no_more() -> None:
-    async def fill() -> list[PageQueue | None]:
-        queues = PageQueues()
-        opened = [queues.open(None) for _ in range(outbox.PAGES_MAX + 1)]
-        queues.leave(cast(PageQueue, opened[0]))
-        return [*opened, queues.open(None)]
-
-    opened = asyncio.run(fill())
-    assert [one is None for one in opened] == [False] * outbox.PAGES_MAX + [True, False]
