@@ -13,7 +13,7 @@ from collections.abc import Callable
 from camtopod.export import homeassistant as homeassistant
 from camtopod.export.aicity import camera_numbers as camera_numbers, to_aicity
 from camtopod.export.dot import to_dot
-from camtopod.export.graph import Edge as Edge, edges as edges
+from camtopod.export.graph import Edge as Edge, edges as edges, seconds as seconds
 from camtopod.export.graphml import to_graphml
 from camtopod.export.json_graph import to_json_graph
 from camtopod.export.layout import Place as Place, places as places

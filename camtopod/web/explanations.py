@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.export import seconds
 from camtopod.learn.links import MONTE_CARLO_SEED, mahalanobis, monte_carlo
 from camtopod.learn.settings import Settings
 from camtopod.records import CameraModel, Link, Model, Pair, Topology, Zone, ZoneModel
@@ -183,8 +184,8 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
             f"Both zones are in one view: {_count(link.transitions)} objects entered at "
             f"{link.from_} and left at {link.to}, {_share(link.probability)} of those that "
             "entered there.",
-            f"Half of them took at most {_seconds(link.transit.q50)}; four in five between "
-            f"{_seconds(link.transit.q10)} and {_seconds(link.transit.q90)}.",
+            f"Half of them took at most {seconds(link.transit.q50)}; four in five between "
+            f"{seconds(link.transit.q10)} and {seconds(link.transit.q90)}.",
         ]
 
     # A link between views: departures, transit times, background, significance.
@@ -201,7 +202,7 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
         unrelated = _count(background * span)
         found = _count(0.8 * link.transitions)  # those from q10 to q90
         said.append(
-            f"Within these {_seconds(span)} about {unrelated} unrelated arrivals are "
+            f"Within these {seconds(span)} about {unrelated} unrelated arrivals are "
             f"expected; {found} more than that were found."
         )
     rule = Settings().publish_q_max
@@ -231,11 +232,11 @@ def _time_taken(link: Link) -> str:
     if t.q50 < 0:
         return (
             f"They are seen at {link.to} before they leave at {link.from_}, by a median of "
-            f"{_seconds(-t.q50)}: the two views show the same place."
+            f"{seconds(-t.q50)}: the two views show the same place."
         )
-    sure = f" (known to ± {_seconds(t.q50_sd)})" if t.q50_sd is not None else ""
-    common = f"{_seconds(t.q10)} and {_seconds(t.q90)}"
-    return f"Half of them need at most {_seconds(t.q50)}{sure}; four in five between {common}."
+    sure = f" (known to ± {seconds(t.q50_sd)})" if t.q50_sd is not None else ""
+    common = f"{seconds(t.q10)} and {seconds(t.q90)}"
+    return f"Half of them need at most {seconds(t.q50)}{sure}; four in five between {common}."
 
 
 def why_pair(pair: Pair | None) -> list[str]:
@@ -279,10 +280,6 @@ def _count(number: float) -> str:
 def _share(value: float) -> str:
     digits = 0 if value >= 0.095 else 1
     return f"{100 * value:.{digits}f} %"
-
-
-def _seconds(value: float) -> str:
-    return f"{value:.1f} s" if abs(value) < 10 else f"{value:.0f} s"
 
 
 def _odds(q_value: float) -> str:

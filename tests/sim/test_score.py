@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from synthetic_events import topology_of
 
-from camtopod.records import Event, NextCamera, Pair, Prediction
+from camtopod.records import Event, NextCamera, Prediction
 from camtopod.sim.calibration import calibration_error, calibration_floor
-from camtopod.sim.scoring import clock_errors, score, score_predictions
+from camtopod.sim.scoring import clock_errors, score_predictions
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import TRUTH_SCHEMA, Truth
 
@@ -37,18 +37,6 @@ def test_calibration_error_by_hand() -> None:
     )
     assert calibration_error([0.25] * 4, [True, False, False, False]) == 0
     assert math.isnan(calibration_error([], []))
-
-
-def test_missing_and_false_pairs_have_no_right_relation() -> None:
-    assert score(PERFECT, TRUTH).relation_right == 1
-    n = len(TRUTH.pairs)
-    assert score(replace(PERFECT, pairs=PERFECT.pairs[1:]), TRUTH).relation_right == pytest.approx(
-        (n - 1) / n
-    )
-    false = Pair(("cam01", "nowhere"), "unseen_path")
-    assert score(
-        replace(PERFECT, pairs=[*PERFECT.pairs, false]), TRUTH
-    ).relation_right == pytest.approx(n / (n + 1))
 
 
 def two_passages() -> tuple[list[Event], Truth]:

@@ -9,7 +9,7 @@ import pytest
 from synthetic_events import topology_of
 
 from camtopod.records import Event, NextCamera, Prediction
-from camtopod.sim.scoring import match_zones, next_entries, score, score_predictions
+from camtopod.sim.scoring import next_entries, score, score_predictions
 from camtopod.sim.simulation import SimSettings, simulate
 
 EVENTS, TRUTH = simulate(SimSettings(cameras=6, hours=0.5))
@@ -36,15 +36,11 @@ def test_the_truth_is_perfect() -> None:
 def test_a_zone_out_of_place_is_not_found_and_its_links_are_false() -> None:
     zone = next(link.to for link in PERFECT.links if link.relation == "unseen")
     zones = [replace(z, x=(z.x + 0.5) % 1) if z.id == zone else z for z in PERFECT.zones]
+
     result = score(replace(PERFECT, zones=zones), TRUTH)
+
     assert result.zones_matched < result.zones_true
     assert result.link_precision < 1
-
-
-def test_zones_match_one_to_one_by_least_total_distance() -> None:
-    true = TRUTH.zones[0]
-    near = [replace(PERFECT.zones[0], id=f"x/{k}", x=true.x + 0.02 * k, y=true.y) for k in (1, 2)]
-    assert match_zones(near, [true], 0.1) == {true.id: "x/1"}
 
 
 def test_false_links_missing_links_and_wrong_relations_are_told_apart() -> None:
