@@ -77,17 +77,6 @@ def test_learn_writes_the_topology_and_every_version(
     assert f"version {last.version}: {len(EVENTS)} events, 3 cameras" in said
 
 
-def test_without_updates_there_is_one_version(run: Run, topology: Path) -> None:
-    last = read(Topology, topology.read_bytes())
-    assert (last.version, last.epoch, last.events, last.digest) == (
-        1,
-        EPOCH,
-        len(EVENTS),
-        digest_of(last),
-    )
-    assert last.score is None, "it takes versions on the way"
-
-
 def test_learn_from_a_pipe_and_from_several_files(run: Run, topology: Path, tmp_path: Path) -> None:
     names = sorted({event.camera for event in EVENTS})
     for name in names:

@@ -113,25 +113,6 @@ def test_a_model_that_cannot_be_read_is_78_with_its_line(
     assert main(["--config", str(path), "grab", "--camera", "b", str(film), "--out", out]) == 0
 
 
-def test_probe_looks_once_and_prints_layout_milliseconds_and_boxes(
-    tmp_path: Path, film: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_model(tmp_path / "person.onnx", "yolov5")
-    path = write(
-        tmp_path,
-        f'{BUS}[detector]\nmodel = "person.onnx"\n[cameras.a]\nsource = "{film}"\n[cameras.b]\n',
-    )
-    assert main(["check", str(path), "--probe"]) == 69, "there is no bus"
-    said = capsys.readouterr().err
-    start = f"{path}:5: detector.model: person.onnx: layout yolov5, 160x160, 80 classes, "
-    a, b = sorted(each.removeprefix(start) for each in said.splitlines() if start in each)[::-1]
-    if "camera a" not in a:
-        a, b = b, a
-    assert " ms an inference; in the whole image: person " in a
-    assert a.endswith("(camera a)")
-    assert b.endswith("in an empty image: nothing (camera b)"), "it has no source here"
-
-
 # --- grab -----------------------------------------------------------------------------------------
 
 

@@ -8,7 +8,7 @@ from typing import get_args
 import pytest
 from rendered_scenes import Person, Scene, line
 
-from camtopod.cli.cameras.decision_words import clock_words, decision_line, words_of
+from camtopod.cli.cameras.decision_words import decision_line, words_of
 from camtopod.cli.main import main
 from camtopod.vision.track import Decision
 from camtopod.vision.track.decisions import Beginning, Edge, Ending, Shortfall
@@ -74,8 +74,3 @@ def test_there_are_words_for_every_reason_and_edge() -> None:
         assert words_of(left) == f"exit by {'an' if 'area' in edge else 'the'} {edge}" + (
             " that reaches to the border at (0.25, 0.50)" if "area" in edge else " at (0.25, 0.50)"
         )
-
-
-def test_times_are_positions_in_a_recording_or_dates() -> None:
-    assert clock_words(83.26) == "83.3 s"
-    assert clock_words(1_700_000_000.25) == "2023-11-14T22:13:20.2Z"

@@ -53,13 +53,6 @@ def test_a_url_nobody_mentioned_before_is_hidden_too(password: str) -> None:
     assert text.endswith("stalled")
 
 
-def test_the_decoded_and_the_encoded_form_are_hidden() -> None:
-    redact.remember("rtsp://u:p%40ssw%3Ard@h/")
-    assert "p@ssw:rd" not in redact.redact("the server says p@ssw:rd is wrong")
-    redact.remember("rtsp://u:x@yz:w@h/")
-    assert "x%40yz%3Aw" not in redact.redact("opening with x%40yz%3Aw")
-
-
 TOKENS = (
     "3f9c8a7be1d24c5d",
     "3f9c8a7b-e1d2-4c5d-9a7b-e1d24c5d8a7b",
@@ -145,11 +138,6 @@ def test_text_that_somebody_made_to_take_long_does_not(piece: str, end: str) -> 
     began = time.process_time()
     redact.redact(text)
     assert time.process_time() - began < 1.0
-
-
-def test_other_text_is_left_alone() -> None:
-    for text in ("rtsp://192.0.2.7:554/live stalled", "a@b", "camera lobby: 3 events", ""):
-        assert redact.redact(text) == text
 
 
 @pytest.mark.parametrize("form", ["text", "logfmt", "json"])

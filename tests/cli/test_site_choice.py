@@ -16,7 +16,6 @@ from camtopod.cli import exits
 from camtopod.cli.commands import ingest
 from camtopod.cli.main import main
 from camtopod.cli.site_choice import dial_as_reader, right_site
-from camtopod.client import Topology
 from camtopod.config import Config, SiteSettings
 from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
@@ -91,11 +90,3 @@ def test_ingest_takes_no_site_but_names_it(
     said = capsys.readouterr().err
     assert "running for site site?" in said
     assert "there is a daemon of site mall: add --site mall" in said
-
-
-def test_the_client_takes_the_only_site_too(mall: Daemon) -> None:
-    with Topology.connect(connect=mall.endpoint) as site:
-        assert (site.site, site.stale_since) == ("mall", None)
-    with Topology.connect("hq", connect=mall.endpoint) as site:
-        assert site.site == "hq"
-        assert site.stale_since is not None
