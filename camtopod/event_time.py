@@ -67,10 +67,8 @@ class EventTime:
     """
 
     def __init__(self, lateness_seconds: float, clocks_apart_seconds: float = 0.0) -> None:
-        self._lateness_us, self._apart_us = (
-            microseconds(lateness_seconds),
-            microseconds(clocks_apart_seconds),
-        )
+        self._lateness_us = microseconds(lateness_seconds)
+        self._apart_us = microseconds(clocks_apart_seconds)
         self.newest_us: int | None = None
         """Time of the newest event, or the time passed to `advance` if that is newer."""
         self.watermark_us: int | None = None
@@ -94,7 +92,8 @@ class EventTime:
         # Update the newest event of all cameras and that of all but the leading one.
         if self.newest_us is None or t_us > self.newest_us:
             if camera != self.leader:
-                self.second_us, self.leader = self.newest_us, camera
+                self.second_us = self.newest_us
+                self.leader = camera
             self.newest_us = t_us
         elif camera != self.leader and (self.second_us is None or t_us > self.second_us):
             self.second_us = t_us
@@ -116,7 +115,8 @@ class EventTime:
         """
         if self.watermark_us is not None and self.watermark_us > to_us:
             self.newest_us = self.second_us = to_us + self.lateness_us
-            self.leader, self.watermark_us = None, to_us
+            self.leader = None
+            self.watermark_us = to_us
 
     def save(self) -> EventTimeState:
         """Return the state from which `load` continues."""
@@ -126,8 +126,11 @@ class EventTime:
 
     def load(self, state: EventTimeState) -> None:
         """Continue from a saved state."""
-        self.newest_us, self.second_us, self.leader = state.newest_us, state.second_us, state.leader
-        self.watermark_us, self.behind = state.watermark_us, state.behind
+        self.newest_us = state.newest_us
+        self.second_us = state.second_us
+        self.leader = state.leader
+        self.watermark_us = state.watermark_us
+        self.behind = state.behind
         self._update_lateness()
 
     def forget(self, names: Set[str]) -> None:

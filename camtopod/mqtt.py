@@ -18,7 +18,6 @@ from camtopod.redact import redact, remember
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
-    from paho.mqtt.enums import MQTTProtocolVersion
     from paho.mqtt.reasoncodes import ReasonCode
 
 log = logging.getLogger(__name__)
@@ -30,7 +29,7 @@ MESSAGES_MAX = 10_000
 WAITING_BYTES_MAX = 32 * 1024**2
 """Most bytes of messages that wait to be read; further messages are dropped and counted."""
 PACKET_BYTES_MAX = 2 * 1024**2
-"""Largest packet, in bytes, that a broker of MQTT 5 may send; lines of all formats are shorter."""
+"""Largest packet, in bytes, that the broker may send; lines of all formats are shorter."""
 CONNECT_SECONDS = 10.0
 """Longest time for the first connection, in seconds."""
 KEEPALIVE_SECONDS = 30
@@ -46,8 +45,6 @@ ONLINE = "online"
 """Payload of an availability topic while the program runs."""
 OFFLINE = "offline"
 """Payload of it otherwise."""
-UNSUPPORTED = "Unsupported protocol version"
-"""Reason given by a broker that does not speak MQTT 5."""
 CLOSED = "the connection was closed"
 """Reason used here if the broker closes the connection without an answer."""
 _TICK_SECONDS = 0.2
@@ -135,37 +132,19 @@ class _Connection:
         self._client.loop_stop()
 
     def _connect(self) -> None:
-        """Connect by MQTT 5, or by 3.1.1 if the broker does not speak 5."""
-        from paho.mqtt.enums import MQTTProtocolVersion
-
-        self._dial(MQTTProtocolVersion.MQTTv5)
-        if self._refused in (UNSUPPORTED, CLOSED):
-            self.close()
-            self._dial(MQTTProtocolVersion.MQTTv311)
-        if not self._ready.is_set() or self._refused == CLOSED:
-            self.close()
-            raise MqttError(f"{self._at.host}:{self._at.port} does not answer as an MQTT broker")
-        if self._refused is not None:
-            self.close()
-            raise MqttError(f"{self._at.host}:{self._at.port} refuses: {self._refused}")
-
-    def _dial(self, protocol: MQTTProtocolVersion) -> None:
-        """Start a client, and wait for the broker's answer for `CONNECT_SECONDS`."""
+        """Connect, and wait for the broker's answer for `CONNECT_SECONDS`."""
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
 
+        # Set up the client: MQTT 5, where the broker keeps larger packets back.
         at = self._at
-        properties = None
-        if protocol == MQTTProtocolVersion.MQTTv5:
-            properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
-            properties.MaximumPacketSize = PACKET_BYTES_MAX
-
-        # Set up the client.
-        self._ready.clear()
-        self._refused = None
-        self._client = client = Client(CallbackAPIVersion.VERSION2, protocol=protocol)
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.MaximumPacketSize = PACKET_BYTES_MAX
+        self._client = client = Client(
+            CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5
+        )
         client.on_connect = self._on_connect
         client.on_disconnect = self._on_disconnect
         client.reconnect_delay_set(1, RETRY_SECONDS_MAX)
@@ -183,6 +162,12 @@ class _Connection:
             raise MqttError(f"cannot reach {at.host}:{at.port}: {error}") from None
         client.loop_start()
         self._ready.wait(CONNECT_SECONDS)
+        if not self._ready.is_set() or self._refused == CLOSED:
+            self.close()
+            raise MqttError(f"{at.host}:{at.port} does not answer as an MQTT broker")
+        if self._refused is not None:
+            self.close()
+            raise MqttError(f"{at.host}:{at.port} refuses: {self._refused}")
 
     def _prepare(self, client: Client) -> None:
         """Set up a client before it connects."""
@@ -209,7 +194,6 @@ class _Connection:
 
     def _on_disconnect(self, _: Client, __: Any, ___: Any, code: ReasonCode, ____: Any) -> None:
         """React to a lost connection. Called from paho's thread."""
-        # Some brokers answer in this way to a version of MQTT that they do not speak.
         if not self._ready.is_set():
             self._tell(CLOSED)
         elif self._refused is None:

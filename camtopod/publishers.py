@@ -46,5 +46,6 @@ class Publisher(Struct):
         if boot == self.boot:
             return False
         self.returns = self.returns + 1 if boot == self.before else 0
-        self.before, self.boot = self.boot, boot
+        self.before = self.boot
+        self.boot = boot
         return self.returns >= RETURNS_MIN

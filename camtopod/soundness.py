@@ -141,7 +141,8 @@ def _last_bin(model: Model) -> int:
 
 def _histograms(topology: Topology, model: Model) -> Iterator[str]:
     """Check that the histograms lie on the model's lag bins."""
-    first, end = _first_bin(model), _last_bin(model) + 1
+    first = _first_bin(model)
+    end = _last_bin(model) + 1
 
     # Collect all histograms.
     held: list[tuple[str, int, Histogram | None]] = [

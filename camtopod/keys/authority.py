@@ -74,7 +74,8 @@ class Authority:
     """
 
     def __init__(self, folder: Path, now: float) -> None:
-        self.folder, self._now = folder, now
+        self.folder = folder
+        self._now = now
         try:
             raw = (folder / "authority" / "issued.json").read_bytes()
         except FileNotFoundError:

@@ -64,7 +64,7 @@ from camtopod.serve.live_predictions import Live
 from camtopod.serve.runtime import (
     LEARN_SECONDS,
     STALL_SECONDS,
-    Heartbeat,
+    Beat,
     Progress,
     changed_settings,
     clock as clocks,
@@ -102,10 +102,13 @@ class Daemon:
         bus: Bus | None = None,
         clock: clocks.Clock = clocks.wall,
     ) -> None:
-        self._config, self._clock, self._steady = config, clock, clocks.steady_clock_for(clock)
+        self._config = config
+        self._clock = clock
+        self._steady = clocks.steady_clock_for(clock)
         self._given_bus = bus
         self._bus: Bus | None = bus
-        self._stopping, self._failed = threading.Event(), threading.Event()
+        self._stopping = threading.Event()
+        self._failed = threading.Event()
         self._threads: list[threading.Thread] = []
         self._process: LearnerProcess | None = None
         self.started = False
@@ -178,19 +181,11 @@ class Daemon:
         # Publish the newest version again, and start the threads.
         if self.topology is not None:
             self._bus.publish("topology", self.topology, "topology")
-        limits = config.limits
-        self._start_thread(
-            "receive", lambda mark: self._intake.work(self._stopping, mark.beat), STALL_SECONDS
-        )
-        self._start_thread(
-            "store", lambda mark: self._intake.store(self._stopping, mark.beat), STALL_SECONDS
-        )
-        self._start_thread(
-            "learn",
-            lambda mark: self._learning.work(self._stopping, mark.beat),
-            LEARN_SECONDS,
-        )
-        self._start_thread("status", self._publish_status, limits.status_seconds + STALL_SECONDS)
+        status_seconds = config.limits.status_seconds + STALL_SECONDS
+        self._start_thread("receive", self._intake.work, STALL_SECONDS)
+        self._start_thread("store", self._intake.store, STALL_SECONDS)
+        self._start_thread("learn", self._learning.work, LEARN_SECONDS)
+        self._start_thread("status", self._publish_status, status_seconds)
         self.progress.unwatch("start")
         self.started = True
         log.info(
@@ -262,7 +257,8 @@ class Daemon:
     def status(self) -> DaemonStatus:
         """Return the contents of ``status/daemon``: state, reason and counters."""
         # Cameras whose grabber is there, perhaps under the camera's old name.
-        intake, learning = self._intake, self._learning
+        intake = self._intake
+        learning = self._learning
         aliases = intake.names.state.aliases
         counted = intake.cameras.status({aliases.get(name, name) for name in intake.alive.copy()})
 
@@ -377,7 +373,8 @@ class Daemon:
         # Receiving and storing.
         numbers = Numbers(*self._journal.numbers())
         cameras = Cameras(limits.cameras_max)
-        wall, now = self._clock(), self._steady()
+        wall = self._clock()
+        now = self._steady()
         for camera in numbers.cameras[-limits.cameras_max :]:
             cameras.register(camera, now)
         self._intake = Intake(
@@ -507,14 +504,14 @@ class Daemon:
     def _publish_prediction(self, prediction: Prediction) -> None:
         self.bus.publish(f"prediction/{prediction.camera}", prediction, "prediction")
 
-    def _publish_status(self, mark: Heartbeat) -> None:
+    def _publish_status(self, stopping: threading.Event, beat: Beat) -> None:
         """Publish the status at intervals until the daemon stops."""
-        while not self._stopping.wait(self._config.limits.status_seconds):
+        while not stopping.wait(self._config.limits.status_seconds):
             self.bus.publish(STATUS, self.status(), "status")
-            mark.beat()
+            beat()
 
     def _start_thread(
-        self, name: str, work: Callable[[Heartbeat], None], seconds_max: float
+        self, name: str, work: Callable[[threading.Event, Beat], None], seconds_max: float
     ) -> None:
         """Run a loop in a thread; it has to beat at least every ``seconds_max``."""
         mark = self.progress.watch(name, seconds_max)
@@ -522,7 +519,7 @@ class Daemon:
         def guarded() -> None:
             done = False
             try:
-                work(mark)
+                work(self._stopping, mark.beat)
                 done = True
             finally:
                 if not done:  # the traceback goes to standard error by itself

@@ -34,7 +34,8 @@ class RecordedState:
     """
 
     def __init__(self, directory: Path, keep: KeepSettings, now: float) -> None:
-        self._directory, self._now = directory, now
+        self._directory = directory
+        self._now = now
         self._waiting: list[Entry] = []
         self.epoch = ulid(now)
         """The epoch of the versions."""

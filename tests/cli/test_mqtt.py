@@ -206,9 +206,6 @@ def test_bytes_that_wait_have_a_limit(
     assert "those beyond 1000 bytes are dropped" in caplog.text
 
 
-# --- a message of 200 MB --------------------------------------------------------------------------
-
-
 def test_without_the_extra_it_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import stat
-import time
 from pathlib import Path
 
 import msgspec
@@ -13,8 +12,6 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
-from cryptography.x509.verification import PolicyBuilder, Store, VerificationError
-from serving import small_config
 
 from camtopod import codec, redact
 from camtopod.cli import exits, main
@@ -26,7 +23,6 @@ from camtopod.keys import rules
 from camtopod.keys.authority import Authority, KeysError
 from camtopod.records import Event
 from camtopod.serve.bus import access
-from camtopod.serve.bus.session import open_daemon_session
 from camtopod.serve.requests import BATCH_BYTES_MAX, BATCH_EVENTS_MAX
 
 NOW = 1_800_000_000.0
@@ -82,28 +78,6 @@ def test_certificates_say_who_and_for_what(authority: Authority) -> None:
     assert camera.not_valid_before_utc.timestamp() < NOW, "the clock of a box may be behind"
 
 
-def test_the_chain_verifies_and_another_authority_does_not(
-    authority: Authority, tmp_path: Path
-) -> None:
-    other = Authority.create(tmp_path / "other", "hq", NOW, 7300, replace=False)
-    trusted = x509.load_pem_x509_certificate(
-        (authority.folder / "camera/lobby/ca.pem").read_bytes()
-    )
-    foreign = x509.load_pem_x509_certificate((other.folder / "authority/ca.pem").read_bytes())
-    name = x509.DNSName("hub.example")
-    leaf = certificate(authority.folder / "daemon")
-    later = leaf.not_valid_before_utc.replace(year=leaf.not_valid_before_utc.year + 1)
-    builder = PolicyBuilder().time(later)
-    chain = builder.store(Store([trusted])).build_server_verifier(name).verify(leaf, [])
-    assert chain == [leaf, trusted]
-    for store, host in (
-        (Store([foreign]), name),
-        (Store([trusted]), x509.DNSName("other.example")),
-    ):
-        with pytest.raises(VerificationError):
-            builder.store(store).build_server_verifier(host).verify(leaf, [])
-
-
 def test_nobody_else_can_read_it(authority: Authority) -> None:
     for path in [authority.folder, *authority.folder.rglob("*")]:
         mode = stat.S_IMODE(path.stat().st_mode)
@@ -113,14 +87,6 @@ def test_nobody_else_can_read_it(authority: Authority) -> None:
             assert mode == 0o600, path
     copied = [path.name for path in (authority.folder / "camera" / "lobby").iterdir()]
     assert "ca.key" not in copied
-
-
-def test_a_folder_that_was_open_is_closed(tmp_path: Path) -> None:
-    folder = tmp_path / "keys"
-    (folder / "camera").mkdir(parents=True, mode=0o755)
-    made = Authority.create(folder, "hq", NOW, 7300, replace=False)
-    made.issue("camera", "lobby", 10)
-    assert {stat.S_IMODE(path.stat().st_mode) for path in [folder, folder / "camera"]} == {0o700}
 
 
 # --- nothing is overwritten
@@ -364,29 +330,6 @@ def test_rules_name_exact_keys_only(authority: Authority) -> None:
     ]
 
 
-def test_one_certificate_for_several_cameras(authority: Authority) -> None:
-    """It is for events of another program; a box with one camera does not need it."""
-    for name, cameras in (("nvr", ["a/b"]), ("nvr", ["daemon"]), ("nvr", ["hall", "hall"])):
-        with pytest.raises(KeysError, match=r"cannot be a camera's name|reserved|twice"):
-            authority.issue("camera", name, 10, cameras=cameras)
-    authority.issue("camera", "nvr", 10, cameras=["hall", "door.1"])
-    for name in ("nvr", "nvr~2"):
-        control = rules.access_control(authority.access)["access_control"]
-        theirs = [rule for rule in control["rules"] if rule["id"].startswith(f"{name} ")]
-        assert {key for rule in theirs for key in rule["key_exprs"]} - {
-            "camtopo/hq/status/*",
-            "camtopo/hq/alive/daemon/*",
-        } == {
-            f"camtopo/hq/{key}/{camera}"
-            for key in ("event", "status", "store", "alive/grabber")
-            for camera in ("hall", "door.1")
-        }
-        assert len({rule["id"] for rule in control["rules"]}) == len(control["rules"])
-        authority.issue("camera", "nvr", 10, replace=True)  # for the same cameras
-    authority.issue("camera", "nvr", 10, replace=True, cameras=["hall"])
-    assert authority.access.certificates[-1].cameras == ["hall"]
-
-
 def test_a_certificate_for_several_cameras_by_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -415,16 +358,6 @@ def test_the_router_s_file_has_the_same_rules(authority: Authority) -> None:
     assert router["scouting"]["multicast"]["enabled"] is False
 
 
-def test_the_bus_opens_at_once(tmp_path: Path) -> None:
-    """Without scouting there is nothing to wait for, yet zenoh would wait for half a second."""
-    took = []
-    for _ in range(3):
-        began = time.monotonic()
-        with open_daemon_session(small_config(tmp_path)):
-            took.append(time.monotonic() - began)
-    assert min(took) < 0.4
-
-
 def test_the_largest_valid_event_fits_everywhere() -> None:
     wide = "\N{CAMERA}"  # four bytes
     event = Event(
@@ -433,18 +366,6 @@ def test_the_largest_valid_event_fits_everywhere() -> None:
     assert codec.event_from_msgpack(codec.to_msgpack(event)) == event
     assert codec.EVENT_BYTES_MAX < rules.EVENT_BYTES_MAX, "so that there is something to count"
     assert BATCH_BYTES_MAX + 16 * BATCH_EVENTS_MAX < rules.QUERY_BYTES_MAX
-
-
-def test_what_expires_is_known_in_advance(authority: Authority) -> None:
-    def names(days: float) -> list[str]:
-        return [
-            certificate.name
-            for certificate, _ in rules.expiring_certificates(authority.access, NOW + days * DAY)
-        ]
-
-    assert names(0) == ["reader:wall"]  # its 30 days are fewer than the warning's 60
-    assert names(1764) == ["reader:wall"]
-    assert names(1766) == ["daemon", "lobby", "reader:wall"]
 
 
 # --- the configuration

@@ -1,8 +1,4 @@
-"""A grabber of one camera and its daemon in simulated time, with faults on both sides.
-
-The grabber's side is the program's: `Spool` and `Delivery`. The daemon's side is a model that
-follows the rules of `camtopod.serve.requests`.
-"""
+"""A grabber of one camera and its daemon in simulated time, with faults on both sides."""
 
 from __future__ import annotations
 
@@ -13,12 +9,13 @@ import random
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from camtopod import codec
 from camtopod.records import Event
 from camtopod.serve.outbox.delivery import Delivery
 from camtopod.serve.outbox.spool import Spool
-from camtopod.serve.requests import Answer, Batch, Hello, Reason, read_request
+from camtopod.serve.requests import Answer
 
 FAULTS = (
     "restart",
@@ -56,156 +53,6 @@ SPOOL_EVENTS = 240
 KEPT_EVENTS = 60
 
 
-class ModelDaemon:
-    """The daemon: what it has on disk, has taken, and answers."""
-
-    def __init__(self, world: World) -> None:
-        self.world = world
-        self.journal: list[tuple[str, int, int]] = []
-        """(boot, seq, uid) of each stored event."""
-        self.numbers: dict[str, int] = {}
-        self.lost_numbers: set[str] = set()
-        self.released: Counter[tuple[int, int]] = Counter()
-        self.up = False
-        self.generation = 0
-
-    def start(self) -> None:
-        self.up = True
-        self.generation += 1
-        self.number = ""
-        self.taken: dict[str, int] = {}
-        self.released_until = 0.0
-        self.committed_until = 0.0
-        chance = self.world.chance
-        replay = self.world.kinds.count("replay") and chance.random() < 0.5
-        self.ready_at = self.world.now + (chance.uniform(1, 60) if replay else 0.0)
-        self.world.at(self.ready_at + chance.choice([0.3, 0.8]), self.world.appear)
-
-    def stop(self, seconds: float) -> None:
-        if self.up:
-            self.up = False
-            self.generation += 1
-            self.world.linked = False
-            self.world.at(self.world.now + seconds, self.start)
-
-    def go_back(self, rows: int) -> None:
-        """Stop, and come back with the first rows of the journal only."""
-        self.journal = self.journal[:rows]
-        self.numbers = {}
-        self.lost_numbers = set()
-        for boot, seq, _ in self.journal:
-            self.numbers[boot] = max(seq, self.numbers.get(boot, 0))
-        self.stop(1.0)
-
-    def lose_number(self, boot: str) -> None:
-        """Stop, and come back without the number of a boot.
-
-        It is the highest of its rows, if the older half that is deleted now does not have them all.
-        """
-        rows = self.journal[len(self.journal) // 2 :]
-        self.numbers[boot] = max((seq for name, seq, _ in rows if name == boot), default=0)
-        if not self.numbers[boot]:
-            del self.numbers[boot]
-            self.lost_numbers.add(boot)
-        self.stop(1.0)
-
-    def receive(self, payload: bytes, reply: Callable[[Answer], None]) -> None:
-        """Take a request, and answer it at once or later."""
-        if not self.up or self.world.now < self.ready_at:
-            return
-        request = read_request(payload)
-        room = self.world.chance.choice([1, 3, 10])
-        if isinstance(request, Hello):
-            self.number = request.number
-            known = {
-                boot: self.numbers.get(boot, 0)
-                for boot in request.boots
-                if boot not in self.lost_numbers
-            }
-            reply(Answer(known, room))
-        elif request.number != self.number:
-            reply(Answer({}, 1, "hello"))
-        elif self.world.now < self.world.until["busy"]:
-            reply(self._answer(request.boot, room, "busy"))
-        else:
-            self._take(request, room, reply)
-
-    def _answer(self, boot: str, room: int, reason: Reason = "") -> Answer:
-        known = {} if boot in self.lost_numbers else {boot: self.numbers.get(boot, 0)}
-        return Answer(known, room, reason)
-
-    def _take(self, batch: Batch, room: int, reply: Callable[[Answer], None]) -> None:
-        boot = batch.boot
-        if boot in self.lost_numbers:
-            self.lost_numbers.discard(boot)
-            self.numbers[boot] = batch.after
-        taken = max(self.taken.get(boot, 0), self.numbers.get(boot, 0))
-        if batch.after > taken:
-            reply(self._answer(boot, room))
-            return
-        new = []
-        for seq, raw in batch.events:
-            event = codec.event_from_bytes(raw)
-            assert (event.camera, event.boot, event.seq) == (CAMERA, boot, seq)
-            if seq > taken:
-                new.append((seq, int(str(event.track))))
-        self.taken[boot] = max(taken, *(seq for seq, _ in batch.events), 0)
-
-        # Release it in order, then commit it.
-        chance = self.world.chance
-        now = self.world.now
-        held = chance.uniform(0, 300) if now < self.world.until["held"] else chance.uniform(0, 0.5)
-        self.released_until = max(self.released_until, now + held)
-        generation = self.generation
-        answered = [False]
-
-        def once(answer: Answer) -> None:
-            if not answered[0]:
-                answered[0] = True
-                reply(answer)
-
-        def hold() -> None:
-            if generation == self.generation:
-                once(self._answer(boot, room, "held"))
-
-        self.world.at(now + HELD_SECONDS, hold)
-        self.world.at(self.released_until, self._release, generation, boot, new, room, once)
-
-    def _release(
-        self,
-        generation: int,
-        boot: str,
-        new: list[tuple[int, int]],
-        room: int,
-        reply: Callable[[Answer], None],
-    ) -> None:
-        if generation != self.generation:
-            return
-        for _, uid in new:
-            self.released[generation, uid] += 1
-        chance = self.world.chance
-        slow = self.world.now < self.world.until["slow"] and chance.random() < 0.3
-        seconds = chance.uniform(5, 200) if slow else chance.uniform(0, 0.1)
-        self.committed_until = max(self.committed_until, self.world.now + seconds)
-        self.world.at(self.committed_until, self._commit, generation, boot, new, room, reply)
-
-    def _commit(
-        self,
-        generation: int,
-        boot: str,
-        new: list[tuple[int, int]],
-        room: int,
-        reply: Callable[[Answer], None],
-    ) -> None:
-        if generation != self.generation:
-            return
-        there = {(name, seq) for name, seq, _ in self.journal}
-        self.journal += [(boot, seq, uid) for seq, uid in new if (boot, seq) not in there]
-        if new:
-            self.numbers[boot] = max(self.numbers.get(boot, 0), new[-1][0])
-        reply(self._answer(boot, room))
-
-
 class World:
     """One history: events, faults and everything that follows from them."""
 
@@ -230,7 +77,7 @@ class World:
         self._grabber = 0
         self._now_boot = ""
         self.spool: Spool | None = None
-        self.daemon = ModelDaemon(self)
+        self.daemon: Any
 
     def at(self, t: float, step: Callable[..., None], *given: object) -> None:
         heapq.heappush(self._heap, (t, next(self._order), step, given))

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import logging
 import math
-import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from one_camera import FAULTS_SECONDS, World
 
 from camtopod.records import Event
 from camtopod.serve.outbox.delivery import Delivery
@@ -251,36 +247,3 @@ def test_what_became_of_a_boot_s_events_is_counted(grabber: Grabber) -> None:
     grabber.batch()
     grabber.answered(Answer({"b1": 3}, late=2, refused=1))
     assert (grabber.delivery.late["b1"], grabber.delivery.refused["b1"]) == (2, 1)
-
-
-@pytest.mark.parametrize("first", range(0, 24, 8))
-def test_histories(first: int) -> None:
-    """Nothing is lost, stored or learned twice, or out of order, and soon there is calm."""
-    check_histories(range(first, first + 8))
-
-
-@pytest.mark.campaign
-def test_campaign_of_histories() -> None:
-    check_histories(range(1000, 2000))
-
-
-def check_histories(seeds: range) -> None:
-    logging.getLogger("camtopod").setLevel(logging.CRITICAL)
-    try:
-        for seed in seeds:
-            with tempfile.TemporaryDirectory(dir=_fast_folder()) as folder:
-                world = World(seed, Path(folder))
-                wrongs = world.run()
-                assert world.spool is not None
-                world.spool.close()
-            assert wrongs == [], (seed, world.kinds)
-            assert world.calm_at is not None
-            assert world.calm_at - max(world.last_fault, FAULTS_SECONDS) < CALM_SECONDS, seed
-            assert world.requests < 3 * world.uid + 2000
-    finally:
-        logging.getLogger("camtopod").setLevel(logging.NOTSET)
-
-
-def _fast_folder() -> str | None:
-    """Return a folder in memory, where a commit takes no time."""
-    return "/dev/shm" if os.access("/dev/shm", os.W_OK) else None

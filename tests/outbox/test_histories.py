@@ -29,7 +29,7 @@ WALL = 1e6
 
 
 class RealDaemon:
-    """`ModelDaemon` of one_camera.py, with the real path of an event and a real journal."""
+    """The daemon of a history: the real path of an event and a real journal."""
 
     def __init__(self, world: World, folder: Path) -> None:
         self.world = world
@@ -146,7 +146,7 @@ def history(seed: int, kinds: list[str] | None = None) -> tuple[list[str], World
     try:
         world = World(seed, folder, kinds)
         daemon = RealDaemon(world, folder / "state")
-        world.daemon = daemon  # type: ignore[assignment]
+        world.daemon = daemon
         if "lost number" in world.kinds:
             world.kinds = [kind for kind in world.kinds if kind not in MARK_LOST]
         wrongs = world.run()

@@ -308,30 +308,6 @@ def test_a_disk_that_damages_every_file_is_not_filled_up(tmp_path: Path) -> None
     assert path.read_bytes() == b"rubbish " * 1000
 
 
-def test_a_file_that_cannot_be_read_is_closed_again(
-    spool: Spool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(*_: object) -> None:
-        raise sqlite3.OperationalError("disk I/O error")
-
-    spool.close()
-    with monkeypatch.context() as patch:
-        patch.setattr(Spool, "_load", fails)
-        with pytest.raises(StateError, match="disk I/O error"):
-            Spool(spool.path, "b2", 10)
-    Spool(spool.path, "b3", 10).close()  # nothing holds its lock
-
-
-def test_a_read_only_file_is_not_taken_for_a_damaged_one(tmp_path: Path) -> None:
-    error = sqlite3.OperationalError("attempt to write a readonly database")
-    error.sqlite_errorcode = sqlite3.SQLITE_READONLY
-    (tmp_path / "one.db").write_bytes(b"")
-    assert sqlite_file.is_damage(error, tmp_path / "one.db")
-    assert not sqlite_file.is_damage(error, tmp_path / "missing" / "one.db")
-    error.sqlite_errorcode = sqlite3.SQLITE_FULL
-    assert not sqlite_file.is_damage(error, tmp_path / "one.db")
-
-
 def test_it_is_nobody_elses_to_read_or_open(tmp_path: Path) -> None:
     path = tmp_path / "new" / "state" / "spool.db"
     with contextlib.closing(Spool(path, "b", 10)) as spool:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,7 +17,7 @@ from camtopod.records import CameraFigures, Event
 from camtopod.serve.admin_queries import Done, command_of, parameters_of
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.ingest import commands, names as names_module
+from camtopod.serve.ingest import names as names_module
 
 
 @pytest.fixture
@@ -154,18 +152,6 @@ def test_a_renamed_camera_goes_on_whichever_name_its_grabber_uses(site: Site) ->
     assert kinds[-4:] == ["event", "command", "event", "refused"]
 
 
-def test_an_alias_is_known_after_a_restart(site: Site) -> None:
-    daemon = site.daemon()
-    bus = site.client(daemon)
-    learned(daemon, bus)
-    ask(bus, Rename("b", "yard"))
-    daemon.stop()
-    daemon = site.daemon()
-    wait_for(lambda: "yard" in cameras(daemon), "the version")
-    put(site.client(daemon), *numbered([fresh("b", n) for n in range(3)], "later"))
-    wait_for(lambda: daemon.status().cameras.get("yard", CameraFigures()).events == 3, "its events")
-
-
 def test_a_renamed_camera_can_get_its_name_back(site: Site) -> None:
     daemon = site.daemon()
     bus = site.client(daemon)
@@ -285,30 +271,3 @@ def test_a_reset_begins_anew_and_events_of_before_do_not_count(site: Site) -> No
 
 
 # --- the disk, and large sites --------------------------------------------------------------------
-
-
-def test_other_queries_are_answered_while_a_command_waits_for_the_disk(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(commands, "STORED_SECONDS_MAX", 1.0)
-    daemon = site.daemon()
-    bus = site.client(daemon)
-    learned(daemon, bus)
-    refused: list[str] = []
-
-    def try_to() -> None:
-        try:
-            ask(bus, Forget("b"))
-        except QueryError as error:
-            refused.append(str(error))
-
-    with daemon._journal._mutex:  # the disk does not answer
-        asking = threading.Thread(target=try_to)
-        asking.start()
-        wait_for(lambda: daemon._intake.queue.waiting > 0, "the command to be queued")
-        began = time.monotonic()
-        assert site.client(daemon).query("topology", one=True)
-        assert time.monotonic() - began < 1.0
-        asking.join()
-    assert "it is not stored after 1 s" in refused[0]
-    wait_for(lambda: "b" not in cameras(daemon), "it to be carried out all the same")

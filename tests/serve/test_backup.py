@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import shlex
 import shutil
-import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -82,19 +80,3 @@ def test_the_size_of_an_event_is_that_of_the_page(tmp_path: Path) -> None:
     size = journal.size() / len(rows)
     journal.close()
     assert 0.8 * stated < size < 1.2 * stated
-
-
-def test_plain_copies_of_a_running_daemons_file_are_not_enough(site: Site, tmp_path: Path) -> None:
-    """What the page warns of: the newest transactions are in the log beside the file."""
-    daemon = site.daemon()
-    events = numbered(walkers(5))
-    put(site.client(daemon), *events)
-    wait_for(lambda: daemon.status().events["stored"] == len(events), "all to be stored")
-    copied = tmp_path / "copied.db"
-    shutil.copyfile(site.directory / "state" / "journal.db", copied)
-    try:
-        with contextlib.closing(sqlite3.connect(copied)) as copy:
-            [(count,)] = copy.execute("SELECT COUNT(*) FROM entry")
-    except sqlite3.Error:
-        return
-    assert count < len(events)

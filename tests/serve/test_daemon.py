@@ -155,27 +155,6 @@ def test_a_daemon_whose_learner_is_killed_fails_and_goes_on_where_it_was(site: S
     assert again.topology.digest == expected.digest
 
 
-def test_a_restart_replays_the_journal_to_the_same_version(site: Site) -> None:
-    daemon = site.daemon()
-    bus = site.client(daemon)
-    events = [*numbered(walkers(40)), closing_event()]
-    expected = learned(events)
-    put(bus, *events)
-    wait_for(
-        lambda: daemon.topology is not None and daemon.topology.version == expected.version,
-        "the last version",
-    )
-    before = daemon.topology
-    daemon.stop()
-    again = site.daemon()
-    assert again.topology == before
-    assert again.epoch == daemon.epoch
-    put(site.client(again), *events[:10])
-    wait_for(
-        lambda: again.status().events["duplicate"] == 10, "duplicates of what was stored before"
-    )
-
-
 def test_other_settings_begin_a_new_epoch(site: Site) -> None:
     daemon = site.daemon()
     put(site.client(daemon), *numbered(walkers(40)), closing_event())
@@ -324,17 +303,6 @@ def test_nothing_learned_yet_is_an_answer(site: Site) -> None:
             bus.query(key)
 
 
-def test_status_is_published(site: Site) -> None:
-    daemon = site.daemon()
-    seen: list[dict[str, Any]] = []
-    site.client(daemon).subscribe(
-        "status/daemon", lambda key, raw: seen.append(msgspec.msgpack.decode(raw))
-    )
-    wait_for(lambda: bool(seen), "a status")
-    assert seen[0]["site"] == "site"
-    assert seen[0]["epoch"] == daemon.epoch
-
-
 def test_time_goes_on_without_events(site: Site) -> None:
     """When the events of a live site stop, the events held back are learned all the same."""
     daemon = site.daemon(settle_seconds=1.0)
@@ -414,19 +382,6 @@ def test_a_clock_behind_the_newest_event_is_said_with_what_to_do(site: Site) -> 
 # --- nothing is lost ------------------------------------------------------------------------------
 
 
-def test_events_from_before_the_daemon_wait_in_the_spool(site: Site) -> None:
-    daemon = site.daemon()
-    publisher = site.publisher()
-    events = [Event("lobby", "entry", T0 + n) for n in range(250)]
-    publisher.publish(*events)
-    assert publisher.waiting == 250
-
-    publisher.attach(site.client(daemon))
-
-    assert publisher.wait_stored(20)
-    stored(daemon, 250)
-
-
 def test_a_disk_that_is_full_stops_the_answers_and_nothing_else(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -450,31 +405,6 @@ def test_a_disk_that_is_full_stops_the_answers_and_nothing_else(
     assert publisher.wait_stored(20)
     assert daemon.status().state == "running"
     stored(daemon, 20)
-
-
-def test_a_disk_that_cannot_be_read_for_a_while_ends_nothing(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    daemon = site.daemon()
-    bus = site.client(daemon)
-    put(bus, *numbered(walkers(40)), closing_event())
-    wait_for(lambda: daemon.topology is not None and daemon.topology.version > 1, "two versions")
-    assert daemon.topology is not None
-    older = {"version": daemon.topology.version - 1}
-
-    def unreadable(*_: Any) -> None:
-        raise sqlite3.OperationalError("disk I/O error")
-
-    with monkeypatch.context() as disk:
-        for name in ("size", "version"):
-            disk.setattr(daemon._journal, name, unreadable)
-        # The disk is read beside the status, which says what was found last.
-        wait_for(lambda: daemon.status().journal.reason == "disk I/O error", "what is wrong")
-        assert not daemon.wait(1.0), "no part of it has failed"
-        with pytest.raises(QueryError, match="disk I/O error"):
-            bus.query("topology", older)
-    wait_for(lambda: (daemon.status().journal.bytes or 0) > 0, "the disk to be read again")
-    assert bus.query("topology", older)
 
 
 # --- the bus itself -------------------------------------------------------------------------------
@@ -580,35 +510,6 @@ def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> 
     assert view.topology == renamed[1]
     client.close()
     bus.close()
-
-
-class Answering:
-    """A bus on which a daemon restarts while it is queried for the topology."""
-
-    def __init__(self, versions: list[Topology]) -> None:
-        self._versions = versions
-        self.on_daemon: Any = None
-
-    def subscribe(self, key: str, on_message: Any) -> None:
-        """Deliver no deltas."""
-
-    def watch_alive(self, role: str, on_change: Any) -> None:
-        self.on_daemon = on_change
-
-    def query(self, key: str, one: bool = False) -> list[tuple[str, bytes]]:
-        answer = self._versions.pop(0)
-        if self._versions:
-            self.on_daemon("daemon", True)
-        return [(key, codec.to_msgpack(answer))]
-
-
-@pytest.mark.parametrize("epoch", ["~ later", "! earlier, by a clock that is behind"])
-def test_a_daemon_that_comes_back_while_a_view_asks_is_asked_again(epoch: str) -> None:
-    old = learned([*walkers(20), closing_event()])
-    new = msgspec.structs.replace(old, epoch=epoch, version=1)
-    view = TopologySubscriber(Answering([old, new]))  # type: ignore[arg-type]
-    assert view.update() == old
-    wait_for(lambda: view.update() == new, "the whole to be fetched again")
 
 
 def test_a_view_whose_delta_was_lost_fetches_the_whole_when_the_status_names_a_newer_version() -> (

@@ -21,7 +21,7 @@ import pytest
 from fake_systemd import Systemd
 from serving import T0, WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
 
-from camtopod.config.settings import Config, HealthSettings, parse
+from camtopod.config.settings import HealthSettings
 from camtopod.records import Event
 from camtopod.serve import daemon as daemons
 from camtopod.serve.bus import session as buses
@@ -257,24 +257,6 @@ def test_a_silent_client_delays_nobody_and_is_disconnected(
         assert silent.recv(1) == b""
 
 
-def test_off_unless_asked_for_and_an_address_that_is_taken() -> None:
-    assert Config().health.listen == ""
-    with health.serving("", list, list) as address:
-        assert address == ""
-    with (
-        health.serving("127.0.0.1:0", list, list) as address,
-        pytest.raises(health.ListenError, match="cannot listen at"),
-        health.serving(address, list, list),
-    ):
-        pass
-    with pytest.raises(health.ListenError), health.serving("127.0.0.1:99999", list, list):
-        pass
-    assert parse('[health]\nlisten = "[::1]:8787"\n').health.listen == "[::1]:8787"
-    for wrong in ("8787", "127.0.0.1", "http://127.0.0.1:1", "a b:1"):
-        with pytest.raises(Exception, match=r"health\.listen"):
-            parse(f'[health]\nlisten = "{wrong}"\n')
-
-
 # --- systemd --------------------------------------------------------------------------------------
 
 
@@ -301,16 +283,6 @@ def test_systemd_is_told_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyP
         assert abs(int(since.removeprefix("MONOTONIC_USEC=")) / 1e6 - time.monotonic()) < 5.0
         one.close()
         assert not systemd.notify("READY=1"), "nobody is there: no error"
-
-
-def test_how_often_the_watchdog_is_fed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("WATCHDOG_PID", raising=False)
-    for given, expected in (("", 1.0), ("150000", 0.05), ("60000000", 1.0), ("rubbish", 1.0)):
-        monkeypatch.setenv("WATCHDOG_USEC", given)
-        assert systemd.feed_seconds() == expected
-    monkeypatch.setenv("WATCHDOG_USEC", "150000")
-    monkeypatch.setenv("WATCHDOG_PID", "1")
-    assert systemd.feed_seconds() == 1.0, "another process's"
 
 
 def test_a_daemon_whose_learner_hangs_does_not_feed_the_watchdog(

@@ -67,14 +67,6 @@ def test_it_gives_back_what_was_committed_in_order(journal: Journal, tmp_path: P
         assert len(again) == 4
 
 
-def test_more_entries_than_are_read_at_a_time(
-    journal: Journal, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(journals, "CHUNK_ENTRIES", 7)
-    journal.commit([entry(n) for n in range(1, 51)])
-    assert kept(journal) == list(range(1, 51))
-
-
 def test_a_directory_has_one_daemon(journal: Journal, tmp_path: Path) -> None:
     with pytest.raises(StateError, match="held by another camtopod process"):
         Journal(tmp_path)
@@ -166,33 +158,6 @@ def test_what_can_be_read_of_a_damaged_journal_goes_on(journal: Journal, tmp_pat
         assert (again.set_aside, len(again)) == (None, 400)
 
 
-def test_a_damaged_journal_is_read_out_though_the_first_try_fails(
-    journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A kill or a full disk comes between setting it aside and reading it out."""
-    journal.commit([entry(n) for n in range(1, 400)])
-    journal.close()
-    content = bytearray((tmp_path / "journal.db").read_bytes())
-    content[100] ^= 0xFF  # the kind of the first page
-    (tmp_path / "journal.db").write_bytes(content)
-
-    def full(*_: object) -> int:
-        raise sqlite3.OperationalError("database or disk is full")
-
-    with monkeypatch.context() as failing:
-        failing.setattr(journals, "rescue", full)
-        with pytest.raises(StateError, match="disk is full"):
-            Journal(tmp_path)
-    aside = tmp_path / "journal.db.damaged-1"
-    content[100] ^= 0xFF
-    aside.write_bytes(content)  # so that there is something to be read
-    with closing(Journal(tmp_path)) as anew:
-        assert kept(anew) == list(range(1, 400))
-        anew.commit([entry(400)])
-    with closing(Journal(tmp_path)) as again:
-        assert kept(again) == list(range(1, 401))
-
-
 def test_entries_that_are_missing_are_noticed(journal: Journal) -> None:
     journal.commit([entry(n) for n in range(1, 7)])
     journal._db.execute("DELETE FROM entry WHERE id IN (1, 3, 4)")
@@ -280,23 +245,6 @@ def versions_left(journal: Journal, clocks: list[tuple[float, float]]) -> list[i
         storing.prune()
         left.append(len(journal.versions("E")))
     return left
-
-
-def test_what_is_left_to_forget_is_said_whatever_is_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(journals, "PRUNED_ROWS_MAX", 10)
-    with closing(Journal(tmp_path, KeepSettings(journal_days=2.0))) as journal:
-        journal.commit([entry(n) for n in range(1, 61)], now=NOW)
-        journal.commit([entry(n) for n in range(61, 71)], now=NOW + 9 * DAY_SECONDS)
-        for position in (65, 70):
-            journal.commit([], snapshot=Snapshot(position, "E", b""))
-        journal._db.execute("DELETE FROM entry WHERE id % 7 = 3")
-        calls = 1
-        while journal.prune(NOW + 9 * DAY_SECONDS):
-            calls += 1
-        assert kept(journal)[0] == 61
-        assert calls < 10
 
 
 def test_history_is_bounded_by_bytes_and_by_days(

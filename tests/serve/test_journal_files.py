@@ -108,20 +108,6 @@ def test_the_same_commit_succeeds_once_the_file_is_back(journal: Journal, tmp_pa
     assert journal.versions("E") == {1: "sha256:1"}
 
 
-def test_other_connections_may_read_it_and_fold_its_log_in(
-    journal: Journal, tmp_path: Path
-) -> None:
-    """As `sqlite3` does, or a backup of a database in use."""
-    for number in range(4, 100):
-        journal.commit(entries(number))
-        if number % 30 == 4:
-            with closing(sqlite3.connect(tmp_path / "journal.db")) as other:
-                other.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-                other.execute("VACUUM INTO ?", (str(tmp_path / f"backup-{number}"),))
-
-    assert len(kept(journal)) == len(journal) == 99
-
-
 def test_entries_of_another_program_are_no_reason_to_count_ones_own_as_stored(
     journal: Journal, tmp_path: Path
 ) -> None:
@@ -176,20 +162,6 @@ def test_a_journal_that_came_back_older_begins_a_later_epoch(
     assert "older" not in caplog.text, "it is said once"
 
 
-def test_everything_but_the_witness_is_lost(journal: Journal, tmp_path: Path) -> None:
-    journal.commit([], snapshot=Snapshot(3, "E", b"state"))
-    journal.close()
-    for path in tmp_path.glob("journal.db*"):
-        path.unlink()
-    with closing(Journal(tmp_path)) as again:
-        assert (again.meta("name"), again.meta("epoch"), again.meta("epoch before")) == (
-            "N",
-            None,
-            "E",
-        )
-        assert (len(again), again.missing) == (0, 3)
-
-
 @pytest.mark.parametrize("line", [b"", b"\0" * 105, b"x" * 300, None])
 def test_a_witness_that_cannot_be_read_says_nothing(
     journal: Journal, tmp_path: Path, line: bytes | None, caplog: pytest.LogCaptureFixture
@@ -212,14 +184,3 @@ def test_a_witness_that_cannot_be_read_says_nothing(
     with closing(Journal(tmp_path)) as empty:
         assert empty.missing == 4
     assert caplog.text.count("has come back older than it was: it had 4 entries and has 0") == 1
-
-
-def test_a_witness_that_cannot_be_written_stops_nothing(
-    journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object) -> int:
-        raise OSError("No space left on device")
-
-    monkeypatch.setattr(os, "pwrite", full)
-    journal.commit(entries(4))
-    assert kept(journal) == [1, 2, 3, 4]

@@ -55,19 +55,6 @@ def alive(pid: int) -> bool:
     return False
 
 
-@pytest.mark.parametrize("most", [1, 7])
-def test_how_much_is_taught_at_a_time_changes_nothing(
-    most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(feeder, "INPUTS_MAX", most)
-    monkeypatch.setattr(feeder, "GATHER_SECONDS", 0.0)
-    with contextlib.closing(Installation(tmp_path)) as one:
-        for first in range(0, len(EVENTS), 50):
-            one.store(EVENTS[first : first + 50])
-        one.run()
-        assert one.published == uninterrupted()
-
-
 def test_events_that_come_while_it_works_are_learned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import http.client
 import json
 import re
@@ -19,15 +18,12 @@ from serving import (
     WAIT_SECONDS,
     all_out,
     closing_event,
-    free_endpoint,
     numbered,
     small_config,
     wait_for,
     walkers,
 )
 
-from camtopod.cli.main import main
-from camtopod.config.settings import Config, StateSettings, parse
 from camtopod.records import CameraFigures, DaemonStatus, Event
 from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
@@ -177,46 +173,6 @@ def test_the_cameras_processes_are_asked(daemon: Daemon, tmp_path: Path) -> None
     }
 
 
-def test_with_certificates_the_cameras_are_asked_all_the_same(tmp_path: Path) -> None:
-    pytest.importorskip("cryptography", reason="needs cryptography (camtopod[keys])")
-    keys, endpoint = tmp_path / "keys", free_endpoint().replace("tcp/", "tls/")
-    for what in (["init"], ["camera", "lobby", "hall"], ["reader", "wall"]):
-        assert main(["keys", "--keys", str(keys), *what]) == 0
-
-    def of(folder: Path, bus: str) -> Config:
-        files = {"ca": "ca.pem", "certificate": "certificate.pem", "private_key": "private.key"}
-        tls = "\n".join(f'{name} = "{folder / file}"' for name, file in files.items())
-        return parse(
-            f'[bus]\n{bus} = ["{endpoint}"]\n[bus.tls]\n{tls}\naccess = "{keys}/daemon/access.json"\n'
-        )
-
-    with contextlib.ExitStack() as stack:
-        state = StateSettings(str(tmp_path))
-        daemon = stack.enter_context(
-            Daemon(msgspec.structs.replace(of(keys / "daemon", "listen"), state=state))
-        )
-        for camera in ("lobby", "hall"):
-            bus = stack.enter_context(buses.dial(of(keys / "camera" / camera, "connect")))
-            bus.answer_queries(
-                f"status/{camera}", lambda key, parameters: {"state": "running"}, "status"
-            )
-            bus.answer_queries(
-                "status/yard", lambda key, parameters: {"state": "running"}, "status"
-            )  # not its own
-        reader = stack.enter_context(buses.dial(of(keys / "reader" / "wall", "connect")))
-        wait_for(lambda: len(metrics.grabbers(daemon.bus)) == 2, "the answers")
-        assert set(metrics.grabbers(daemon.bus)) == {"lobby", "hall"}
-        answering = {
-            "status/daemon",
-            "status/lobby",
-            "status/hall",
-        }  # the reader may not know of all at once
-        wait_for(
-            lambda: {key for key, _ in reader.query("status/*")} == answering,
-            "all of them to answer the reader",
-        )
-
-
 def test_the_number_of_cameras_has_a_limit(daemon: Daemon, tmp_path: Path) -> None:
     with buses.dial(small_config(tmp_path, daemon.endpoint)) as bus:
         for number in range(20):
@@ -341,19 +297,3 @@ def test_every_rule_says_what_to_do() -> None:
         assert rule["annotations"]["summary"].endswith((".", "?"))
         if "$labels.camera" in rule["annotations"]["summary"]:
             assert re.search("_(camera|grabber|spool|clock)_", rule["expr"]), rule["alert"]
-
-
-def test_the_board_is_laid_out() -> None:
-    cells: set[tuple[int, int]] = set()
-    for panel in board()["panels"]:
-        at = panel["gridPos"]
-        mine = {
-            (x, y)
-            for x in range(at["x"], at["x"] + at["w"])
-            for y in range(at["y"], at["y"] + at["h"])
-        }
-        assert not cells & mine, panel["title"]
-        assert max(x for x, _ in mine) < 24
-        cells |= mine
-    ids = [panel["id"] for panel in board()["panels"]]
-    assert len(set(ids)) == len(ids)

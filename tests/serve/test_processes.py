@@ -22,7 +22,7 @@ from serving import camtopod, closing_event, free_endpoint, small_config, wait_f
 from camtopod.codec import to_json
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
-from camtopod.serve.bus.session import Bus, BusError, dial
+from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage.journal import Journal
@@ -248,30 +248,3 @@ def test_commands_say_that_the_bus_is_not_there(installation: Installation) -> N
         assert b"is `camtopod run` running there?" in err
         assert b"Traceback" not in err
         installation.config.write_text(config)
-
-
-def test_watch_shows_the_state(installation: Installation) -> None:
-    installation.daemon()
-    assert (
-        installation.ingest("all", [*walkers(60), closing_event()]).wait(serving.WAIT_SECONDS) == 0
-    )
-    bus = installation.client()
-    wait_for(lambda: installation.status(bus)["version"] >= 2, "a version")
-    wait_for(lambda: installation.status(bus)["events"]["waiting"] == 0, "the learner")
-    out, _ = installation.start("watch", "--once", stdout=subprocess.PIPE).communicate(
-        timeout=serving.WAIT_SECONDS
-    )
-    text = out.decode()
-    assert "site site: daemon running, 241 events stored" in text
-    assert "topology: version" in text, text
-    for camera in ("a", "b", "c"):
-        assert f"  {camera:<20} no grabber" in text, text
-
-
-def test_a_bus_that_is_gone_is_an_error_not_a_hang(tmp_path: Path) -> None:
-    config = small_config(tmp_path, "tcp/127.0.0.1:1")
-    config = msgspec.structs.replace(
-        config, bus=msgspec.structs.replace(config.bus, connect_seconds=0.1)
-    )
-    with pytest.raises(BusError):
-        dial(config)

@@ -7,7 +7,6 @@ import signal
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from camtopod.serve.learner_process.recovery import recover
 from camtopod.serve.runtime.progress import no_beat
 from camtopod.serve.storage import Version, command_entry
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
-from camtopod.serve.storage.sqlite_file import StateError, crc
+from camtopod.serve.storage.sqlite_file import StateError
 
 SETTINGS = msgspec.structs.replace(small_config(Path()).learn, lateness_seconds=5.0)
 EVENTS = [*sorted(numbered(walkers(60)), key=lambda event: event.t), closing_event()]
@@ -147,21 +146,6 @@ def test_killed_at_any_moment_the_versions_are_the_same(start: Start) -> None:
     last.run()
     assert published + last.published == uninterrupted()
     assert last.started_at > len(EVENTS) / 2, "it went on from a snapshot"
-
-
-def test_a_version_that_was_not_stored_is_made_again(start: Start) -> None:
-    one = start()
-    one.learn(EVENTS[:100])
-    before = one.published
-    assert before
-    one.store(EVENTS[100:])
-    stop = threading.Event()
-    one.learning.work(
-        stop, lambda: stop.set() if not one.learning.waiting else None
-    )  # and killed: nothing is stored
-    again = start()
-    again.run()
-    assert before + again.published == uninterrupted()
 
 
 def test_it_says_how_far_it_is_behind(start: Start) -> None:
@@ -349,37 +333,6 @@ def test_a_version_that_is_not_kept_any_more_does_not_come_after_newer_ones(star
     assert again.published == []
 
 
-def test_of_an_epoch_that_has_ended_no_version_comes(start: Start) -> None:
-    """Of several versions made in one step the first differs from the published one.
-
-    Then none of them is published.
-    """
-    one = start()
-    one.learn(EVENTS)
-    assert len(one.published) > 2
-    one.journal._db.execute("DELETE FROM snapshot")
-    rows = one.journal._db.execute("SELECT * FROM version WHERE version = 1").fetchone()
-    changed = (*rows[:4], "another digest", *rows[5:7])
-    one.journal._db.execute(
-        "UPDATE version SET digest = ?, crc = ? WHERE version = 1", (changed[4], crc(*changed))
-    )
-    again = start(program="learners.hoarding")
-    again.run()
-    assert {epoch for epoch, _, _ in again.published} == {"F"}
-
-
-def test_a_journal_without_entries_and_snapshots_but_with_versions_begins_an_epoch(
-    start: Start,
-) -> None:
-    one = start()
-    one.learn(EVENTS)
-    for table in ("snapshot", "entry"):
-        one.journal._db.execute(f"DELETE FROM {table}")
-    one.journal._db.execute("DELETE FROM version WHERE version < 3")
-    again = start()
-    assert again.learning.epoch == "F"
-
-
 def test_an_event_that_cannot_be_read_any_more_holds_no_start_up(start: Start) -> None:
     """An older program may have accepted it."""
     one = start()
@@ -426,9 +379,3 @@ def test_what_predictions_remember(start: Start) -> None:
     before = recovery.newest_topology(one.journal)
     assert before is not None
     assert before.version == newest.version - 1, "the newest is damaged"
-
-
-def test_a_closed_journal_can_be_opened_again(tmp_path: Path) -> None:
-    for _ in range(2):
-        with closing(Installation(tmp_path)) as one:
-            one.run()

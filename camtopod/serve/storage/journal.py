@@ -152,7 +152,8 @@ class Journal:
 
     def _compare(self) -> None:
         """Log an error and begin a new epoch if the journal is an older copy of itself."""
-        known, found = self._witness.known, journal_schema.how_far(self._db)
+        known = self._witness.known
+        found = journal_schema.how_far(self._db)
         self.missing = max(0, known.entries - found.entries)
         if found.is_older_than(known):
             log.error(
@@ -282,7 +283,8 @@ class Journal:
         with self._mutex, sqlite_file.damage_noticed(self._path):
             # Find the entries to delete: those before both snapshots that are too old, or all of
             # those if the journal is too large.
-            keep, oldest = self._keep, self._oldest_snapshot()
+            keep = self._keep
+            oldest = self._oldest_snapshot()
             size, free, pages = (
                 self._pragma(name) for name in ("page_size", "freelist_count", "page_count")
             )
@@ -495,7 +497,8 @@ class Journal:
 
     def _insert(self, insert: str, rows: Sequence[tuple[Any, ...]]) -> None:
         """Insert rows of equal length, each with its checksum."""
-        start, variables_max = 0, self._db.getlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER)
+        start = 0
+        variables_max = self._db.getlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER)
         for size in _ROWS_AT_ONCE:
             while len(rows) - start >= size and size * (len(rows[0]) + 1) <= variables_max:
                 some = [(*row, crc(*row)) for row in rows[start : start + size]]
