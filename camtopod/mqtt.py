@@ -32,23 +32,12 @@ PACKET_BYTES_MAX = 2 * 1024**2
 """Largest packet, in bytes, that the broker may send; lines of all formats are shorter."""
 CONNECT_SECONDS = 10.0
 """Longest time for the first connection, in seconds."""
-KEEPALIVE_SECONDS = 30
-"""Longest silence on a connection before a ping, in seconds."""
-RETRY_SECONDS_MAX = 60
-"""Longest wait before a lost connection is tried again, in seconds; the first is 1 s.
-
-The wait doubles with each attempt.
-"""
-DISCONNECT_SECONDS = 2.0
-"""Longest wait for the last message to be sent, in seconds."""
 ONLINE = "online"
 """Payload of an availability topic while the program runs."""
 OFFLINE = "offline"
 """Payload of it otherwise."""
 CLOSED = "the connection was closed"
 """Reason used here if the broker closes the connection without an answer."""
-_TICK_SECONDS = 0.2
-"""Longest time in which `MessageSubscription.read` notices that it has to stop, in seconds."""
 
 
 class MqttError(Exception):
@@ -147,7 +136,7 @@ class _Connection:
         )
         client.on_connect = self._on_connect
         client.on_disconnect = self._on_disconnect
-        client.reconnect_delay_set(1, RETRY_SECONDS_MAX)
+        client.reconnect_delay_set(1, 60)
         client.connect_timeout = CONNECT_SECONDS
         if at.user is not None:
             client.username_pw_set(at.user, at.password)
@@ -157,7 +146,7 @@ class _Connection:
         try:
             if at.tls:
                 client.tls_set(at.ca)
-            client.connect(at.host, at.port, KEEPALIVE_SECONDS, properties=properties)
+            client.connect(at.host, at.port, keepalive=30, properties=properties)
         except (OSError, ValueError) as error:
             raise MqttError(f"cannot reach {at.host}:{at.port}: {error}") from None
         client.loop_start()
@@ -232,7 +221,7 @@ class MessageSubscription(_Connection):
         """
         while not stop.is_set():
             try:
-                message = self._waiting.get(timeout=_TICK_SECONDS)
+                message = self._waiting.get(timeout=0.2)
             except queue.Empty:
                 if ticks:
                     yield b""
@@ -315,7 +304,7 @@ class RetainedMessages(_Connection):
         """Publish ``offline`` and disconnect."""
         if self._client.is_connected():
             last = self._client.publish(self._availability, OFFLINE, qos=1, retain=True)
-            last.wait_for_publish(DISCONNECT_SECONDS)
+            last.wait_for_publish(2.0)
         super().close()
 
     def _prepare(self, client: Client) -> None:

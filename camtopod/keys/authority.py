@@ -40,8 +40,6 @@ LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")
 """Host names for which the daemon's certificate is always valid, too."""
 _BACKDATE = datetime.timedelta(days=1)
 """Certificates begin this much before now, as the clock of a box may be slow."""
-_COMMON_NAME_MAX = 64
-"""Longest common name of a certificate, in characters."""
 _HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(\.[A-Za-z0-9-]{1,63})*\Z")
 
 
@@ -227,10 +225,9 @@ class Authority:
         common_name = name if role != "reader" else f"reader:{name}"
         if old:
             common_name += f"~{len(old) + 1}"
-        if len(common_name) > _COMMON_NAME_MAX:
+        if len(common_name) > 64:
             raise KeysError(
-                f"{name!r} is too long for a certificate: {common_name!r} has over"
-                f" {_COMMON_NAME_MAX} characters"
+                f"{name!r} is too long for a certificate: {common_name!r} has over 64 characters"
             )
 
         # The certificate must end before that of the authority.

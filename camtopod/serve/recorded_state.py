@@ -21,9 +21,6 @@ from camtopod.records import Event
 from camtopod.serve.runtime import ulid
 from camtopod.serve.storage import Entry, Journal, Snapshot, StateError, StoredVersion
 
-ENTRIES_AT_ONCE = 10_000
-"""Entries in one transaction."""
-
 
 class RecordedState:
     """The journal of a new state directory, as a context manager; the directory is made if missing.
@@ -66,7 +63,7 @@ class RecordedState:
         self._waiting.append(
             Entry("event", event.camera, event.boot, event.seq, codec.to_json(event))
         )
-        if len(self._waiting) >= ENTRIES_AT_ONCE:
+        if len(self._waiting) >= 10_000:
             self._commit()
 
     def finish(self, learner: Learner) -> None:

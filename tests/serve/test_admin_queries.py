@@ -93,20 +93,6 @@ def test_a_forgotten_camera_leaves_at_once_and_its_spool_empties(
     assert daemon.status().names.forgotten == {}
 
 
-def test_a_forgotten_name_is_refused_after_a_restart(site: Site) -> None:
-    daemon = site.daemon()
-    bus = site.client(daemon)
-    learned(daemon, bus)
-    ask(bus, Forget("b"))
-    wait_for(lambda: "b" not in cameras(daemon), "the next version")
-    daemon.stop()
-    daemon = site.daemon()
-    assert "b" not in cameras(daemon)
-    put(site.client(daemon), *numbered([fresh("b", n) for n in range(3)], "later"))
-    wait_for(lambda: daemon.status().names.forgotten == {"b": 3}, "them to be refused")
-    assert [row[0] for row in journal_of_stopped(site, daemon)[-3:]] == ["refused"] * 3
-
-
 def journal_of_stopped(site: Site, daemon: Daemon) -> list[tuple[str, str, str | None, int | None]]:
     daemon.stop()
     return journal_of(site)

@@ -12,7 +12,6 @@ from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
 from camtopod.codec import read, to_msgpack
 from camtopod.records import Topology
 from camtopod.serve.ingest import Names, Received, read_names
-from camtopod.serve.learner_process import recent_events
 from camtopod.serve.storage import NAMES_KEY, Entry
 
 __all__ = ["start"]
@@ -93,58 +92,6 @@ def newest(one: Installation) -> Topology:
     content = one.journal.newest_version()
     assert content is not None
     return read(Topology, content)
-
-
-def test_a_forgotten_camera_is_in_no_later_version_whatever_comes(start: Start) -> None:
-    one = start()
-    one.learn(EVENTS[:AT])
-    assert "b" in {camera.id for camera in newest(one).cameras}
-    give(one, Forget("b"))
-    assert {camera.id for camera in newest(one).cameras} == {"a", "c"}
-    rest(one)
-    assert "b" not in {camera.id for camera in newest(one).cameras}
-
-
-def test_a_renamed_camera_goes_on_in_the_journal(start: Start) -> None:
-    one = start()
-    one.learn(EVENTS[:AT])
-    give(one, Rename("b", "yard"))
-    rest(one)
-    assert {camera.id for camera in newest(one).cameras} == {"a", "c", "yard"}
-    streams = {camera for camera, _ in one.journal.numbers()[0]}
-    assert "b" in streams, "acknowledged under the old name"
-    assert "yard" not in streams
-
-
-def test_a_reset_begins_an_epoch_with_an_empty_version(start: Start) -> None:
-    one = start()
-    one.learn(EVENTS[:AT])
-    before = len(one.published)
-    give(one, RESET)
-    [(epoch, version, _)] = one.published[before:]
-    assert (epoch, version, newest(one).cameras) == ("F", 1, [])
-    assert recent_events(one.journal) == []
-    rest(one)
-    last = newest(one)
-    assert (last.epoch, last.cameras != []) == ("F", True)
-    assert last.events <= len(EVENTS) - AT
-
-
-def test_two_resets_before_anything_is_learned(start: Start) -> None:
-    one = start()
-    one.learn(EVENTS[:AT])
-    give(one, RESET, learn=False)
-    give(one, RESET, learn=False)
-    one = start()
-    one.run()
-    one.learn(EVENTS[AT:])
-    assert one.learning.epoch == "G"
-    published = {epoch: one.journal.versions(epoch) for epoch in "EFG"}
-    one.journal._db.execute("DELETE FROM snapshot")
-    again = start()
-    again.run()
-    assert again.published == []
-    assert {epoch: again.journal.versions(epoch) for epoch in "EFG"} == published
 
 
 def test_a_reset_of_an_epoch_that_was_not_reproduced_counts_on(start: Start) -> None:

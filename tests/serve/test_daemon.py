@@ -155,29 +155,6 @@ def test_a_daemon_whose_learner_is_killed_fails_and_goes_on_where_it_was(site: S
     assert again.topology.digest == expected.digest
 
 
-def test_other_settings_begin_a_new_epoch(site: Site) -> None:
-    daemon = site.daemon()
-    put(site.client(daemon), *numbered(walkers(40)), closing_event())
-    wait_for(lambda: daemon.topology is not None and daemon.topology.version >= 2, "a version")
-    daemon.stop()
-    config = small_config(site.directory / "state")
-    config = msgspec.structs.replace(
-        config, learn=msgspec.structs.replace(config.learn, publish_q_max=0.5)
-    )
-    config = msgspec.structs.replace(
-        config, learn=msgspec.structs.replace(config.learn, version_seconds=17.0)
-    )
-    with Daemon(config, clock=lambda: site.now) as again:
-        assert again.epoch > daemon.epoch
-        assert again.topology is not None, "the last version holds until there is another"
-        wait_for(
-            lambda: again.topology is not None and again.topology.epoch == again.epoch,
-            "a version of the epoch",
-        )
-        assert again.topology.version == 1
-        assert len(again.topology.zones) > 0
-
-
 def test_old_versions_can_be_asked_for(site: Site) -> None:
     daemon = site.daemon()
     bus = site.client(daemon)

@@ -16,7 +16,6 @@ from serving import Failing
 from camtopod.config.settings import KeepSettings
 from camtopod.serve.storage import journal as journals
 from camtopod.serve.storage.journal import (
-    DAY_SECONDS,
     Entry,
     Journal,
     Snapshot,
@@ -188,18 +187,18 @@ def test_a_commit_that_raises_may_be_repeated(journal: Journal, durable: bool) -
 def test_entries_are_forgotten_by_age_behind_both_snapshots(tmp_path: Path) -> None:
     with closing(Journal(tmp_path, KeepSettings(journal_days=2.0))) as journal:
         for day in range(6):
-            journal.commit([entry(10 * day + k) for k in range(1, 11)], now=NOW + day * DAY_SECONDS)
-        journal.prune(NOW + 5 * DAY_SECONDS)
+            journal.commit([entry(10 * day + k) for k in range(1, 11)], now=NOW + day * 86_400)
+        journal.prune(NOW + 5 * 86_400)
         assert len(kept(journal)) == 60, "there is no snapshot, so all are needed"
         journal.commit([], snapshot=Snapshot(15, "E", b""))
         journal.commit([], snapshot=Snapshot(55, "E", b""))
-        journal.prune(NOW + 5 * DAY_SECONDS)
+        journal.prune(NOW + 5 * 86_400)
         assert kept(journal) == list(range(16, 61)), "up to the older snapshot"
         journal.commit([], snapshot=Snapshot(60, "E", b""))
-        journal.prune(NOW + 5.5 * DAY_SECONDS)
+        journal.prune(NOW + 5.5 * 86_400)
         assert kept(journal) == list(range(41, 61)), "up to the age"
         journal.commit([], snapshot=Snapshot(61, "E", b""))
-        journal.prune(NOW + 50 * DAY_SECONDS)
+        journal.prune(NOW + 50 * 86_400)
         assert kept(journal) == []
         assert journal.numbers() == ({("lobby", "b1"): 60}, set())
     with closing(Journal(tmp_path)) as again:
@@ -255,8 +254,8 @@ def test_history_is_bounded_by_bytes_and_by_days(
     with closing(Journal(tmp_path, keep)) as journal:
         for day in range(8):
             content = bytes(range(256)) * (day + 1)
-            journal.commit([], [version(day, content)], now=NOW + day * DAY_SECONDS)
-        journal.prune(NOW + 8 * DAY_SECONDS)
+            journal.commit([], [version(day, content)], now=NOW + day * 86_400)
+        journal.prune(NOW + 8 * 86_400)
         assert (
             sum(
                 len(zlib.compress(journal.version("E", n) or b"", 3)) for n in journal.versions("E")
@@ -266,9 +265,9 @@ def test_history_is_bounded_by_bytes_and_by_days(
         assert max(journal.versions("E")) == 7
         before = len(journal.versions("E"))
         assert before > 3
-        journal.prune(NOW + 16 * DAY_SECONDS)
+        journal.prune(NOW + 16 * 86_400)
         assert 1 < len(journal.versions("E")) < before
-        journal.prune(NOW + 100 * DAY_SECONDS)
+        journal.prune(NOW + 100 * 86_400)
         assert journal.version("E") == bytes(range(256)) * 8, "the newest stays whatever its age"
 
 

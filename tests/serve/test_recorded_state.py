@@ -125,11 +125,6 @@ def test_a_directory_with_a_state_is_left_alone(
     assert (state / "journal.db").read_bytes() == before
 
 
-def test_a_directory_that_cannot_be_made(recording: Path, site: Path, tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    assert learn(recording, site, tmp_path / "file" / "state") == exits.STATE
-
-
 def test_ended_half_way_the_daemon_learns_what_is_there(
     recording: Path, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,13 +147,3 @@ def test_ended_half_way_the_daemon_learns_what_is_there(
         assert journal.versions(daemon.epoch) == {
             one.version: one.digest for one in plain.updates()
         }
-
-
-def test_a_recording_too_short_to_learn_is_kept_for_the_daemon(
-    recording: Path, site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    recording.write_bytes(to_json(RECORDED[0]) + b"\n")
-    assert learn(recording, site, tmp_path / "state") == 0
-    assert "nothing learned yet" in capsys.readouterr().err
-    with closing(Journal(tmp_path / "state")) as journal:
-        assert len(journal) == 1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import sqlite3
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -293,44 +292,6 @@ def test_a_rewind_is_replayed_like_an_event(start: Start, tmp_path: Path) -> Non
     with contextlib.closing(anew):
         anew.run()
         assert {epoch: anew.journal.versions(epoch) for epoch in "EF"} == versions
-
-
-def test_a_disk_that_fails_is_no_failure_of_the_learner(
-    start: Start, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Otherwise the learned state would be discarded."""
-    one = start(snapshot_events=50)
-    one.learn(EVENTS[:120])
-    one.store(EVENTS[120:])
-
-    def unreadable(*_: object, **__: object) -> None:
-        raise sqlite3.OperationalError("disk I/O error")
-
-    for _ in range(2):
-        failing = start()
-        with monkeypatch.context() as broken:
-            broken.setattr(failing.journal, "entries", unreadable)
-            with pytest.raises(sqlite3.OperationalError):
-                failing.run()
-    again = start()
-    again.run()
-    assert one.published + again.published == uninterrupted()
-
-
-def test_a_version_that_is_not_kept_any_more_does_not_come_after_newer_ones(start: Start) -> None:
-    one = start(snapshot_events=60)
-    one.learn(EVENTS[:60])
-    first = len(one.published)
-    one.learn(EVENTS[60:])
-    newest = one.published[-1][1]
-    assert newest > first + 1
-    older, newer = (snapshot.position for snapshot in reversed(one.journal.snapshots()))
-    one.journal._db.execute("UPDATE snapshot SET state = x'00' WHERE position = ?", (newer,))
-    one.journal._db.execute("DELETE FROM version WHERE version < ?", (newest,))
-    again = start()
-    assert again.started_at == older
-    again.run()
-    assert again.published == []
 
 
 def test_an_event_that_cannot_be_read_any_more_holds_no_start_up(start: Start) -> None:

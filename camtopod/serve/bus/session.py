@@ -33,8 +33,6 @@ log = logging.getLogger(__name__)
 
 _PACK = "application/msgpack;schema=camtopod.{}.1"
 JSON = "application/json"
-_OPEN_RETRY_SECONDS = 0.2
-"""Time between two attempts to open a session, in seconds."""
 QUERY_SECONDS = 2.0
 """Time to wait for the answer to a query."""
 _REPLIES_MAX = 4096
@@ -399,7 +397,7 @@ def dial(config: Config) -> Bus:
                     f"cannot reach the bus at {', '.join(endpoints)}: "
                     f"is `camtopod run` running there{also}? ({_short(error)})"
                 ) from None
-            time.sleep(_OPEN_RETRY_SECONDS)
+            time.sleep(0.2)
         else:
             return Bus(session, config.site.name, endpoints[0], config.bus)
 

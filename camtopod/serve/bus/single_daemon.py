@@ -19,8 +19,6 @@ log = logging.getLogger(__name__)
 
 ROLE = "daemon"
 """Role under which daemons appear on the bus, see `Bus.announce`."""
-_LOOK_SECONDS = 0.1
-"""Time between two looks for other daemons at the start, in seconds."""
 NAMED_MAX = 20
 """Most other daemons that are remembered by name."""
 
@@ -45,7 +43,7 @@ class OtherDaemons:
                     f"another daemon ({', '.join(sorted(others))}) serves site {self._bus.site} "
                     f"on this bus: stop it, or give one of them another [site] name"
                 )
-            if cancelled.wait(_LOOK_SECONDS):
+            if cancelled.wait(0.1):
                 return
 
     def appear(self) -> None:

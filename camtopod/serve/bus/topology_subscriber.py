@@ -19,11 +19,6 @@ log = logging.getLogger(__name__)
 
 WAITING_MAX = 1000
 """Most deltas that wait for `TopologySubscriber.update`; beyond it they are dropped."""
-BEHIND_SECONDS = 1.0
-"""A delta counts as lost when the daemon has had a newer version for this many seconds."""
-_ASK_AGAIN_SECONDS = 0.5
-"""Shortest time between two queries for the whole topology, in seconds."""
-_TICK_SECONDS = 0.1
 
 
 class TopologySubscriber:
@@ -39,7 +34,7 @@ class TopologySubscriber:
         self._deltas: queue.Queue[bytes] = queue.Queue(WAITING_MAX)
         self._stale = True
         self._ask_after = 0.0
-        self._behind_since: float | None = None
+        self._told: tuple[str, int] | None = None
         self.topology: Topology | None = None
         """The newest version received; None before the first."""
         self.fetched = 0
@@ -72,7 +67,7 @@ class TopologySubscriber:
                 return self.topology
             if time.monotonic() >= deadline:
                 return None
-            time.sleep(_TICK_SECONDS)
+            time.sleep(0.1)
 
     def _on_delta(self, key: str, payload: bytes) -> None:
         try:
@@ -86,23 +81,18 @@ class TopologySubscriber:
             self._ask_after = 0.0
 
     def _on_status(self, key: str, payload: bytes) -> None:
-        """Query the whole topology if a newer version does not arrive within `BEHIND_SECONDS`."""
+        """Query the whole topology if the daemon has had a newer version since its last status."""
         try:
             newest = codec.read(DaemonStatus, payload, pack=True)
         except codec.Rejected as error:
             log.debug("ignoring a malformed status of the daemon: %s", error)
             return
         held = self.topology
-        now = time.monotonic()
-        if newest.version == 0 or (
-            held is not None and (newest.epoch, newest.version) <= (held.epoch, held.version)
-        ):
-            self._behind_since = None
-        elif self._behind_since is None:
-            self._behind_since = now
-        elif now - self._behind_since >= BEHIND_SECONDS:
-            self._behind_since = now
+        told = (newest.epoch, newest.version)
+        behind = newest.version > 0 and (held is None or told > (held.epoch, held.version))
+        if behind and told == self._told:  # the first time, the delta may still come
             self._stale = True
+        self._told = told
 
     def _apply(self, payload: bytes) -> None:
         """Apply a delta; if that is impossible, have the whole topology queried."""
@@ -126,7 +116,7 @@ class TopologySubscriber:
 
     def _fetch(self) -> None:
         """Query the whole topology."""
-        self._ask_after = time.monotonic() + _ASK_AGAIN_SECONDS
+        self._ask_after = time.monotonic() + 0.5  # not more often than that
         self._stale = False  # before the query: a daemon may restart meanwhile
 
         # Query and decode.

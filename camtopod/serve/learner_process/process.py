@@ -17,8 +17,6 @@ PROGRAM = "camtopod.serve.learner_process.worker"
 """The module whose `main` the process runs."""
 END_SECONDS = 5.0
 """Longest time, in seconds, for the system to end a process that was killed."""
-_LOOK_SECONDS = 0.2
-"""Interval of checks while an answer is awaited, in seconds."""
 
 context: BaseContext = multiprocessing.get_context("spawn")
 """How processes start: not as forks of the daemon, which has threads and open files."""
@@ -92,7 +90,7 @@ class LearnerProcess:
         """
         until = time.monotonic() + seconds_max
         self.send(question)
-        while (answer := self.receive(_LOOK_SECONDS)) is None:
+        while (answer := self.receive(0.2)) is None:
             if time.monotonic() > until:
                 self.kill()
         assert isinstance(answer, kind)

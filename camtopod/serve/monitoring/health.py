@@ -18,9 +18,6 @@ from typing import Any, NamedTuple
 
 log = logging.getLogger(__name__)
 
-REASONS_MAX = 20
-"""Maximum number of reasons in an answer."""
-
 
 class ListenError(OSError):
     """The address cannot be listened on; ``str()`` says why."""
@@ -92,7 +89,7 @@ def _contents(pages: Pages, path: str) -> Page:
 
 def _answer(question: Reasons) -> Page:
     """Return the page that answers a question with its reasons."""
-    reasons = question()[:REASONS_MAX]
+    reasons = question()[:20]
     status = HTTPStatus.SERVICE_UNAVAILABLE if reasons else HTTPStatus.OK
     body = {"status": "failing" if reasons else "ok", "reasons": reasons}
     return Page(status, "application/json", json.dumps(body).encode() + b"\n")

@@ -34,8 +34,7 @@ UNANSWERED = (
     "the daemon is there and does not answer: is this program's certificate for this camera?"
 )
 """The reason reported for a camera whose requests get no answer."""
-_UNREADABLE_SECONDS = 2.0
-"""Wait after the spool could not be read."""
+
 
 
 class Publisher:
@@ -268,7 +267,7 @@ class Publisher:
             self._deadlines[camera] = math.inf
         except (sqlite3.Error, StateError) as error:
             log.debug("cannot use the spool: %s", error)
-            self._deadlines[camera] = time.monotonic() + _UNREADABLE_SECONDS
+            self._deadlines[camera] = time.monotonic() + 2.0
 
     def _take(self, delivery: Delivery, request: Hello | Batch, payload: bytes | None) -> None:
         """Take the answer to a request."""

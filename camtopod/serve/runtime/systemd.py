@@ -23,8 +23,6 @@ SEND_SECONDS = 1.0
 """Longest wait for systemd to take a notification, in seconds."""
 FEED_SECONDS_MAX = 1.0
 """Longest time between two watchdog notifications; a third of WatchdogSec= if that is shorter."""
-EXTEND_MICROSECONDS = 30_000_000
-"""A start that makes progress may take this much longer from now, in microseconds."""
 
 
 def notify(*assignments: str) -> bool:
@@ -87,8 +85,7 @@ def watchdog(failing: Callable[[], list[str]], starting: Callable[[], bool]) -> 
 
             # Feed the watchdog.
             if not reasons:
-                extend = [f"EXTEND_TIMEOUT_USEC={EXTEND_MICROSECONDS}"] if starting() else []
-                notify("WATCHDOG=1", *extend)
+                notify("WATCHDOG=1", *["EXTEND_TIMEOUT_USEC=30000000"] * starting())
             done.wait(feed_seconds())
 
     thread = threading.Thread(target=feed, name="watchdog", daemon=True)

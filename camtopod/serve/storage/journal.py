@@ -45,10 +45,6 @@ CHUNK_ENTRIES = 1_000
 """Entries read at a time; a long read would keep SQLite from checkpointing the log."""
 VERSIONS_TRIED_MAX = 10
 """Newest versions of which the first undamaged one is used at a start."""
-DAY_SECONDS = 86_400
-"""Seconds in a day."""
-_COMPRESSION = 3
-"""Level of zlib's compression of versions."""
 _ROWS_AT_ONCE = (1_000, 100, 10, 1)
 """Rows inserted by one statement, the largest number that fits.
 
@@ -291,7 +287,7 @@ class Journal:
             too_large = (pages - free) * size > keep.journal_bytes_max
             first = self._db.execute("SELECT COALESCE(MIN(id), 0) FROM entry").fetchone()[0]
             until = min(first + PRUNED_ROWS_MAX, oldest + 1)
-            kept_from = math.inf if too_large else now - keep.journal_days * DAY_SECONDS
+            kept_from = math.inf if too_large else now - keep.journal_days * 86_400
 
             # Delete entries, streams and versions.
             with sqlite_file.transaction(self._db):
@@ -305,7 +301,7 @@ class Journal:
                 )
                 self._db.execute(
                     "DELETE FROM version WHERE stored < ? AND id < (SELECT MAX(id) FROM version)",
-                    (now - keep.history_days * DAY_SECONDS,),
+                    (now - keep.history_days * 86_400,),
                 )
                 while self._history_bytes() > HISTORY_BYTES_MAX and self._forget_oldest_version():
                     pass
@@ -521,7 +517,7 @@ class Journal:
     def _add_version(self, version: StoredVersion, stored: int) -> None:
         """Insert a version; ``stored``: Unix seconds."""
         number = journal_schema.last_version(self._db) + 1
-        content = zlib.compress(version.content, _COMPRESSION) if version.content else b""
+        content = zlib.compress(version.content, level=3) if version.content else b""
         row = (
             number,
             version.epoch,

@@ -30,8 +30,6 @@ from camtopod.serve.storage.sqlite_file import StateError
 
 log = logging.getLogger(__name__)
 
-_RETRY_SECONDS = 0.5
-"""Time between two attempts to store, in seconds."""
 SLOW_SECONDS = 5.0
 """A transaction that takes longer than this (seconds) shows in the status.
 
@@ -139,7 +137,7 @@ class JournalWriter:
                     new = None  # some entries are there already
                     self._journal.look_again()
                 beat()  # a restart would not help
-                if stopping.wait(_RETRY_SECONDS):
+                if stopping.wait(0.5):
                     # The next snapshot includes these versions, so they have to come before it.
                     self._versions.extendleft(reversed(versions))
                     return None

@@ -27,12 +27,6 @@ DAMAGED_FILES_MAX = 8
 THOROUGH_BYTES_MAX = 64 * 2**20
 """Size, in bytes, up to which indices are compared with their tables on opening; this takes 1 s."""
 
-_AUTOCHECKPOINT_PAGES = 200
-"""Length of the write-ahead log, in pages, at which SQLite copies it into the database."""
-_LOG_BYTES_MAX = 2**20
-"""Size to which SQLite truncates a write-ahead log that has become larger, in bytes."""
-_BUSY_SECONDS = 2.0
-"""Longest wait for another connection's lock on the database, in seconds."""
 _SHAPE = """
 SELECT m.type, m.name, m.tbl_name, x.name, x.type, x."notnull", x.pk
 FROM sqlite_schema AS m LEFT JOIN pragma_table_xinfo(m.name) AS x ON m.type = 'table'
@@ -144,7 +138,7 @@ def connect(
         _make_private(path)
         database = sqlite3.connect(
             path,
-            timeout=_BUSY_SECONDS,
+            timeout=2.0,
             isolation_level=None,
             check_same_thread=False,
             factory=Connection,
@@ -341,8 +335,8 @@ def _switch_to_wal(database: sqlite3.Connection, path: Path) -> None:
     mode = database.execute("PRAGMA journal_mode=WAL").fetchone()[0]
     if mode != "wal":
         raise StateError(f"{path}: SQLite cannot write safely on this file system ({mode})")
-    database.execute(f"PRAGMA wal_autocheckpoint={_AUTOCHECKPOINT_PAGES}")
-    database.execute(f"PRAGMA journal_size_limit={_LOG_BYTES_MAX}")
+    database.execute("PRAGMA wal_autocheckpoint=200")  # pages in the log
+    database.execute("PRAGMA journal_size_limit=1048576")  # bytes that a longer log is cut to
     database.execute("PRAGMA mmap_size=0")
 
 

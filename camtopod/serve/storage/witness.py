@@ -11,14 +11,11 @@ import logging
 import zlib
 from typing import NamedTuple
 
+import msgspec
+
 from camtopod.serve.storage.sqlite_file import Lock
 
 log = logging.getLogger(__name__)
-
-_LINE_BYTES = 105
-"""Length of the line, in bytes."""
-_CRC_BYTES = 9
-"""Length of the checksum at the end of the line, with the line break, in bytes."""
 
 
 class JournalExtent(NamedTuple):
@@ -51,7 +48,7 @@ class Witness:
         self.known = JournalExtent()
         """The record as it was read or written last; the default if it could not be read."""
         with contextlib.suppress(OSError):
-            self.known = _decode(lock.read(_LINE_BYTES))
+            self.known = _decode(lock.read(1000))
 
     def note(self, known: JournalExtent) -> None:
         """Write how far the journal has come, if that has changed. Errors are ignored."""
@@ -65,14 +62,12 @@ class Witness:
 
 
 def _encode(known: JournalExtent) -> bytes:
-    text = f"{known.entries:20} {known.versions:20} {known.epoch:26} {known.name:26} "
-    return f"{text}{zlib.crc32(text.encode()):08x}\n".encode()
+    content = msgspec.json.encode(known)
+    return b"%s %08x\n" % (content, zlib.crc32(content))
 
 
-def _decode(line: bytes) -> JournalExtent:
-    text, checksum = line[:-_CRC_BYTES], line[-_CRC_BYTES:]
-    if len(line) != _LINE_BYTES or checksum != f"{zlib.crc32(text):08x}\n".encode():
+def _decode(raw: bytes) -> JournalExtent:
+    content, _, checksum = raw.partition(b"\n")[0].rpartition(b" ")
+    if checksum != b"%08x" % zlib.crc32(content):
         return JournalExtent()
-    return JournalExtent(
-        int(text[:20]), int(text[21:41]), text[42:68].decode().strip(), text[69:95].decode().strip()
-    )
+    return msgspec.json.decode(content, type=JournalExtent)
