@@ -17,8 +17,6 @@ from msgspec.structs import force_setattr
 from camtopod import soundness
 from camtopod.records import Delta, Event, Link, Model, Prediction, Topology
 
-EVENT_ENCODING = "application/msgpack;schema=camtopod.event.1"
-"""Encoding that is declared for events in MessagePack on the bus."""
 EVENT_BYTES_MAX = 4096
 """Largest event, in bytes; a larger one is rejected before it is decoded."""
 T_MIN = -86_400.0
@@ -118,13 +116,6 @@ def _event(decoder: Any, raw: bytes) -> Event:
     return event
 
 
-def _decode(decoder: Any, raw: bytes) -> Any:
-    try:
-        return decoder.decode(raw)
-    except _UNREADABLE as error:
-        raise _rejection(error) from None
-
-
 def _rejection(error: Exception) -> Rejected:
     if isinstance(error, msgspec.ValidationError):
         return Rejected("bad-value", str(error))
@@ -138,7 +129,10 @@ def _rejection(error: Exception) -> Rejected:
 
 def read(kind: type[_T], raw: bytes, pack: bool = False) -> _T:
     """Return a ``kind`` from JSON, or from MessagePack if ``pack``; raise `Rejected`."""
-    result: _T = _decode(_decoder(kind, pack), raw)
+    try:
+        result: _T = _decoder(kind, pack).decode(raw)
+    except _UNREADABLE as error:
+        raise _rejection(error) from None
     return result
 
 

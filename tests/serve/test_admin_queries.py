@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from serving import T0, all_out, closing_event, numbered, wait_for, walkers
-from test_daemon import NOW, Site, journal_of, put
+from test_daemon import NOW, Site, caught_up, journal_of, put
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
@@ -66,7 +66,7 @@ def test_a_forgotten_camera_leaves_at_once_and_its_spool_empties(
     bus = site.client(daemon)
     learned(daemon, bus)
     view = TopologySubscriber(bus)
-    view.wait_for(1, 10)
+    caught_up(view, 1)
     said = ask(bus, Forget("b"))
     assert said.startswith("b is forgotten")
     wait_for(lambda: "b" not in cameras(daemon), "the next version")
@@ -225,7 +225,7 @@ def test_a_reset_begins_anew_and_events_of_before_do_not_count(site: Site) -> No
     ask(bus, Forget("c"))
     before = daemon.epoch
     view = TopologySubscriber(bus)
-    view.wait_for(1, 10)
+    caught_up(view, 1)
     assert "the site begins anew" in ask(bus, Reset())
     wait_for(lambda: daemon.epoch > before, "a new epoch")
     wait_for(lambda: daemon.status().version == 1, "an empty version")

@@ -55,20 +55,6 @@ class TopologySubscriber:
             self._fetch()
         return self.topology if self.topology is not before else None
 
-    def wait_for(self, version: int, seconds: float) -> Topology | None:
-        """Call `update` until at least ``version`` is received, and return the newest version.
-
-        Returns None after ``seconds``.
-        """
-        deadline = time.monotonic() + seconds
-        while True:
-            self.update()
-            if self.topology is not None and self.topology.version >= version:
-                return self.topology
-            if time.monotonic() >= deadline:
-                return None
-            time.sleep(0.1)
-
     def _on_delta(self, key: str, payload: bytes) -> None:
         try:
             self._deltas.put_nowait(payload)

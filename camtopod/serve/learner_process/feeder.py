@@ -23,7 +23,6 @@ from camtopod.serve.learner_process.messages import (
     NewEpoch,
     NewVersion,
     Question,
-    Refresh,
     Save,
     Saved,
     VersionMismatch,
@@ -134,7 +133,7 @@ class LearnerFeeder:
         Raises `LearnerEnded`.
         """
         try:
-            self._learn(Refresh(self.position), stopping, beat)
+            self._learn(LearnBatch(self.position, []), stopping, beat)
             while not stopping.is_set():
                 if not self.waiting and not self._stored.wait(_TICK_SECONDS):
                     self._process.check()
@@ -194,7 +193,7 @@ class LearnerFeeder:
                 self.damaged,
             )
 
-    def _learn(self, task: Refresh | LearnBatch, stopping: threading.Event, beat: Beat) -> None:
+    def _learn(self, task: LearnBatch, stopping: threading.Event, beat: Beat) -> None:
         """Send a task to the learner and note the progress."""
         progress = self._ask(task, LearnProgress, stopping, beat)
         self.position = progress.position

@@ -49,17 +49,11 @@ class Begin(Struct):
     load: bool
 
 
-class Refresh(Struct):
-    """Question: make the epoch's first version; asked once before any `LearnBatch`.
-
-    Answer: `LearnProgress`.
-    """
-
-    position: int
-
-
 class LearnBatch(Struct):
-    """Question: learn the entries of the journal after ``position``. Answer: `LearnProgress`."""
+    """Question: learn the entries of the journal after ``position``. Answer: `LearnProgress`.
+
+    The first question after `Begin` is one without entries: make the epoch's first version.
+    """
 
     position: int
     inputs: list[Input]
@@ -129,7 +123,7 @@ class Saved(Struct):
     state: bytes
 
 
-Question = Load | Begin | Refresh | LearnBatch | NewEpoch | Save
+Question = Load | Begin | LearnBatch | NewEpoch | Save
 Answer = Loaded | NewVersion | VersionMismatch | LearnProgress | Saved
 Kind = TypeVar("Kind", bound=Answer)
 """The kind of answer that a question has."""

@@ -36,7 +36,6 @@ from camtopod.serve.learner_process.messages import (
     NewEpoch,
     NewVersion,
     Question,
-    Refresh,
     Save,
     Saved,
     VersionMismatch,
@@ -89,12 +88,6 @@ class Worker:
                     progress = self._progress(0, 0)
                     progress.event_time = self._learner.event_time()
                     self._send(progress)
-                case Refresh(position):
-                    self._entry.value = position + 1
-                    self._learner.refresh()
-                    self._take_versions()
-                    self._entry.value = 0
-                    self._send(self._progress(position, 0))
                 case LearnBatch(position, inputs):
                     self._send(self._learn(position, inputs))
                 case Save():
@@ -182,6 +175,10 @@ class Worker:
     def _learn(self, position: int, inputs: list[Input]) -> LearnProgress:
         """Learn entries of the journal, or as many as there is time for."""
         unreadable = 0
+        if not inputs:
+            self._entry.value = position + 1
+            self._learner.refresh()
+            self._take_versions()
         for kind, raw in inputs:
             self._entry.value = position + 1
             try:

@@ -26,7 +26,7 @@ class Rejects:
         self._samples: dict[str, deque[str]] = {}
         self._mutex = threading.Lock()
 
-    def add(self, reason: str, where: str, detail: str, raw: bytes | str = b"") -> None:
+    def add(self, reason: str, where: str, detail: str, raw: bytes = b"") -> None:
         """Count one rejected input.
 
         reason: the name it is counted under.
@@ -41,11 +41,7 @@ class Rejects:
             self.counts[reason] += 1
 
             # Keep a shortened and redacted sample.
-            text = (
-                raw
-                if isinstance(raw, str)
-                else raw[: 4 * QUOTE_CHARACTERS_MAX].decode("utf-8", "replace")
-            )
+            text = raw[: 4 * QUOTE_CHARACTERS_MAX].decode("utf-8", "replace")
             most = QUOTE_CHARACTERS_MAX
             sample = f"{where[:most]}: {detail[:most]}: {redact(text)[:most]!r}"
             self._samples.setdefault(reason, deque(maxlen=SAMPLES_MAX)).append(sample)
@@ -61,11 +57,3 @@ class Rejects:
                 reason: [redact(sample) for sample in kept]
                 for reason, kept in self._samples.items()
             }
-
-    def __bool__(self) -> bool:
-        return bool(self.counts)
-
-    def summary(self) -> str:
-        """Return, for example, ``3 rejected: 2 bad-value, 1 malformed``."""
-        parts = ", ".join(f"{count} {reason}" for reason, count in sorted(self.counts.items()))
-        return f"{self.counts.total()} rejected: {parts}"

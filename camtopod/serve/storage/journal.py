@@ -300,11 +300,11 @@ class Journal:
                     (STREAMS_KEPT_MAX,),
                 )
                 self._db.execute(
-                    "DELETE FROM version WHERE stored < ? AND id < (SELECT MAX(id) FROM version)",
-                    (now - keep.history_days * 86_400,),
+                    "DELETE FROM version WHERE id < (SELECT MAX(id) FROM version) AND (stored < ?"
+                    " OR id IN (SELECT id FROM (SELECT id, SUM(size) OVER (ORDER BY id DESC)"
+                    " AS held FROM version) WHERE held > ?))",
+                    (now - keep.history_days * 86_400, HISTORY_BYTES_MAX),
                 )
-                while self._history_bytes() > HISTORY_BYTES_MAX and self._forget_oldest_version():
-                    pass
             return gone > 0 and until <= oldest
 
     def entries(
@@ -546,19 +546,6 @@ class Journal:
         """
         found = self._db.execute("SELECT position FROM snapshot ORDER BY position DESC").fetchall()
         return int(found[SNAPSHOTS_KEPT - 1][0]) if len(found) >= SNAPSHOTS_KEPT else 0
-
-    def _history_bytes(self) -> int:
-        """Return the size of all stored versions, in bytes."""
-        return int(self._db.execute("SELECT COALESCE(SUM(size), 0) FROM version").fetchone()[0])
-
-    def _forget_oldest_version(self) -> bool:
-        """Delete the oldest version; return False if only the newest is left."""
-        return bool(
-            self._db.execute(
-                "DELETE FROM version WHERE id = (SELECT MIN(id) FROM version)"
-                " AND id < (SELECT MAX(id) FROM version)"
-            ).rowcount
-        )
 
     def _pragma(self, name: str) -> int:
         return int(self._db.execute(f"PRAGMA {name}").fetchone()[0])
