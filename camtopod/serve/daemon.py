@@ -225,8 +225,10 @@ class Daemon:
 
     def failing(self) -> list[str]:
         """Return the reasons for a restart; empty if all loops make progress."""
-        reasons = ["a part of the daemon has failed"] if self._failed.is_set() else []
-        return reasons + self.progress.stalled()
+        reasons = self.progress.stalled()
+        if self._failed.is_set():
+            reasons.insert(0, "a part of the daemon has failed")
+        return reasons
 
     def unready(self) -> list[str]:
         """Return the reasons not to rely on the daemon now, which a restart may not remove.
@@ -237,7 +239,7 @@ class Daemon:
             return ["the daemon is stopping"]
         if not self.started or self._bus is None:
             return ["the daemon is starting"]
-        reasons = [reason] if (reason := self._reason) else []
+        reasons = list(filter(None, [self._reason]))
         if self._learning.replaying:
             reasons.append(
                 f"{self._learning.replaying} entries of the journal are still to be learned"

@@ -491,7 +491,8 @@ def test_an_authenticated_site_works_as_one_without(
     publishers["late"].publish(closing_event())  # not before: who comes behind it is late
     assert publishers["late"].wait_stored(WAIT_SECONDS)
 
-    assert TopologySubscriber(reader).wait_for(1, WAIT_SECONDS) is not None
+    subscriber = TopologySubscriber(reader)
+    wait_for(lambda: subscriber.update() is not None, "the topology")
     assert daemon.status().events["stored"] == len(events) + 1
     exit_at = {"x": 0.9, "y": 0.5}
     wait_for(lambda: bool(reader.query("predict/a", exit_at)), "a prediction")

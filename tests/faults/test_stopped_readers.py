@@ -258,7 +258,8 @@ def test_readers_that_stop_and_come_back_hold_up_nobody(scene: Callable[[bool], 
     walks = walks_beside(one, readers=4, questions=60, per_second=20, turns=2, seconds=3)
 
     assert not walks.late()
-    assert TopologySubscriber(one.reader).wait_for(1, WAIT_SECONDS) is not None
+    subscriber = TopologySubscriber(one.reader)
+    wait_for(lambda: subscriber.update() is not None, "the topology")
 
 
 @pytest.mark.campaign

@@ -116,10 +116,10 @@ class Delivery:
 
         # Apply the answer.
         self._batch_max = answer.batch
-        moved = self._note_marks(request, answer)
-        if isinstance(request, Batch):
+        if isinstance(request, Batch):  # before who waits for the marks looks at it
             self.late[request.boot] += answer.late
             self.refused[request.boot] += answer.refused
+        moved = self._note_marks(request, answer)
 
         # Choose the next request and its time.
         self.no_room = ""
