@@ -36,7 +36,6 @@ UNANSWERED = (
 """The reason reported for a camera whose requests get no answer."""
 
 
-
 class Publisher:
     """Publish the events of some cameras. Call `publish` and `retry` from one thread.
 
