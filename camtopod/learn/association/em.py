@@ -29,7 +29,7 @@ and factors for single candidates and departures. `Em.assume` replaces the model
 responsibilities; nothing else is changed from outside.
 
 There may be millions of candidates. Intermediate results of the E step exist for one part of them
-at a time (`slices_by_arrival`); the M step takes another 20 bytes for each candidate.
+at a time (`slices_by_arrival`); the M step takes another 12 bytes for each candidate.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ import numpy as np
 
 from camtopod.arrays import Bools, Floats, Indices, Ints, Longs, Singles, row_slices
 from camtopod.learn.association.candidates import (
+    CANDIDATES_AT_ONCE,
     Candidates,
     initial_hazards,
     slices_by_arrival,
@@ -323,7 +324,7 @@ class Em:
         Which candidates are sure is decided without the agreement of slownesses, as agreement would
         otherwise reinforce itself.
         """
-        before = self._at_exit()
+        before = self._at_exit().copy()  # the E step replaces the responsibilities
 
         # The surest candidates, whatever their slownesses.
         self._adjusted = self._adjusted._replace(agreement=None)
@@ -372,7 +373,7 @@ class Em:
 
         index (M,): group of each candidate, such as its pair of zones, from 0 to ``size`` - 1.
         """
-        return np.bincount(index, self.responsibility, minlength=size).astype(float)
+        return _sums(index, self.responsibility, size)
 
     def transitions(self) -> Floats:
         """Return the expected transitions by pair and lag (P, bins), without those of the terms."""
@@ -380,6 +381,8 @@ class Em:
 
     def _at_exit(self) -> Singles:
         """Return the responsibilities (M,) without the shares of the terms."""
+        if not self.model.terms:
+            return self.responsibility
         of_terms = np.zeros(len(self.responsibility), np.float32)
         for term in reversed(self.model.terms):
             of_terms[term.rows] += term.share
@@ -478,8 +481,7 @@ class Em:
     def _count(self, shares: Singles) -> Floats:
         """Return the sum of shares (M,) of candidates by pair of zones and lag bin, (P, bins)."""
         size = self.problem.bins.size
-        flat = np.bincount(self.cell, shares, minlength=self.pairs * size)
-        return flat.astype(float, copy=False).reshape(self.pairs, size)
+        return _sums(self.cell, shares, self.pairs * size).reshape(self.pairs, size)
 
     def hazards(self, counts: Floats) -> Singles:
         """Return the hazards (P, bins) that follow from counted transitions.
@@ -558,6 +560,15 @@ class Em:
             total = np.maximum(seconds.sum(axis=1), 1e-9)
             even[rows] = (hazard[rows] * seconds).sum(axis=1) / total
         return even
+
+
+def _sums(group: Indices, share: Singles, size: int) -> Floats:
+    """Return the sum of the shares (M,) of each group, (size,)."""
+    total = np.zeros(size)
+    for k in range(0, len(share), CANDIDATES_AT_ONCE):
+        part = slice(k, k + CANDIDATES_AT_ONCE)
+        np.add.at(total, group[part].astype(np.intp), share[part].astype(float))
+    return total
 
 
 def within(some: Indices, part: slice) -> slice:
