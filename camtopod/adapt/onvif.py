@@ -247,7 +247,7 @@ def _frames_of(document: bytes) -> list[_Frame]:
 
 
 def _plain(element: Element, levels: int = 6) -> dict[str, Any]:
-    """Return an element in the form of the JSON messages, with so many levels below it.
+    """Return an element in the form of the JSON messages, with this number of levels below it.
 
     Raises `Rejected`.
     """

@@ -2,7 +2,8 @@
 
 Theory of operation. Besides the bus's own there are these threads:
 
-- *receive* decodes what comes, merges it by time, and predicts from exits with the newest version;
+- *receive* decodes received events, merges them by time, and predicts from exits with the newest
+  version;
 - *store* owns the journal: it commits events, queues them for the learner, answers the grabbers'
   requests, and stores each version before it is published;
 - *learn* passes committed events, in the journal's order, to the learner, which runs in its own
@@ -174,7 +175,7 @@ class Daemon:
             except sqlite3.Error as error:
                 raise StateError(
                     f"cannot read the journal in {config.state_directory}: {error};"
-                    " it is left as it is"
+                    " the file was not modified"
                 ) from None
             undo.pop_all()
 

@@ -58,10 +58,10 @@ class Batch(Struct, frozen=True, tag="batch"):
     """Events of one boot, by rising number.
 
     number: of the camera's last hello.
-    after: the last ``have`` that the daemon has told of this boot, or less; 0 if none. Events
+    after: the last ``have`` in the daemon's answers for this boot, or less; 0 if none. Events
         between it and the first of the batch that the daemon does not have are lost. Of a batch
         without events, the number up to which events were sent.
-    events: (seq, bytes); empty to be told when what was sent up to ``after`` is stored.
+    events: (seq, bytes); empty to ask when all up to ``after`` is stored.
     more: how many events of the camera wait behind these.
     """
 

@@ -397,8 +397,8 @@ class Feed:
                 "reason": reason,
                 "catching_up": behind,
             }
-            told = msgspec.json.encode(self._live)
-        self._page_queues.send("live", told)
+            message = msgspec.json.encode(self._live)
+        self._page_queues.send("live", message)
 
     def _look_at_cameras(self, now: float) -> None:
         """Mark and report cameras whose grabbers have stopped publishing."""
