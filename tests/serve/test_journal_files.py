@@ -184,3 +184,15 @@ def test_a_witness_that_cannot_be_read_says_nothing(
     with closing(Journal(tmp_path)) as empty:
         assert empty.missing == 4
     assert caplog.text.count("has come back older than it was: it had 4 entries and has 0") == 1
+
+
+def test_damage_that_sqlite_quotes_is_noticed_though_it_is_no_text(tmp_path: Path) -> None:
+    with closing(Journal(tmp_path)) as journal:
+        journal.commit([Entry("event", "lobby", "b1", 1, b"raw")])
+    path = tmp_path / "journal.db"
+    content = path.read_bytes()
+    assert b"CREATE TABLE snapshot" in content
+    path.write_bytes(content.replace(b"CREATE TABLE snapshot", b"CREATE XABLE snap\xe1hot"))
+
+    with closing(Journal(tmp_path)) as anew:
+        assert anew.set_aside is not None

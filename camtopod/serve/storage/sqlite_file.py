@@ -32,6 +32,8 @@ SELECT m.type, m.name, m.tbl_name, x.name, x.type, x."notnull", x.pk
 FROM sqlite_schema AS m LEFT JOIN pragma_table_xinfo(m.name) AS x ON m.type = 'table'
 WHERE m.name NOT LIKE 'sqlite_%' ORDER BY 2, 4
 """
+_NO_TEXT = "SQLite's message about it is not UTF-8, as it quotes the damage"
+"""What is said where Python cannot decode the message, and raises `UnicodeDecodeError`."""
 _encode = msgspec.msgpack.Encoder().encode
 
 
@@ -165,6 +167,8 @@ def connect(
             _switch_to_wal(database, path)
             undo.pop_all()
             return database
+    except UnicodeDecodeError:
+        raise Damaged(f"{path} is damaged: {_NO_TEXT}") from None
     except sqlite3.Error as error:
         if is_damage(error, path):
             raise Damaged(f"{path} is damaged: {error}") from None
@@ -233,6 +237,8 @@ def damage_noticed(path: Path) -> Iterator[None]:
     """Raise `Damaged` if the block finds ``path`` damaged."""
     try:
         yield
+    except UnicodeDecodeError:
+        raise Damaged(f"{path} is damaged: {_NO_TEXT}") from None
     except sqlite3.Error as error:
         if not is_damage(error, path):
             raise
@@ -283,9 +289,9 @@ def readable(
                         f"SELECT * FROM {table} NOT INDEXED ORDER BY {key} {order}"
                     )
                     return
-                except sqlite3.Error as error:
+                except (sqlite3.Error, UnicodeDecodeError) as error:
                     log.info("reading %s of %s by %s %s: %s", table, path, key, order, error)
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:
         log.info("opening %s: %s", path, error)
 
 
