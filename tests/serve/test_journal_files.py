@@ -191,8 +191,9 @@ def test_damage_that_sqlite_quotes_is_noticed_though_it_is_no_text(tmp_path: Pat
         journal.commit([Entry("event", "lobby", "b1", 1, b"raw")])
     path = tmp_path / "journal.db"
     content = path.read_bytes()
-    assert b"CREATE TABLE snapshot" in content
-    path.write_bytes(content.replace(b"CREATE TABLE snapshot", b"CREATE XABLE snap\xe1hot"))
+    assert b"tablesnapshotsnapshot" in content
+    content = content.replace(b"tablesnapshotsnapshot", b"tablesnap\xe1hotsnapshot")
+    path.write_bytes(content.replace(b"CREATE TABLE snapshot", b"CREATE XABLE snapshot"))
 
     with closing(Journal(tmp_path)) as anew:
         assert anew.set_aside is not None
