@@ -35,6 +35,8 @@ _PACK = "application/msgpack;schema=camtopod.{}.1"
 JSON = "application/json"
 QUERY_SECONDS = 2.0
 """Time to wait for the answer to a query."""
+CALLBACKS_SECONDS_MAX = 2.0
+"""Longest wait, at the end of a session, for the ends of its requests."""
 _REPLIES_MAX = 4096
 """Most answers to one query that are kept; closing the channel drops the rest."""
 _PROMPT = ("prediction", "status")
@@ -91,6 +93,8 @@ class Bus:
         self._too_large: set[str] = set()
         self._declared: list[Any] = []
         self._closed = threading.Event()
+        self._asked = threading.Condition()
+        self._asking = 0  # requests that have not ended
 
     def publish(self, key: str, message: Any, schema: str) -> None:
         """Publish a struct as MessagePack, without confirmation (see `camtopod.serve.outbox`)."""
@@ -247,10 +251,18 @@ class Bus:
         def receive(reply: zenoh.Reply) -> None:
             answer(None if reply.ok is None else reply.ok.payload.to_bytes())
 
+        def end() -> None:
+            answer(None)
+            with self._asked:
+                self._asking -= 1
+                self._asked.notify_all()
+
+        with self._asked:
+            self._asking += 1
         try:
             self._session.get(
                 self._full(key),
-                zenoh.handlers.Callback(receive, lambda: answer(None)),
+                zenoh.handlers.Callback(receive, end),
                 payload=payload,
                 encoding=_encoding("store"),
                 timeout=seconds,
@@ -258,7 +270,7 @@ class Bus:
             )
         except zenoh.ZError as error:
             log.debug("request on %s: %s", key, error)
-            answer(None)
+            end()
 
     def answer_requests(self, key: str, on_request: OnRequest) -> None:
         """Call ``on_request`` for every request of `ask` on ``key`` (may contain ``*``)."""
@@ -348,6 +360,10 @@ class Bus:
                 declared.undeclare()
         with contextlib.suppress(zenoh.ZError):  # raised after zenoh's own timeout (zenoh#2675)
             self._session.close()  # type: ignore[no-untyped-call]
+
+        # A callback that comes when the interpreter has ended would end the process by force.
+        with self._asked:
+            self._asked.wait_for(lambda: not self._asking, CALLBACKS_SECONDS_MAX)
 
     def __enter__(self) -> Bus:
         return self
