@@ -22,7 +22,9 @@ from typing import NamedTuple
 from bench.support import ratios, site
 from bench.support.clients import client, learned_status, ready_at, result, status_of, write_events
 from bench.support.site import learned_site, running, traffic
-from camtopod.serve.ingest.merge import SETTLE_SECONDS
+from camtopod.config import BusSettings, Config
+from camtopod.records import Event
+from camtopod.serve.bus import dial
 
 BARE, QUIET, REFITTING = "bare zenoh", "daemon", "daemon, refitting"
 """Names of the contestants."""
@@ -71,7 +73,7 @@ class Case:
         shutil.copytree(self._learned, self._folder / "state")
         with running(self._folder, LEARN[name]) as (endpoint, _):
             before = learned_status(endpoint)
-            time.sleep(SETTLE_SECONDS)  # until then it waits for spools
+            wait_until_it_stores(endpoint)
             median = self._measure(name, endpoint)
             after = status_of(endpoint)
             self.rounds[name][-1] = self.rounds[name][-1]._replace(
@@ -104,6 +106,14 @@ class Case:
         )
         self.rounds[name].append(one)
         return one.quantile(0.5)
+
+
+def wait_until_it_stores(endpoint: str) -> None:
+    """Wait until the daemon stores events; in its first seconds it waits for backlogs."""
+    with dial(Config(bus=BusSettings(connect=(endpoint,)))) as bus:
+        bus.publish("event/probe", Event("probe", "entry", 0.0), "event")
+        while not status_of(endpoint).events.stored:
+            time.sleep(0.1)
 
 
 def main(argv: list[str]) -> int:
