@@ -32,6 +32,7 @@ class Inbox:
         self._messages: list[Message] = []
         self._published: Counter[str] = Counter()  # publications among them, by camera
         self._changed = threading.Condition()
+        self._woken = False
         self.dropped: Counter[str] = Counter()
         """Number of publications dropped for lack of room, by camera; "": of unknown ones."""
 
@@ -61,8 +62,15 @@ class Inbox:
             self._published.clear()
         return messages
 
+    def wake(self) -> None:
+        """End the present or the next `wait`, as something else may go on now."""
+        with self._changed:
+            self._woken = True
+            self._changed.notify()
+
     def wait(self, seconds: float) -> None:
         """Wait until there is a message, at most ``seconds``."""
         with self._changed:
-            if not self._messages:
+            if not self._messages and not self._woken:
                 self._changed.wait(seconds)
+            self._woken = False

@@ -189,6 +189,8 @@ class Intake:
         self.queue.done()
         for name in delivered:
             self._answers.note_stored(name)
+        if self.merger.waiting:
+            self.inbox.wake()  # what waited for these cameras may go on
         self.writer.prune()
         return True
 
