@@ -1,11 +1,11 @@
 """The path of an event from the bus into the journal: decode, merge, predict, store, answer.
 
 Events come in requests of grabbers' spools (`camtopod.serve.requests`), one at a time for each
-camera, or as publications of other programs. `Intake.step` moves what has come as far as the queue
-of what is to be stored, and `Intake.store_waiting` from there into the journal:
+camera, or as publications of other programs. `Intake.step` moves events as far as the store
+queue, and `Intake.store_waiting` from there into the journal:
 
-1. a request is admitted, and its events are decoded; what is not valid is stored under its number,
-   so that the spool is rid of it, and not learned;
+1. a request is admitted, and its events are decoded; an invalid event is stored under its number,
+   so that the spool can drop it, and is not learned;
 2. events of all cameras are merged by time (`merge`);
 3. forgotten and renamed cameras are looked after (`names`), floods are cut (`cameras`), and event
    time follows the clock when no events come (`event_clock`);
