@@ -136,7 +136,10 @@ class Browser:
         self._driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
 
     def complaints(self) -> list[str]:
-        """Return the page's errors and warnings so far: scripts, content policy, failed loads."""
+        """Return the page's errors and warnings so far: scripts, content policy, failed loads.
+
+        Ask while the page is still served: it complains of a server that has gone.
+        """
         self._complaints += [
             entry["message"]
             for entry in self._driver.get_log("browser")

@@ -33,7 +33,7 @@ def test_it_links_to_the_recorder_and_counts_events_by_the_hour(browser: Browser
         browser.wait(lambda: browser.text(".panel h2") == B, "another camera")
         assert "At the recorder" not in browser.text(".panel")
 
-    assert browser.complaints() == []
+        assert browser.complaints() == []
 
 
 def test_who_left_one_view_and_is_in_another_is_shown_at_both(browser: Browser) -> None:

@@ -73,4 +73,4 @@ def test_cameras_with_a_picture_are_shown_by_it(browser: Browser, tmp_path: Path
             "a circle where there is no room for a picture",
         )
 
-    assert browser.complaints() == []
+        assert browser.complaints() == []

@@ -56,7 +56,7 @@ def test_cameras_stand_where_they_are_on_the_plan_on_every_screen(
         assert box["left"] >= 0
         assert box["right"] <= size[0]
 
-    assert browser.complaints() == []
+        assert browser.complaints() == []
 
 
 # --- the configuration

@@ -71,4 +71,5 @@ def test_a_thousand_cameras_are_shown_live(browser: Browser) -> None:
         browser.go("#/health")
         browser.wait(lambda: browser.text(".page").count("cam0") > 100, "the cameras' health")
         assert "1,000 cameras" in browser.text(".page")
-    assert browser.complaints() == []
+
+        assert browser.complaints() == []
