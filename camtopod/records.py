@@ -11,10 +11,10 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct, field
 
-CAMERA_CHARACTERS_MAX = 64
-"""Longest id of a camera."""
-CAMERA_PATTERN = rf"^[A-Za-z0-9_.-]{{1,{CAMERA_CHARACTERS_MAX}}}\Z"
+CAMERA_PATTERN = r"^[A-Za-z0-9_.-]{1,64}\Z"
 """Regular expression of a camera id; ``\\Z`` refuses the newline that ``$`` would allow."""
+ZONE_PATTERN = r"^[A-Za-z0-9_.-]{1,64}/[0-9]{1,9}\Z"
+"""Regular expression of a zone id, CAMERA/NUMBER."""
 TOPOLOGY_SCHEMA = "camtopod/topology/1"
 """`Topology.schema` of the topologies that this program reads and writes."""
 DELTA_SCHEMA = "camtopod/topology-delta/1"
@@ -39,6 +39,7 @@ Covariance = Annotated[
 ]
 
 CameraId = Annotated[str, Meta(pattern=CAMERA_PATTERN)]
+ZoneId = Annotated[str, Meta(pattern=ZONE_PATTERN)]
 Kind = Literal["entry", "exit"]
 Relation = Literal["visible", "overlapped", "unseen"]
 """Relation of the zones of a link.
@@ -52,29 +53,27 @@ PairRelation = Literal["overlapped", "unseen_path"]
 
 
 class Event(Struct, frozen=True, omit_defaults=True, gc=False):
-    """One object that appears in the view of a camera (``entry``) or leaves it (``exit``)."""
+    """One object that appears in the view of a camera (``entry``) or leaves it (``exit``).
+
+    t: time of capture.
+    x, y: foot point; both or neither.
+    track: ties the entry and the exit of one passage through this camera's view.
+    boot, seq: incarnation of the publisher, and a count without gaps within it and the camera; both
+        or neither. With them an event that is delivered twice counts once.
+    clock_sd (seconds): standard deviation of ``t``.
+    spooled: on the bus only, the publisher delivers this event by ``store/{camera}`` as well.
+    """
 
     camera: CameraId
-    """Id of the camera."""
     kind: Kind
-    """``entry`` or ``exit``."""
     t: Seconds
-    """Time of capture, seconds since the Unix epoch."""
     x: Annotated[float, Meta(ge=0, le=1)] | None = None
-    """Foot point, as a fraction of the image's width from the left; with ``y`` or not at all."""
     y: Annotated[float, Meta(ge=0, le=1)] | None = None
-    """Foot point, as a fraction of the image's height from the top; with ``x`` or not at all."""
     track: Annotated[str, Meta(max_length=128)] | int | None = None
-    """Ties the entry and the exit of one passage through this camera's view."""
     boot: Annotated[str, Meta(max_length=64)] | None = None
-    """Incarnation of the publisher; with ``seq``, an event that is delivered twice counts once."""
     seq: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
-    """Number of the event in a count without gaps, within ``boot`` and the camera."""
     clock_sd: Annotated[float, Meta(ge=0, le=1e6)] | None = None
-    """Standard deviation of ``t``, seconds."""
     spooled: bool = False
-    """True on the bus if the publisher delivers this event by ``store/{camera}`` as well; the
-    daemon takes it there."""
 
 
 class Zone(Struct, frozen=True, omit_defaults=True):
@@ -87,7 +86,7 @@ class Zone(Struct, frozen=True, omit_defaults=True):
     A zone of events without positions (one zone a camera) has no ``x``, ``y`` and ``cov``.
     """
 
-    id: str
+    id: ZoneId
     camera: str
     entries: Count
     exits: Count
@@ -196,16 +195,17 @@ class Pair(Struct, frozen=True, omit_defaults=True):
 
 
 class ZoneModel(Struct, frozen=True):
-    """Parameters of a zone that prediction needs beyond its links."""
+    """Parameters of a zone that prediction needs beyond its links.
+
+    departures: exits at this zone in the window from which the links were learned.
+    arrival_rate (1/s): rate of entries without a departure that explains them.
+    stay (seconds): deciles (11) of the dwell times of passages that end here; empty if unknown.
+    """
 
     zone: str
     departures: Count
-    """Exits at this zone in the window from which the links were learned."""
     arrival_rate: Number
-    """Rate of entries without a departure that explains them, per second."""
-    stay: list[Duration]
-    """Deciles (11) of the dwell times, in seconds, of the passages that end here; empty if unknown.
-    """
+    stay: Annotated[list[Duration], Meta(max_length=11)]
 
 
 class CameraModel(Struct, frozen=True):
@@ -327,6 +327,11 @@ class Model(Struct, frozen=True):
     """Parameters that `camtopod.predict` needs beyond the links.
 
     Lag bin ``k`` starts at ``lag_scale * sinh(lag_step * k)`` seconds.
+
+    clocks_corrected: transit times of links are in corrected time, as histograms always are, not by
+        the cameras' own clocks.
+    onward: the posterior, weak evidence included; without it prediction uses the links.
+    overlaps: views that overlap; None if they were not searched for.
     """
 
     lag_scale: Annotated[float, Meta(ge=1e-3, le=1e6)]
@@ -336,17 +341,11 @@ class Model(Struct, frozen=True):
     zones: list[ZoneModel]
     cameras: list[CameraModel]
     clocks_corrected: bool = False
-    """True if transit times of links are in corrected time, not by the cameras' own clocks.
-
-    Histograms always are in corrected time.
-    """
     onward: list[Onward] | None = None
-    """The posterior, weak evidence included; without it prediction uses the links."""
     entered: list[EntryKernel] | None = None
     contexts: list[Context] | None = None
     pace: Pace | None = None
     overlaps: list[Overlap] | None = None
-    """Views that overlap; None if they were not searched for."""
 
 
 class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
@@ -401,7 +400,8 @@ class SelfScore(Struct, frozen=True):
 class Topology(Struct, frozen=True, omit_defaults=True):
     """One version of the learned topology.
 
-    ``digest`` is over the content, without site, epoch and version.
+    ``digest`` is over the content, without site, epoch and version. ``alarms`` are the newest of
+    the epoch, oldest first.
     """
 
     schema: str
@@ -419,7 +419,6 @@ class Topology(Struct, frozen=True, omit_defaults=True):
     chain: list[ChainEdge] | None = None
     model: Model | None = None
     alarms: list[Alarm] | None = None
-    """The newest alarms, oldest first, of this version and of earlier ones of the epoch."""
     score: SelfScore | None = None
 
     def __post_init__(self) -> None:
@@ -431,7 +430,8 @@ class Delta(Struct, frozen=True, omit_defaults=True):
     """The difference from ``version - 1`` to ``version`` of a topology.
 
     New and changed items are whole, removed items are keys. The key of a link is (from, to,
-    relation). ``digest`` is the digest of the resulting topology.
+    relation). ``digest`` is the digest of the resulting topology, ``alarms`` are those of this
+    version.
     """
 
     schema: str
@@ -454,84 +454,65 @@ class Delta(Struct, frozen=True, omit_defaults=True):
     chain: list[ChainEdge] | None = None
     model: Model | None = None
     alarms: list[Alarm] | None = None
-    """The alarms of this version."""
     score: SelfScore | None = None
 
 
 class NextCamera(Struct, frozen=True):
-    """One possible next appearance of an object that has left a view."""
+    """One possible next appearance of an object that has left a view.
+
+    q10, q50, q90 (seconds after the exit): the object appears earlier in 10, 50 and 90 % of cases.
+    """
 
     camera: str
-    """Camera in whose view it appears."""
     zone: str
-    """Id of the zone where it appears."""
     probability: float
-    """Probability of this appearance."""
     q10: float
-    """Beginning of the time window, seconds after the exit: it appears earlier in 10 % of cases."""
     q50: float
-    """Median time of the appearance, seconds after the exit."""
     q90: float
-    """End of the time window, seconds after the exit: it appears later in 10 % of cases."""
 
 
 class Look(Struct, frozen=True):
     """Probability that a camera sees the object when it exits or, if none does, sees it next."""
 
     camera: str
-    """The camera, which is not the one whose view the object left."""
     probability: float
-    """The probability."""
 
 
 class InView(Struct, frozen=True):
-    """A passage under way in another view that may be of the object that left."""
+    """A passage under way in another view that may be of the object that left.
+
+    since: time when the passage began.
+    """
 
     camera: str
-    """Camera that sees the passage."""
     track: str
-    """Track of the passage in that view."""
     since: float
-    """Time when the passage began, seconds since the Unix epoch."""
     probability: float
-    """Probability that the passage is of the object that left."""
 
 
 class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next"}):
-    """Where an object that has just left a view appears next."""
+    """Where an object that has left the view of ``camera`` at ``t`` appears next.
+
+    zone: zone where it left; None if the camera has no zone yet.
+    version: version of the topology that was used.
+    leave: probability that it leaves the site; with those of ``next``, and with ``others`` if that
+        is there, it sums to 1.
+    next_: possible next appearances, by falling probability; the JSON key is ``next``.
+    look, in_view: only if other views overlap: cameras that may see the object now or next, whose
+        probabilities may sum to more than 1, and passages under way that may be of it.
+    others: sum of the probabilities that are left out of ``next``; None if it has all of them.
+    """
 
     camera: str
-    """Camera whose view the object left."""
     zone: str | None
-    """Id of the zone where it left; None if the camera has no zone yet."""
     t: float
-    """Time of the exit, seconds since the Unix epoch."""
     track: str | None
-    """Track of the object in that view; None if unknown."""
     version: int
-    """Version of the topology that was used."""
     leave: float
-    """Probability that the object leaves the site.
-
-    With the probabilities of ``next``, and with ``others`` if that is there, it sums to 1.
-    """
     next_: list[NextCamera]
-    """Possible next appearances, by falling probability; the JSON key is ``next``."""
     look: list[Look] | None = None
-    """Cameras that may see the object now or next, by falling probability.
-
-    It is there if other views overlap the one that was left. The probabilities may sum to more than
-    1, as several cameras may see the object at once.
-    """
     in_view: list[InView] | None = None
-    """Passages under way that may be of the object, by falling probability.
-
-    It is there if other views overlap the one that was left.
-    """
     others: float | None = None
-    """Sum of the probabilities of the appearances that are left out of ``next``; None if
-    ``next`` has all of them.
-    """
 
 
 class Status(Struct, frozen=True):

@@ -1,32 +1,17 @@
-"""Check that a topology from another program is valid, beyond the types of its fields.
+"""Check that a topology from another program is consistent, as far as types cannot say it.
 
-Prediction, the page, reports and exports rely on these checks and on the ranges of the fields
-(`camtopod.records`); without them a bad topology would end in a traceback, or in a request for too
-much memory.
+Prediction, the page, reports and exports rely on it, and on the ranges in `camtopod.records`.
 """
 
 from __future__ import annotations
 
 import math
-import re
-from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from itertools import pairwise
-from typing import Any
 
-from camtopod.records import (
-    CAMERA_CHARACTERS_MAX,
-    LAG_BINS_MAX,
-    Histogram,
-    Link,
-    Model,
-    Topology,
-)
+from camtopod.records import LAG_BINS_MAX, Histogram, Model, Topology
 
-ZONE_PATTERN = rf"^[A-Za-z0-9_.-]{{1,{CAMERA_CHARACTERS_MAX}}}/[0-9]{{1,9}}\Z"
-"""Regular expression of a zone id: CAMERA/NUMBER."""
-DECILES = 11
-"""Number of deciles of the dwell times, minimum and maximum included."""
+Names = Iterable[str]
 
 
 def problems(topology: Topology) -> Iterator[str]:
@@ -34,86 +19,100 @@ def problems(topology: Topology) -> Iterator[str]:
 
     Stop at the first problem: later checks assume that the earlier ones hold.
     """
-    yield from _names(topology)
+    yield from _unknown(topology)
     yield from _repeated(topology)
     yield from _shapes(topology)
     if topology.model is not None:
-        yield from _bins(topology.model)
         yield from _histograms(topology, topology.model)
 
 
-def _names(topology: Topology) -> Iterator[str]:
-    """Check that ids match their patterns, and that each zone belongs to one camera."""
-    # Cameras.
-    zones = {zone.id: zone.camera for zone in topology.zones}
-    for k, camera in enumerate(topology.cameras):
-        for zone in camera.zones:
-            if zones.get(zone, camera.id) != camera.id:
-                yield f"zone {zone!r} is another camera's - at `$.cameras[{k}].zones`"
+def _unknown(topology: Topology) -> Iterator[str]:
+    """Check that each camera and zone that is referred to exists."""
+    cameras = {camera.id for camera in topology.cameras}
+    zones = {zone.id for zone in topology.zones}
 
-    # Zones.
-    for k, one in enumerate(topology.zones):
-        if re.match(ZONE_PATTERN, one.id) is None or one.id.rpartition("/")[0] != one.camera:
-            yield (
-                f"{one.id[:CAMERA_CHARACTERS_MAX]!r} is no zone's id, which is CAMERA/NUMBER"
-                f" - at `$.zones[{k}].id`"
-            )
+    # Places with names of cameras, and places with names of zones.
+    of_cameras: dict[str, Names] = {
+        "zones": (zone.camera for zone in topology.zones),
+        "pairs": (name for pair in topology.pairs for name in pair.cameras),
+    }
+    links = {"links": topology.links, "weak_links": topology.weak_links or []}
+    of_zones: dict[str, Names] = {
+        "cameras": (name for camera in topology.cameras for name in camera.zones),
+        **{
+            place: (name for link in some for name in (link.from_, link.to))
+            for place, some in links.items()
+        },
+    }
+    if topology.model is not None:
+        of_zones |= _zones_of(topology.model)
 
-    # Pairs.
-    for k, pair in enumerate(topology.pairs):
-        if pair.cameras[0] >= pair.cameras[1]:
-            yield f"the cameras are not two, sorted - at `$.pairs[{k}].cameras`"
+    for known, places in ((cameras, of_cameras), (zones, of_zones)):
+        for place, names in places.items():
+            for name in names:
+                if name not in known:
+                    yield f"there is no {name!r} in it - at `$.{place}`"
+
+
+def _zones_of(model: Model) -> dict[str, Names]:
+    """Return the zones that prediction looks up, by their place in the JSON."""
+    contexts = model.contexts or []
+    ways = model.pace.ways if model.pace is not None else []
+    return {
+        "model.zones": (row.zone for row in model.zones),
+        "model.onward": (
+            name
+            for row in model.onward or []
+            for name in (row.zone, *(outcome.to for outcome in row.next_))
+        ),
+        "model.entered": (name for row in model.entered or [] for name in (row.zone, row.to)),
+        "model.contexts": (name for row in contexts for name in (row.zone, *row.to)),
+        "model.contexts.entry": (row.entry for row in contexts if row.entry is not None),
+        "model.pace.ways": (name for way in ways for name in (way.entry, way.exit)),
+    }
 
 
 def _repeated(topology: Topology) -> Iterator[str]:
     """Check that no key occurs twice."""
-    # Collect the keys of the topology's items, then those of the model's.
-    keyed: list[tuple[str, Iterable[Any]]] = [
-        ("cameras", (camera.id for camera in topology.cameras)),
-        ("zones", (zone.id for zone in topology.zones)),
-        ("links", (_key_of(link) for link in topology.links)),
-        ("weak_links", (_key_of(link) for link in topology.weak_links or [])),
-        ("pairs", (pair.cameras for pair in topology.pairs)),
-    ]
+    keys: dict[str, list[Hashable]] = {
+        "cameras": [camera.id for camera in topology.cameras],
+        "zones": [zone.id for zone in topology.zones],
+        "links": [(one.from_, one.to, one.relation) for one in topology.links],
+        "weak_links": [(one.from_, one.to, one.relation) for one in topology.weak_links or []],
+        "pairs": [pair.cameras for pair in topology.pairs],
+    }
     if (model := topology.model) is not None:
-        keyed += [
-            ("model.zones", (zone.zone for zone in model.zones)),
-            ("model.cameras", (camera.camera for camera in model.cameras)),
-            ("model.onward", (row.zone for row in model.onward or [])),
-            ("model.entered", ((kernel.zone, kernel.to) for kernel in model.entered or [])),
-            ("model.overlaps", ((row.camera, row.to) for row in model.overlaps or [])),
-        ]
-        keyed += [
-            (f"model.onward[{k}].next_", (o.to for o in row.next_))
-            for k, row in enumerate(model.onward or [])
-        ]
-
-    # Report the first key of each list that occurs more than once.
-    for place, keys in keyed:
-        twice = [key for key, count in Counter(keys).items() if count > 1]
-        if twice:
-            yield (
-                f"duplicate key {' '.join(twice[0]) if isinstance(twice[0], tuple) else twice[0]}"
-                f" - at `$.{place}`"
-            )
-
-
-def _key_of(link: Link) -> tuple[str, str, str]:
-    return link.from_, link.to, link.relation
+        onward = model.onward or []
+        keys |= {
+            "model.zones": [row.zone for row in model.zones],
+            "model.cameras": [row.camera for row in model.cameras],
+            "model.onward": [row.zone for row in onward],
+            "model.onward.next_": [(row.zone, one.to) for row in onward for one in row.next_],
+            "model.entered": [(row.zone, row.to) for row in model.entered or []],
+            "model.overlaps": [(row.camera, row.to) for row in model.overlaps or []],
+        }
+    for place, listed in keys.items():
+        if len(set(listed)) < len(listed):
+            yield f"two items have the same key - at `$.{place}`"
 
 
 def _shapes(topology: Topology) -> Iterator[str]:
-    """Check positions and covariances of zones, and deciles of dwell times."""
+    """Check zones, pairs and dwell times, each by itself."""
+    camera_of = {zone.id: zone.camera for zone in topology.zones}
+    if any(camera_of[zone] != one.id for one in topology.cameras for zone in one.zones):
+        yield "a zone is another camera's - at `$.cameras`"
     for k, zone in enumerate(topology.zones):
+        if zone.id.rpartition("/")[0] != zone.camera:
+            yield f"a zone's id is CAMERA/NUMBER - at `$.zones[{k}].id`"
         if (zone.x is None) != (zone.y is None):
             yield f"x and y go together - at `$.zones[{k}]`"
         if zone.cov is not None and not _is_covariance(zone.cov):
-            yield f"cov is not the covariance of positions - at `$.zones[{k}]`"
-
-    for k, one in enumerate(topology.model.zones if topology.model is not None else []):
-        if len(one.stay) not in (0, DECILES):
-            yield f"stay has not {DECILES} deciles - at `$.model.zones[{k}]`"
-        if any(a > b for a, b in pairwise(one.stay)):
+            yield f"cov is not a covariance - at `$.zones[{k}].cov`"
+    for k, pair in enumerate(topology.pairs):
+        if pair.cameras[0] >= pair.cameras[1]:
+            yield f"the cameras are not two, sorted - at `$.pairs[{k}].cameras`"
+    for k, row in enumerate(topology.model.zones if topology.model is not None else []):
+        if any(a > b for a, b in pairwise(row.stay)):
             yield f"stay is not in ascending order - at `$.model.zones[{k}]`"
 
 
@@ -123,45 +122,21 @@ def _is_covariance(cov: list[list[float]]) -> bool:
     return xx >= 0 and yy >= 0 and abs(xy - yx) <= 1e-6 and xy * xy <= xx * yy + rounding
 
 
-def _bins(model: Model) -> Iterator[str]:
-    """Check the lag bins, which are those of `camtopod.topology.lag_bins`."""
-    if not model.lag_min < model.lag_max:
-        yield "the range of lags is empty - at `$.model.lag_max`"
-    elif _last_bin(model) - _first_bin(model) >= LAG_BINS_MAX:
-        yield f"more than {LAG_BINS_MAX} lag bins - at `$.model.lag_step`"
-
-
-def _first_bin(model: Model) -> int:
-    return math.floor(math.asinh(model.lag_min / model.lag_scale) / model.lag_step)
-
-
-def _last_bin(model: Model) -> int:
-    return math.floor(math.asinh(model.lag_max / model.lag_scale) / model.lag_step)
-
-
 def _histograms(topology: Topology, model: Model) -> Iterator[str]:
-    """Check that the histograms lie on the model's lag bins."""
-    first = _first_bin(model)
-    end = _last_bin(model) + 1
+    """Check the lag bins, and that the histograms lie on them."""
+    # As `camtopod.topology.lag_bins`.
+    first = math.floor(math.asinh(model.lag_min / model.lag_scale) / model.lag_step)
+    end = math.floor(math.asinh(model.lag_max / model.lag_scale) / model.lag_step) + 1
+    if not (model.lag_min < model.lag_max and end - first <= LAG_BINS_MAX):
+        yield f"there are no lag bins, or more than {LAG_BINS_MAX} - at `$.model`"
 
-    # Collect all histograms.
-    held: list[tuple[str, int, Histogram | None]] = [
-        ("links", k, link.histogram) for k, link in enumerate(topology.links)
-    ]
-    held += [("weak_links", k, link.histogram) for k, link in enumerate(topology.weak_links or [])]
-    held += [
-        ("model.onward", k, one.hazard)
-        for k, row in enumerate(model.onward or [])
-        for one in row.next_
-    ]
-    held += [("model.entered", k, kernel.hazard) for k, kernel in enumerate(model.entered or [])]
-
-    # Compare their bins with the model's.
-    for place, k, histogram in held:
-        if histogram is None or not histogram.mass:
-            continue
-        if not first <= histogram.first <= end - len(histogram.mass):
-            yield (
-                f"a histogram that is not on the model's lag bins, {first} to {end - 1}"
-                f" - at `$.{place}[{k}]`"
-            )
+    histograms: dict[str, Iterable[Histogram | None]] = {
+        "links": (link.histogram for link in topology.links),
+        "weak_links": (link.histogram for link in topology.weak_links or []),
+        "model.onward": (one.hazard for row in model.onward or [] for one in row.next_),
+        "model.entered": (kernel.hazard for kernel in model.entered or []),
+    }
+    for place, some in histograms.items():
+        for one in some:
+            if one is not None and one.mass and not first <= one.first <= end - len(one.mass):
+                yield f"a histogram is not on the model's lag bins - at `$.{place}`"

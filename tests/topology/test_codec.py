@@ -8,8 +8,6 @@ import sys
 import msgspec
 import pytest
 from hypothesis import example, given, strategies as st
-from msgspec.structs import replace
-from serving import closing_event, walkers
 from synthetic_topology import synthetic_topology
 
 from camtopod.codec import (
@@ -24,8 +22,7 @@ from camtopod.codec import (
     to_json,
     to_msgpack,
 )
-from camtopod.learn.learner import Learner
-from camtopod.records import Event, Lacks, NextCamera, Pair, Prediction, Topology
+from camtopod.records import Event, Lacks, NextCamera, Prediction
 
 GOOD = {"camera": "lobby", "kind": "entry", "t": 1700000000.25, "x": 0.31, "y": 0.88, "track": "17"}
 NUMBERS = st.floats(0, 1)
@@ -82,14 +79,15 @@ def test_more_fields_and_numbered_tracks_are_welcome() -> None:
     assert event_from_json(b'{"camera":"a","kind":"exit","t":5}') == Event("a", "exit", 5.0)
 
 
-@pytest.mark.parametrize("t", ["late", None, ..., 1e12, -1e12, T_MAX, T_MIN - 1, [], True])
-def test_time_must_be_one(t: object) -> None:
-    assert reason(t=t) == "bad-value"
-
-
-@pytest.mark.parametrize("camera", ["", "a b", "a/b", "a" * 65, "a\n", "ä", 5, None, ...])
-def test_camera_must_be_a_name(camera: object) -> None:
-    assert reason(camera=camera) == "bad-value"
+@pytest.mark.parametrize(
+    ("field", "values"),
+    [
+        ("t", ["late", None, ..., 1e12, -1e12, T_MAX, T_MIN - 1, [], True]),
+        ("camera", ["", "a b", "a/b", "a" * 65, "a\n", "ä", 5, None, ...]),
+    ],
+)
+def test_time_and_camera_must_be_one(field: str, values: list[object]) -> None:
+    assert {reason(**{field: value}) for value in values} == {"bad-value"}
 
 
 @pytest.mark.parametrize(
@@ -175,45 +173,15 @@ def test_other_nouns() -> None:
     assert caught.value.reason == "malformed"
 
 
-def test_every_name_in_a_topology_stands_for_something() -> None:
+def test_a_topology_in_messagepack_is_the_same_and_a_damaged_one_is_rejected() -> None:
     site = synthetic_topology(4)
+    packed = to_msgpack(site)
 
     assert decode_topology(to_json(site)) == site
-    assert decode_topology(to_msgpack(site), pack=True) == site
-    zone = site.zones[0]
-    strange = [replace(site.links[0], to="cellar/1")]
-    for changed, said in (
-        (
-            replace(site, zones=[replace(zone, camera="cellar"), *site.zones[1:]]),
-            r"no camera 'cellar'.*zones\[0\]",
-        ),
-        (replace(site, zones=site.zones[1:]), rf"no zone '{zone.id}'"),
-        (
-            replace(site, links=[*site.links, *strange]),
-            rf"no zone 'cellar/1'.*\.links\[{len(site.links)}\]\.to",
-        ),
-        (replace(site, weak_links=strange), r"no zone 'cellar/1'.*weak_links\[0\]\.to"),
-        (
-            replace(site, pairs=[Pair(("cam0000", "cellar"), "unseen_path")]),
-            r"no camera 'cellar'.*pairs\[0\]",
-        ),
-    ):
-        with pytest.raises(Rejected, match=said) as caught:
-            decode_topology(to_json(changed))
-        assert caught.value.reason == "unknown-name"
-
-
-def test_a_topology_in_messagepack_is_the_same_and_a_damaged_one_is_rejected() -> None:
-    learner = Learner()
-    for event in [*walkers(40), closing_event()]:
-        learner.receive(event)
-    packed = to_msgpack(learner.topology)
-
-    assert to_msgpack(read(Topology, packed, pack=True)) == packed
-    assert read(Topology, packed, pack=True) == learner.topology
+    assert decode_topology(packed, pack=True) == site
     for spoiled in (packed[:-1], packed[: len(packed) // 2], packed.replace(b"zones", b"zonen")):
         with pytest.raises(Rejected):
-            read(Topology, spoiled, pack=True)
+            decode_topology(spoiled, pack=True)
 
 
 MANY_THREADS = """
