@@ -45,8 +45,9 @@ LINKS = st.builds(
     st.none() | HISTOGRAMS,
 )
 COV = st.just([[0.1, 0.0], [0.0, 0.1]])
-ZONES = st.builds(Zone, NAMES, NAMES, st.integers(0, 99), st.integers(0, 99)) | st.builds(
-    Zone, NAMES, NAMES, st.integers(0, 99), st.integers(0, 99), SHARES, SHARES, COV
+ZONE_IDS = st.sampled_from(["a/1", "b/1", "c/1", "d/1"])
+ZONES = st.builds(Zone, ZONE_IDS, NAMES, st.integers(0, 99), st.integers(0, 99)) | st.builds(
+    Zone, ZONE_IDS, NAMES, st.integers(0, 99), st.integers(0, 99), SHARES, SHARES, COV
 )
 PAIRS = st.builds(Pair, st.tuples(NAMES, NAMES), st.sampled_from(["overlapped", "unseen_path"]))
 MODELS = st.builds(
