@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import queue
+import sys
 import threading
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
@@ -24,8 +25,6 @@ log = logging.getLogger(__name__)
 
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 """Usual ports by the URL's scheme; mqtts is TLS."""
-MESSAGES_MAX = 10_000
-"""Most messages that wait to be read; further ones are dropped and counted."""
 WAITING_BYTES_MAX = 32 * 1024**2
 """Most bytes of messages that wait to be read; further messages are dropped and counted."""
 PACKET_BYTES_MAX = 2 * 1024**2
@@ -36,8 +35,6 @@ ONLINE = "online"
 """Payload of an availability topic while the program runs."""
 OFFLINE = "offline"
 """Payload of it otherwise."""
-CLOSED = "the connection was closed"
-"""Reason used here if the broker closes the connection without an answer."""
 
 
 class MqttError(Exception):
@@ -74,61 +71,44 @@ def broker(
 
     remember(url)
     parts = urlsplit(url)
-    if parts.scheme not in PORTS or not parts.hostname:
-        raise ValueError(
-            f"{redact(url)!r}: write it like mqtt://HOST:1883/PREFIX, or mqtts:// for TLS"
-        )
     if parts.password is not None:
         raise ValueError(
             "others on this machine can read a password on the command line: put it in a file"
         )
-
-    # Parse the prefix and the user.
     prefix = unquote(parts.path).strip("/") or prefix
-    if not prefix or "+" in prefix or parts.query or "#" in url:
+    wildcard = "+" in prefix or "#" in url or parts.query
+    if parts.scheme not in PORTS or not parts.hostname or not prefix or wildcard:
         raise ValueError(
-            f"{redact(url)!r}: it ends in the program's topic prefix, for example /frigate"
+            f"{redact(url)!r}: write it like mqtt://HOST:1883/PREFIX, or mqtts:// for TLS; PREFIX "
+            "is that of the program's topics, for example frigate"
         )
-    user = None if parts.username is None else unquote(parts.username)
+
+    user = unquote(parts.username or "") or None
     if password is not None:
         if user is None:
             raise ValueError("a password needs a user: put the name and an @ before the host")
         remember(f"mqtt://{user}:{password}@")
-
-    tls = parts.scheme == "mqtts"
-    return Broker(
-        parts.hostname, parts.port or PORTS[parts.scheme], tls, prefix, user, password, ca
-    )
+    port = parts.port or PORTS[parts.scheme]
+    return Broker(parts.hostname, port, parts.scheme == "mqtts", prefix, user, password, ca)
 
 
 class _Connection:
-    """A client of the broker, which reconnects as often as needed.
+    """A client of the broker, which reconnects by itself.
 
     Raises `MqttError` if the first connection fails.
     """
 
     def __init__(self, at: Broker) -> None:
-        self._at = at
-        self._ready = threading.Event()
-        """Set when the first connection is made or refused."""
-        self._refused: str | None = None
-        self._client: Client
-
-    def close(self) -> None:
-        """Disconnect."""
-        self._client.on_disconnect = None
-        self._client.disconnect()
-        self._client.loop_stop()
-
-    def _connect(self) -> None:
-        """Connect, and wait for the broker's answer for `CONNECT_SECONDS`."""
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
 
-        # Set up the client: MQTT 5, where the broker keeps larger packets back.
-        at = self._at
+        # MQTT 5, where the broker keeps larger packets back.
+        self._at = at
+        self._ready = threading.Event()
+        """Set when the first connection is made or refused."""
+        self._refused = ""
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         properties.MaximumPacketSize = PACKET_BYTES_MAX
         self._client = client = Client(
@@ -142,7 +122,7 @@ class _Connection:
             client.username_pw_set(at.user, at.password)
         self._prepare(client)
 
-        # Connect.
+        # Connect, and wait for the broker's answer.
         try:
             if at.tls:
                 client.tls_set(at.ca)
@@ -150,13 +130,11 @@ class _Connection:
         except (OSError, ValueError) as error:
             raise MqttError(f"cannot reach {at.host}:{at.port}: {error}") from None
         client.loop_start()
-        self._ready.wait(CONNECT_SECONDS)
-        if not self._ready.is_set() or self._refused == CLOSED:
-            self.close()
-            raise MqttError(f"{at.host}:{at.port} does not answer as an MQTT broker")
-        if self._refused is not None:
-            self.close()
-            raise MqttError(f"{at.host}:{at.port} refuses: {self._refused}")
+        if not self._ready.wait(CONNECT_SECONDS):
+            self._refused = "does not answer as an MQTT broker"
+        if self._refused:
+            self._leave()
+            raise MqttError(f"{at.host}:{at.port} {self._refused}")
 
     def _prepare(self, client: Client) -> None:
         """Set up a client before it connects."""
@@ -166,27 +144,32 @@ class _Connection:
         """React to a connection, the first one or a later one."""
         raise NotImplementedError
 
+    def _leave(self) -> None:
+        """Disconnect."""
+        self._client.on_disconnect = None
+        self._client.disconnect()
+        self._client.loop_stop()
+
     def _on_connect(self, _: Client, __: Any, ___: Any, code: ReasonCode, ____: Any) -> None:
-        """React to the broker's answer. Called from paho's thread."""
+        """React to the broker's answer. Called from paho's thread, as all that follow are."""
         if code.is_failure:
-            self._tell(str(code))
+            self._fail(f"refuses: {code}")
         else:
             self._joined()
 
-    def _tell(self, refusal: str) -> None:
-        """Report a refusal: to `_connect` at the start, later in the log (paho retries then)."""
-        if self._ready.is_set():
-            log.warning("%s:%d refuses: %s", self._at.host, self._at.port, refusal)
-            return
-        self._refused = refusal
-        self._ready.set()
-
     def _on_disconnect(self, _: Client, __: Any, ___: Any, code: ReasonCode, ____: Any) -> None:
-        """React to a lost connection. Called from paho's thread."""
-        if not self._ready.is_set():
-            self._tell(CLOSED)
-        elif self._refused is None:
+        if self._ready.is_set() and not self._refused:
             log.warning("lost %s:%d (%s); trying again", self._at.host, self._at.port, code)
+        else:
+            self._fail("does not answer as an MQTT broker")
+
+    def _fail(self, refusal: str) -> None:
+        """Report a refusal: to the caller at the start, later in the log (paho retries then)."""
+        if not self._ready.is_set():
+            self._refused = refusal
+            self._ready.set()
+        elif not self._refused:
+            log.warning("%s:%d %s", self._at.host, self._at.port, refusal)
 
 
 class MessageSubscription(_Connection):
@@ -197,22 +180,15 @@ class MessageSubscription(_Connection):
     Messages that are published while there is no connection are missing. Raises `MqttError`.
     """
 
-    def __init__(
-        self,
-        source: Broker,
-        topic: str,
-        limit_messages: int = MESSAGES_MAX,
-        with_topics: bool = False,
-    ) -> None:
-        super().__init__(source)
-        self._with_topics = with_topics
+    def __init__(self, source: Broker, topic: str, with_topics: bool = False) -> None:
         self.topic = f"{source.prefix}/{topic}"
         self.dropped = 0
-        """Number of messages dropped because too many were waiting."""
-        self._waiting: queue.Queue[bytes] = queue.Queue(limit_messages)
+        """Number of messages dropped because too many bytes were waiting."""
+        self._with_topics = with_topics
+        self._waiting: queue.Queue[bytes] = queue.Queue()
         self._mutex = threading.Lock()
         self._waiting_bytes = 0
-        self._connect()
+        super().__init__(source)
 
     def read(self, stop: threading.Event, ticks: bool = False) -> Iterator[bytes]:
         """Yield the messages until ``stop`` is set.
@@ -227,12 +203,12 @@ class MessageSubscription(_Connection):
                     yield b""
                 continue
             with self._mutex:
-                self._waiting_bytes -= len(message)
+                self._waiting_bytes -= sys.getsizeof(message)
             yield message
 
     def close(self) -> None:
         """Disconnect, and log how many messages were dropped."""
-        super().close()
+        self._leave()
         if self.dropped:
             log.warning("%d messages of %s were dropped", self.dropped, self.topic)
 
@@ -246,9 +222,8 @@ class MessageSubscription(_Connection):
     def _on_subscribe(
         self, _: Client, __: Any, ___: int, codes: list[ReasonCode], ____: Any
     ) -> None:
-        failed = [str(code) for code in codes if code.is_failure]
-        if failed:
-            self._tell(f"{self.topic}: {failed[0]}")
+        if codes[0].is_failure:
+            self._fail(f"refuses: {self.topic}: {codes[0]}")
             return
         log.info("subscribed to %s at %s:%d", self.topic, self._at.host, self._at.port)
         self._ready.set()
@@ -258,18 +233,13 @@ class MessageSubscription(_Connection):
         if self._with_topics:
             payload = message.topic.encode() + b" " + payload
         with self._mutex:
-            full = f"{self._waiting.maxsize}" if self._waiting.full() else ""
-            if self._waiting_bytes + len(payload) > WAITING_BYTES_MAX:
-                full = f"{WAITING_BYTES_MAX} bytes"
-            if not full:
-                self._waiting.put_nowait(payload)  # nothing else puts
-                self._waiting_bytes += len(payload)
+            if self._waiting_bytes + sys.getsizeof(payload) <= WAITING_BYTES_MAX:
+                self._waiting.put(payload)
+                self._waiting_bytes += sys.getsizeof(payload)
                 return
         self.dropped += 1
         if self.dropped == 1:
-            log.warning(
-                "messages come faster than they are read; those beyond %s are dropped", full
-            )
+            log.warning("messages come faster than they are read: some are dropped")
 
 
 class RetainedMessages(_Connection):
@@ -283,11 +253,10 @@ class RetainedMessages(_Connection):
     """
 
     def __init__(self, target: Broker, availability: str) -> None:
-        super().__init__(target)
         self._availability = availability
         self._mutex = threading.Lock()
         self._published: dict[str, str] = {}
-        self._connect()
+        super().__init__(target)
 
     def show(self, messages: Mapping[str, str]) -> None:
         """Publish the messages (text by topic) that differ from the published ones.
@@ -305,7 +274,7 @@ class RetainedMessages(_Connection):
         if self._client.is_connected():
             last = self._client.publish(self._availability, OFFLINE, qos=1, retain=True)
             last.wait_for_publish(2.0)
-        super().close()
+        self._leave()
 
     def _prepare(self, client: Client) -> None:
         client.will_set(self._availability, OFFLINE, qos=1, retain=True)

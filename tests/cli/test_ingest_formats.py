@@ -105,9 +105,9 @@ def test_from_standard_input_to_standard_output(
             "cannot be read from MQTT",
         ),
         (["frigate", "mqtt://u:hunter2@h/frigate"], "put it in a file"),
-        (["frigate", "mqtt://h"], "topic prefix"),
+        (["frigate", "mqtt://h"], "PREFIX"),
         (["frigate", "mqtt:///frigate"], "write it like"),
-        (["frigate", "mqtt://h/frigate/#"], "topic prefix"),
+        (["frigate", "mqtt://h/frigate/#"], "PREFIX"),
         (["frigate", "x.txt", "--boot", "a b"], "--boot"),
     ],
 )
