@@ -1,4 +1,4 @@
-"""Fixtures of the fault tests: where files are, the watched disk, whole sites."""
+"""Fixtures of the fault tests: where files are, and the watched disk."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import site_of
 import vfs
 
 IN_MEMORY = Path("/dev/shm")
@@ -31,17 +30,3 @@ def disk_watch() -> vfs.Vfs:
     if vfs.VFS is None:
         pytest.skip("the functions of the SQLite that Python uses cannot be reached")
     return vfs.VFS
-
-
-@pytest.fixture
-def make_site(tmp_path: Path) -> Iterator[site_of.MakeSite]:
-    """Return a function that makes a `site_of.Site`, given what follows the directory."""
-    made: list[site_of.Site] = []
-
-    def make(*given: float, **more: bool) -> site_of.Site:
-        made.append(site_of.Site(tmp_path, *given, **more))  # type: ignore[arg-type]
-        return made[-1]
-
-    yield make
-    for site in made:
-        site.close()

@@ -16,27 +16,26 @@ import sys
 import time
 from pathlib import Path
 
-from written import FILES, Written, WrittenSpool
+from written import PRUNE_AT, PRUNE_EVERY, Open, Written, WrittenJournal, WrittenSpool
 
+from camtopod.config.settings import KeepSettings
 
-class LongSpool(WrittenSpool):
-    """A spool that forgets nothing."""
-
-    events_max, kept_max = 1_000_000, 1_000_000
-
-
-FILES["spool"] = LongSpool
+FILES: dict[str, Open] = {
+    "journal": lambda directory: WrittenJournal(directory, KeepSettings()),
+    "spool": lambda directory: WrittenSpool(directory, 1_000_000, 1_000_000),
+}
+"""Files that forget nothing."""
 NUMBER = struct.Struct("<Q")
 """Format of a step's number on the pipe."""
 SECONDS_MAX = 0.03
 """Longest time that a writer runs, seconds."""
+KILLS_A_FILE = 20
+STEPS_MAX = 100_000
+"""Of a writer: the next begins so far behind it."""
 
 
-def write(one: Written, start: int, pipe: int, early: bool) -> None:
-    """Write steps until killed; each number goes to the pipe after (or, if ``early``, before) its
-    step.
-    """
-    number = start
+def write(one: Written, number: int, pipe: int, early: bool) -> None:
+    """Write steps until killed; the pipe gets each number after (``early``: before) its step."""
     while True:
         if early:
             os.write(pipe, NUMBER.pack(number))
@@ -46,49 +45,49 @@ def write(one: Written, start: int, pipe: int, early: bool) -> None:
         number += 1
 
 
-def killed_writer(
-    name: str, directory: Path, start: int, early: bool, chance: random.Random
-) -> int:
-    """Run and kill a writer; return the last step that it reported durable, or ``start - 1``.
+def durable_steps(make: Open, directory: Path, start: int, early: bool, delay: float) -> set[int]:
+    """Run and kill a writer; return the steps that it reported durable.
 
-    Most are killed some time after their first step, some while they open the file.
+    delay: seconds from its first step to the kill; if negative it is killed as it opens the file.
     """
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         try:
-            write(FILES[name](directory), start, writing, early)
+            write(make(directory), start, writing, early)
         finally:
             os._exit(1)
     os.close(writing)
-    said = os.read(reading, NUMBER.size) if chance.random() < 0.8 else b""
-    time.sleep(chance.uniform(0, SECONDS_MAX))
+    said = os.read(reading, NUMBER.size) if delay >= 0 else b""
+    time.sleep(abs(delay))
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     while more := os.read(reading, 65536):
         said += more
     os.close(reading)
-    whole = len(said) // NUMBER.size
-    return int(NUMBER.unpack_from(said, (whole - 1) * NUMBER.size)[0]) if whole else start - 1
+    numbers = {int(number) for (number,) in NUMBER.iter_unpack(said)}
+    return {number for number in numbers if number % PRUNE_EVERY != PRUNE_AT}
 
 
 def main() -> None:
     """Kill writers and check the file after each."""
-    name, directory = sys.argv[1], Path(sys.argv[2])
-    kills, early = int(sys.argv[3]), "early" in sys.argv[4:]
+    name, folder, kills = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
     chance = random.Random(1)
-    FILES[name](directory).close()  # creation of the file is tested elsewhere
-    durable = lost = done = 0
-    for _ in range(kills):
-        said = killed_writer(name, directory, done + 1, early, chance)
+    durable, lost = 0, 0
+    for kill in range(kills):
+        directory = folder / str(kill // KILLS_A_FILE)
+        if not directory.exists():
+            directory.mkdir()
+            FILES[name](directory).close()  # creation of the file is tested elsewhere
+        delay = chance.uniform(-0.2, 0.8) * SECONDS_MAX / 0.8
+        said = durable_steps(
+            FILES[name], directory, 1 + kill * STEPS_MAX, "early" in sys.argv[4:], delay
+        )
         one = FILES[name](directory)
         assert not one.damaged
-        there = one.last()
-        assert there <= said + 2, f"step {there} is stored"  # one that prunes leaves no trace
-        durable += said - done
-        lost += len(one.missing(done + 1, said + 1))
+        durable += len(said)
+        lost += len(said - one.whole_steps())
         one.close()
-        done = max(there, said)
     print(json.dumps({"kills": kills, "durable": durable, "lost": lost}))
 
 

@@ -1,8 +1,9 @@
-"""A grabber without a camera: a spool and its publisher, beside a daemon in the test's process."""
+"""Grabbers without cameras: a spool and its publisher; and what came of it in a journal."""
 
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -10,7 +11,7 @@ from serving import T0, WAIT_SECONDS, free_endpoint, small_config
 
 from camtopod.config.settings import BusSettings
 from camtopod.records import Event
-from camtopod.serve.bus.session import dial
+from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
@@ -64,6 +65,17 @@ class Grabber:
 
     def close(self) -> None:
         self._closing.close()
+
+
+@contextlib.contextmanager
+def publisher_on(bus: Bus, directory: Path, cameras: Sequence[str] = ()) -> Iterator[Publisher]:
+    """Yield a publisher of these cameras with a spool in ``directory``."""
+    with (
+        contextlib.closing(Spool(directory / "spool.db", "b1", 1_000_000)) as spool,
+        contextlib.closing(Publisher(spool)) as publisher,
+    ):
+        publisher.attach(bus, cameras)
+        yield publisher
 
 
 def stored(state: Path) -> list[tuple[int | None, bytes]]:

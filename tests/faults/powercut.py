@@ -1,26 +1,18 @@
 """Possible contents of the disk after a power cut, from a record of SQLite's operations.
 
-Synced data is certain. Of the rest there may be nothing (``synced``), some of the operations in
-some order (``subset``), or some sectors of them, with garbage or nothing in the others (``torn``).
-Directory entries (files made or deleted) are certain once the directory is synced. Data of a failed
-sync is not written by a later one (Linux regards it as written), so it counts as never written.
+Synced data is certain; of the rest any operations may be there, in any order. Directory entries
+(files made or deleted) are certain once the directory is synced. Data of a failed sync is not
+written by a later one (Linux regards it as written), so it counts as never written.
 """
 
 from __future__ import annotations
 
-import hashlib
 import random
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 from vfs import Op
-
-Model = Literal["synced", "subset", "torn"]
-MODELS: tuple[Model, ...] = ("synced", "subset", "torn")
-"""Models of what survives."""
-SECTORS = (512, 4096)
-"""Sizes of a sector, bytes."""
 
 Content = dict[str, bytes]
 """File name -> content."""
@@ -52,28 +44,22 @@ class _File:
         self.first_sync = first_sync
 
 
-class _Entry(NamedTuple):
-    """An uncertain change of the directory: ``file`` was made, or (None) deleted."""
-
-    name: str
-    file: _File | None
-
-
 class Disk:
     """The state of the disk while operations go on."""
 
     def __init__(self) -> None:
         self._certain: dict[str, _File] = {}
-        self._since: list[_Entry] = []
+        self._since: list[tuple[str, _File | None]] = []
+        """Uncertain changes of the directory: files that were made, or (None) deleted."""
         self._files: dict[str, _File] = {}
 
     def apply(self, op: Op) -> None:
         if op.kind == "create":
             file = self._files[op.path] = _File(op.directory)
-            self._since.append(_Entry(op.path, file))
+            self._since.append((op.path, file))
         elif op.kind == "delete":
             if self._files.pop(op.path, None) is not None:
-                self._since.append(_Entry(op.path, None))
+                self._since.append((op.path, None))
             if op.directory:
                 self._sync_directory()
         elif op.kind == "sync failed":
@@ -86,43 +72,32 @@ class Disk:
             if file.first_sync:
                 self._sync_directory()
                 file.first_sync = False
-        else:
+        elif op.kind not in ("begun", "done"):
             self._files[op.path].since.append(op)
 
-    def image(self, model: Model, chance: random.Random) -> Content:
-        """Return one of the possible contents after a power cut."""
-        survives = chance.choice((0.1, 0.5, 0.9))
+    def content(self, chance: random.Random | None = None) -> Content:
+        """Return a possible content after a power cut; without ``chance`` what is certain."""
+        share = 0.0 if chance is None else chance.choice((0.1, 0.5, 0.9))
+        chance = chance or random.Random(0)
         entries = dict(self._certain)
         for name, file in self._since:
-            if model != "synced" and chance.random() < survives:
-                if file is None:
-                    entries.pop(name, None)
-                else:
-                    entries[name] = file
-        return {
-            name: self._content(file, model, survives, chance) for name, file in entries.items()
-        }
+            if chance.random() >= share:
+                continue
+            if file is None:
+                entries.pop(name, None)
+            else:
+                entries[name] = file
 
-    def _content(self, file: _File, model: Model, survives: float, chance: random.Random) -> bytes:
-        if model == "synced" or not file.since:
-            return bytes(file.certain)
-        content = bytearray(file.certain)
-        ops = file.since
-        if model == "torn":
-            sector = chance.choice(SECTORS)
-            ops = [piece for op in ops for piece in _pieces(op, sector)]
-        kept = [op for op in ops if chance.random() < survives]
-        if chance.random() < 0.5:
-            chance.shuffle(kept)
-        for op in kept:
-            _do(content, op)
-        if (
-            model == "torn" and chance.random() < 0.5
-        ):  # the file has its new length, but not its content
-            end = max((op.offset + len(op.data) for op in ops if op.kind == "write"), default=0)
-            missing = max(0, end - len(content))
-            content += chance.randbytes(missing) if chance.random() < 0.5 else bytes(missing)
-        return bytes(content)
+        contents = {}
+        for name, file in entries.items():
+            content = bytearray(file.certain)
+            kept = [op for op in file.since if chance.random() < share]
+            if chance.random() < 0.5:
+                chance.shuffle(kept)
+            for op in kept:
+                _do(content, op)
+            contents[name] = bytes(content)
+        return contents
 
     def _sync_directory(self) -> None:
         self._certain = dict(self._files)
@@ -138,37 +113,25 @@ class Image(NamedTuple):
     content: Content
     done: int
     begun: int
-    model: Model
     after_op: int
 
 
-def images(
-    ops: list[Op], each: int, seed: int, models: tuple[Model, ...] = MODELS
-) -> Iterator[Image]:
-    """Yield different images after every operation, ``each`` of each model.
-
-    The first model has a single image.
-    """
-    disk = Disk()
+def images(ops: list[Op], each: int) -> Iterator[Image]:
+    """Yield what is certain after every operation, and ``each`` other contents that are possible."""
+    disk, chance = Disk(), random.Random(1)
     done = begun = -1
-    seen: set[bytes] = set()
+    last: Content = {}
     for number, op in enumerate(ops):
+        disk.apply(op)
         if op.kind == "done":
             done = op.offset
         elif op.kind == "begun":
             begun = op.offset
-        else:
-            disk.apply(op)
-        for model in models:
-            chance = random.Random(f"{seed} {number} {model}")
-            for _ in range(1 if model == "synced" else each):
-                content = disk.image(model, chance)
-                mark = hashlib.blake2b(repr((done, begun)).encode(), digest_size=16)
-                for name in sorted(content):
-                    mark.update(name.encode() + content[name])
-                if mark.digest() not in seen:
-                    seen.add(mark.digest())
-                    yield Image(content, done, begun, model, number)
+        for draw in (None, *[chance] * each):
+            content = disk.content(draw)
+            if content != last or op.kind == "done":
+                yield Image(content, done, begun, number)
+            last = content
 
 
 def put(content: Content, directory: Path) -> None:
@@ -186,15 +149,3 @@ def _do(content: bytearray, op: Op) -> None:
     if len(content) < op.offset:
         content += bytes(op.offset - len(content))
     content[op.offset : op.offset + len(op.data)] = op.data
-
-
-def _pieces(op: Op, sector: int) -> Iterator[Op]:
-    """Split a write at the borders of sectors."""
-    if op.kind != "write":
-        yield op
-        return
-    start, end = op.offset, op.offset + len(op.data)
-    while start < end:
-        stop = min(end, (start // sector + 1) * sector)
-        yield op._replace(offset=start, data=op.data[start - op.offset : stop - op.offset])
-        start = stop

@@ -1,9 +1,11 @@
-"""`camtopod run` in a process of its own."""
+"""Processes of their own: `camtopod run`, and scripts of this folder."""
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,16 @@ READY_SECONDS = 60.0
 """Longest wait for a process to start or answer, seconds."""
 OPEN = '[bus]\nlisten = ["tcp/127.0.0.1:0"]\n'
 """Configuration of a bus for programs of this machine."""
+
+
+def script(name: str, *arguments: object, **popen: Any) -> subprocess.Popen[bytes]:
+    """Start a script of this folder; what it prints is in its ``stdout``."""
+    return subprocess.Popen(
+        [sys.executable, str(Path(__file__).with_name(name)), *map(str, arguments)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        stdout=subprocess.PIPE,
+        **popen,
+    )
 
 
 class RealDaemon:

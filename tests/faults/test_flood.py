@@ -1,65 +1,67 @@
-"""A camera that floods the site harms only itself."""
+"""A camera that floods the site, or comes near to it, harms only itself."""
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import json
-import os
-import subprocess
-import sys
+import random
+import resource
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+import msgspec
 import pytest
+from grabber import publisher_on
 from intake_bench import IntakeBench
-from real_daemon import OPEN, RealDaemon, status_over
-from serving import free_endpoint, wait_for
-from site_of import HERE
+from real_daemon import OPEN, RealDaemon, script, status_over
+from serving import SPAN_SECONDS, T0, free_endpoint, wait_for, walkers
 from sizes import size
 
-from bench.support.site import resident
+from bench.support.site import children, resident
 from camtopod.codec import to_msgpack
 from camtopod.config import Limits
 from camtopod.records import Event
+from camtopod.serve.ingest.cameras import EVENTS_PER_SECOND_MAX
 from camtopod.serve.ingest.inbox import PUBLISHED_MAX
 from camtopod.serve.ingest.intake import EVENTS_MAX
-from camtopod.serve.outbox.publisher import Publisher
-from camtopod.serve.outbox.spool import Spool
 
 QUIET = [f"quiet{number}" for number in range(19)]
 PER_SECOND = 10_000
-FLOODED_SHARE = 0.9
-"""Of these at least a long flood has to have put, however busy the machine is, to be one."""
 MEGABYTE = 1024**2
 GROWTH_MAX = 0.05
 """Of memory from the second to the last third of a flood; in the first its buffers fill."""
 SOON_FULL = "[learn]\nversion_seconds = 0.5\nlateness_seconds = 1.0\nwindow_events_max = 500\n"
-ANY_SETTING = {"camtopod.config.toml_tables:_GONE": ()}
-"""`SOON_FULL` has settings that only programs can set."""
 """With these the reorder buffer and the window are full within two seconds; as they are by default,
 within 200.
 """
+ANY_SETTING = {"camtopod.config.toml_tables:_GONE": ()}
+"""`SOON_FULL` has settings that only programs can set."""
 UNGUARDED = {"camtopod.serve.ingest.cameras:EVENTS_PER_SECOND_MAX": 1_000_000}
 """With this all of the flood comes to the learner, which holds it for the next version: by default
 once a minute.
 """
+ADDRESS_SPACE_BYTES = 2_400_000 * 1024
+"""As `ulimit -v 2400000`; the libraries alone take most of one gigabyte of it."""
+LEARNER_BYTES_MAX = 1024 * MEGABYTE
 
 
 class Flooded:
     """The real daemon, a camera that floods it, and quiet cameras without spools."""
 
-    def __init__(self, directory: Path, settings: str | dict[str, object] = "") -> None:
+    def __init__(self, directory: Path, tables: str = "", **popen: Any) -> None:
         self.health = free_endpoint().removeprefix("tcp/")
         listen = f'[health]\nlisten = "{self.health}"\n'
-        constants = settings if isinstance(settings, dict) else ANY_SETTING
-        tables = settings if isinstance(settings, str) else ""
-        self.daemon = RealDaemon(directory, f"{OPEN}{listen}{tables}", constants=constants)
+        self.daemon = RealDaemon(directory, f"{OPEN}{listen}{tables}", **popen)
         self.bus = self.daemon.dial()
         self.sent = 0
-        self._floods: list[subprocess.Popen[bytes]] = []
+
+    @property
+    def status(self) -> dict[str, Any]:
+        return status_over(self.bus)
 
     def quiet(self) -> None:
         """Publish an event of each quiet camera, and wait until it is stored."""
@@ -69,168 +71,184 @@ class Flooded:
             self.bus.publish(f"event/{camera}", event, "event")
         wait_for(lambda: self.stored(QUIET[-1]) == self.sent, "the quiet cameras' events")
 
-    def flood(self, seconds: float) -> subprocess.Popen[bytes]:
-        """Start a flood."""
-        script = [sys.executable, str(HERE / "flood.py"), self.daemon.endpoint, "wild"]
-        path = os.pathsep.join(str(folder) for folder in (HERE.parent.parent, HERE))
-        flood = subprocess.Popen(
-            [*script, str(PER_SECOND), str(seconds)],
-            env={**os.environ, "PYTHONPATH": path},
-            stdout=subprocess.PIPE,
-        )
-        self._floods.append(flood)
-        return flood
+    def flood(self, seconds: float) -> list[int]:
+        """Let a camera flood beside the quiet ones, which lose nothing.
 
-    def status(self) -> dict[str, Any]:
-        return status_over(self.bus)
+        Returns the bytes of daemon and learner meanwhile.
+        """
+        self.quiet()
+        sizes = []
+        with script(
+            "traffic.py", "flood", self.daemon.endpoint, "wild", PER_SECOND, seconds
+        ) as wild:
+            try:
+                while wild.poll() is None:
+                    self.quiet()
+                    sizes.append(resident(self.daemon.process.pid))
+                    time.sleep(0.1)
+                put = int(wild.communicate()[0])
+            finally:
+                wild.kill()
+
+        status = self.status
+        print(
+            f"{put} put, {status['events']}, dropped {status['dropped']}, {self.sent} of each quiet"
+        )
+        stored = {camera: status["cameras"][camera]["events"] for camera in QUIET}
+        assert stored == dict.fromkeys(QUIET, self.sent)
+        assert set(status["dropped"]) <= {"wild", ""}
+        assert "".join(self.daemon.said).count("rejected") <= 5, "the log does not flood either"
+        return sizes
 
     def stored(self, camera: str) -> int:
         """Return the number of stored events of a camera."""
-        return int(self.status()["cameras"].get(camera, {}).get("events", 0))
+        return int(self.status["cameras"].get(camera, {}).get("events", 0))
+
+    def readiness(self) -> tuple[int, list[str]]:
+        """Return status and reasons of ``/readyz``."""
+        host, _, port = self.health.rpartition(":")
+        with contextlib.closing(http.client.HTTPConnection(host, int(port), timeout=30)) as asking:
+            asking.request("GET", "/readyz")
+            answer = asking.getresponse()
+            return answer.status, json.loads(answer.read())["reasons"]
 
     def close(self) -> None:
-        """End the floods and the daemon."""
         self.bus.close()
-        for flood in self._floods:
-            flood.kill()
-            with flood:  # waits for it, and closes its pipe
-                pass
         self.daemon.stop()
 
 
+MakeFlooded = Callable[..., Flooded]
+
+
 @pytest.fixture
-def flooded(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Flooded]:
-    one = Flooded(tmp_path, getattr(request, "param", ""))
-    yield one
-    one.close()
+def make_flooded(tmp_path: Path) -> Iterator[MakeFlooded]:
+    """Return a function that makes a `Flooded`, given what follows the directory."""
+    with contextlib.ExitStack() as stack:
+
+        def make(*given: str, **popen: Any) -> Flooded:
+            return stack.enter_context(contextlib.closing(Flooded(tmp_path, *given, **popen)))
+
+        yield make
 
 
-class Outcome(NamedTuple):
-    """Number of events of a flood, and the memory of daemon and learner during it, MB."""
-
-    said: str
-    put: int
-    sizes: list[float]
-
-    def growth(self) -> float:
-        """Relative growth of memory from the second to the last third."""
-        third = len(self.sizes) // 3
-        assert third > 0, f"memory was looked at {len(self.sizes)} times only: {self.said}"
-        return max(self.sizes[-third:]) / max(self.sizes[third:-third]) - 1.0
-
-    def __str__(self) -> str:
-        return f"{self.said}; memory at most {max(self.sizes):.0f} MB, growth {self.growth():.3f}"
-
-
-def flood(one: Flooded, seconds: float) -> Outcome:
-    """Run quiet cameras beside one that floods; they lose nothing."""
-    one.quiet()
-    wild = one.flood(seconds)
-    slowest, sizes = 0.0, []
-    while wild.poll() is None:
-        put = time.monotonic()
-        one.quiet()
-        slowest = max(slowest, time.monotonic() - put)
-        sizes.append(resident(one.daemon.process.pid) / MEGABYTE)
-        time.sleep(0.1)
-
-    put_by_wild = int(wild.communicate()[0])
-    status = one.status()
-    stored = {camera: status["cameras"][camera]["events"] for camera in QUIET}
-    assert stored == dict.fromkeys(QUIET, one.sent)
-    assert set(status["dropped"]) <= {"wild", ""}
-    assert "".join(one.daemon.said).count("rejected") <= 5, "the log does not flood either"
-    return Outcome(
-        f"{put_by_wild} put in {seconds:.0f} s, {status['events']}, dropped {status['dropped']};"
-        f" {one.sent} of each quiet camera, slowest {slowest:.2f} s",
-        put_by_wild,
-        sizes,
-    )
+def growth(sizes: list[int]) -> float:
+    """Return the relative growth of memory from the second to the last third."""
+    third = len(sizes) // 3
+    assert third > 0, f"memory was looked at {len(sizes)} times only"
+    return max(sizes[-third:]) / max(sizes[third:-third]) - 1.0
 
 
 # How memory goes is seen on a machine that does nothing else: beside others, a few seconds are not
-# enough.
-
-
-@pytest.mark.campaign
-@pytest.mark.parametrize("flooded", [SOON_FULL], indirect=True, ids=["soon full"])
-def test_with_the_guard_memory_is_flat(flooded: Flooded) -> None:
-    outcome = flood(flooded, 12.0)
-
-    print(outcome)
-    assert flooded.status()["events"]["flood"] > 0
-    assert outcome.growth() <= GROWTH_MAX, str(outcome)
-
-
-@pytest.mark.campaign
-@pytest.mark.parametrize("flooded", [UNGUARDED], indirect=True, ids=["unguarded"])
-def test_without_the_guard_the_learner_keeps_the_newest(flooded: Flooded) -> None:
-    """It has its own limit for the events of a camera between two versions."""
-    outcome = flood(flooded, 12.0)
-
-    print(outcome)
-    assert flooded.status()["learner"]["surplus"] > 0, str(outcome)
-    assert outcome.growth() <= GROWTH_MAX, str(outcome)
-
-
+# enough. With default settings the window, of 60,000 events, fills last.
 @pytest.mark.campaign
 @pytest.mark.timeout(3600)
-def test_a_long_flood(flooded: Flooded) -> None:
-    """With default settings the window, of 60,000 events, fills last."""
-    seconds = size("FLOOD_SECONDS", 240)
-    outcome = flood(flooded, seconds)
-
-    print(outcome)
-    assert outcome.put >= FLOODED_SHARE * PER_SECOND * seconds, "it was no such flood"
-    assert outcome.growth() <= GROWTH_MAX
-
-
-def readiness(address: str) -> tuple[int, list[str]]:
-    """Return status and reasons of ``/readyz``."""
-    host, _, port = address.rpartition(":")
-    connection = http.client.HTTPConnection(host, int(port), timeout=30)
-    try:
-        connection.request("GET", "/readyz")
-        answer = connection.getresponse()
-        return answer.status, json.loads(answer.read())["reasons"]
-    finally:
-        connection.close()
-
-
 @pytest.mark.parametrize(
-    "flooded", [f"{SOON_FULL}[limits]\ncameras_max = 100\n"], indirect=True, ids=["soon full"]
+    ("tables", "constants", "seconds"),
+    [(SOON_FULL, ANY_SETTING, 12), ("", UNGUARDED, 12), ("", {}, size("FLOOD_SECONDS", 240))],
+    ids=["soon full", "unguarded", "long"],
 )
-def test_a_flood_hurts_only_its_camera_and_invented_names_keep_no_camera_out(
-    flooded: Flooded, tmp_path: Path
+def test_memory_is_flat(
+    tables: str, constants: dict[str, object], seconds: int, make_flooded: MakeFlooded
 ) -> None:
-    flood(flooded, 2.0)
-    assert flooded.status()["events"]["flood"] > 0
+    flooded = make_flooded(tables, constants=constants)
+
+    sizes = flooded.flood(seconds)
+
+    print(f"memory at most {max(sizes) / MEGABYTE:.0f} MB, growth {growth(sizes):.3f}")
+    assert growth(sizes) <= GROWTH_MAX
+    status = flooded.status
+    surplus = status["learner"]["surplus"] if constants == UNGUARDED else status["events"]["flood"]
+    assert surplus > 0, "without the guard the learner has its own limit"
+
+
+def test_a_flood_hurts_only_its_camera_and_invented_names_keep_no_camera_out(
+    make_flooded: MakeFlooded, tmp_path: Path
+) -> None:
+    flooded = make_flooded(f"{SOON_FULL}[limits]\ncameras_max = 100\n", constants=ANY_SETTING)
+    flooded.flood(2.0)
+    assert flooded.status["events"]["flood"] > 0
 
     for number in range(500):
         event = Event(f"name{number}", "entry", time.time(), 0.5, 0.5)
         flooded.bus.publish(f"event/name{number}", event, "event")
-    wait_for(lambda: "too-many-cameras" in flooded.status()["rejects"], "the places to be taken")
+    wait_for(lambda: "too-many-cameras" in flooded.status["rejects"], "the places to be taken")
 
     def is_refused() -> bool:
         flooded.bus.publish("event/gate", Event("gate", "entry", time.time(), 0.5, 0.5), "event")
-        return "cameras gate, " in flooded.status()["reason"]
+        return "cameras gate, " in flooded.status["reason"]
 
     wait_for(is_refused, "the status to name the camera that is refused")
-    assert "limits.cameras_max (100) is reached" in flooded.status()["reason"]
-    said, reasons = readiness(flooded.health)
-    assert (said, len(reasons)) == (503, 1)
-    assert "raise limits.cameras_max" in reasons[0]
+    assert "limits.cameras_max (100) is reached" in flooded.status["reason"]
+    status, [reason] = flooded.readiness()
+    assert status == 503
+    assert "raise limits.cameras_max" in reason
 
     # One with a grabber is taken.
-    spool = Spool(tmp_path / "spool.db", "boot", 1_000)
-    publisher = Publisher(spool)
-    publisher.attach(flooded.bus, ["lobby"])
-    publisher.publish(*(Event("lobby", "entry", time.time(), 0.5, 0.5) for _ in range(10)))
-    assert publisher.wait_stored(30.0)
-    publisher.close()
-    spool.close()
+    with publisher_on(flooded.bus, tmp_path, ["lobby"]) as publisher:
+        publisher.publish(*(Event("lobby", "entry", time.time(), 0.5, 0.5) for _ in range(10)))
+        assert publisher.wait_stored(30.0)
     assert flooded.stored("lobby") == 10
     flooded.quiet()
+
+
+# --- just below the limit -------------------------------------------------------------------------
+
+
+def crowd(camera: str, until: float, count: int, chance: random.Random) -> list[Event]:
+    """Return passages at random places, just below the flood limit, the last at ``until``."""
+    interval = 1 / (0.95 * EVENTS_PER_SECOND_MAX)
+    events = []
+    for number in range(count // 2):
+        entered = until - interval * (count - 2 * number)
+        for kind, t in (("entry", entered), ("exit", entered + interval / 2)):
+            place = chance.random(), chance.random()
+            events.append(Event(camera, kind, t, *place, track=f"crowd-{number}"))  # type: ignore[arg-type]
+    return events
+
+
+def limit_memory() -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE_BYTES, ADDRESS_SPACE_BYTES))
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(1800)
+def test_cameras_just_below_the_flood_limit_end_nothing_where_memory_is_little(
+    make_flooded: MakeFlooded, tmp_path: Path
+) -> None:
+    flooded = make_flooded(preexec_fn=limit_memory)
+    process = flooded.daemon.process
+    chance, now = random.Random(1), time.time()
+    known = [msgspec.structs.replace(e, t=e.t - T0 + now - 2 * SPAN_SECONDS) for e in walkers(400)]
+    count = size("CROWD_EVENTS", 10_000)
+    near = [event for k in range(3) for event in crowd(f"wild{k}", now, count, chance)]
+    last = [Event(camera, "entry", now + 61.0) for camera in "ab"]  # the last tick is over
+
+    def learned(total: int) -> bool:
+        if process.poll() is not None:
+            return True
+        status = flooded.status
+        counts = status["events"]
+        done = counts["stored"] >= total and not counts["waiting"]
+        return bool(done and status["learner"]["version"] == status["version"])
+
+    with publisher_on(flooded.bus, tmp_path) as publisher:
+        publisher.publish(*known)
+        wait_for(lambda: learned(len(known)), "what is known to be learned", 120)
+        version = flooded.status["version"]
+        near.sort(key=lambda event: event.t)
+        for first in range(0, len(near), 500):
+            publisher.publish(*near[first : first + 500])
+        publisher.publish(*last)
+        wait_for(lambda: learned(len(known) + len(near) + 2), "all to be learned", 1200)
+
+    assert process.poll() is None
+    assert flooded.status["version"] > version
+    peak = max(resident(child, most=True) for child in children(process.pid))
+    print(f"the learner had {peak / MEGABYTE:.0f} MB at most")
+    assert peak < LEARNER_BYTES_MAX
+
+
+# --- in the daemon's path of an event -------------------------------------------------------------
 
 
 def quiet_events_lost(bench: IntakeBench) -> int:
@@ -266,9 +284,8 @@ def test_a_flood_does_not_fill_the_daemon_while_its_disk_hangs(tmp_path: Path) -
             bench.intake.step()
 
     for camera in QUIET:
-        bench.intake.inbox.on_event(
-            f"event/{camera}", to_msgpack(Event(camera, "exit", bench.wall))
-        )
+        event = Event(camera, "exit", bench.wall)
+        bench.intake.inbox.on_event(f"event/{camera}", to_msgpack(event))
     bench.work()
 
     counts = Counter(name for _, name, _ in bench.stored)

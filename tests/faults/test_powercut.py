@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import collections
 import itertools
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from powercut import MODELS, Image, Record, images, put
+from powercut import Image, Record, images, put
 from sizes import size
 from vfs import Vfs
 from written import FILES, Open, State, WrittenJournal
@@ -20,9 +19,9 @@ GOES_ON_EVERY = 20
 
 
 class Outcome(NamedTuple):
-    """``images`` by model; ``lost``: faulty images and their faults."""
+    """Number of images that were looked at, and the faults of those that are wrong."""
 
-    images: collections.Counter[str]
+    images: int
     lost: list[str]
 
 
@@ -43,7 +42,7 @@ def recorded(make: Open, steps: int, directory: Path, watch: Vfs) -> tuple[Recor
     return record, states
 
 
-def wrong(image: Image, make: Open, states: list[State], directory: Path, goes_on: bool) -> str:
+def fault_of(image: Image, make: Open, states: list[State], directory: Path, goes_on: bool) -> str:
     """Return the fault found when ``image`` is opened; "" if there is none."""
     put(image.content, directory)
     try:
@@ -51,16 +50,12 @@ def wrong(image: Image, make: Open, states: list[State], directory: Path, goes_o
     except StateError as error:
         return f"does not open: {error}"
     try:
+        found = one.state()
         if one.damaged:
             return "was set aside"
-        found = one.state()
-        allowed = states[max(image.done, 0) : max(image.begun, 0) + 1]
-        if found not in allowed:
-            return (
-                f"is as after step {states.index(found)}"
-                if found in states
-                else "is as never before"
-            )
+        if found not in states[max(image.done, 0) : max(image.begun, 0) + 1]:
+            known = found in states
+            return f"is as after step {states.index(found)}" if known else "is as never before"
         if goes_on:
             one.step(len(states))
             after = one.state()
@@ -77,15 +72,13 @@ def run(make: Open, steps: int, each: int, base: Path, watch: Vfs, every: int = 
     record, states = recorded(make, steps, base / "real", watch)
     directory = base / "image"
     directory.mkdir()
-    counts: collections.Counter[str] = collections.Counter()
-    lost = []
-    for number, image in enumerate(itertools.islice(images(record.ops, each, 1), 0, None, every)):
-        counts[image.model] += 1
-        problem = wrong(image, make, states, directory, goes_on=number % GOES_ON_EVERY == 0)
-        if problem:
-            where = f"{image.model} after operation {image.after_op}, {image.done} steps done"
-            lost.append(f"{where}: {problem}")
-    return Outcome(counts, lost)
+    count, lost = 0, []
+    for image in itertools.islice(images(record.ops, each), 0, None, every):
+        fault = fault_of(image, make, states, directory, count % GOES_ON_EVERY == 0)
+        if fault:
+            lost.append(f"after operation {image.after_op}, {image.done} steps done: {fault}")
+        count += 1
+    return Outcome(count, lost)
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -93,8 +86,7 @@ def test_no_power_cut_loses_what_was_durable(name: str, quick_path: Path, disk_w
     outcome = run(FILES[name], 42, 1, quick_path, disk_watch, every=4)
 
     assert outcome.lost == []
-    assert set(outcome.images) == set(MODELS)
-    assert outcome.images.total() > 100
+    assert outcome.images > 100
 
 
 class NormalJournal(WrittenJournal):
@@ -119,6 +111,6 @@ def test_campaign_of_power_cuts(name: str, quick_path: Path, disk_watch: Vfs) ->
     steps = size("POWERCUT_STEPS", 200)
     outcome = run(FILES[name], steps, size("POWERCUT_EACH", 4), quick_path, disk_watch)
 
-    print(f"{name}: {dict(outcome.images)} images, {len(outcome.lost)} lost")
+    print(f"{name}: {outcome.images} images, {len(outcome.lost)} lost")
     assert outcome.lost == []
-    assert outcome.images.total() > 20 * steps
+    assert outcome.images > 20 * steps

@@ -1,115 +1,97 @@
-"""Simulated traffic for the fault tests, and a publisher of one camera that may be killed.
+"""Programs beside the daemon that may be killed.
 
-`traffic.py ENDPOINT SPOOL CAMERA COUNT SPAN SPEED BEGAN` publishes camera CAMERA's part of
-`crossings(COUNT, SPAN)`, SPEED times faster than it happened, as if the first event had happened at
-BEGAN (Unix seconds). A restarted publisher continues after the events its spool has had. It ends
-when all events are stored. With SPOOL "-" there is no spool: each event is published once.
+traffic.py router ENDPOINT
+    prints "ready" and runs until killed
+traffic.py flood ENDPOINT CAMERA PER_SECOND SECONDS
+    publishes so many valid events a second, and prints their number
+traffic.py publish ENDPOINT FOLDER CAMERA COUNT SPAN SPEED BEGAN
+    publishes a camera's part of the events of COUNT walkers within SPAN seconds, SPEED times
+    faster than they happened, as if the first had happened at BEGAN (Unix seconds); continues after
+    the events that its spool in FOLDER has had, and ends when all are stored. With FOLDER "-" it
+    has no spool, and publishes each event once.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
-import random
+import itertools
+import signal
 import sqlite3
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
+from serving import T0, walkers
 
+from camtopod import client
 from camtopod.codec import to_msgpack
-from camtopod.config.settings import BusSettings, Config
+from camtopod.config.settings import BusSettings, Config, SiteSettings
 from camtopod.records import Event
-from camtopod.serve.bus.session import BusError, dial
-from camtopod.serve.outbox.publisher import Publisher
-from camtopod.serve.outbox.spool import Spool
+from camtopod.serve.bus.session import dial, open_daemon_session
+from camtopod.serve.outbox import spool_path
 
-T0 = 1_700_000_000.0
-CAMERAS = ("a", "b", "c")
-AFTER = "after"
-"""Camera of the closing event, after which all earlier events are learned."""
+_STEP_SECONDS = 0.01
 
 
-def crossings(count: int, seconds: float, seed: int = 1) -> list[Event]:
-    """Simulate objects that cross the view of ``a``, then that of ``b`` or ``c``.
-
-    Each makes four events; they are in order of time.
-    """
-    chance = random.Random(seed)
-    events = []
-    for number in range(count):
-        t = T0 + chance.uniform(0, seconds - 60)
-        for camera, gap in (("a", 0.0), (chance.choice("bc"), chance.gauss(9, 1))):
-            t += gap
-            events.append(
-                Event(camera, "entry", round(t, 3), 0.1 + 0.02 * chance.random(), 0.5, str(number))
-            )
-            t += chance.uniform(3, 6)
-            events.append(
-                Event(camera, "exit", round(t, 3), 0.9 - 0.02 * chance.random(), 0.5, str(number))
-            )
-    return sorted(events, key=lambda event: event.t)
+def router(endpoint: str) -> None:
+    with open_daemon_session(Config(bus=BusSettings(listen=(endpoint,)))):
+        print("ready", flush=True)
+        signal.pause()
 
 
-def last_event(seconds: float, camera: str = AFTER) -> Event:
-    """Return an event so much later than the rest that all of it is learned."""
-    return Event(camera, "entry", T0 + 100 * seconds)
+def flood(endpoint: str, camera: str, per_second: str, seconds: str) -> None:
+    began, count = time.monotonic(), 0
+    with dial(Config(bus=BusSettings(connect=(endpoint,)))) as bus:
+        while (elapsed := time.monotonic() - began) < float(seconds):
+            for count in range(count + 1, int(elapsed * int(per_second)) + 1):  # noqa: B020
+                event = Event(camera, "entry", time.time(), 0.5, 0.5, str(count), "wild", count)
+                bus.publish_raw(f"event/{camera}", to_msgpack(event), "event")
+            time.sleep(_STEP_SECONDS)
+    print(count, flush=True)
 
 
-def published_so_far(path: Path) -> int:
+def publish(
+    endpoint: str, folder: str, camera: str, count: str, span: str, speed: str, began: str
+) -> None:
+    events = [e for e in walkers(int(count), seconds=float(span)) if e.camera == camera]
+    if folder == "-":
+        with dial(Config(bus=BusSettings(connect=(endpoint,)))) as bus:
+            numbers = itertools.count(1)
+            for due in as_they_fall_due(events, float(speed), float(began)):
+                for event in due:
+                    numbered = msgspec.structs.replace(event, boot="none", seq=next(numbers))
+                    bus.publish(f"event/{camera}", numbered, "event")
+        return
+
+    had = events_ever_in(spool_path(Path(folder), SiteSettings().name, camera))
+    with client.Publisher(camera, connect=endpoint, state=folder) as publisher:
+        for due in as_they_fall_due(events[had:], float(speed), float(began)):
+            publisher.publish(*due)
+        while not publisher.wait_stored(1.0):
+            pass
+
+
+def events_ever_in(spool: Path) -> int:
     """Return the number of events that a spool has ever had, deleted ones included."""
-    if not path.exists():
+    if not spool.exists():
         return 0
-    with contextlib.closing(sqlite3.connect(path)) as database:
+    with contextlib.closing(sqlite3.connect(spool)) as database:
         [last] = database.execute("SELECT COALESCE(MAX(id), 0) FROM event").fetchone()
     return int(last)
 
 
-def publish(
-    endpoint: str, spool: str, camera: str, events: list[Event], speed: float, began: float
-) -> None:
-    """Publish events until all are stored, or published if there is no spool."""
-    config = Config(bus=BusSettings(connect=(endpoint,)))
-    while True:
-        try:
-            bus = dial(config)
-            break
-        except BusError:
-            continue
-
-    # Continue after the spool's newest event.
-    keep = None if spool == "-" else Spool(Path(spool), os.urandom(8).hex(), 1_000_000)
-    publisher = None if keep is None else Publisher(keep)
-    if publisher is not None:
-        publisher.attach(bus, [camera])
-    done = 0 if keep is None else published_so_far(Path(spool))
-
-    # Publish events that are due.
+def as_they_fall_due(events: list[Event], speed: float, began: float) -> Iterator[list[Event]]:
+    """Yield the events as their time comes."""
+    done = 0
     while done < len(events):
         until = T0 + (time.time() - began) * speed
         due = [event for event in events[done : done + 500] if event.t <= until]
-        if publisher is not None:
-            publisher.publish(*due)
-        for seq, event in enumerate(due if publisher is None else (), start=done + 1):
-            bus.publish_raw(
-                f"event/{camera}",
-                to_msgpack(msgspec.structs.replace(event, boot="none", seq=seq)),
-                "event",
-            )
         done += len(due)
-        time.sleep(0.005)
-
-    # Wait until all are stored.
-    if publisher is not None and keep is not None:
-        while not publisher.wait_stored(0.5):
-            publisher.retry()
-        publisher.close()
-        keep.close()
-    bus.close()
+        yield due
+        time.sleep(_STEP_SECONDS)
 
 
 if __name__ == "__main__":
-    where, file, which, objects, span, faster, start = sys.argv[1:]
-    mine = [event for event in crossings(int(objects), float(span)) if event.camera == which]
-    publish(where, file, which, mine, float(faster), float(start))
+    {"router": router, "flood": flood, "publish": publish}[sys.argv[1]](*sys.argv[2:])

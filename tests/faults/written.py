@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import collections
 import random
 import time
+from collections import defaultdict
 from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import Protocol
@@ -14,13 +14,12 @@ from camtopod.config.settings import KeepSettings
 from camtopod.records import Event
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
-from camtopod.serve.storage.sqlite_file import damaged_files
 
 KEEP = KeepSettings(journal_bytes_max=150_000)
 """Retention settings, small so that old data is deleted."""
 EPOCH = "e1"
 PRUNE_EVERY, PRUNE_AT = 40, 39
-"""Every so many steps one deletes old data, the step `PRUNE_AT` of each round."""
+"""Every so many steps a journal deletes old data, in step `PRUNE_AT` of each round."""
 CAMERAS = ("lobby", "hall", "yard")
 State = Hashable
 """Comparable content of a file."""
@@ -41,11 +40,8 @@ class Written(Protocol):
     def state(self) -> State:
         """Return the content, as far as it must survive."""
 
-    def last(self) -> int:
-        """Return the newest step that is stored."""
-
-    def missing(self, start: int, stop: int) -> list[int]:
-        """Return the steps in this range that are incomplete, and not deleted by retention."""
+    def whole_steps(self) -> set[int]:
+        """Return the numbers of the steps that are there; none may be there in part."""
 
     def close(self) -> None: ...
 
@@ -57,10 +53,9 @@ Open = Callable[[Path], Written]
 class WrittenJournal:
     """A journal of entries, with versions, snapshots and retention now and then."""
 
-    def __init__(self, directory: Path) -> None:
-        self.journal = Journal(directory, KEEP)
-        log_damaged = bool(damaged_files(directory / "journal.db-wal"))
-        self.damaged = log_damaged or self.journal.set_aside is not None or self.journal.missing > 0
+    def __init__(self, directory: Path, keep: KeepSettings = KEEP) -> None:
+        self.journal = Journal(directory, keep)
+        self.damaged = self.journal.set_aside is not None or self.journal.missing > 0
 
     def step(self, number: int) -> None:
         if number % PRUNE_EVERY == PRUNE_AT:
@@ -72,34 +67,23 @@ class WrittenJournal:
         entries = tuple(self.journal.entries())
         assert all(entry is not None for _, entry in entries), "damaged"
         versions = self.journal.versions(EPOCH)
-        contents = tuple(
-            (n, digest, self.journal.version(EPOCH, n)) for n, digest in versions.items()
-        )
+        contents = tuple((n, versions[n], self.journal.version(EPOCH, n)) for n in versions)
         numbers, unknown = self.journal.numbers()
         assert not unknown, "damaged"
         snapshots = tuple(self.journal.snapshots())
         return entries, contents, snapshots, tuple(sorted(numbers.items())), len(self.journal)
 
-    def last(self) -> int:
-        newest = self.journal._db.execute("SELECT COALESCE(MAX(seq), 0) FROM entry").fetchone()[0]
-        newest = int(newest) // 10
-        return newest + ((newest + 1) % PRUNE_EVERY == PRUNE_AT)
-
-    def missing(self, start: int, stop: int) -> list[int]:
-        raws = collections.defaultdict(list)
+    def whole_steps(self) -> set[int]:
+        entries = defaultdict(list)
         for _, entry in self.journal.entries():
             assert entry is not None
-            raws[(entry.seq or 0) // 10].append(entry.raw)
+            entries[(entry.seq or 0) // 10].append(entry)
         versions = self.journal.versions(EPOCH)
-        oldest = min(versions, default=0)
-        gone = []
-        for number in range(max(start, min(raws, default=start) + 1), stop):
-            entries, wanted, _ = step_of(number, 0)
-            whole = raws[number] == [entry.raw for entry in entries]
-            whole = whole and all(one.version in versions or one.version < oldest for one in wanted)
-            if number % PRUNE_EVERY != PRUNE_AT and not whole:
-                gone.append(number)
-        return gone
+        for number, found in entries.items():
+            expected, wanted, _ = step_of(number, 0)
+            assert [entry.raw for entry in found] == [entry.raw for entry in expected]
+            assert all(version.version in versions for version in wanted)
+        return set(entries)
 
     def close(self) -> None:
         self.journal.close()
@@ -109,27 +93,22 @@ def step_of(number: int, last: int) -> tuple[list[Entry], list[StoredVersion], S
     """Return the content of a step of a journal with ``last`` entries."""
     chance = random.Random(number)
     camera = chance.choice(CAMERAS)
-    entries = [
-        Entry("event", camera, "b1", 10 * number + n, chance.randbytes(60))
-        for n in range(chance.randint(1, 6))
-    ]
-    versions = (
-        [StoredVersion(EPOCH, number, f"sha256:{number}", chance.randbytes(900))]
-        if number % 7 == 3
-        else []
-    )
-    snapshot = Snapshot(last, EPOCH, chance.randbytes(6000)) if number % 20 == 11 else None
+    seqs = range(10 * number, 10 * number + chance.randint(1, 6))
+    entries = [Entry("event", camera, "b1", seq, chance.randbytes(60)) for seq in seqs]
+    versions, snapshot = [], None
+    if number % 7 == 3:
+        versions = [StoredVersion(EPOCH, number, f"sha256:{number}", chance.randbytes(900))]
+    if number % 20 == 11:
+        snapshot = Snapshot(last, EPOCH, chance.randbytes(6000))
     return entries, versions, snapshot
 
 
 class WrittenSpool:
     """A spool with events of some cameras, of which the daemon has most at once."""
 
-    events_max, kept_max = 150, 40
-
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, events_max: int = 150, kept_max: int = 40) -> None:
         boot = f"boot-{time.monotonic_ns()}" if (directory / "spool.db").exists() else "boot-0"
-        self.spool = Spool(directory / "spool.db", boot, self.events_max, kept_max=self.kept_max)
+        self.spool = Spool(directory / "spool.db", boot, events_max, kept_max=kept_max)
         self.damaged = bool(self.spool.statistics()["damaged_files"])
         self._have: dict[tuple[str, str], int] = {}
 
@@ -143,17 +122,14 @@ class WrittenSpool:
     def state(self) -> State:
         return tuple(self.spool._db.execute("SELECT * FROM event ORDER BY id"))
 
-    def last(self) -> int:
-        row = self.spool._db.execute("SELECT raw FROM event ORDER BY id DESC LIMIT 1").fetchone()
-        return 0 if row is None else int(codec.event_from_msgpack(row[0]).t) // 10
-
-    def missing(self, start: int, stop: int) -> list[int]:
-        most = min(self.events_max - 100, 2000)
-        rows = self.spool._db.execute("SELECT raw FROM event ORDER BY id DESC LIMIT ?", (most,))
-        times = {codec.event_from_msgpack(raw).t for (raw,) in rows}
-        if len(times) >= most:
-            start = max(start, int(min(times)) // 10 + 1)
-        return [n for n in range(start, stop) if not {e.t for e in events_of(n)} <= times]
+    def whole_steps(self) -> set[int]:
+        times = defaultdict(list)
+        for (raw,) in self.spool._db.execute("SELECT raw FROM event ORDER BY id"):
+            event = codec.event_from_msgpack(raw)
+            times[int(event.t) // 10].append(event.t)
+        for number, found in times.items():
+            assert found == [event.t for event in events_of(number)]
+        return set(times)
 
     def close(self) -> None:
         self.spool.close()
@@ -163,10 +139,8 @@ def events_of(number: int) -> list[Event]:
     """Return the events of a step of the spool, all of one camera."""
     chance = random.Random(number)
     camera = chance.choice(CAMERAS)
-    return [
-        Event(camera, "entry", 10.0 * number + n, track="x" * 40)
-        for n in range(chance.randint(1, 6))
-    ]
+    times = [10.0 * number + n for n in range(chance.randint(1, 6))]
+    return [Event(camera, "entry", t, track="x" * 40) for t in times]
 
 
 FILES: dict[str, Open] = {"journal": WrittenJournal, "spool": WrittenSpool}

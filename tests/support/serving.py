@@ -67,7 +67,7 @@ def small_config(state: Path, connect: str | None = None, **limits: float) -> Co
     )
 
 
-def walkers(count: int, seed: int = 1) -> list[Event]:
+def walkers(count: int, seed: int = 1, seconds: float = SPAN_SECONDS) -> list[Event]:
     """Simulate objects that cross the view of ``a``, then that of ``b`` or ``c`` some seconds
     later.
 
@@ -76,7 +76,7 @@ def walkers(count: int, seed: int = 1) -> list[Event]:
     chance = random.Random(seed)
     events = []
     for number in range(count):
-        t = T0 + chance.uniform(0, SPAN_SECONDS - 60)
+        t = T0 + chance.uniform(0, seconds - 60)
         track = str(number)
         for camera, gap in (("a", 0.0), (chance.choice("bc"), chance.gauss(9, 1))):
             t += gap
