@@ -11,8 +11,6 @@ from camtopod.adapt.adapter import (
     LINE_BYTES_MAX as LINE_BYTES_MAX,
     Adapter as Adapter,
     Size as Size,
-    quotable as quotable,
 )
-from camtopod.adapt.camera_streams import StreamAdapter as StreamAdapter
 from camtopod.adapt.formats import FORMATS as FORMATS, FormatOptions as FormatOptions
 from camtopod.adapt.tracks import TrackEvents as TrackEvents

@@ -1,10 +1,11 @@
-"""Common part of the formats: the adapter interface, picture sizes, redaction of quoted lines."""
+"""Common part of the formats: the base of all adapters, topics, picture sizes."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from typing import Protocol, TypeVar
+from fnmatch import fnmatchcase
+from typing import TypeVar
 
 from camtopod import codec
 from camtopod.codec import Rejected
@@ -24,23 +25,31 @@ Sizes = Mapping[str, Size]
 
 _K = TypeVar("_K")
 _V = TypeVar("_V")
-_STRING = re.compile(rb'("(?:[^"\\]|\\.)*(?:"|$))(\s*:)?')
-"""A JSON string, and the colon after it if it is a key."""
-_XML_TEXT = re.compile(rb"\"[^\"]*\"?|'[^']*'?|(?<=>)[^<]+")
-"""A value of an attribute, or text between tags."""
+_MESSAGE = re.compile(rb"(?:([^{<]*) )?([{<].*)", re.DOTALL)
+"""A JSON or XML message, and the topic in front of it."""
 
 
-class Adapter(Protocol):
+class Adapter:
     """Converter of one format, line by line."""
 
-    topic: str
-    """MQTT topic of these lines below the program's prefix; empty if they do not come by MQTT."""
+    topic = "#"
+    """MQTT topic of these lines below the program's prefix."""
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a line makes certain. Raises `Rejected` for an unusable line."""
+        raise NotImplementedError
+
+    def silent(self, now: float) -> list[Event]:
+        """Return the exits in cameras from which nothing has come for too long.
+
+        now: seconds of a clock that runs evenly. To be called before each line that comes live, and
+        often in between. Without calls no camera counts as silent.
+        """
+        return []
 
     def close(self) -> list[Event]:
         """Return the events that are certain once no more lines come."""
+        return []
 
 
 def size_of(camera: str, sizes: Sizes) -> Size:
@@ -53,26 +62,22 @@ def size_of(camera: str, sizes: Sizes) -> Size:
     return size
 
 
-def payload(line: bytes, topic: str) -> bytes:
-    """Return the message in a line of `mosquitto_sub`, with or without ``-v`` (topic in front).
+def split_topic(line: bytes, wanted: str = "*") -> tuple[list[str], bytes]:
+    """Return the levels of the topic in front of a message (none if it has none), and the message.
 
-    Raises `Rejected` if the topic is another one.
+    wanted: pattern of the topic, where ``*`` stands for anything.
+
+    Raises `Rejected` if there is no message, or one of another topic.
     """
-    if line.startswith(b"{"):
-        return line
-    name, blank, message = line.partition(b" ")
-    if not blank:
-        raise Rejected("malformed", "is neither JSON nor a topic and JSON")
-
-    # The topic must end with the wanted levels, where "+" stands for any.
-    levels = name.decode("utf-8", "replace").split("/")
-    wanted = topic.split("/")
-    tail = levels[-len(wanted) :]
-    if len(tail) < len(wanted) or any(
-        want not in ("+", got) for want, got in zip(wanted, tail, strict=True)
-    ):
-        raise Rejected("other-topic", f"is not of .../{topic}")
-    return message
+    match = _MESSAGE.fullmatch(line)
+    if match is None:
+        raise Rejected("malformed", "is neither a message nor a topic and a message")
+    if match[1] is None:
+        return [], match[2]
+    topic = match[1].decode("utf-8", "replace").strip()
+    if not fnmatchcase(topic, wanted):
+        raise Rejected("other-topic", f"is not of {wanted}")
+    return topic.split("/"), match[2]
 
 
 def checked(events: Iterable[Event]) -> list[Event]:
@@ -83,23 +88,9 @@ def checked(events: Iterable[Event]) -> list[Event]:
     return [codec.event_from_json(codec.to_json(event)) for event in events]
 
 
-def remember(latest: dict[_K, _V], key: _K, value: _V, most: int) -> None:
-    """Put an item last, and forget the first ones beyond ``most``."""
+def remember(latest: dict[_K, _V], key: _K, value: _V) -> None:
+    """Put an item last, and forget the first ones beyond `REMEMBERED_MAX`."""
     latest.pop(key, None)
     latest[key] = value
-    while len(latest) > most:
+    while len(latest) > REMEMBERED_MAX:
         del latest[next(iter(latest))]
-
-
-def quotable(line: bytes) -> bytes:
-    """Return a line without its strings, which may contain names of people.
-
-    What remains shows its form.
-    """
-    if line.startswith(b"{"):
-        return _STRING.sub(lambda found: found[0] if found[2] else b'"..."', line)
-    if line.startswith(b"<"):
-        return _XML_TEXT.sub(b'"..."', line)
-    word, blank, _ = line.partition(b" ")
-    shown = word if b"/" in word or b"," in word else b"..."  # a topic, numbers
-    return shown + blank + b"..." if blank else shown

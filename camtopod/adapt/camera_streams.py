@@ -9,9 +9,10 @@ import math
 import re
 from collections.abc import Collection, Iterable, Sequence
 from datetime import UTC, datetime
+from typing import NamedTuple
 
 from camtopod import codec
-from camtopod.adapt.adapter import REMEMBERED_MAX, Size, checked, remember
+from camtopod.adapt.adapter import Adapter, Size, checked, remember
 from camtopod.adapt.tracks import TRACKS_MAX, TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import CAMERA_PATTERN, Event
@@ -36,22 +37,13 @@ Name = str | int | None
 """Id of a track; None for a box that the tracker does not follow."""
 
 
-class TrackedBoxes:
-    """A frame's tracked boxes: ids, boxes (units of the stream's ``size``) and kinds."""
+class TrackedBox(NamedTuple):
+    """A box of a frame, in units of the stream's ``size``."""
 
-    def __init__(self) -> None:
-        self.names: list[Name] = []
-        self.boxes: list[Box] = []
-        self.kinds: list[str] = []
-        """Kind of each box; empty if it is unknown."""
-
-    def add(self, name: Name, box: Box, kind: str) -> None:
-        """Add a box. Raises `Rejected` if the frame has too many."""
-        if len(self.names) >= TRACKS_MAX:
-            raise Rejected("too-many", f"more than {TRACKS_MAX} objects in a frame")
-        self.names.append(name)
-        self.boxes.append(box)
-        self.kinds.append(kind)
+    name: Name
+    box: Box
+    kind: str
+    """Kind of the object; empty if it is unknown."""
 
 
 class CameraStream:
@@ -63,31 +55,31 @@ class CameraStream:
         self._kinds: dict[Name, str] = {}
         """Latest known kind of each track: trackers do not classify an object in each frame."""
         self.arrived = 0.0
-        """When the latest frame came, seconds of the clock of `CameraStreams.silent`."""
+        """When the latest frame came, seconds of the clock of `StreamAdapter.silent`."""
 
     def lose(self) -> list[Event]:
         """Return the exits of all objects, as the camera is silent."""
         return checked(self._tracks.lose())
 
-    def update(self, seen: TrackedBoxes, ended: Iterable[Name], t: float) -> list[Event]:
+    def update(self, seen: Sequence[TrackedBox], ended: Iterable[Name], t: float) -> list[Event]:
         """Return the events that a frame at ``t`` (seconds) makes certain.
 
         ended: tracks that the tracker reports as ended.
 
-        Raises `Rejected` if a later frame came before.
+        Raises `Rejected` if a later frame came before, or the frame has too many boxes.
         """
         self.require_newer(t)
+        if len(seen) > TRACKS_MAX:
+            raise Rejected("too-many", f"more than {TRACKS_MAX} objects in a frame")
+        for one in seen:
+            if one.name is not None and one.kind:
+                remember(self._kinds, one.name, one.kind)
 
         # Boxes of the wanted kinds, or of all that are no part of another object.
-        names: list[Name] = []
-        boxes: list[Box] = []
-        for name, box, kind in zip(seen.names, seen.boxes, seen.kinds, strict=True):
-            if counts(self._kind(name, kind), self._labels):
-                names.append(name)
-                boxes.append(box)
-
-        # Events.
-        events = self._tracks.update(names, boxes, t)
+        wanted = [
+            one for one in seen if counts(one.kind or self._kinds.get(one.name, ""), self._labels)
+        ]
+        events = self._tracks.update([one.name for one in wanted], [one.box for one in wanted], t)
         for name in ended:
             self._kinds.pop(name, None)
             events += self._tracks.end(name)
@@ -102,30 +94,40 @@ class CameraStream:
         """Return the exits of objects out of sight in the last frame."""
         return checked(self._tracks.close())
 
-    def _kind(self, name: Name, kind: str) -> str:
-        """Remember the kind of a track; return the latest one known."""
-        kind = kind or self._kinds.get(name, "")
-        if name is not None and kind:
-            remember(self._kinds, name, kind, REMEMBERED_MAX)
-        return kind
 
+class StreamAdapter(Adapter):
+    """Base of adapters whose messages are frames of several cameras.
 
-class CameraStreams:
-    """The streams of all cameras.
-
-    camera: the one camera's id; None if the messages or their topics name the cameras.
+    camera: id of the one camera; None if the messages or their topics name the cameras.
     labels: kinds of objects that count, whatever their case; empty for all.
     """
 
-    def __init__(self, camera: str | None, labels: Collection[str]) -> None:
+    def __init__(self, camera: str | None = None, labels: Collection[str] = ()) -> None:
         self._camera = camera
         self._named: str | None = None
         """What the messages call the one camera."""
         self._labels = frozenset(label.lower() for label in labels)
         self._streams: dict[tuple[str, str], CameraStream] = {}
-        self._now = self._checked = 0.0
+        self._now = 0.0
+        self._checked = 0.0
 
-    def name(self, given: str) -> str:
+    def silent(self, now: float) -> list[Event]:
+        """Return the exits of the objects of cameras that have sent no frame for `SILENT_SECONDS`.
+
+        now: as for `Adapter.silent`.
+        """
+        self._now = now
+        if now - self._checked < SILENT_SECONDS / 5:
+            return []
+        self._checked = now
+        silent = (one for one in self._streams.values() if now - one.arrived > SILENT_SECONDS)
+        return [event for stream in silent for event in stream.lose()]
+
+    def close(self) -> list[Event]:
+        """Return the exits of objects out of sight. Those in a camera's last frame are in view."""
+        return [event for stream in self._streams.values() for event in stream.close()]
+
+    def _id_of(self, given: str) -> str:
         """Return the camera's id: the one camera's, or ``given``. Raises `Rejected`."""
         if self._camera is not None:
             if self._named is None:
@@ -137,12 +139,11 @@ class CameraStreams:
             raise Rejected("no-camera", "names no camera: give --camera ID")
         return given
 
-    def wants(self, kind: str) -> bool:
-        """Return True if objects of this kind count."""
-        return counts(kind, self._labels)
+    def _stream(self, camera: str, size: Size = (1, 1), module: str = "") -> CameraStream:
+        """Return the stream of a camera's analytics module, new or known. Raises `Rejected`.
 
-    def at(self, camera: str, size: Size, module: str = "") -> CameraStream:
-        """Return the stream of a camera's analytics module, new or known. Raises `Rejected`."""
+        size: width and height of the picture, pixels; (1, 1) if boxes are fractions of it.
+        """
         stream = self._streams.get((camera, module))
         if stream is None:
             if len(self._streams) >= STREAMS_MAX:
@@ -152,56 +153,15 @@ class CameraStreams:
         stream.arrived = self._now
         return stream
 
-    def silent(self, now: float) -> list[Event]:
-        """Return the exits of the objects of cameras that have sent no frame for `SILENT_SECONDS`.
-
-        now: seconds of a clock that runs evenly. To be called before each message that comes live,
-        and often in between. Without calls no camera counts as silent.
-        """
-        self._now = now
-        if now - self._checked < SILENT_SECONDS / 5:
-            return []
-        self._checked = now
-        silent = (one for one in self._streams.values() if now - one.arrived > SILENT_SECONDS)
-        return [event for stream in silent for event in stream.lose()]
-
-    def close(self) -> list[Event]:
-        """Return the exits of objects out of sight, of all cameras."""
-        return [event for stream in self._streams.values() for event in stream.close()]
-
-
-class StreamAdapter:
-    """Common part of adapters whose messages are frames of several cameras.
-
-    camera: id of the one camera; None if the messages or their topics name the cameras.
-    labels: kinds of objects that count; empty for all.
-    """
-
-    topic = "#"
-
-    def __init__(self, camera: str | None = None, labels: Collection[str] = ()) -> None:
-        self._streams = CameraStreams(camera, labels)
-
-    def silent(self, now: float) -> list[Event]:
-        """Return the exits in cameras that are silent, see `CameraStreams.silent`."""
-        return self._streams.silent(now)
-
-    def close(self) -> list[Event]:
-        """Return the exits of objects out of sight. Those in a camera's last frame are in view."""
-        return self._streams.close()
-
 
 def counts(kind: str, labels: Collection[str]) -> bool:
     """Return True if an object of this kind counts.
 
     labels: the kinds that count, in lower case; empty for all that are no part of another object.
     """
-    return kind.lower() in labels if labels else kind.lower() not in PARTS
-
-
-def likeliest(kinds: Sequence[tuple[float | None, str]]) -> str:
-    """Return the kind with the highest likelihood (likelihood, kind); empty if there is none."""
-    return max(kinds, key=lambda kind: kind[0] or 0.0, default=(0.0, ""))[1]
+    if labels:
+        return kind.lower() in labels
+    return kind.lower() not in PARTS
 
 
 def seconds_of(value: str | float) -> float:
@@ -209,29 +169,16 @@ def seconds_of(value: str | float) -> float:
 
     value: ISO 8601 (UTC if it names no zone), or milliseconds since the epoch.
     """
-    if isinstance(value, str):
-        try:
+    try:
+        if isinstance(value, str):
             moment = datetime.fromisoformat(value.strip())
-            t = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-        except (ValueError, OverflowError):
-            raise Rejected("bad-value", "the time is not ISO 8601") from None
-    else:
-        t = value / 1000
+            if moment.tzinfo is None:
+                moment = moment.replace(tzinfo=UTC)
+            t = moment.timestamp()
+        else:
+            t = value / 1000
+    except (ValueError, OverflowError):
+        raise Rejected("bad-value", "the time is not ISO 8601") from None
     if not (math.isfinite(t) and codec.T_MIN <= t < codec.T_MAX):
         raise Rejected("bad-value", "the time is not between 1970 and 3000")
     return round(t, 6)
-
-
-def split_topic(line: bytes) -> tuple[list[str], bytes]:
-    """Return the levels of the topic in front of a message, and the message.
-
-    The topic is what precedes the first blank and brace or angle bracket; it has no level if there
-    is none.
-    """
-    if line[:1] in (b"{", b"<"):
-        return [], line
-    starts = [found for found in (line.find(b" {"), line.find(b" <")) if found >= 0]
-    if not starts:
-        raise Rejected("malformed", "is neither a message nor a topic and a message")
-    topic = line[: min(starts)].decode("utf-8", "replace")
-    return topic.strip().split("/"), line[min(starts) + 1 :]

@@ -16,15 +16,8 @@ from collections.abc import Collection
 from msgspec import Struct, field
 
 from camtopod import codec
-from camtopod.adapt.adapter import Sizes, size_of
-from camtopod.adapt.camera_streams import (
-    Box,
-    Name,
-    StreamAdapter,
-    TrackedBoxes,
-    seconds_of,
-    split_topic,
-)
+from camtopod.adapt.adapter import Sizes, size_of, split_topic
+from camtopod.adapt.camera_streams import Name, StreamAdapter, TrackedBox, seconds_of
 from camtopod.codec import Rejected
 from camtopod.records import Event
 
@@ -33,7 +26,7 @@ _UNTRACKED = ("", "-1", str(2**64 - 1))
 
 
 class _Sensor(Struct, frozen=True):
-    id: str | int
+    id: str | int = ""
 
 
 class _Box(Struct, frozen=True):
@@ -59,9 +52,9 @@ class _Object(Struct, frozen=True):
 
 class _Message(Struct, frozen=True):
     time: str | int | float = field(name="@timestamp")
-    sensorId: str | int | None = None
+    sensorId: str | int = ""
     objects: list[str] | None = None
-    sensor: _Sensor | None = None
+    sensor: _Sensor = _Sensor()
     object: _Object | None = None
 
 
@@ -82,35 +75,34 @@ class DeepStream(StreamAdapter):
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a message makes certain. Raises `Rejected`."""
         message = codec.read(_Message, split_topic(line)[1])
-        sensor = message.sensorId
-        if sensor is None and message.sensor is not None:
-            sensor = message.sensor.id
-        camera = self._streams.name("" if sensor is None else str(sensor))
-        if message.objects is None and message.object is None:
+        sensor = message.sensor.id
+        if message.sensorId != "":
+            sensor = message.sensorId
+        camera = self._id_of(str(sensor))
+        one = message.object
+        if message.objects is None and one is None:
             raise Rejected("malformed", "has neither objects nor object")
 
         # The objects of the frame, or the one object.
-        seen = TrackedBoxes()
-        for text in message.objects or []:
-            seen.add(*_object(text))
-        one = message.object
+        seen = [_object(text) for text in message.objects or []]
         if one is not None:
             if one.bbox is None:
                 raise Rejected("no-box", "the object has no bbox")
             box = one.bbox
-            seen.add(_name(one.id), (box.left, box.top, box.right, box.bottom), one.kind())
-        stream = self._streams.at(camera, size_of(camera, self._sizes))
+            sides = (box.left, box.top, box.right, box.bottom)
+            seen.append(TrackedBox(_name(one.id), sides, one.kind()))
+        stream = self._stream(camera, size_of(camera, self._sizes))
         return stream.update(seen, [], seconds_of(message.time))
 
 
-def _object(text: str) -> tuple[Name, Box, str]:
-    """Return id, box and kind of an object's string. Raises `Rejected`."""
+def _object(text: str) -> TrackedBox:
+    """Return the object of a string. Raises `Rejected`."""
     name, *sides, kind = (text + "|").split("|")[:6]
     try:
         left, top, right, bottom = map(float, sides)
     except ValueError:
         raise Rejected("malformed", "an object is not id|left|top|right|bottom|...") from None
-    return _name(name), (left, top, right, bottom), kind
+    return TrackedBox(_name(name), (left, top, right, bottom), kind)
 
 
 def _name(given: str | int) -> Name:

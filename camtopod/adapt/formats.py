@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from types import MappingProxyType
 from typing import NamedTuple
 
-from camtopod.adapt.adapter import ANY_CAMERA, Adapter, Sizes
+from camtopod.adapt.adapter import Adapter, Sizes
 from camtopod.adapt.axis import Axis
 from camtopod.adapt.deepstream import DeepStream
 from camtopod.adapt.frigate import Frigate
@@ -31,73 +31,46 @@ class Format(NamedTuple):
 
     lines: str
     """What its lines are."""
-    make: Callable[[FormatOptions], Adapter] | None
+    make: Callable[[FormatOptions], Adapter] | None = None
     """Makes its adapter; None for event lines. Raises `ValueError` for options without sense."""
-    options: Mapping[str, str] = MappingProxyType({})
-    """Names of its options, each with what it means for this format, or empty."""
-    needs: tuple[str, ...] = ()
-    """Options that it cannot do without."""
+    options: tuple[str, ...] = ()
+    """Names of its options."""
     mqtt: bool = True
     """Its lines may come from an MQTT broker."""
-    no_events: str = "no object entered or left, or only objects that are not among --label"
-    """Why well-formed lines may give no events."""
 
-
-def _mot(given: FormatOptions) -> Mot:
-    assert given.camera is not None
-    assert given.fps is not None
-    size = given.size.get(given.camera) or given.size.get(ANY_CAMERA)
-    if size is None:
-        raise ValueError(f"--size is for another camera than {given.camera}")
-    return Mot(given.camera, size, given.fps, given.start or 0.0)
-
-
-_ONE_CAMERA = "the id of the one camera (default: as the topic or the message names it)"
 
 FORMATS = {
-    "jsonl": Format("event lines as `camtopod grab --out` writes them", None, mqtt=False),
+    "jsonl": Format("event lines as `camtopod grab --out` writes them", mqtt=False),
     "frigate": Format(
         "messages of frigate/events, one a line (mosquitto_sub -t frigate/events)",
         lambda given: Frigate(given.size, given.label),
-        {"size": "detect width and height, not needed if Frigate sends path_data", "label": ""},
-        no_events="no object entered or left, or only objects that are stationary or not among "
-        "--label",
+        ("size", "label"),
     ),
     "mot": Format(
         "a MOTChallenge text file",
-        _mot,
-        {
-            "size": "",
-            "camera": "the camera's id",
-            "fps": "frames per second",
-            "start": "event time of the first frame (default 0)",
-        },
-        needs=("camera", "fps", "size"),
+        lambda given: Mot(given.camera, given.size, given.fps, given.start or 0.0),
+        ("size", "camera", "fps", "start"),
         mqtt=False,
-        no_events="boxes with an id below 0 (untracked detections) or a confidence of 0 belong to "
-        "no track",
     ),
     "scenescape": Format(
         "messages of scenescape/data/camera/ID, one a line",
         lambda given: SceneScape(given.size, given.label, given.tracked),
-        {"size": "", "label": "", "tracked": "ids come from a tracker (gvatrack in the pipeline)"},
+        ("size", "label", "tracked"),
     ),
     "axis": Format(
-        "AXIS scene metadata, frames or object tracks, one message a line",
+        "AXIS scene metadata, one message a line",
         lambda given: Axis(given.camera, given.label),
-        {"label": "", "camera": _ONE_CAMERA},
+        ("label", "camera"),
     ),
     "onvif": Format(
         "scene descriptions of Profile M, XML documents or JSON messages",
         lambda given: Onvif(given.camera, given.label),
-        {"label": "", "camera": _ONE_CAMERA},
+        ("label", "camera"),
     ),
     "deepstream": Format(
         "messages of nvmsgconv, one a line",
         lambda given: DeepStream(given.size, given.camera, given.label),
-        {"size": "nvstreammux width and height", "label": "", "camera": _ONE_CAMERA},
-        no_events="no object entered or left, the objects have no tracker's id, or they are not "
-        "among --label",
+        ("size", "label", "camera"),
     ),
 }
 """All formats, by name."""

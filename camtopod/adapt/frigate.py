@@ -22,12 +22,12 @@ from msgspec import Meta, Struct
 from camtopod import codec
 from camtopod.adapt.adapter import (
     ANY_CAMERA,
-    REMEMBERED_MAX,
+    Adapter,
     Sizes,
     checked,
-    payload,
     remember,
     size_of,
+    split_topic,
 )
 from camtopod.codec import Rejected
 from camtopod.records import CameraId, Event, Kind
@@ -75,7 +75,7 @@ class _Object(Struct):
     ended: bool = False
 
 
-class Frigate:
+class Frigate(Adapter):
     """Adapter for ``frigate/events``: one JSON object a line, with or without the topic in front.
 
     sizes: sizes of the pictures that Frigate detects in (``detect: width, height``). Not needed if
@@ -92,7 +92,7 @@ class Frigate:
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the entry or exit (or both) that a message makes certain. Raises `Rejected`."""
-        message = codec.read(_Message, payload(line, self.topic))
+        message = codec.read(_Message, split_topic(line, "*/events")[1])
         if message.type not in ("new", "update", "end"):
             raise Rejected("bad-value", "type is not new, update or end - at `$.type`")
 
@@ -103,13 +103,8 @@ class Frigate:
             return []
 
         known = self._objects.get(now.id) or self._met(message)
-        events = self._changed(known, message)
-        remember(self._objects, now.id, known, REMEMBERED_MAX)
-        return events
-
-    def close(self) -> list[Event]:
-        """Return no events: objects that have not ended are still in view."""
-        return []
+        remember(self._objects, now.id, known)
+        return self._changed(known, message)
 
     def _met(self, message: _Message) -> _Object:
         """Return the state of an object at its first message; it enters if it is new."""

@@ -8,7 +8,7 @@ from array import array
 import numpy as np
 
 from camtopod import codec
-from camtopod.adapt.adapter import Size, checked
+from camtopod.adapt.adapter import ANY_CAMERA, Adapter, Sizes, checked
 from camtopod.adapt.tracks import TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import Event
@@ -17,7 +17,7 @@ ROWS_MAX = 5_000_000
 """Boxes accepted from a file, 48 bytes each."""
 
 
-class Mot:
+class Mot(Adapter):
     """Adapter for the file of one camera.
 
     All events come from `close`, ordered by time, because ground truth files are sorted by track
@@ -26,14 +26,15 @@ class Mot:
     belong to no track, are ignored without an error.
     """
 
-    topic = ""
-
-    def __init__(self, camera: str, size: Size, fps: float, start: float) -> None:
+    def __init__(self, camera: str | None, sizes: Sizes, fps: float | None, start: float) -> None:
         """Prepare for a file of ``fps`` frames per second. Raises `ValueError`."""
+        size = sizes.get(camera or "") or sizes.get(ANY_CAMERA)
+        if camera is None or size is None or fps is None:
+            raise ValueError("mot needs --camera, --fps, and --size of that camera")
         if not 0 < fps < math.inf:
-            raise ValueError("the frames per second must be a number above 0")
+            raise ValueError("--fps must be a number above 0")
         if not math.isfinite(start):
-            raise ValueError("the start must be a finite number of seconds")
+            raise ValueError("--start must be a finite number of seconds")
         self._tracks = TrackEvents(camera, size)
         self._fps = fps
         self._start = start

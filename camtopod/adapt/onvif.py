@@ -18,24 +18,16 @@ XML comes from the network: a document with a DOCTYPE, thus with entities, is re
 
 from __future__ import annotations
 
-import contextlib
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from typing import Any
 from xml.etree.ElementTree import Element
 
 from msgspec import Struct, field
 
 from camtopod import codec
-from camtopod.adapt.camera_streams import (
-    Box,
-    Name,
-    StreamAdapter,
-    TrackedBoxes,
-    likeliest,
-    seconds_of,
-    split_topic,
-)
+from camtopod.adapt.adapter import split_topic
+from camtopod.adapt.camera_streams import Box, Name, StreamAdapter, TrackedBox, seconds_of
 from camtopod.codec import TRACK_CHARACTERS_MAX, Rejected
 from camtopod.records import Event
 from camtopod.untrusted_xml import DOCUMENT_BYTES_MAX, all_of, parse_xml, tag_of
@@ -44,7 +36,7 @@ _END = re.compile(rb"</(?:[\w.-]+:)?MetadataStream\s*>|<(?:[\w.-]+:)?MetadataStr
 """End of a document."""
 _NUMBERS = frozenset({"x", "y", "left", "top", "right", "bottom", "Likelihood"})
 """Attributes that are numbers."""
-_SEVERAL = frozenset({"Object", "Delete", "Type", "ClassCandidate"})
+_SEVERAL = frozenset({"Object", "Delete", "Type"})
 """Elements of which there may be several."""
 
 
@@ -80,25 +72,12 @@ class _Type(Struct, frozen=True):
     likelihood: float | None = field(name="@Likelihood", default=None)
 
 
-class _Candidate(Struct, frozen=True):
-    """A kind of an object, in the form of older cameras."""
-
-    types: list[_Type] = field(name="Type", default_factory=list)
-    likelihood: _Type = field(name="Likelihood", default=_Type("0"))
-
-
 class _Class(Struct, frozen=True):
     types: list[_Type] | _Type = field(name="Type", default_factory=list)
-    candidates: list[_Candidate] = field(name="ClassCandidate", default_factory=list)
 
-    def kinds(self) -> list[tuple[float | None, str]]:
-        """Return likelihood and name of each kind. Raises `Rejected`."""
-        kinds = [(one.likelihood, one.text) for one in _many(self.types)]
-        return kinds + [
-            (_number(candidate.likelihood.text), one.text)
-            for candidate in self.candidates
-            for one in candidate.types
-        ]
+    def likeliest(self) -> str:
+        """Return the most probable kind; empty if there is none."""
+        return max(_many(self.types), key=lambda one: one.likelihood or 0.0, default=_Type()).text
 
 
 class _Appearance(Struct, frozen=True):
@@ -112,12 +91,8 @@ class _Object(Struct, frozen=True):
     appearance: _Appearance = field(name="Appearance", default=_Appearance())
 
 
-class _ObjectId(Struct, frozen=True):
-    id: int | str | None = field(name="@ObjectId", default=None)
-
-
 class _ObjectTree(Struct, frozen=True):
-    delete: list[_ObjectId] | _ObjectId = field(name="Delete", default_factory=list)
+    delete: list[_Object] | _Object = field(name="Delete", default_factory=list)
 
 
 class _Frame(Struct, frozen=True):
@@ -143,8 +118,6 @@ class Onvif(StreamAdapter):
         super().__init__(camera, labels)
         self._text = bytearray()
         """XML after the last whole document."""
-        self._certain: list[Event] = []
-        """Events not returned yet: those of frames before a refused one."""
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a line makes certain. Raises `Rejected`."""
@@ -152,65 +125,47 @@ class Onvif(StreamAdapter):
             return self._xml(line)
 
         # JSON by MQTT.
-        levels, message = split_topic(line)
-        if levels and ("onvif-mj" not in levels[:-1] or "VideoAnalytics" not in levels):
-            raise Rejected("other-topic", "is not of .../onvif-mj/VideoAnalytics/...")
-        place = levels.index("onvif-mj") if levels else 0
-        camera = self._streams.name(levels[place - 1] if place else "")
-        self._read(camera, _many(codec.read(_Message, message).frames))
-        return self._take()
-
-    def close(self) -> list[Event]:
-        """Return the exits of objects out of sight. Those in the last frame are in view."""
-        while _END.search(self._text):  # documents after a refused one of the last line
-            with contextlib.suppress(Rejected):
-                self._read_documents(0)
-        return self._take() + self._streams.close()
+        levels, message = split_topic(line, "*/onvif-mj/VideoAnalytics/*")
+        given = ""
+        if levels:
+            given = levels[levels.index("onvif-mj") - 1]
+        return self._read(self._id_of(given), _many(codec.read(_Message, message).frames))
 
     def _xml(self, line: bytes) -> list[Event]:
         """Return the events of the documents that end in a line. Raises `Rejected`."""
         start = max(self._text.rfind(b"<"), 0)  # before it no document ends
         self._text += line + b"\n"  # in front of the next line, which may go on in a tag
-        self._read_documents(start)
-        if len(self._text) > DOCUMENT_BYTES_MAX:
-            self._text.clear()
-            raise Rejected("too-long", f"a document of more than {DOCUMENT_BYTES_MAX} bytes")
-        return self._take()
-
-    def _read_documents(self, start: int) -> None:
-        """Read the whole documents of the text, which end after ``start``. Raises `Rejected`."""
+        events = []
         while (end := _END.search(self._text, start)) is not None:
-            document = bytes(self._text[: end.end()])
+            document = bytes(self._text[: end.end()]).strip()
             del self._text[: end.end()]
             start = 0
             if not self._text.strip():
                 self._text.clear()
-            self._read(self._streams.name(""), _frames_of(document.strip()))
+            events += self._read(self._id_of(""), _frames_of(document))
+        if len(self._text) > DOCUMENT_BYTES_MAX:
+            self._text.clear()
+            raise Rejected("too-long", f"a document of more than {DOCUMENT_BYTES_MAX} bytes")
+        return events
 
-    def _read(self, camera: str, frames: list[_Frame]) -> None:
-        """Read frames; their events are certain. Raises `Rejected`."""
+    def _read(self, camera: str, frames: list[_Frame]) -> list[Event]:
+        """Return the events that frames make certain. Raises `Rejected`."""
+        events = []
         for frame in frames:
             module = frame.source[: TRACK_CHARACTERS_MAX // 2]
 
             # Boxes, and the objects that are gone.
-            seen = TrackedBoxes()
+            seen = []
             for one in _many(frame.objects):
-                box = one.appearance.shape.box
-                if box is not None:
-                    kind = likeliest(one.appearance.kind.kinds())
-                    transformations = (one.appearance.transformation, frame.transformation)
-                    seen.add(_name(module, one.id), _fractions(box, transformations), kind)
+                if (box := one.appearance.shape.box) is not None:
+                    sides = _fractions(box, one.appearance.transformation, frame.transformation)
+                    kind = one.appearance.kind.likeliest()
+                    seen.append(TrackedBox(_name(module, one.id), sides, kind))
             ended = [_name(module, gone.id) for gone in _many(frame.tree.delete)]
 
-            # Events.
-            stream = self._streams.at(camera, (1, 1), module)
-            self._certain += stream.update(seen, ended, seconds_of(frame.time))
-
-    def _take(self) -> list[Event]:
-        """Return the events not returned yet."""
-        certain = self._certain
-        self._certain = []
-        return certain
+            stream = self._stream(camera, module=module)
+            events += stream.update(seen, ended, seconds_of(frame.time))
+        return events
 
 
 def _many(value: Any) -> Any:
@@ -225,18 +180,11 @@ def _name(module: str, number: int | str | None) -> Name:
     return f"{module}-{number}"
 
 
-def _fractions(box: _Box, transformations: Iterable[_Transformation]) -> Box:
-    """Return a box in fractions of the picture, y down.
-
-    transformations: from the inner to the outer one.
-    """
-    xs, ys = [], []
-    for x, y in ((box.left, box.top), (box.right, box.bottom)):
-        for transformation in transformations:
-            x, y = transformation.apply(x, y)
-        xs.append((x + 1) / 2)
-        ys.append((1 - y) / 2)
-    return xs[0], min(ys), xs[1], max(ys)
+def _fractions(box: _Box, inner: _Transformation, outer: _Transformation) -> Box:
+    """Return a box in fractions of the picture, y down."""
+    left, top = outer.apply(*inner.apply(box.left, box.top))
+    right, bottom = outer.apply(*inner.apply(box.right, box.bottom))
+    return (left + 1) / 2, (1 - max(top, bottom)) / 2, (right + 1) / 2, (1 - min(top, bottom)) / 2
 
 
 def _frames_of(document: bytes) -> list[_Frame]:

@@ -15,9 +15,9 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from camtopod import codec
-from camtopod.adapt.adapter import Sizes, payload, size_of
+from camtopod.adapt.adapter import Sizes, size_of, split_topic
 from camtopod.adapt.box_linking import BoxLinker
-from camtopod.adapt.camera_streams import Box, Name, StreamAdapter, TrackedBoxes, seconds_of
+from camtopod.adapt.camera_streams import Box, Name, StreamAdapter, TrackedBox, counts, seconds_of
 from camtopod.codec import Rejected
 from camtopod.records import CameraId, Event
 
@@ -61,26 +61,31 @@ class SceneScape(StreamAdapter):
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a frame makes certain. Raises `Rejected`."""
-        message = codec.read(_Message, payload(line, self.topic))
+        message = codec.read(_Message, split_topic(line, "*/data/camera/*")[1])
         t = seconds_of(message.timestamp)
         camera = message.id
-        stream = self._streams.at(camera, size_of(camera, self._sizes))
+        stream = self._stream(camera, size_of(camera, self._sizes))
         stream.require_newer(t)  # before its boxes are linked to those of later frames
 
         # Boxes in pixels, of the kinds that count.
-        wanted = {kind: them for kind, them in message.objects.items() if self._streams.wants(kind)}
-        found = [(kind, one) for kind, them in wanted.items() for one in them]
-        kinds = [kind for kind, one in found if one.bounding_box_px is not None]
-        ids = [one.id for _, one in found if one.bounding_box_px is not None]
+        found = [
+            (kind, one)
+            for kind, detections in message.objects.items()
+            for one in detections
+            if counts(kind, self._labels)
+        ]
+        kinds = [kind for kind, one in found if one.bounding_box_px]
         boxes = [one.bounding_box_px.corners() for _, one in found if one.bounding_box_px]
+        names: list[Name] = [one.id for _, one in found if one.bounding_box_px]
         if found and not boxes:
             raise Rejected("no-pixels", "no object has a bounding_box_px")
 
         # Names by the tracker's ids, or by linking.
-        seen = TrackedBoxes()
-        names: list[Name] = list(ids)
         if not self._tracked:
             names = list(self._linkers.setdefault(camera, BoxLinker()).link(kinds, boxes, t))
-        for kind, name, box in zip(kinds, names, boxes, strict=True):
-            seen.add(None if name is None else f"{kind}-{name}", box, kind)
+        seen = [
+            TrackedBox(f"{kind}-{name}", box, kind)
+            for name, box, kind in zip(names, boxes, kinds, strict=True)
+            if name is not None
+        ]
         return stream.update(seen, [], t)

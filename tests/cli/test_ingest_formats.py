@@ -46,10 +46,10 @@ def test_lines_without_a_bus(
     )
     assert [event.kind for event in lines_of(out)] == ["entry", "exit"] * 10
     err = capsys.readouterr().err
-    assert f"{recording}:5: is not of .../events: frigate/tracked_object_update ..." in err
-    assert f"{recording}:6: " not in err, "one of a kind is enough"
-    assert f"{recording}:10: it is empty, or cut off: frigate/events ..." in err
-    assert "3 of 33 lines were rejected: malformed 1, other-topic 2" in err
+    assert f"{recording}:5: is not of */events (further" in err
+    assert f"{recording}:6: is neither a message nor a topic and a message" in err
+    assert f"{recording}:10: " not in err, "one of a kind is enough"
+    assert "3 of 33 lines were rejected: malformed 2, other-topic 1" in err
     assert "Jane" not in err + out.read_text()
 
 
@@ -84,17 +84,16 @@ def test_from_standard_input_to_standard_output(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["mot", "x.txt"], "mot needs --camera and --fps and --size"),
+        (["mot", "x.txt"], "mot needs --camera, --fps, and --size"),
         (
             ["mot", "x.txt", "--camera", "daemon", "--fps", "5", "--size", "4x4"],
             "reserved on the bus",
         ),
-        (["mot", "x.txt", "--camera", "a", "--fps", "-5", "--size", "4x4"], "above 0"),
         (["mot", "x.txt", "--camera", "a", "--fps", "0", "--size", "4x4"], "above 0"),
         (["mot", "x.txt", "--camera", "", "--fps", "5", "--size", "4x4"], "1 to 64"),
         (
             ["mot", "x.txt", "--camera", "a", "--fps", "5", "--size", "b=4x4"],
-            "is for another camera than a",
+            "--size of that camera",
         ),
         (["frigate", "x.txt", "--size", "4by4"], "write it like 1280x720"),
         (["frigate", "x.txt", "--fps", "5"], "--fps is for mot, not frigate"),
@@ -108,7 +107,6 @@ def test_from_standard_input_to_standard_output(
         (["frigate", "mqtt://h"], "PREFIX"),
         (["frigate", "mqtt:///frigate"], "write it like"),
         (["frigate", "mqtt://h/frigate/#"], "PREFIX"),
-        (["frigate", "x.txt", "--boot", "a b"], "--boot"),
     ],
 )
 def test_usage(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:

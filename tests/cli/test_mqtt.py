@@ -84,7 +84,7 @@ def test_events_come_while_objects_come_and_go_and_the_broker_may_be_away(tmp_pa
         ingest.wait_for_lines(4)
         ingest.process.send_signal(signal.SIGTERM)
         assert ingest.process.wait(20) == exits.DONE
-        assert "frigate/events:4: is neither JSON nor a topic and JSON" in ingest.said
+        assert "frigate/events:4: is neither a message nor a topic and a message" in ingest.said
         assert "1 of 7 lines were rejected: malformed 1" in ingest.said
         assert "Jane" not in ingest.out.read_text()
 

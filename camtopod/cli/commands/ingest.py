@@ -17,8 +17,8 @@ import msgspec
 
 from camtopod.adapt import FORMATS
 from camtopod.cli import exits
-from camtopod.cli.common import check_name, configuration, open_output, start_logging, until_signal
-from camtopod.cli.events.event_lines import LineReader, open_input
+from camtopod.cli.common import configuration, open_output, start_logging, until_signal
+from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.events.input_formats import add_options, events
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.site_choice import right_site
@@ -70,12 +70,6 @@ def add_parser(subparsers: Any) -> None:
         "--state", metavar="DIRECTORY", help="directory of the spool (default: [state] directory)"
     )
     parser.add_argument(
-        "--boot",
-        metavar="NAME",
-        help="number the events under this name, so that they count once however often they are "
-        "ingested (default: digest of a regular file)",
-    )
-    parser.add_argument(
         "--anew",
         action="store_true",
         help="count the events of a regular file again, as if they were new",
@@ -87,12 +81,6 @@ def run(args: argparse.Namespace) -> int:
     """Read events and publish them until all are stored, or write them to a file."""
     start_logging(args)
     config = configuration(args)
-    if args.boot is not None and args.anew:
-        raise CommandError("--anew and --boot contradict each other", exits.USAGE)
-    if args.boot is not None:
-        check_name("--boot", args.boot)
-
-    # Read and publish, or write.
     reader = LineReader()
     with contextlib.ExitStack() as stack, until_signal() as stop, Progress() as progress:
 
@@ -100,18 +88,19 @@ def run(args: argparse.Namespace) -> int:
             if args.out != "-":
                 progress.show("%d lines read, %d events", reader.read, reader.events)
 
+        # Read and publish, or write.
         source = events(args, reader, stack, stop)
-        if (boot := args.boot or _digest(args)) is not None:
-            source = numbered_by(boot, source)
+        if args.out is None and not args.anew and Path(args.file).is_file():
+            source = numbered_by(_digest(args.file), source)
         read = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
         status = exits.DONE
-        if args.out is not None:
+        if args.out is None:
+            status = _publish(config, read, stack, stop, progress)
+        else:
             out = stack.enter_context(open_output(args.out))
             for batch in read:
                 out.writelines(to_json(event) + b"\n" for event in batch)
                 out.flush()
-        else:
-            status = _publish(config, read, stack, stop, progress)
 
     # Report what was not used.
     if (summary := reader.summary()) is not None:
@@ -121,23 +110,18 @@ def run(args: argparse.Namespace) -> int:
             f"no line of {args.file} is valid {args.format}: nothing to ingest, see above"
         )
     if reader.read and not reader.events:
-        log.warning("%d lines gave no event: %s", reader.read, FORMATS[args.format].no_events)
+        log.warning(
+            "%d lines gave no event: no object entered or left, or only such as do not count "
+            "(untracked, stationary, or not among --label)",
+            reader.read,
+        )
     return status
 
 
-def _digest(args: argparse.Namespace) -> str | None:
-    """Return the boot of a regular file's events, so that they count once however often it is
-    ingested.
-
-    None for a pipe, which can be read only once, and with --anew or --out.
-    """
-    if args.anew or args.out is not None or not Path(args.file).is_file():
-        return None
-    digest = hashlib.sha256()
-    with open_input(args.file) as file:
-        while piece := file.read(1 << 20):
-            digest.update(piece)
-    return f"file-{digest.hexdigest()[:32]}"
+def _digest(path: str) -> str:
+    """Return the boot of a file's events: they count once however often it is ingested."""
+    with open(path, "rb") as file:
+        return f"file-{hashlib.file_digest(file, 'sha256').hexdigest()[:32]}"
 
 
 def numbered_by(boot: str, source: Iterator[Event]) -> Iterator[Event]:
@@ -167,8 +151,6 @@ def _publish(
     publisher = Publisher(spool)
     stack.callback(publisher.close)
     publisher.attach(bus)
-    daemons: set[str] = set()
-    bus.watch_alive("daemon", lambda name, alive: (daemons.add if alive else daemons.discard)(name))
 
     # Publish batch by batch. Events that earlier runs have left are sent, too, but not waited for.
     limits = config.limits
@@ -179,8 +161,8 @@ def _publish(
     )
     for batch in source:
         publisher.publish(*batch)
-        _wait(publisher, most, stop, bus, config, daemons, progress)
-    _wait(publisher, 0, stop, bus, config, daemons, progress)
+        _wait(publisher, most, stop, bus, config, progress)
+    _wait(publisher, 0, stop, bus, config, progress)
 
     # Report the outcome.
     late, refused = publisher.outcome()
@@ -226,25 +208,23 @@ def batches(
 
     threading.Thread(target=read, daemon=True).start()
 
-    # A batch ends when it is full or no event is waiting.
-    batch: list[Event] = []
+    event: Event | None
     while not stop.is_set():
         try:
-            event = waiting.get(block=not batch, timeout=_TICK_SECONDS)
+            event = waiting.get(timeout=_TICK_SECONDS)
         except queue.Empty:
             tell()
-            if batch:
-                yield batch
-                batch = []
             continue
+        batch = []
+        while event is not None:
+            batch.append(event)
+            if len(batch) == most or waiting.empty():
+                break
+            event = waiting.get()
+        if batch:
+            yield batch
         if event is None:
             break
-        batch.append(event)
-        if len(batch) >= most:
-            yield batch
-            batch = []
-    if batch:
-        yield batch
     if not whole.is_set() and not stop.is_set():
         raise CommandError("reading failed before the end of the input, see above")
 
@@ -255,7 +235,6 @@ def _wait(
     stop: threading.Event,
     bus: Bus,
     config: Config,
-    daemons: set[str],
     progress: Progress,
 ) -> None:
     """Wait until at most ``most`` of the events of this run are not stored.
@@ -279,7 +258,9 @@ def _wait(
             raise CommandError(f"camera {', '.join(unanswered)}: {UNANSWERED}", exits.BUS)
         publisher.retry()
         now = publisher.count_waiting(own=True)
-        patience = PATIENCE_SECONDS if now < before or daemons else patience - _TICK_SECONDS
+        patience -= _TICK_SECONDS
+        if now < before or (patience <= 0 and bus.list_alive("daemon")):
+            patience = PATIENCE_SECONDS
         before = now
         if patience <= 0:
             raise CommandError(

@@ -11,11 +11,11 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from typing import BinaryIO, NamedTuple
 
-from camtopod.adapt import LINE_BYTES_MAX, Adapter, quotable
+from camtopod.adapt import LINE_BYTES_MAX, Adapter
 from camtopod.cli.exits import InputError
 from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json
 from camtopod.records import Event
@@ -86,45 +86,32 @@ class LineReader:
         path: str,
         lines: Iterable[tuple[int, bytes]],
         adapter: Adapter,
-        silent: Callable[[float], list[Event]] | None = None,
+        live: bool = False,
     ) -> Iterator[Event]:
         """Yield events from another program's numbered lines.
 
-        silent: of lines that come live, the adapter's method that returns the events of cameras
-            that are silent. Empty lines are then no lines, but occasions to ask it.
+        live: the lines come as things happen. Empty lines are then occasions to ask the adapter for
+            the events of cameras that are silent.
 
-        Of a rejected line only its structure is quoted, no text.
+        Of a rejected line nothing is quoted, as it may name people.
         """
-        for event in self._adapted(path, lines, adapter, silent):
-            self.events += 1
-            yield event
-
-    def _adapted(
-        self,
-        path: str,
-        lines: Iterable[tuple[int, bytes]],
-        adapter: Adapter,
-        silent: Callable[[float], list[Event]] | None,
-    ) -> Iterator[Event]:
-        """Yield the events of lines as `adapted` does, and count and quote rejected lines."""
         for number, text in lines:
-            if silent is not None:
-                yield from silent(time.monotonic())
-                if not text:
-                    continue
-                number = self.read + 1
-            self.read += 1
-            try:
-                if len(text) > LINE_BYTES_MAX:
-                    raise Rejected("too-long", f"more than {LINE_BYTES_MAX} bytes")
-                events = adapter.receive(text)
-            except Rejected as error:
-                self.reject(
-                    error.reason, f"{path}:{number}: {error}", quotable(text[:LINE_BYTES_MAX])
-                )
-                continue
+            events = []
+            if live:
+                events = adapter.silent(time.monotonic())
+            if text:
+                self.read += 1
+                try:
+                    if len(text) > LINE_BYTES_MAX:
+                        raise Rejected("too-long", f"more than {LINE_BYTES_MAX} bytes")
+                    events += adapter.receive(text)
+                except Rejected as error:
+                    self.reject(error.reason, f"{path}:{number}: {error}")
+            self.events += len(events)
             yield from events
-        yield from adapter.close()
+        events = adapter.close()
+        self.events += len(events)
+        yield from events
 
     def reject(self, reason: str, where: str, text: bytes = b"") -> None:
         """Count a rejected line; print the first one of each reason to standard error."""

@@ -10,15 +10,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from camtopod import mqtt
-from camtopod.adapt import (
-    ANY_CAMERA,
-    FORMATS,
-    LINE_BYTES_MAX,
-    Adapter,
-    FormatOptions,
-    Size,
-    StreamAdapter,
-)
+from camtopod.adapt import ANY_CAMERA, FORMATS, LINE_BYTES_MAX, Adapter, FormatOptions, Size
 from camtopod.cli import exits
 from camtopod.cli.common import check_camera
 from camtopod.cli.events import broker_options
@@ -28,19 +20,26 @@ from camtopod.records import Event
 
 _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "size": (
-        "size in pixels of the pictures that the boxes refer to; may be repeated",
+        "width and height in pixels of the pictures that the boxes refer to (of Frigate's detect, "
+        "not needed with path_data; of nvstreammux); may be repeated",
         {"metavar": "[CAMERA=]WxH", "action": "append", "default": []},
     ),
     "label": (
         "only objects of this kind (person, car, ...); may be repeated",
         {"metavar": "NAME", "action": "append", "default": []},
     ),
-    "tracked": ("", {"action": "store_true"}),
-    "camera": ("", {"metavar": "ID"}),
-    "fps": ("", {"type": float, "metavar": "N"}),
-    "start": ("", {"type": float, "metavar": "SECONDS"}),
+    "tracked": ("ids come from a tracker (gvatrack in the pipeline)", {"action": "store_true"}),
+    "camera": (
+        "the id of the one camera (default: as the topic or the message names it)",
+        {"metavar": "ID"},
+    ),
+    "fps": ("frames per second", {"type": float, "metavar": "N"}),
+    "start": (
+        "event time of the first frame (default 0)",
+        {"type": float, "metavar": "SECONDS"},
+    ),
 }
-"""Option -> what it means for all formats that have it, and the parser's arguments."""
+"""Option -> what it means, and the parser's arguments."""
 _SIZE = re.compile(r"(?:([A-Za-z0-9_.-]{1,64})=)?([1-9][0-9]{0,5})x([1-9][0-9]{0,5})")
 """Value of --size: [CAMERA=]WxH."""
 
@@ -49,24 +48,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the formats and of MQTT."""
     group = parser.add_argument_group("formats")
     for option, (meaning, arguments) in _OPTIONS.items():
-        group.add_argument(f"--{option}", help=_help(option, meaning), **arguments)
+        group.add_argument(f"--{option}", help=f"{meaning} ({_formats(option)})", **arguments)
     names = ", ".join(name for name, one in FORMATS.items() if one.mqtt)
     group = parser.add_argument_group(
         "MQTT", f"FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX ({names})"
     )
     broker_options.add_options(group)
-
-
-def _help(option: str, meaning: str) -> str:
-    """Return the help of an option: by what it means, the formats that have it."""
-    formats: dict[str, list[str]] = {}
-    for name, one in FORMATS.items():
-        if option in one.options:
-            formats.setdefault(one.options[option], []).append(name)
-    notes = [
-        f"{', '.join(names)}{': ' if note else ''}{note}" for note, names in sorted(formats.items())
-    ]
-    return f"{meaning} ({'; '.join(notes)})" if meaning else "; ".join(notes)
 
 
 def events(
@@ -80,12 +67,15 @@ def events(
     if args.file.startswith(("mqtt:", "mqtts:")):
         if adapter is None or not FORMATS[args.format].mqtt:
             raise CommandError(f"{args.format} cannot be read from MQTT, give a file", exits.USAGE)
-        messages = _messages(args, adapter.topic)
+        source = broker_options.broker_of(args, args.file)
+        with broker_options.connecting(exits.INPUT):
+            messages = mqtt.MessageSubscription(
+                source, adapter.topic, with_topics=adapter.topic == "#"
+            )
         stack.callback(messages.close)
-        if isinstance(adapter, StreamAdapter):  # cameras that may be silent
-            lines = enumerate(messages.read(stop, ticks=True), 1)
-            return reader.adapted(messages.topic, lines, adapter, adapter.silent)
-        return reader.adapted(messages.topic, enumerate(messages.read(stop), 1), adapter)
+        lines = ((reader.read + 1, text) for text in messages.read(stop, ticks=True))
+        return reader.adapted(messages.topic, lines, adapter, live=True)
+
     if args.password_file or args.ca:
         raise CommandError("--password-file and --ca are for mqtt[s]:// only", exits.USAGE)
     file = open_input(args.file)
@@ -100,18 +90,13 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
     """Return the adapter of the format; None for event lines. Raises `CommandError`."""
     chosen = FORMATS[args.format]
     values = {option: getattr(args, option) for option in _OPTIONS}
-    given = {
-        option for option, value in values.items() if value not in (None, []) and value is not False
-    }
-    for option in sorted(given - set(chosen.options)):
-        formats = [name for name, one in FORMATS.items() if option in one.options]
-        raise CommandError(
-            f"--{option} is for {' and '.join(formats)}, not {args.format}", exits.USAGE
-        )
+    for option in values.keys() - {*chosen.options}:
+        if values[option] not in (None, [], False):
+            raise CommandError(
+                f"--{option} is for {_formats(option)}, not {args.format}", exits.USAGE
+            )
     if args.camera is not None:
         check_camera(args.camera)
-    if missing := [f"--{option}" for option in chosen.needs if option not in given]:
-        raise CommandError(f"{args.format} needs {' and '.join(missing)}", exits.USAGE)
     if chosen.make is None:
         return None
     try:
@@ -120,8 +105,13 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
         raise CommandError(str(error), exits.USAGE) from None
 
 
+def _formats(option: str) -> str:
+    """Return the names of the formats that have an option."""
+    return ", ".join(name for name, one in FORMATS.items() if option in one.options)
+
+
 def _sizes(given: list[str]) -> dict[str, Size]:
-    """Return camera -> size in pixels, from the values of --size."""
+    """Return camera -> size in pixels, from the values of --size. Raises `CommandError`."""
     sizes = {}
     for text in given:
         match = _SIZE.fullmatch(text)
@@ -131,10 +121,3 @@ def _sizes(given: list[str]) -> dict[str, Size]:
             )
         sizes[match[1] or ANY_CAMERA] = (int(match[2]), int(match[3]))
     return sizes
-
-
-def _messages(args: argparse.Namespace, topic: str) -> mqtt.MessageSubscription:
-    """Subscribe to ``topic`` at the broker."""
-    source = broker_options.broker_of(args, args.file)
-    with broker_options.connecting(exits.INPUT):
-        return mqtt.MessageSubscription(source, topic, with_topics=topic == "#")
