@@ -32,6 +32,7 @@ from camtopod.admin import Reset, Rewind
 from camtopod.config import Config
 from camtopod.event_time import MICROSECONDS, EventTime, microseconds
 from camtopod.keys.rules import STATUS
+from camtopod.predict import Predictor
 from camtopod.records import DaemonStatus, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
@@ -56,6 +57,8 @@ from camtopod.serve.ingest import (
 from camtopod.serve.learner_process import (
     LearnerFeeder,
     LearnerProcess,
+    LearnProgress,
+    NewVersion,
     Recovered,
     newest_topology,
     recent_events,
@@ -74,8 +77,9 @@ from camtopod.serve.storage import (
     NAMES_KEY,
     Journal,
     JournalWriter,
+    Learned,
+    Snapshot,
     StateError,
-    Version,
     command_entry,
 )
 from camtopod.topology import links_between_views, links_in_words, waiting_for_links
@@ -139,7 +143,7 @@ class Daemon:
     @property
     def epoch(self) -> str:
         """Epoch of the next version; valid after `start`."""
-        return self._learning.epoch
+        return self._learning.progress.epoch
 
     def start(self, cancel: threading.Event | None = None) -> bool:
         """Read the journal, join the bus and start the threads, then return: ready to receive.
@@ -211,18 +215,11 @@ class Daemon:
         if self._bus is not None and self._given_bus is None:
             self._bus.close()
 
-        # Save what is known and close; a thread that still runs keeps its files.
-        running = {thread.name for thread in self._threads if thread.is_alive()}
-        if "learn" in running and self._process is not None:  # it does not respond
-            self._process.kill()
-        if "store" not in running:
-            if self.started and "learn" not in running:
-                self._intake.writer.store_remaining(
-                    None if self._failed.is_set() else self._learning.snapshot()
-                )
-            self._journal.close()
+        # A thread that still runs keeps its files.
         if self._process is not None:
             self._process.close()
+        if not any(thread.name == "store" and thread.is_alive() for thread in self._threads):
+            self._journal.close()
 
     def failing(self) -> list[str]:
         """Return the reasons for a restart; empty if all loops make progress."""
@@ -291,7 +288,7 @@ class Daemon:
             rejects=dict(intake.rejects.counts),
             reject_samples=intake.rejects.samples(),
             dropped=dict(intake.inbox.dropped),
-            learner=learning.statistics,
+            learner=learning.progress.statistics,
             catching_up=learning.catching_up(min(self._clock(), newest)),
             predictions=self._live.counts["predictions"],
             predictions_skipped=self._live.counts["predictions_skipped"],
@@ -338,13 +335,13 @@ class Daemon:
     def _begin_reset(self) -> Reset:
         """Begin an epoch with nothing; return the whole command."""
         self._live.forget()
-        ended = self._journal.meta("epoch") or self._learning.epoch
+        ended = self._journal.meta("epoch") or self.epoch
         return Reset(self._clock(), ended, self._new_epoch())
 
     def _rewound(self, to: float) -> Received:
         """Begin an epoch as event time is taken back to ``to`` (Unix seconds); return its entry."""
         self._live.forget()
-        ended = self._journal.meta("epoch") or self._learning.epoch
+        ended = self._journal.meta("epoch") or self.epoch
         begun = self._new_epoch()
         log.error(
             "this machine's clock was set back: what was learned of later events is dropped, and"
@@ -362,7 +359,7 @@ class Daemon:
         self._live = Live(self._publish_prediction)
         self.topology = newest_topology(self._journal)
         if self.topology is not None:
-            self._live.use(self.topology)
+            self._live.use(Predictor(self.topology))
 
         # Event time as the learner knows it; the newest events may be newer than the snapshot.
         recent = recent_events(self._journal)
@@ -388,7 +385,7 @@ class Daemon:
             EventClock(
                 learned, newest, limits.future_seconds_max, limits.settle_seconds, wall, now
             ),
-            JournalWriter(self._journal, self._clock, self._announce),
+            JournalWriter(self._journal, self._clock),
             limits,
             see=self._live.see,
             learn=lambda _: self._learning.note_stored(),
@@ -398,15 +395,8 @@ class Daemon:
         )
 
         # Learning, and what predictions remember.
-        self._learning = LearnerFeeder(
-            recovered,
-            process,
-            self._journal,
-            self._on_version,
-            self._intake.writer.on_snapshot,
-            self._on_deadline,
-            self._new_epoch,
-        )
+        self._on_progress(recovered.progress)
+        self._learning = LearnerFeeder(recovered, process, self._journal, self._on_progress)
         self._live.remember(recent)
 
     def _join_bus(self, bus: Bus) -> None:
@@ -437,10 +427,6 @@ class Daemon:
             grabbers.discard(camera)
         elif len(grabbers) < self._config.limits.cameras_max:
             grabbers.add(camera)
-
-    def _on_deadline(self, deadline: float | None) -> None:
-        """Take note of the event time that the learner waits for."""
-        self._intake.event_clock.deadline = deadline
 
     def _version(self, parameters: dict[str, str]) -> Topology:
         """Return the newest version, or an older one of the epoch (``version``) if it is kept.
@@ -475,15 +461,35 @@ class Daemon:
         except (sqlite3.Error, StateError) as error:
             raise QueryError(f"the journal cannot be written: {error}") from None
 
-    def _on_version(self, version: Version) -> None:
-        """Prepare predictions with a version that was learned, and store it."""
-        self._live.prepare(version.topology)
-        self._intake.writer.on_version(version)
+    def _on_progress(self, progress: LearnProgress) -> None:
+        """Take note of what the learner waits for, and have stored what it has made."""
+        self._intake.event_clock.deadline = progress.deadline
+        if progress.state is None:
+            return
 
-    def _announce(self, version: Version) -> None:
-        """Predict with a version that is stored and publish it, with its delta and its alarms."""
-        topology = version.topology
-        self._live.use(topology)
+        # Prepare predictions here, as this takes long; others go on meanwhile.
+        made = [
+            (version, codec.read(Topology, version.packed, pack=True))
+            for version in progress.versions
+        ]
+        predictor = Predictor(made[-1][1]) if made else None
+
+        def publish() -> None:
+            if predictor is not None:
+                self._live.use(predictor)
+            for version, topology in made:
+                self._announce(version, topology)
+
+        self._intake.writer.on_learned(
+            Learned(
+                [version.stored for version in progress.versions],
+                Snapshot(progress.position, progress.epoch, progress.state),
+                publish,
+            )
+        )
+
+    def _announce(self, version: NewVersion, topology: Topology) -> None:
+        """Publish a version that is stored, with its delta, and log its alarms."""
         self.topology = topology
         if version.delta is not None:
             self.bus.publish_raw("topology/delta", version.delta, "topology-delta")

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from camtopod import codec
 from camtopod.predict import Predictor
-from camtopod.records import Event, Prediction, Topology
+from camtopod.records import Event, Prediction
 from camtopod.serve.bus import QueryError
 from camtopod.serve.ingest import Received
 
@@ -28,7 +28,6 @@ class Live:
         self._publish = publish
         self._mutex = threading.Lock()
         self._predictor: Predictor | None = None
-        self._prepared: tuple[Topology, Predictor] | None = None
         self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
 
     def see(self, batch: Sequence[Received], seconds_max: float) -> None:
@@ -60,26 +59,12 @@ class Live:
             if self._predictor is not None:
                 self._predictor.forget()
 
-    def prepare(self, version: Topology) -> None:
-        """Build the predictor of a version that will be used next; only one thread may call this.
-
-        Other threads predict with the version in use meanwhile. For 100 cameras with 1,600 links
-        it takes 0.15 to 0.3 s of processor time.
-        """
-        self._prepared = version, Predictor(version)
-
-    def use(self, version: Topology) -> None:
-        """Predict with a version from now on; the observed events are kept."""
-        # Another thread may prepare the version after this one at any moment.
-        prepared = self._prepared
-        if prepared is not None and prepared[0] is version:
-            newer = prepared[1]
-        else:
-            newer = Predictor(version)
+    def use(self, predictor: Predictor) -> None:
+        """Predict with a newer version from now on; the observed events are kept."""
         with self._mutex:
             if self._predictor is not None:
-                newer.take_over(self._predictor)
-            self._predictor = newer
+                predictor.take_over(self._predictor)
+            self._predictor = predictor
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction:
         """Answer a query on ``predict/{camera}``: for an exit at x, y at t, or from a zone.

@@ -362,7 +362,7 @@ def test_a_clock_behind_the_newest_event_is_said_with_what_to_do(site: Site) -> 
     status = again.status()
     assert status.state == "degraded"
     assert "clock is 86400 s behind the newest event: nothing is taken" in status.reason
-    assert again.unready() == [status.reason]
+    assert status.reason in again.unready()
     assert again.failing() == [], "to start it again changes nothing"
     site.now = NOW
     assert (again.status().reason, again.unready()) == ("", [])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sqlite3
-import threading
 import zlib
 from collections.abc import Iterator
 from contextlib import closing
@@ -21,7 +20,6 @@ from camtopod.serve.storage.journal import (
     Snapshot,
     StoredVersion,
 )
-from camtopod.serve.storage.journal_writer import JournalWriter
 from camtopod.serve.storage.sqlite_file import Damaged, StateError
 
 NOW = 1_700_000_000.0
@@ -231,19 +229,6 @@ def test_the_file_stays_within_its_size(tmp_path: Path, monkeypatch: pytest.Monk
         assert journal.size() < 1.2 * largest
         assert (tmp_path / "journal.db").stat().st_size < 1.5 * largest
         assert len(kept(journal)) > 1000
-
-
-def versions_left(journal: Journal, clocks: list[tuple[float, float]]) -> list[int]:
-    """Return the number of versions after each pruning at such times (wall clock, steady clock)."""
-    told, left = [clocks[0]], []
-    storing = JournalWriter(journal, lambda: told[-1][0], lambda: told[-1][1], lambda _: None)
-    for wall_and_steady in clocks:
-        told.append(wall_and_steady)
-        storing.on_snapshot(Snapshot(0, "E", b"state"))
-        assert storing.store([], threading.Event())
-        storing.prune()
-        left.append(len(journal.versions("E")))
-    return left
 
 
 def test_history_is_bounded_by_bytes_and_by_days(

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -33,7 +32,7 @@ FAULTY = "learners.faulty"
 
 def begun(program: str = PROGRAM) -> LearnerProcess:
     process = LearnerProcess(program)
-    process.ask(Begin(SETTINGS, "s", "E", {}, False), LearnProgress)
+    process.ask(Begin(SETTINGS, "s", "E", False), LearnProgress)
     return process
 
 
@@ -114,16 +113,7 @@ def test_killed_while_it_had_nothing_to_do_is_nobodys_fault(process: LearnerProc
     assert (ended.value.status, ended.value.at) == (-signal.SIGKILL, 0)
 
 
-def test_a_question_that_takes_too_long_ends_it(process: LearnerProcess) -> None:
-    with pytest.raises(LearnerEnded) as ended:
-        process.ask(LearnBatch(0, [event("1"), event("lasts")]), LearnProgress, 0.3)
-    assert ended.value.at == 2
-
-
-def test_an_endless_step_holds_up_no_stop_and_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(feeder, "FINISH_SECONDS", 0.3)
+def test_an_endless_step_holds_up_no_stop_and_loses_nothing(tmp_path: Path) -> None:
     stop = threading.Event()
     with contextlib.closing(Installation(tmp_path, program=FAULTY)) as one:
         one.learn(EVENTS[:100])
@@ -131,23 +121,16 @@ def test_an_endless_step_holds_up_no_stop_and_loses_nothing(
         working = threading.Thread(target=one.learning.work, args=(stop,))
         working.start()
         wait_for(lambda: one.process.has_progressed(), "the step to begin")
+
         stop.set()
-        began = time.monotonic()
         working.join()
-        assert time.monotonic() - began < 3.0, "it did not wait as long as usual"
-        assert one.learning.snapshot() is None
+
         assert recovery.read_failure(one.journal) is None, "the entry had no chance"
         before = one.published
     with contextlib.closing(Installation(tmp_path)) as again:
         assert again.learning.waiting == 101 - again.started_at > 0
         again.learn(EVENTS[101:])
         assert [one[:2] for one in before + again.published] == [one[:2] for one in uninterrupted()]
-
-
-def test_told_to_hurry_it_answers_after_the_entry_it_is_at(process: LearnerProcess) -> None:
-    process.hurry()
-    answer = process.ask(LearnBatch(7, [event(str(number)) for number in range(50)]), LearnProgress)
-    assert (answer.position, answer.statistics["accepted"]) == (8, 1)
 
 
 @pytest.mark.parametrize("busy", [False, True])

@@ -1,8 +1,6 @@
-"""Predictions continue while the predictor of a new version is built, and then use that version."""
+"""Predictions are those of the version in use, with all that was observed before."""
 
 from __future__ import annotations
-
-import threading
 
 import pytest
 from msgspec.structs import replace
@@ -11,7 +9,6 @@ from serving import closing_event, numbered, walkers
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Prediction, Topology
-from camtopod.serve import live_predictions
 from camtopod.serve.live_predictions import Live
 
 EVENTS = [*numbered(walkers(60)), closing_event()]
@@ -32,52 +29,23 @@ def test_exits_are_predicted_by_the_version_in_use(learned: Topology) -> None:
     live = Live(made.append)
     live._step(EXIT)
     assert made == [], "no version is in use yet"
-    for number in (1, 2, 3):
-        version = replace(learned, version=number)
-        if number > 1:
-            live.prepare(version)
-            live._step(EXIT)
-        live.use(version)
+
+    for number in (1, 2):
+        live.use(Predictor(replace(learned, version=number)))
         live._step(EXIT)
-    assert [one.version for one in made] == [1, 1, 2, 2, 3]
 
-
-def test_predictions_go_on_while_the_next_predictor_is_built(
-    learned: Topology, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first, second = learned, replace(learned, version=learned.version + 1)
-    made: list[Prediction] = []
-    live = Live(made.append)
-    live.use(first)
-    building, go_on = threading.Event(), threading.Event()
-
-    def build(topology: Topology) -> Predictor:
-        building.set()
-        assert go_on.wait(10.0)
-        return Predictor(topology)
-
-    monkeypatch.setattr(live_predictions, "Predictor", build)
-    preparing = threading.Thread(target=live.prepare, args=(second,))
-    preparing.start()
-    assert building.wait(10.0)
-    live._step(EXIT)
-    assert [one.version for one in made] == [first.version]
-    go_on.set()
-    preparing.join()
-    live.use(second)
-    live._step(EXIT)
-    assert [one.version for one in made] == [first.version, second.version]
+    assert [one.version for one in made] == [1, 2]
 
 
 def test_a_new_version_keeps_what_was_observed(learned: Topology) -> None:
     """Predictions equal those of a predictor of the new version that observed all events."""
     made: list[Prediction] = []
     live, alone = Live(made.append), Predictor(learned)
-    live.use(learned)
+    live.use(Predictor(learned))
     expected = []
     for number, event in enumerate(EVENTS[:-1]):
         if number == len(EVENTS) // 2:
-            live.use(replace(learned, version=learned.version + 1))
+            live.use(Predictor(replace(learned, version=learned.version + 1)))
         live._step(event)
         if event.kind == "exit":
             expected.append(alone.predict(event))

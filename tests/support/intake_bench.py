@@ -87,7 +87,7 @@ class IntakeBench:
             Names(read_names(self.journal.meta(NAMES_KEY)), lambda: self.wall),
             Merger(LATENESS, future, newest, self.now - merge.SETTLE_SECONDS * settled),
             EventClock(EventTime(LATENESS), newest, future, 10.0, self.wall, self.now),
-            JournalWriter(self.journal, lambda: self.wall, lambda version: None),
+            JournalWriter(self.journal, lambda: self.wall),
             self.limits,
             see=lambda ready, seconds: self.predicted.extend(ready),
             learn=self.learned.extend,

@@ -8,6 +8,10 @@ journal at the start.
 from __future__ import annotations
 
 from camtopod.serve.learner_process.feeder import LearnerFeeder as LearnerFeeder
+from camtopod.serve.learner_process.messages import (
+    LearnProgress as LearnProgress,
+    NewVersion as NewVersion,
+)
 from camtopod.serve.learner_process.process import LearnerProcess as LearnerProcess
 from camtopod.serve.learner_process.recovery import (
     Recovered as Recovered,

@@ -9,33 +9,23 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable
+from itertools import islice
 
-from camtopod import codec
-from camtopod.records import CatchingUp, Topology
+from camtopod.records import CatchingUp
 from camtopod.serve.learner_process.messages import (
     INPUTS_MAX,
     Input,
-    Kind,
     LearnBatch,
     LearnProgress,
-    NewEpoch,
-    NewVersion,
-    Question,
-    Save,
-    Saved,
-    VersionMismatch,
 )
 from camtopod.serve.learner_process.process import LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import Recovered, note_failure
 from camtopod.serve.runtime import Beat, no_beat
-from camtopod.serve.storage import Journal, Snapshot, Version
+from camtopod.serve.storage import Journal
 
 log = logging.getLogger(__name__)
 
-FINISH_SECONDS = 3.0
-"""Time that a step, and the snapshot at the end, may still take when the daemon stops."""
 GATHER_SECONDS = 0.02
 """Time in which new events are gathered into one message.
 
@@ -46,21 +36,13 @@ CATCHING_UP_SECONDS = 180.0
 
 A fit takes this long on a large site, and a camera's clock may be a minute ahead.
 """
-SNAPSHOT_ENTRIES = 20_000
-"""Number of entries after which the learner's state is saved; also after every version."""
 _TICK_SECONDS = 0.2
 
 
 class LearnerFeeder:
     """Feeds the learner of ``process``; nothing else may ask that process.
 
-    The thread of `work` calls:
-
-    on_version: with each new version.
-    on_snapshot: with each snapshot, after the versions it includes.
-    on_deadline: with the event time that the learner waits for.
-    new_epoch: to begin and store an epoch.
-    snapshot_entries: number of entries after which the learner's state is saved.
+    on_progress: called with the learner's progress after each step, on the thread of `work`.
     """
 
     def __init__(
@@ -68,32 +50,20 @@ class LearnerFeeder:
         recovered: Recovered,
         process: LearnerProcess,
         journal: Journal,
-        on_version: Callable[[Version], None],
-        on_snapshot: Callable[[Snapshot], None],
-        on_deadline: Callable[[float | None], None],
-        new_epoch: Callable[[], str],
-        snapshot_entries: int = SNAPSHOT_ENTRIES,
+        on_progress: Callable[[LearnProgress], None],
     ) -> None:
         self.position = recovered.position
-        self.epoch = recovered.epoch
+        """Number of the last entry that is learned."""
+        self.progress = recovered.progress
+        """The learner's progress, as of its last step."""
         self._process = process
         self._journal = journal
-        self._on_version = on_version
-        self._on_snapshot = on_snapshot
-        self._on_deadline = on_deadline
-        self._new_epoch = new_epoch
+        self._on_progress = on_progress
         self._replay_until = len(journal)
-        self._saved = self.position
         self._up_to_date_at = self.position
-        self._due = False
-        self._snapshot_entries = snapshot_entries
-        self._busy = False  # True while the process owes an answer
         self._stored = threading.Event()
         self.damaged = 0
         """Number of damaged journal entries that were left out."""
-        self.statistics = recovered.progress.statistics
-        """The learner's statistics, as of its last step."""
-        on_deadline(recovered.progress.deadline)
 
     def note_stored(self) -> None:
         """Entries have just been stored, to be learned soon. Any thread."""
@@ -118,14 +88,13 @@ class LearnerFeeder:
 
         newest: event time of the newest event stored, Unix seconds.
         """
-        watermark = self.statistics["watermark"]
-        seconds = newest - watermark if watermark else 0.0  # it has none before its first events
+        watermark = self.progress.statistics["watermark"] or newest  # none before its first events
         waiting = self.waiting
-        if not waiting or seconds < CATCHING_UP_SECONDS:
+        if not waiting or newest - watermark < CATCHING_UP_SECONDS:
             self._up_to_date_at = self.position
             return None
         learned = self.position - self._up_to_date_at
-        return CatchingUp(seconds, max(0.0, learned / max(1, learned + waiting)))
+        return CatchingUp(newest - watermark, learned / (learned + waiting))
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Feed the learner until ``stopping``; entries not learned by then are in the journal.
@@ -133,13 +102,12 @@ class LearnerFeeder:
         Raises `LearnerEnded`.
         """
         try:
-            self._learn(LearnBatch(self.position, []), stopping, beat)
+            self._learn([], stopping, beat)
             while not stopping.is_set():
-                if not self.waiting and not self._stored.wait(_TICK_SECONDS):
-                    self._process.check()
-                elif self._stored.is_set():
+                if self._stored.wait(_TICK_SECONDS):
                     stopping.wait(GATHER_SECONDS)
                 self._stored.clear()
+                self._process.check()
                 self._learn_stored(stopping, beat)
                 beat()
         except LearnerEnded as ended:
@@ -151,114 +119,49 @@ class LearnerFeeder:
                 note_failure(self._journal, ended.at)
             raise
 
-    def snapshot(self) -> Snapshot | None:
-        """Return the learner's state for the next start; only while `work` does not run.
-
-        None if nothing has been learned since the last snapshot, or if the learner is in the middle
-        of a step.
-        """
-        if self._busy or (self.position == self._saved and not self._due):
-            return None
-        try:
-            saved = self._process.ask(Save(), Saved, FINISH_SECONDS)
-        except LearnerEnded as ended:
-            log.warning(
-                "the learner's last state is not saved, so the next start repeats some entries of"
-                " the journal: %s",
-                ended,
-            )
-            return None
-        return Snapshot(self.position, self.epoch, saved.state)
-
     def _learn_stored(self, stopping: threading.Event, beat: Beat) -> None:
         """Learn what the journal has by now, in batches."""
-        until = len(self._journal)
         damaged = self.damaged
-        batch: list[Input] = []
-        for number, entry in self._journal.entries(after=self.position, up_to=until):
-            if not batch:
-                self.position = number - 1
-            self.damaged += entry is None
-            batch.append(("skipped", b"") if entry is None else (entry.kind, entry.raw))
-            if len(batch) >= INPUTS_MAX or number == until:
-                self._learn(LearnBatch(self.position, batch), stopping, beat)
-                self._take_snapshot(stopping, beat)
-                batch = []
-            if stopping.is_set():
-                return
-        self.position = max(self.position, until)
+        while self.waiting and not stopping.is_set():
+            entries = list(islice(self._journal.entries(after=self.position), INPUTS_MAX))
+            if not entries:
+                self.position = len(self._journal)  # they are no longer kept
+                break
+            self.position = entries[0][0] - 1
+            inputs = [
+                ("skipped", b"") if entry is None else (entry.kind, entry.raw)
+                for _, entry in entries
+            ]
+            learned = self._learn(inputs, stopping, beat)
+            self.damaged += sum(entry is None for _, entry in entries[:learned])
         if self.damaged > damaged:
             log.error(
                 "%d damaged entries of the journal are not learned; they are still in the file",
                 self.damaged,
             )
 
-    def _learn(self, task: LearnBatch, stopping: threading.Event, beat: Beat) -> None:
-        """Send a task to the learner and note the progress."""
-        progress = self._ask(task, LearnProgress, stopping, beat)
+    def _learn(self, inputs: list[Input], stopping: threading.Event, beat: Beat) -> int:
+        """Have the learner learn; return the number of entries learned, which may be less.
+
+        It beats while the learner moves from entry to entry.
+        """
+        self._process.send(LearnBatch(self.position, inputs))
+        while (progress := self._process.receive(_TICK_SECONDS)) is None:
+            if stopping.is_set():
+                return 0
+            if self._process.has_progressed():
+                beat()
+
+        # Note the progress, and pass on what has to be stored.
+        assert isinstance(progress, LearnProgress)
+        learned = progress.position - self.position
         self.position = progress.position
-        self.statistics = progress.statistics
-        self.epoch = progress.epoch
-        self._on_deadline(progress.deadline)
+        self.progress = progress
         if progress.unreadable:
             log.error(
                 "%d entries of the journal are no valid events for this program: they are not"
                 " learned",
                 progress.unreadable,
             )
-
-    def _take_snapshot(self, stopping: threading.Event, beat: Beat) -> None:
-        """Take a snapshot between batches if one is due."""
-        if self._due or self.position - self._saved >= self._snapshot_entries:
-            saved = self._ask(Save(), Saved, stopping, beat)
-            self._on_snapshot(Snapshot(self.position, self.epoch, saved.state))
-            self._saved = self.position
-            self._due = False
-
-    def _ask(
-        self, question: Question, kind: type[Kind], stopping: threading.Event, beat: Beat
-    ) -> Kind:
-        """Send a question, handle its new versions, return the last answer. Raises `LearnerEnded`.
-
-        It beats while the learner moves from entry to entry.
-        """
-        self._busy = True
-        self._process.send(question)
-        stopping_since = None
-        while True:
-            answer = self._process.receive(_TICK_SECONDS)
-
-            # Versions come before the last answer.
-            if isinstance(answer, NewVersion):
-                self._hand_over_version(answer)
-            elif isinstance(answer, VersionMismatch):
-                self._begin_epoch(answer.version)
-            elif isinstance(answer, kind):
-                self._busy = False
-                return answer
-
-            if answer is not None or self._process.has_progressed():
-                beat()
-
-            # When stopping, let the learner finish its entry, or end it.
-            if stopping.is_set():
-                stopping_since = stopping_since or time.monotonic()
-                self._process.hurry()
-                if time.monotonic() - stopping_since > FINISH_SECONDS:
-                    self._process.kill()
-
-    def _hand_over_version(self, made: NewVersion) -> None:
-        """Hand a new version over."""
-        self._due = True
-        topology = codec.read(Topology, made.packed, pack=True)
-        self._on_version(Version(topology, made.content, made.packed, made.delta))
-
-    def _begin_epoch(self, version: int) -> None:
-        """Begin an epoch, as a stored version was not reproduced."""
-        self.epoch = self._new_epoch()
-        log.warning(
-            "version %d was not reproduced (another build or processor?); epoch %s begins",
-            version,
-            self.epoch,
-        )
-        self._process.send(NewEpoch(self.epoch))
+        self._on_progress(progress)
+        return learned

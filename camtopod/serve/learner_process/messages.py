@@ -1,7 +1,7 @@
 """Messages between the daemon and the learner's process, over a pipe of `multiprocessing`.
 
-The daemon asks; the process answers with any number of `NewVersion` and `VersionMismatch`, then
-with one of the other answers. Both sides are this program, so an invalid message is a bug.
+The daemon asks, and the process gives one answer. Both sides are this program, so an invalid
+message is a bug.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from msgspec import Struct
 
 from camtopod.event_time import EventTimeState
 from camtopod.learn.settings import Settings
+from camtopod.serve.storage import StoredVersion
 
 INPUTS_MAX = 4_000
 """Most entries in one message: some hundred kilobytes, some hundredths of a second without a fit.
@@ -26,10 +27,7 @@ Input = tuple[str, bytes]
 
 
 class Load(Struct):
-    """Question: can this state of a learner be used? `Begin` follows.
-
-    Answer: `Loaded`.
-    """
+    """Question: can this state of a learner be used? `Begin` follows. Answer: `Loaded`."""
 
     state: bytes
 
@@ -37,15 +35,12 @@ class Load(Struct):
 class Begin(Struct):
     """Question: begin to learn. Answer: `LearnProgress`.
 
-    stored: digests of versions that may have been published, by version and epoch; of this epoch
-        and of those that entries of the journal begin.
     load: use the state that was loaded last.
     """
 
     settings: Settings
     site: str
     epoch: str
-    stored: dict[str, dict[int, str]]
     load: bool
 
 
@@ -59,25 +54,18 @@ class LearnBatch(Struct):
     inputs: list[Input]
 
 
-class NewEpoch(Struct):
-    """Reply of the daemon to `VersionMismatch`."""
-
-    epoch: str
-
-
-class Save(Struct):
-    """Question for the learner's state. Answer: `Saved`."""
-
-
 class Loaded(Struct):
     """The state was saved with these settings, for this site; or it cannot be used.
 
+    version: its version of the topology in its epoch; 0 if it has none.
     reason: why it cannot be used; "" if it can.
     newer: it was saved by a newer program.
     """
 
     settings: Settings | None = None
     site: str = ""
+    epoch: str = ""
+    version: int = 0
     reason: str = ""
     newer: bool = False
 
@@ -85,45 +73,38 @@ class Loaded(Struct):
 class NewVersion(Struct):
     """A new version, not stored yet.
 
-    content, packed: the version as JSON and as MessagePack.
+    packed: the version as MessagePack.
     delta: difference from the version before, as MessagePack.
     """
 
-    content: bytes
+    stored: StoredVersion
     packed: bytes
     delta: bytes | None
 
 
-class VersionMismatch(Struct):
-    """A stored version was not reproduced: its digest differs. Learning waits for a `NewEpoch`."""
-
-    version: int
-
-
 class LearnProgress(Struct):
-    """Progress: everything up to ``position`` is learned, less than was asked for if time ran out.
+    """Everything up to ``position`` is learned, which may be less than was asked for.
 
     deadline: event time that the learner waits for.
     unreadable: number of events that this program cannot read.
     epoch: epoch of the next versions.
     event_time: at the beginning, the event time.
+    versions: those that the last entry has made; no further entry is learned before these and the
+        state are taken, as they have to be stored together.
+    state: the learner's packed state, after versions and now and then; else None.
     """
 
     position: int
     deadline: float | None
     statistics: dict[str, int | float]
-    unreadable: int
+    epoch: str
+    unreadable: int = 0
     event_time: EventTimeState = msgspec.field(default_factory=EventTimeState)
-    epoch: str = ""
+    versions: list[NewVersion] = []
+    state: bytes | None = None
 
 
-class Saved(Struct):
-    """The learner's state, packed."""
-
-    state: bytes
-
-
-Question = Load | Begin | LearnBatch | NewEpoch | Save
-Answer = Loaded | NewVersion | VersionMismatch | LearnProgress | Saved
+Question = Load | Begin | LearnBatch
+Answer = Loaded | LearnProgress
 Kind = TypeVar("Kind", bound=Answer)
 """The kind of answer that a question has."""

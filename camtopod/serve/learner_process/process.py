@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import atexit
 import importlib
-import math
 import multiprocessing
-import time
 from ctypes import c_longlong
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
@@ -30,16 +28,16 @@ class LearnerEnded(RuntimeError):
     """
 
     def __init__(self, status: int, at: int) -> None:
-        how = f"status {status}" if status >= 0 else f"signal {-status}"
-        where = f" at entry {at} of the journal" if at else ""
-        super().__init__(f"the learner's process has ended ({how}){where}")
+        super().__init__(
+            f"the learner's process has ended with status {status}, at entry {at} of the journal"
+        )
         self.status = status
         self.at = at
 
 
-def _run(program: str, pipe: Connection, entry: c_longlong, hurry: c_longlong) -> None:
+def _run(program: str, pipe: Connection, entry: c_longlong) -> None:
     """Run in the new process; only there is the learner's code imported."""
-    importlib.import_module(program).main(pipe, entry, hurry)
+    importlib.import_module(program).main(pipe, entry)
 
 
 class LearnerProcess:
@@ -54,11 +52,9 @@ class LearnerProcess:
         self._pipe, theirs = context.Pipe()
         # Shared memory, which can be read even after the process was killed.
         self._entry: c_longlong = context.RawValue(c_longlong, 0)
-        self._hurry: c_longlong = context.RawValue(c_longlong, 0)
         self._seen = 0
-        self._ended = False
         self._process = context.Process(  # type: ignore[attr-defined]
-            target=_run, args=(program, theirs, self._entry, self._hurry), name="learner"
+            target=_run, args=(program, theirs, self._entry), name="learner"
         )
         self._process.start()
         self.pid: int = self._process.pid
@@ -71,35 +67,30 @@ class LearnerProcess:
         try:
             self._pipe.send(question)
         except OSError:
-            raise self._end() from None
+            raise self._ended() from None
 
     def receive(self, seconds: float) -> Answer | None:
-        """Return the next answer; None if ``seconds`` pass without one. Raises `LearnerEnded`."""
+        """Return the answer; None if ``seconds`` pass without one. Raises `LearnerEnded`."""
         try:
             if not self._pipe.poll(seconds):
                 return None
             answer: Answer = self._pipe.recv()
         except (EOFError, OSError):
-            raise self._end() from None
+            raise self._ended() from None
         return answer
 
-    def ask(self, question: Question, kind: type[Kind], seconds_max: float = math.inf) -> Kind:
-        """Send a question and return its answer of this kind. Raises `LearnerEnded`.
-
-        The process is killed after ``seconds_max``.
-        """
-        until = time.monotonic() + seconds_max
+    def ask(self, question: Question, kind: type[Kind]) -> Kind:
+        """Send a question and return its answer of this kind. Raises `LearnerEnded`."""
         self.send(question)
-        while (answer := self.receive(0.2)) is None:
-            if time.monotonic() > until:
-                self.kill()
+        while (answer := self.receive(1.0)) is None:
+            pass
         assert isinstance(answer, kind)
         return answer
 
     def check(self) -> None:
         """Raise `LearnerEnded` if the process has ended."""
-        if self._process.exitcode is not None:
-            raise self._end()
+        if not self._process.is_alive():
+            raise self._ended()
 
     def has_progressed(self) -> bool:
         """Return True if the process is at another entry than at the last call."""
@@ -107,31 +98,15 @@ class LearnerProcess:
         self._seen = self._entry.value
         return self._seen != before
 
-    def hurry(self) -> None:
-        """Ask the process to answer after the entry it is at."""
-        self._hurry.value = 1
-
-    def kill(self) -> None:
-        """Kill the process; a thread that waits for it gets `LearnerEnded`. Any thread."""
-        if not self._ended:
-            self._process.kill()
-
     def close(self) -> None:
-        """Kill the process and close everything; may be called twice."""
-        if self._ended:
-            return
+        """Kill the process; a thread that waits for it gets `LearnerEnded`. May be called twice."""
         atexit.unregister(self.close)
-        self.kill()
+        self._process.kill()
         self._process.join(END_SECONDS)
-        self._ended = True
-        self._process.close()
-        self._pipe.close()
 
-    def _end(self) -> LearnerEnded:
-        """Wait until the process has ended, and return how."""
+    def _ended(self) -> LearnerEnded:
+        """Return how the process has ended; one that has only closed its end is killed."""
         self._process.join(END_SECONDS)
         if self._process.exitcode is None:
-            # It has closed its end but still runs, or the system is very slow.
-            self._process.kill()
-            self._process.join(END_SECONDS)
+            self.close()
         return LearnerEnded(self._process.exitcode or 0, self._entry.value)

@@ -55,7 +55,6 @@ class Recovered(NamedTuple):
     """
 
     position: int
-    epoch: str
     progress: LearnProgress
 
 
@@ -71,23 +70,31 @@ def recover(
     new_epoch: begins an epoch and stores its name.
     """
 
-    def begin(position: int, epoch: str, load: bool = False) -> Recovered:
-        # Entries that follow may begin further epochs, the last of which is the journal's.
-        begun = [_epochs(entry) for entry in journal.corrections(position)]
-        if begun and begun[-1][1] == epoch:
-            epoch = begun[0][0]
-        stored = {name: journal.versions(name) for name in {epoch, *(new for _, new in begun)}}
-        progress = process.ask(Begin(settings, site, epoch, stored, load), LearnProgress)
-        return Recovered(position, epoch, progress)
+    # Begin with the newest usable snapshot, else with all entries.
+    epoch = journal.meta("epoch") or new_epoch()
+    position, loaded = _newest_state(journal, process)
 
-    # A new state begins an epoch.
-    epoch = journal.meta("epoch")
-    if epoch is None:
+    # Entries that follow may begin further epochs, the last of which is the journal's.
+    begun = [_epochs(entry) for entry in journal.corrections(position)]
+    if begun and begun[-1][1] == epoch:
+        epoch = begun[0][0]
+
+    # Begin an epoch where versions would be made anew that may have been published.
+    version = loaded.version if loaded.epoch == epoch else 0
+    if version < max(journal.versions(epoch), default=0):
         epoch = new_epoch()
+        log.warning(
+            "no snapshot goes with the newest version of the journal: epoch %s begins", epoch
+        )
+    elif loaded.settings is not None and (loaded.settings, loaded.site) != (settings, site):
+        epoch = new_epoch()
+        log.warning(
+            "settings of the learner have changed: epoch %s begins with what has been learned",
+            epoch,
+        )
 
     # Skip an entry at which the learner has died twice, or begin without a state after it if the
     # learner died of its state.
-    found = _newest_state(journal, process)
     failure = read_failure(journal)
     if failure is not None and failure.times >= DEATHS_MAX:
         epoch = new_epoch()
@@ -102,27 +109,10 @@ def recover(
         )
         journal.set_meta("failure", codec.to_json(Failure(0, 0)).decode())
         if not skipped:
-            return begin(failure.at, epoch)
-
-    # Without a snapshot, learn all entries.
-    if found is None:
-        if journal.first() != 1 and journal.versions(epoch):
-            epoch = new_epoch()
-            log.warning(
-                "the oldest events are no longer kept and there is no snapshot: epoch %s begins",
-                epoch,
-            )
-        return begin(max(journal.first() - 1, 0), epoch)
-
-    # With a snapshot, learn the entries after it.
-    position, state = found
-    if (state.settings, state.site) != (settings, site):
-        epoch = new_epoch()
-        log.warning(
-            "settings of the learner have changed: epoch %s begins with what has been learned",
-            epoch,
-        )
-    return begin(position, epoch, load=True)
+            position = failure.at
+            loaded = Loaded()
+    progress = process.ask(Begin(settings, site, epoch, loaded.settings is not None), LearnProgress)
+    return Recovered(position, progress)
 
 
 def _epochs(entry: Entry) -> tuple[str, str]:
@@ -172,11 +162,11 @@ def note_failure(journal: Journal, at: int) -> None:
     journal.set_meta("failure", codec.to_json(failure).decode())
 
 
-def _newest_state(journal: Journal, process: LearnerProcess) -> tuple[int, Loaded] | None:
-    """Return the newest snapshot that can be used, with its position; None if there is none.
+def _newest_state(journal: Journal, process: LearnerProcess) -> tuple[int, Loaded]:
+    """Load the newest snapshot that can be used into ``process``.
 
-    ``process`` has loaded the state that is returned. The position is the number of the last entry
-    of the journal that the state has learned.
+    Returns the number of the last entry that it has learned, and the answer. Without one, that is
+    the entry before the oldest.
 
     Snapshots are tried from the newest on. One that cannot be read is logged, and the one before it
     is tried; one of a newer program raises `StateError`.
@@ -185,11 +175,9 @@ def _newest_state(journal: Journal, process: LearnerProcess) -> tuple[int, Loade
         loaded = process.ask(Load(snapshot.state), Loaded)
         if not loaded.reason:
             return snapshot.position, loaded
-
-        # It cannot be used: try the one before, unless the program is too old.
         if loaded.newer:
             raise StateError(
                 f"the snapshot was saved by a newer camtopod ({loaded.reason}): use that version"
             )
         log.error("the snapshot at entry %d cannot be used: %s", snapshot.position, loaded.reason)
-    return None
+    return max(journal.first() - 1, 0), Loaded()

@@ -17,6 +17,7 @@ import threading
 from collections.abc import Callable
 from ctypes import c_longlong
 from multiprocessing.connection import Connection
+from typing import Any
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, Rewind, TakeBack
@@ -33,14 +34,10 @@ from camtopod.serve.learner_process.messages import (
     LearnProgress,
     Load,
     Loaded,
-    NewEpoch,
     NewVersion,
     Question,
-    Save,
-    Saved,
-    VersionMismatch,
 )
-from camtopod.serve.storage import read_command
+from camtopod.serve.storage import StoredVersion, read_command
 from camtopod.topology import alarms_follow, make_delta
 
 NICENESS = 5
@@ -50,50 +47,35 @@ It is small enough that versions are still made on a machine with other work to 
 """
 
 
+SNAPSHOT_ENTRIES = 20_000
+"""Number of entries after which the learner's state is saved; also after every version."""
+
+
 class Worker:
     """Answers the daemon's questions.
 
-    questions: what the daemon asks.
     entry: shared memory for the number of the entry that is being learned; 0: none.
-    hurry: shared memory, not 0 if the step is to end after the present entry.
     learner: the class of the learner.
     """
 
-    def __init__(
-        self,
-        questions: queue.SimpleQueue[Question],
-        pipe: Connection,
-        entry: c_longlong,
-        hurry: c_longlong,
-        learner: type[Learner],
-    ) -> None:
-        self._questions = questions
-        self._pipe = pipe
+    def __init__(self, entry: c_longlong, learner: type[Learner]) -> None:
         self._entry = entry
-        self._hurry = hurry
         self._learner_class = learner
         self._loaded: LearnerState | None = None
         self._learner: Learner
         self._newest: Topology | None = None
+        self._since_saved = 0
 
-    def work(self) -> None:
-        """Answer questions for ever."""
-        while True:
-            question = self._questions.get()
-            match question:
-                case Load(state):
-                    self._send(self._load(state))
-                case Begin():
-                    self._begin(question)
-                    progress = self._progress(0, 0)
-                    progress.event_time = self._learner.event_time()
-                    self._send(progress)
-                case LearnBatch(position, inputs):
-                    self._send(self._learn(position, inputs))
-                case Save():
-                    self._send(Saved(pack(self._learner.save())))
-                case NewEpoch():
-                    raise ValueError("a new epoch was sent without a version mismatch")
+    def answer(self, question: Question) -> Answer:
+        """Answer a question."""
+        match question:
+            case Load(state):
+                return self._load(state)
+            case Begin():
+                self._begin(question)
+                return self._progress(0, event_time=self._learner.event_time())
+            case LearnBatch(position, inputs):
+                return self._learn(position, inputs)
 
     def _load(self, packed: bytes) -> Loaded:
         """Unpack a state and keep it for `Begin`."""
@@ -101,7 +83,8 @@ class Worker:
             self._loaded = state = unpack(packed)
         except SnapshotError as error:
             return Loaded(reason=str(error), newer=isinstance(error, NewerSnapshot))
-        return Loaded(state.settings, state.site)
+        version = 0 if state.topology is None else state.topology.version
+        return Loaded(state.settings, state.site, state.epoch, version)
 
     def _begin(self, given: Begin) -> None:
         """Make the learner, with the loaded state if the daemon wants it."""
@@ -111,25 +94,11 @@ class Worker:
             if state.epoch != given.epoch:
                 self._learner.begin_epoch(given.epoch)
         self._loaded = None
-        self._stored = given.stored
-        self._enter(given.epoch)
         self._newest = self._learner.topology
 
         # Fits yield the processor to the daemon; not before, as the start is waited for.
         with contextlib.suppress(PermissionError):  # if the unit forbids changes of priorities
             os.nice(NICENESS)
-
-    def _enter(self, epoch: str) -> None:
-        """Begin with the versions of an epoch, some of which may be stored."""
-        self._digests = self._stored.pop(epoch, {})
-        self._newest_stored = max(self._digests, default=0)
-        self._newest = None
-
-    def _begin_epoch(self, epoch: str) -> None:
-        """Continue in another epoch."""
-        self._enter(epoch)
-        self._learner.begin_epoch(epoch)
-        self._learner.refresh()
 
     def _change(self, change: Callable[[LearnerState], LearnerState]) -> None:
         """Continue with a changed state; only a new learner can load one."""
@@ -141,7 +110,9 @@ class Worker:
         """Drop events after a time, and begin an epoch unless a later one has begun already."""
         self._change(lambda state: rewind(state, command.to))
         if command.epoch > self._learner.epoch:
-            self._begin_epoch(command.epoch)
+            self._newest = None
+            self._learner.begin_epoch(command.epoch)
+            self._learner.refresh()
 
     def _reset(self, command: Reset) -> None:
         """Begin with a new learner, in a new epoch unless a later one has begun already."""
@@ -150,7 +121,7 @@ class Worker:
         if command.epoch > epoch:
             epoch = command.epoch
             after = None
-            self._enter(epoch)
+            self._newest = None
         fresh = self._learner_class(self._learner.settings, self._learner.site, epoch)
         fresh.begin_empty(command.t, after)
         self._learner = fresh
@@ -173,12 +144,13 @@ class Worker:
                 pass  # only the daemon refuses events
 
     def _learn(self, position: int, inputs: list[Input]) -> LearnProgress:
-        """Learn entries of the journal, or as many as there is time for."""
+        """Learn entries of the journal, up to one that makes a version."""
         unreadable = 0
+        versions: list[NewVersion] = []
         if not inputs:
             self._entry.value = position + 1
             self._learner.refresh()
-            self._take_versions()
+            versions = self._take_versions()
         for kind, raw in inputs:
             self._entry.value = position + 1
             try:
@@ -191,72 +163,44 @@ class Worker:
                         self._apply(read_command(raw))
             except codec.Rejected:  # another program accepted it
                 unreadable += 1
-
-            # Send new versions, and stop if time is short.
-            self._take_versions()
             position += 1
-            if self._hurry.value:
+            self._since_saved += 1
+            if versions := self._take_versions():
                 break
-        self._entry.value = 0
-        return self._progress(position, unreadable)
 
-    def _progress(self, position: int, unreadable: int) -> LearnProgress:
+        # Save the state with the versions.
+        state = None
+        if versions or self._since_saved >= SNAPSHOT_ENTRIES:
+            state = pack(self._learner.save())
+            self._since_saved = 0
+        self._entry.value = 0
+        return self._progress(position, unreadable=unreadable, versions=versions, state=state)
+
+    def _progress(self, position: int, **more: Any) -> LearnProgress:
         """Return the progress."""
+        learner = self._learner
         return LearnProgress(
-            position,
-            self._learner.next_deadline(),
-            self._learner.statistics(),
-            unreadable,
-            epoch=self._learner.epoch,
+            position, learner.next_deadline(), learner.statistics(), learner.epoch, **more
         )
 
-    def _take_versions(self) -> None:
-        """Send the versions of a step; called before the next step.
-
-        Otherwise learning could continue from a version that differs from the published one, where
-        a new epoch has to begin.
-        """
-        while made := self._learner.updates():
-            for topology in made:
-                self._send_version(topology)
-
-    def _send_version(self, topology: Topology) -> None:
-        """Send a version if it is new.
-
-        A version that is already stored must be the same; one that was stored but is no longer kept
-        is passed over.
-        """
-        if topology.epoch != self._learner.epoch:
-            return  # made in the same step as the one that ended its epoch
-
-        # Compare it with the stored one.
-        stored = self._digests.pop(topology.version, None)
-        if stored is not None and stored != topology.digest:
-            self._send(VersionMismatch(topology.version))
-            answer = self._questions.get()
-            assert isinstance(answer, NewEpoch)
-            self._begin_epoch(answer.epoch)
-            return
-
-        # Pass over versions from before the start.
-        before = self._newest
-        self._newest = topology
-        if topology.version <= self._newest_stored:
-            return
-
-        # Send a new one.
-        delta = None
-        if before is not None and alarms_follow(before, topology):
-            delta = codec.to_msgpack(make_delta(before, topology))
-        self._send(NewVersion(codec.to_json(topology), codec.to_msgpack(topology), delta))
-
-    def _send(self, answer: Answer) -> None:
-        self._pipe.send(answer)
+    def _take_versions(self) -> list[NewVersion]:
+        """Return the versions of a step."""
+        made = []
+        for topology in self._learner.updates():
+            if topology.epoch != self._learner.epoch:
+                continue  # made in the same step as the one that ended its epoch
+            delta = None
+            if self._newest is not None and alarms_follow(self._newest, topology):
+                delta = codec.to_msgpack(make_delta(self._newest, topology))
+            self._newest = topology
+            stored = StoredVersion(
+                topology.epoch, topology.version, topology.digest, codec.to_json(topology)
+            )
+            made.append(NewVersion(stored, codec.to_msgpack(topology), delta))
+        return made
 
 
-def main(
-    pipe: Connection, entry: c_longlong, hurry: c_longlong, learner: type[Learner] = Learner
-) -> None:
+def main(pipe: Connection, entry: c_longlong, learner: type[Learner] = Learner) -> None:
     """Learn until the daemon ends; never returns."""
     # A terminal or systemd sends these to the whole group, but the daemon handles them.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -274,7 +218,9 @@ def main(
             os._exit(0)
 
     threading.Thread(target=listen, name="listen", daemon=True).start()
+    worker = Worker(entry, learner)
     try:
-        Worker(questions, pipe, entry, hurry, learner).work()
+        while True:
+            pipe.send(worker.answer(questions.get()))
     except BrokenPipeError:  # the daemon has ended
         os._exit(0)

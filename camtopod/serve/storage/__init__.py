@@ -3,8 +3,7 @@
 Read from the bottom up. `sqlite_file` opens, checks and sets aside databases.
 `journal` stores entries, versions and snapshots in one of them; `journal_schema` has its tables,
 `witness` notices a journal that was restored from an older copy, `commands` are those of an
-operator as entries, and `packed_version` is a topology on its way into the journal.
-`journal_writer` is the daemon's storing thread.
+operator as entries. `journal_writer` is the daemon's storing thread.
 """
 
 from __future__ import annotations
@@ -23,6 +22,6 @@ from camtopod.serve.storage.journal import (
 from camtopod.serve.storage.journal_schema import NAMES_KEY as NAMES_KEY
 from camtopod.serve.storage.journal_writer import (
     JournalWriter as JournalWriter,
-    Version as Version,
+    Learned as Learned,
 )
 from camtopod.serve.storage.sqlite_file import StateError as StateError, lock_reason as lock_reason

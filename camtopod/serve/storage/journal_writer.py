@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from camtopod.records import Topology
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.serve.storage.journal import (
     Entry,
@@ -26,7 +25,6 @@ from camtopod.serve.storage.journal import (
     Stream,
     highest_numbers,
 )
-from camtopod.serve.storage.sqlite_file import StateError
 
 log = logging.getLogger(__name__)
 
@@ -37,31 +35,24 @@ On a slow memory card one can take several seconds.
 """
 
 
-class Version(NamedTuple):
-    """A new version on its way to the journal and then to the bus.
+class Learned(NamedTuple):
+    """What the learner has made in a step, to be stored in one transaction.
 
-    content, packed: the version as JSON and as MessagePack.
-    delta: the changes since the last version as MessagePack; None for the first.
+    publish: called once it is stored.
     """
 
-    topology: Topology
-    content: bytes
-    packed: bytes
-    delta: bytes | None
+    versions: list[StoredVersion]
+    snapshot: Snapshot
+    publish: Callable[[], None]
 
 
 class JournalWriter:
-    """The storing end of the daemon. ``publish`` is called with each version after it is stored.
+    """The storing end of the daemon. Raises `sqlite3.Error`."""
 
-    Raises `sqlite3.Error`.
-    """
-
-    def __init__(self, journal: Journal, clock: Clock, publish: Callable[[Version], None]) -> None:
+    def __init__(self, journal: Journal, clock: Clock) -> None:
         self._journal = journal
         self._clock = clock
-        self._publish = publish
-        self._versions: collections.deque[Version] = collections.deque()
-        self._snapshots: collections.deque[Snapshot] = collections.deque(maxlen=1)
+        self._learned: collections.deque[Learned] = collections.deque()
         # True if the journal may hold more than its retention.
         self._too_much = False
         self._failure = ""
@@ -80,16 +71,9 @@ class JournalWriter:
             )
         return self._failure
 
-    def on_version(self, version: Version) -> None:
-        """Accept a version from the learner, to be stored and then published. Never blocks."""
-        self._versions.append(version)
-
-    def on_snapshot(self, snapshot: Snapshot) -> None:
-        """Accept the learner's state, to be stored together with or after the versions before it.
-
-        Never blocks.
-        """
-        self._snapshots.append(snapshot)
+    def on_learned(self, learned: Learned) -> None:
+        """Accept what the learner has made, to be stored and then published. Never blocks."""
+        self._learned.append(learned)
 
     def store(
         self,
@@ -107,15 +91,9 @@ class JournalWriter:
         only if the daemon stops before it succeeds: then nothing may be stored after ``entries``.
         Raises `sqlite_file.Damaged`, where retrying would not help.
         """
-        # Take the snapshot before the versions: it must not be stored before any of them.
-        snapshot = self._snapshots.popleft() if self._snapshots else None
-        versions = [self._versions.popleft() for _ in range(len(self._versions))]
-        stored = [
-            StoredVersion(
-                one.topology.epoch, one.topology.version, one.topology.digest, one.content
-            )
-            for one in versions
-        ]
+        learned = [self._learned.popleft() for _ in range(len(self._learned))]
+        versions = [version for one in learned for version in one.versions]
+        snapshot = learned[-1].snapshot if learned else None
 
         # Retry until it succeeds, or until the daemon stops.
         new: Sequence[Entry] | None = None
@@ -126,7 +104,7 @@ class JournalWriter:
                         new = self._journal.new_entries(entries)
                         numbers = highest_numbers(entries) if len(new) < len(entries) else {}
                     self._journal.commit(
-                        new, stored, snapshot, self._clock(), meta, numbers, forgotten
+                        new, versions, snapshot, self._clock(), meta, numbers, forgotten
                     )
                 break
             except sqlite3.Error as error:
@@ -138,17 +116,15 @@ class JournalWriter:
                     self._journal.look_again()
                 beat()  # a restart would not help
                 if stopping.wait(0.5):
-                    # The next snapshot includes these versions, so they have to come before it.
-                    self._versions.extendleft(reversed(versions))
                     return None
         if self._failure:
             log.info("the journal can be written again")
             self._failure = ""
 
         # Publish.
-        for version in versions:
-            self._publish(version)
-        self._too_much = self._too_much or snapshot is not None
+        for one in learned:
+            one.publish()
+        self._too_much = self._too_much or bool(learned)
         return new
 
     def prune(self) -> None:
@@ -170,14 +146,3 @@ class JournalWriter:
             yield
         finally:
             self._began = None
-
-    def store_remaining(self, snapshot: Snapshot | None) -> None:
-        """Store the learner's last versions and snapshots, after both threads have ended."""
-        if snapshot is not None:
-            self.on_snapshot(snapshot)
-        ended = threading.Event()
-        ended.set()
-        try:
-            self.store([], ended)
-        except StateError as error:
-            log.error("the last versions and snapshot could not be stored: %s", error)
