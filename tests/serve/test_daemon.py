@@ -365,7 +365,7 @@ def test_a_clock_behind_the_newest_event_is_said_with_what_to_do(site: Site) -> 
     assert status.reason in again.unready()
     assert again.failing() == [], "to start it again changes nothing"
     site.now = NOW
-    assert (again.status().reason, again.unready()) == ("", [])
+    wait_for(lambda: (again.status().reason, again.unready()) == ("", []), "it to be ready")
 
 
 # --- nothing is lost ------------------------------------------------------------------------------
