@@ -42,7 +42,7 @@ from camtopod.learn.traffic.speed import NO_PERSISTENCE
 
 REAL = "real"
 """Kind of the real networks."""
-DEFAULT_REGIMES = "hall,crowd,walkway,road,short,dense,platoons,faulty"
+DEFAULT_REGIMES = "hall,crowd,walkway,road,short,dense,faulty"
 REGIME_COST = 0.01
 """Least cost that counts on simulated networks, in the figure's unit."""
 TOLD_NATS = 6.0

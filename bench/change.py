@@ -2,7 +2,6 @@
 
     python -m bench change [--seeds N] [--first-seed S] [--hours H] [--doors D]
                            [--jobs close,open,steady,score] [--objects RATE] [--rhythm SHARE]
-                           [--groups SHARE]
 
 Half-way through a simulated recording some doors (paths, both directions) close, or open. A link is
 *right* from the first version after which it stays gone, or stays published; a link that never is
@@ -22,10 +21,11 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
+from bench.support.prediction_scores import next_entries
 from camtopod.learn.learner import Learner
 from camtopod.learn.self_score import ScoredPrediction, Scorer, Scores, marks
 from camtopod.records import Event, Topology
-from camtopod.sim.scoring import ZONE_TOLERANCE, match_zones, next_entries
+from camtopod.sim.scoring import match_zones
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 from camtopod.sim.truth import TrueLink, Truth
@@ -61,7 +61,6 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--doors", type=int, default=2)
     parser.add_argument("--objects", type=float, help="objects that enter the network, per second")
     parser.add_argument("--rhythm", type=float, default=0.0)
-    parser.add_argument("--groups", type=float, default=0.0)
     parser.add_argument("--jobs", default=",".join(JOBS))
     given = parser.parse_args(argv)
     for job in given.jobs.split(","):
@@ -70,7 +69,6 @@ def main(argv: list[str]) -> int:
             objects_per_second=given.objects,
             rhythm=given.rhythm,
             rhythm_hours=given.hours / 2,
-            group_share=given.groups,
         )
         seeds = range(given.first_seed, given.first_seed + given.seeds)
         {"close": _doors, "open": _doors, "steady": _steady, "score": _score}[job](
@@ -142,7 +140,7 @@ def _measure(job: str, base: SimSettings, seed: int, doors: int) -> tuple[list[F
     # Learned zone of each true one, in the newest version that has it.
     ids: dict[str, str] = {}
     for version in reversed(made):
-        ids = match_zones(version.zones, truth.zones, ZONE_TOLERANCE) | ids
+        ids = match_zones(version.zones, truth.zones) | ids
     found = [
         _found(job, link, ids, events, truth, made, base.start + base.hours * 1800)
         for link in changed.values()

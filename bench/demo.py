@@ -20,13 +20,14 @@ from pathlib import Path
 import numpy as np
 
 from bench.scenes.drawn_plan import drawn_plan
+from bench.support.measure import harmonic_mean
 from camtopod.cli.commands.demo import LATENESS_SECONDS, MINUTES, WALKERS_PER_SECOND
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology, Zone
 from camtopod.sim.floor import Plan, demo_plan, passages, simulate_walks, truth_of
 from camtopod.sim.rendering import SUFFIX, render
-from camtopod.sim.scoring import ZONE_TOLERANCE, Score, match_zones, score
+from camtopod.sim.scoring import Score, match_zones, score
 from camtopod.sim.truth import Truth
 from camtopod.vision.grabber import Grabber
 
@@ -103,13 +104,14 @@ def learned(events: list[Event]) -> Topology:
 
 def _line(title: str, events: int, result: Score) -> str:
     zones = f"{result.zones_true:>13}{result.zones_learned:>9}{result.zones_matched:>9}"
-    links = f"{result.links_true:>13}{result.links_learned:>9}{result.link_f1:>7.2f}"
+    f1 = harmonic_mean(result.link_precision, result.link_recall)
+    links = f"{result.links_true:>13}{result.links_learned:>9}{f1:>7.2f}"
     return f"{title:16}{events:>8}{zones}{links}"
 
 
 def wrong_zones(zones: Sequence[Zone], truth: Truth) -> list[str]:
     """Return a line for each zone that is missing, or is learned and not there."""
-    matched = match_zones(zones, truth.zones, ZONE_TOLERANCE)
+    matched = match_zones(zones, truth.zones)
     found = set(matched.values())
     lines = [
         f"    missing: {zone.camera} at ({zone.x:.2f}, {zone.y:.2f})"

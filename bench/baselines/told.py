@@ -14,13 +14,9 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 from msgspec.structs import replace
 
+from bench.support.prediction_scores import PredictionScore, next_entries, score_predictions
 from camtopod.records import Event, NextCamera, Prediction
-from camtopod.sim.scoring import (
-    TRANSIT_FLOOR_SECONDS,
-    PredictionScore,
-    next_entries,
-    score_predictions,
-)
+from camtopod.sim.scoring import TRANSIT_FLOOR_SECONDS
 from camtopod.sim.truth import CLUTTER, Truth
 
 PSEUDO_COUNTS = (0.5, 0.2, 0.1, 0.05, 0.02)

@@ -4,6 +4,9 @@ disturbances.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import msgspec
 from msgspec import Struct
 
@@ -11,10 +14,16 @@ from bench.scenes.crowd import CrowdSettings, simulate_crowd
 from bench.scenes.hall import HallSettings, simulate_hall
 from bench.scenes.road import RoadSettings, simulate_road
 from bench.scenes.walkway import WalkwaySettings, simulate_walkway
+from bench.support.disturbances import (
+    Recording,
+    with_outages,
+    with_turned_cameras,
+    with_wrong_clocks,
+    without_positions,
+    without_tracks,
+)
 from camtopod.learn.settings import Settings as LearnSettings
-from camtopod.records import Event
 from camtopod.sim.simulation import SimSettings, simulate
-from camtopod.sim.truth import Truth
 
 Settings = SimSettings | HallSettings | CrowdSettings | WalkwaySettings | RoadSettings
 """Settings of any simulation."""
@@ -28,6 +37,8 @@ class Regime(Struct, frozen=True):
     settings: Settings
     window_events: int | None = None
     """Events that the learner keeps; None: the default."""
+    disturb: Callable[[Recording, SimSettings], Recording] | None = None
+    """What happens to the cameras of a simulated network."""
 
     def learning(self, scale: float = 1.0) -> LearnSettings:
         """Return the learner's settings; a shorter recording has a shorter window."""
@@ -37,7 +48,7 @@ class Regime(Struct, frozen=True):
             window_events=round(scale * self.window_events), window_camera_events=0
         )
 
-    def make(self, seed: int, scale: float = 1.0) -> tuple[list[Event], Truth]:
+    def make(self, seed: int, scale: float = 1.0) -> Recording:
         """Simulate a network and return its events and ground truth.
 
         ``scale`` below 1 makes a shorter recording of the same network (and day).
@@ -45,7 +56,8 @@ class Regime(Struct, frozen=True):
         chosen = msgspec.structs.replace(_scaled(self.settings, scale), seed=seed)
         match chosen:
             case SimSettings():
-                return simulate(chosen)
+                recording = simulate(chosen)
+                return self.disturb(recording, chosen) if self.disturb else recording
             case HallSettings():
                 return simulate_hall(chosen)
             case CrowdSettings():
@@ -59,11 +71,8 @@ class Regime(Struct, frozen=True):
 def _scaled(settings: Settings, scale: float) -> Settings:
     """Return the settings of a recording ``scale`` times as long."""
     if isinstance(settings, SimSettings):
-        lost = tuple((camera, begin * scale, end * scale) for camera, begin, end in settings.lost)
-        moved = tuple((camera, since * scale) for camera, since in settings.moved)
-        hours, rhythm_hours = settings.hours * scale, settings.rhythm_hours * scale
         return msgspec.structs.replace(
-            settings, hours=hours, rhythm_hours=rhythm_hours, lost=lost, moved=moved
+            settings, hours=settings.hours * scale, rhythm_hours=settings.rhythm_hours * scale
         )
     return msgspec.structs.replace(settings, seconds=settings.seconds * scale)
 
@@ -77,7 +86,6 @@ def _rows() -> list[Regime]:
     medium = SimSettings(objects_per_second=0.12, hours=14.0)
     dense = SimSettings(objects_per_second=0.6, hours=2.8)
     change = msgspec.structs.replace
-    clocks = change(medium, clock_max=30.0, clock_share=1 / 3)
     day = SimSettings(objects_per_second=0.07, hours=24.0, rhythm=0.9)
     alone = SimSettings(objects_per_second=0.3, hours=24.0, rhythm=0.9, linked=False)
     return [
@@ -122,11 +130,11 @@ def _rows() -> list[Regime]:
             medium,
             window_events=10_000,
         ),
-        Regime("clocks", "a third of the clocks off by up to 30 s", clocks),
         Regime(
-            "clocks-uneven",
-            "the same, paths 10 % longer or shorter in each direction",
-            change(clocks, uneven=0.1),
+            "clocks",
+            "a third of the clocks off by up to 30 s",
+            medium,
+            disturb=with_wrong_clocks,
         ),
     ]
 
@@ -157,30 +165,23 @@ def _disturbed() -> list[Regime]:
     The network has the usual traffic for three hours (about 35,000 events).
     """
     usual = SimSettings(hours=3.0)
-
-    def like(name: str, about: str, **changes: object) -> Regime:
-        return Regime(name, about, msgspec.structs.replace(usual, **changes))
-
-    lost = (("cam05", 4000.0, 7000.0), ("cam09", 7500.0, 10800.0))
+    change = msgspec.structs.replace
+    lost = partial(with_outages, outages=(("cam05", 0.37, 0.65), ("cam09", 0.69, 1.0)))
+    turned = partial(with_turned_cameras, cameras=("cam03", "cam08"))
     return [
-        like("platoons", "half of the people come in groups of ten", platoons=0.5),
-        like("groups", "a third of the people walk with one to three others", group_share=0.33),
-        like("loitering", "15 % linger 5 to 30 times as long", loiterers=0.15),
-        like("two-speeds", "30 % at less than half the speed", slow_share=0.3),
-        like("closing-door", "two paths close half-way", doors_closed=2),
-        like("opening-door", "two paths open half-way", doors_opened=2),
-        like("lost-camera", "one camera silent for a while, one for good", lost=lost),
-        like(
-            "moved-camera",
-            "two cameras turned elsewhere half-way",
-            moved=(("cam03", 5400.0), ("cam08", 5400.0)),
+        Regime("loitering", "15 % linger 5 to 30 times as long", change(usual, loiterers=0.15)),
+        Regime("two-speeds", "30 % at less than half the speed", change(usual, slow_share=0.3)),
+        Regime("closing-door", "two paths close half-way", change(usual, doors_closed=2)),
+        Regime("opening-door", "two paths open half-way", change(usual, doors_opened=2)),
+        Regime("lost-camera", "one camera silent for a while, one for good", usual, disturb=lost),
+        Regime("moved-camera", "two cameras turned elsewhere half-way", usual, disturb=turned),
+        Regime(
+            "no-tracks",
+            "no track ids: entries are not tied to exits",
+            usual,
+            disturb=without_tracks,
         ),
-        like("one-way", "half of the paths taken in one direction only", one_way=0.5),
-        like("no-tracks", "no track ids: entries are not tied to exits", tracks=False),
-        like("no-positions", "one zone per camera", positions=False),
-        like("fire-doors", "four cameras with a door that sees 1 % of the events", fire_doors=4),
-        like("near-doors", "zones from 0.12 of the image apart", zone_separation=0.12),
-        like("long-zones", "zones three times as long", zone_stretch=3.0),
+        Regime("no-positions", "one zone per camera", usual, disturb=without_positions),
     ]
 
 

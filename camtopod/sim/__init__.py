@@ -1,8 +1,7 @@
 """Simulated camera networks with ground truth: events for `camtopod simulate`, videos for the demo.
 
 `simulation.simulate` makes events; it uses, in this order, `settings` (what can be simulated),
-`layout` (zones and paths), `faults` (clock offsets, closing doors, turned cameras), `walkers`
-(passages of people) and `reports` (events and ground truth). The demo uses `floor` (floor plan and
-walks), `render` (videos) and `picture` (the map it shows). `truth` defines the ground truth,
-`score` and `calibration` compare a topology and predictions with it.
+`layout` (zones and paths), `walkers` (passages of people) and `reports` (events and ground truth).
+The demo uses `floor` (floor plan and walks), `rendering` (videos) and `picture` (the map it shows).
+`truth` defines the ground truth, `scoring` compares a topology with it.
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,10 @@ VIEW_METRES = (10.0, 25.0)
 """Range of a view's width."""
 PATHS_PER_ZONE_MAX = 3
 """Most paths of a zone."""
-RARE_SHARE = 0.01
-"""Share of a camera's people that leave at its fire door."""
+
+
+Paths = set[tuple[int, int]]
+"""Directed paths (from zone, to zone)."""
 
 
 @dataclass(frozen=True)
@@ -43,17 +45,15 @@ class Choices:
     probability: Floats
     metres: Floats
 
-    def without(self, closed: set[tuple[int, int]]) -> Choices:
+    def without(self, closed: Paths) -> Choices:
         """Return the choices without the directed paths ``closed``.
 
         Their probability goes to the zone's other paths; where there are none, walkers leave the
         site.
         """
-        open_ = np.array(
-            [[(u, int(v)) not in closed for v in row] for u, row in enumerate(self.target)],
-            dtype=bool,
-        ).reshape(self.target.shape)
-        kept = np.where(open_, self.probability, 0.0)
+        kept = self.probability.copy()
+        for u, v in closed:
+            kept[u, self.target[u] == v] = 0.0
         total = self.probability.sum(1, keepdims=True)
         left = kept.sum(1, keepdims=True)
         scale = np.divide(total, left, out=np.zeros_like(total), where=left > 0)
@@ -68,6 +68,7 @@ class Layout:
     centre (zones, 2), cov (zones, 2, 2): position of each zone in the image.
     through, onward: choices inside a view, and from one view to the next.
     arrivals (zones,): probability that a walker enters the network there.
+    closing, opening: directed paths that close, and that open, half-way.
     """
 
     cameras: list[str]
@@ -77,26 +78,20 @@ class Layout:
     through: Choices
     onward: Choices
     arrivals: Floats
+    closing: Paths = field(default_factory=set)
+    opening: Paths = field(default_factory=set)
 
 
-def make_layout(
-    cameras: int,
-    rng: np.random.Generator,
-    overlap_share: float,
-    separation: float = ZONE_SEPARATION,
-    stretch: float = 1.0,
-) -> Layout:
+def make_layout(cameras: int, rng: np.random.Generator, overlap_share: float) -> Layout:
     """Return a connected network of ``cameras`` (> 0) views.
 
     overlap_share: overlapping pairs of cameras, per camera.
-    separation: least distance of the zones of one camera, fraction of the image.
-    stretch: factor on the length of the zones.
     """
 
     # Zones.
     counts = rng.integers(ZONES_MIN, ZONES_MAX + 1, cameras)
     camera = np.repeat(np.arange(cameras), counts)
-    centre, cov = _zones(counts, separation, stretch, rng)
+    centre, cov = _zones(counts, rng)
     street = _streets(camera, cameras, rng)
 
     # Paths between the zones.
@@ -122,6 +117,20 @@ def make_layout(
     )
 
 
+def with_doors(layout: Layout, closing: int, opening: int, rng: np.random.Generator) -> Layout:
+    """Return the layout with doors in some unseen paths, which close or open both directions."""
+    onward = layout.onward
+    rows, options = np.nonzero((onward.probability > 0) & (onward.metres > 0))
+    ends = zip(rows.tolist(), onward.target[rows, options].tolist(), strict=True)
+    paths = sorted({(min(path), max(path)) for path in ends})
+    doors = [paths[k] for k in rng.permutation(len(paths))[: closing + opening]]
+    return replace(
+        layout,
+        closing={way for u, v in doors[:closing] for way in ((u, v), (v, u))},
+        opening={way for u, v in doors[closing:] for way in ((u, v), (v, u))},
+    )
+
+
 def without_paths(layout: Layout) -> Layout:
     """Return the layout without paths: an object that leaves a view has left the site."""
     onward = replace(layout.onward, probability=np.zeros_like(layout.onward.probability))
@@ -130,53 +139,7 @@ def without_paths(layout: Layout) -> Layout:
     )
 
 
-def with_fire_doors(layout: Layout, count: int, rng: np.random.Generator) -> Layout:
-    """Return the layout with a rarely used exit in ``count`` cameras (or in as many as can have
-    one).
-    """
-    outside = layout.onward.probability.sum(1) == 0
-    zones = np.bincount(layout.camera)
-    able = rng.permutation(
-        [c for c in range(len(zones)) if zones[c] >= 3 and outside[layout.camera == c].any()]
-    )
-    through = layout.through.probability.copy()
-    arrivals = layout.arrivals.copy()
-    for c in able[:count]:
-        door = int(rng.choice(np.flatnonzero((layout.camera == c) & outside)))
-        arrivals[door] *= 2 * RARE_SHARE
-        for u in np.flatnonzero((layout.camera == c) & (np.arange(len(layout.camera)) != door)):
-            there = (layout.through.target[u] == door) & (through[u] > 0)
-            through[u][~there] *= (1 - RARE_SHARE) / through[u][~there].sum()
-            through[u][there] = RARE_SHARE
-    return replace(
-        layout,
-        through=replace(layout.through, probability=through),
-        arrivals=arrivals / arrivals.sum(),
-    )
-
-
-def with_uneven_paths(layout: Layout, spread: float, rng: np.random.Generator) -> Layout:
-    """Return the layout with the length of each directed path multiplied by a random factor."""
-    metres = layout.onward.metres * np.exp(spread * rng.standard_normal(layout.onward.metres.shape))
-    return replace(layout, onward=replace(layout.onward, metres=metres))
-
-
-def with_one_way(layout: Layout, share: float, rng: np.random.Generator) -> Layout:
-    """Return the layout with ``share`` of the unseen paths walked in one direction only
-    (turnstiles).
-    """
-    onward = layout.onward
-    rows, options = np.nonzero((onward.probability > 0) & (onward.metres > 0))
-    ends = zip(rows.tolist(), onward.target[rows, options].tolist(), strict=True)
-    ways = rng.permutation(np.array(sorted({(min(way), max(way)) for way in ends})).reshape(-1, 2))
-    backwards = rng.random(len(ways)) < 0.5
-    chosen = np.where(backwards[:, None], ways[:, ::-1], ways)[: round(share * len(ways))]
-    return replace(layout, onward=onward.without({(u, v) for u, v in chosen.tolist()}))
-
-
-def _zones(
-    counts: Longs, separation: float, stretch: float, rng: np.random.Generator
-) -> tuple[Floats, Floats]:
+def _zones(counts: Longs, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Return centres (zones, 2) and covariances (zones, 2, 2); zones of one camera are well
     apart.
     """
@@ -190,8 +153,8 @@ def _zones(
                 mine = []
                 tries = 0
             centre, angle = _place(rng)
-            if all(math.dist(centre, other) >= separation for other, _ in mine):
-                zone = centre, _ellipse(angle, stretch, rng)
+            if all(math.dist(centre, other) >= ZONE_SEPARATION for other, _ in mine):
+                zone = centre, _ellipse(angle, rng)
                 if all(_apart(zone, other) for other in mine):
                     mine.append(zone)
         zones += mine
@@ -222,10 +185,10 @@ def _place(rng: np.random.Generator) -> tuple[Floats, float]:
     return np.array((x, y)), math.pi / 2 if side < 2 else 0.0
 
 
-def _ellipse(angle: float, stretch: float, rng: np.random.Generator) -> Floats:
+def _ellipse(angle: float, rng: np.random.Generator) -> Floats:
     """Return a random covariance, (2, 2), with its long axis at ``angle`` (radians)."""
     minor = rng.uniform(ZONE_SD_MIN, 0.5 * (ZONE_SD_MIN + ZONE_SD_MAX))
-    major = stretch * rng.uniform(minor, ZONE_SD_MAX)
+    major = rng.uniform(minor, ZONE_SD_MAX)
     turn = np.array(((math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))))
     result: Floats = turn @ np.diag((major**2, minor**2)) @ turn.T
     return result

@@ -23,7 +23,7 @@ from camtopod.sim.rendering import (
     floor_picture,
     plan_corner,
 )
-from camtopod.sim.scoring import ZONE_TOLERANCE, match_zones
+from camtopod.sim.scoring import match_zones
 from camtopod.sim.truth import TrueLink, Truth
 
 MAP_WIDTH, MAP_HEIGHT = 776, 560
@@ -86,7 +86,7 @@ def write_map(
         _text(sheet, LEGEND, (left + 180, HEADER - 16), 0.42)
 
     # The cameras' pictures with learned zones.
-    matched = set(match_zones(topology.zones, truth.zones, ZONE_TOLERANCE).values())
+    matched = set(match_zones(topology.zones, truth.zones).values())
     top = HEADER + MAP_HEIGHT + GAP + TITLE
     for k, view in enumerate(plan.views):
         left = GAP + (k % THUMBS_PER_ROW) * (THUMB_WIDTH + GAP)

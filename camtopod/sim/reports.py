@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camtopod.arrays import Bools, Floats, Longs
 from camtopod.records import Event, Transit
-from camtopod.sim.faults import Setup, turned
 from camtopod.sim.layout import Layout
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.truth import (
@@ -23,12 +21,11 @@ from camtopod.sim.walkers import Passages, jitter, seconds_per_metre
 
 
 def report(
-    passages: Passages, setup: Setup, settings: SimSettings, rng: np.random.Generator
+    passages: Passages, layout: Layout, settings: SimSettings, rng: np.random.Generator
 ) -> tuple[list[Event], Longs]:
     """Return events sorted by time, and their owners (events, 3): walker, number of the passage,
     zone.
     """
-    layout = setup.layout
     n = len(passages.t_in)
 
     # Columns of entries, exits and clutter, in this order.
@@ -39,7 +36,7 @@ def report(
         [passages.t_in, passages.t_out, rng.uniform(0, settings.hours * 3600.0, extra)]
     )
     entry = np.concatenate([np.ones(n, bool), np.zeros(n, bool), rng.random(extra) < 0.5])
-    place = np.concatenate([_positions(layout, zone, settings, rng), rng.random((extra, 2))])
+    place = np.concatenate([_positions(layout, zone, rng), rng.random((extra, 2))])
     track = np.concatenate([np.tile(np.arange(n), 2), n + np.arange(extra)])
     track[2 * n :][rng.random(extra) >= 0.5] = -1
     owner = np.full((2 * n + extra, 3), CLUTTER)
@@ -47,26 +44,13 @@ def report(
         [np.tile(passages.walker, 2), np.tile(passages.number, 2), zone]
     )
 
-    # Lost and turned cameras, and clock offsets.
-    inside = ~_lost(camera, t, layout, settings)
-    for moved, (since, turn) in setup.turned.items():
-        then = (camera == moved) & (t >= since)
-        place[then] = turned(place[then], turn)
-    t = np.round(t + setup.offsets[camera] + settings.start, 6)
-    order = np.flatnonzero(inside)[np.argsort(t[inside], kind="stable")]
-
-    # Leave out positions and tracks if asked to.
-    if not settings.positions:
-        place = np.full_like(place, np.nan)
-    if not settings.tracks:
-        track = np.full_like(track, -1)
-    events = events_of(layout.cameras, camera, entry, t, place, track, order)
-    return events, owner[order]
+    # Events by time.
+    t = np.round(t + settings.start, 6)
+    order = np.argsort(t, kind="stable")
+    return events_of(layout.cameras, camera, entry, t, place, track, order), owner[order]
 
 
-def _positions(
-    layout: Layout, zone: Longs, settings: SimSettings, rng: np.random.Generator
-) -> Floats:
+def _positions(layout: Layout, zone: Longs, rng: np.random.Generator) -> Floats:
     """Draw a position from each zone's normal distribution, clipped to the image."""
     spread = np.linalg.cholesky(layout.cov)
     at = layout.centre[zone] + np.einsum(
@@ -77,63 +61,35 @@ def _positions(
     return inside
 
 
-def _lost(camera: Longs, t: Floats, layout: Layout, settings: SimSettings) -> NDArray[np.bool_]:
-    """Return which events fall into the outage of a camera."""
-    gone = np.zeros(len(t), dtype=bool)
-    for name, begin, end in settings.lost:
-        gone |= (camera == layout.cameras.index(name)) & (t >= begin) & (t < end)
-    return gone
-
-
-def truth_of(setup: Setup, settings: SimSettings, recorded: Passages, owners: Longs) -> Truth:
+def truth_of(layout: Layout, settings: SimSettings, recorded: Passages, owners: Longs) -> Truth:
     """Return the network at the end of the recording, and the object that caused each event."""
-    layout = setup.layout
     first = np.r_[0, np.flatnonzero(np.diff(layout.camera)) + 1]
     number = np.arange(len(layout.camera)) - first[layout.camera] + 1
-    ids = [f"{layout.cameras[c]}/{k}" for c, k in zip(layout.camera, number, strict=True)]
-    zones = [_zone(setup, settings, zone, name) for zone, name in enumerate(ids)]
-    links = _links(setup, settings, ids, recorded)
+    cameras = [layout.cameras[c] for c in layout.camera]
+    centres = np.round(layout.centre, 4).tolist()
+    covs = np.round(layout.cov, 7).tolist()
+    zones = [
+        TrueZone(f"{camera}/{k}", camera, x, y, cov)
+        for camera, k, (x, y), cov in zip(cameras, number, centres, covs, strict=True)
+    ]
+    links = _links(layout, settings, [zone.id for zone in zones], recorded)
     return Truth(
         schema=TRUTH_SCHEMA,
         cameras=layout.cameras,
         zones=zones,
         links=links,
         pairs=pairs_of(links, {zone.id: zone.camera for zone in zones}),
-        clock_offsets={
-            c: round(float(o), 6) for c, o in zip(layout.cameras, setup.offsets, strict=True)
-        },
+        clock_offsets=dict.fromkeys(layout.cameras, 0.0),
         identity=owners[:, 0].tolist(),
         passage=owners[:, 1].tolist(),
         zone=owners[:, 2].tolist(),
     )
 
 
-def _zone(setup: Setup, settings: SimSettings, zone: int, name: str) -> TrueZone:
-    """Return a zone, with its former position if the camera was turned."""
-    camera = int(setup.layout.camera[zone])
-    if not settings.positions:
-        return TrueZone(id=name, camera=setup.layout.cameras[camera])
-    x, y = np.round(setup.layout.centre[zone], 4).tolist()
-    cov = setup.layout.cov[zone]
-    was = None
-    moved_at = None
-    if camera in setup.turned:
-        since, turn = setup.turned[camera]
-        was = (x, y)
-        moved_at = settings.start + since
-        x, y = np.round(turned(setup.layout.centre[zone], turn), 4).tolist()
-        cov = turn @ cov @ turn.T
-    cov = np.round(cov, 7).tolist()
-    return TrueZone(
-        id=name, camera=setup.layout.cameras[camera], x=x, y=y, cov=cov, moved_at=moved_at, was=was
-    )
-
-
 def _links(
-    setup: Setup, settings: SimSettings, ids: list[str], recorded: Passages
+    layout: Layout, settings: SimSettings, ids: list[str], recorded: Passages
 ) -> list[TrueLink]:
     """Return every path as a link: probability, transit times, and recorded transitions."""
-    layout = setup.layout
     rng = np.random.default_rng((settings.seed, 3))
     walkers = 20_000  # from which the true transit times are computed
     forward = seconds_per_metre(settings, rng, walkers) * jitter(rng, walkers)
@@ -143,19 +99,18 @@ def _links(
     links = []
     for inside, choices in ((True, layout.through), (False, layout.onward)):
         for u, k in np.argwhere(choices.probability > 0):
-            v = int(choices.target[u, k])
             metres = float(choices.metres[u, k])
-            way = int(u), v
+            way = int(u), int(choices.target[u, k])
             links.append(
                 TrueLink(
-                    from_=ids[u],
-                    to=ids[v],
+                    from_=ids[way[0]],
+                    to=ids[way[1]],
                     relation="visible" if inside else "unseen" if metres > 0 else "overlapped",
                     probability=round(float(choices.probability[u, k]), 6),
                     transitions=walked.get((inside, *way), 0),
                     transit=_times(metre[metres > 0], abs(metres)),
-                    closed_at=half_way if not inside and way in setup.closing else None,
-                    opened_at=half_way if not inside and way in setup.opening else None,
+                    closed_at=half_way if not inside and way in layout.closing else None,
+                    opened_at=half_way if not inside and way in layout.opening else None,
                 )
             )
     return links

@@ -1,20 +1,20 @@
 """Simulation of a camera network: walkers, the events the cameras report, and the ground truth.
 
 It is pure: the same settings give the same events. Walkers arrive as a Poisson process, follow a
-first-order Markov chain over zones, and each keeps a speed of their own; the disturbances of real
-installations are settings.
+first-order Markov chain over zones, and each keeps a speed of their own.
 """
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 
 from camtopod.records import Event
-from camtopod.sim.faults import make_setup
+from camtopod.sim.layout import make_layout, with_doors, without_paths
 from camtopod.sim.reports import report, truth_of
-from camtopod.sim.settings import SimSettings, check
+from camtopod.sim.settings import SimSettings
 from camtopod.sim.truth import Truth
-from camtopod.sim.walkers import walk, with_companions
+from camtopod.sim.walkers import walk
 
 __all__ = ["SimSettings", "simulate"]
 
@@ -23,12 +23,26 @@ def simulate(settings: SimSettings) -> tuple[list[Event], Truth]:
     """Return events sorted by time, and the ground truth. Raises ValueError for invalid
     settings.
     """
-    check(settings)
+    try:
+        msgspec.convert(msgspec.structs.asdict(settings), SimSettings)
+    except msgspec.ValidationError as error:
+        raise ValueError(str(error)) from None
+
+    # The network.
     structure, chance = (np.random.default_rng((settings.seed, part)) for part in (1, 2))
-    setup = make_setup(settings, structure)
-    passages = with_companions(walk(setup, settings, chance), settings, chance)
+    layout = make_layout(settings.cameras, structure, settings.overlap_share)
+    layout = with_doors(layout, settings.doors_closed, settings.doors_opened, structure)
+    if not settings.linked:
+        layout = without_paths(layout)
+
+    # The walks, and what is recorded of them.
+    passages = walk(layout, settings, chance)
+    walkers = int(passages.walker.max(initial=-1)) + 1
+    chance.random(walkers)  # this and the next two are not used: a seed keeps its events
+    chance.integers(1, 4, walkers)
+    chance.random(3 * walkers)
     seconds = settings.hours * 3600.0
     passages = passages.take((passages.t_in >= 0) & (passages.t_out < seconds))
     recorded = passages.take(chance.random(len(passages.t_in)) >= settings.missed)
-    events, owners = report(recorded, setup, settings, chance)
-    return events, truth_of(setup, settings, recorded, owners)
+    events, owners = report(recorded, layout, settings, chance)
+    return events, truth_of(layout, settings, recorded, owners)

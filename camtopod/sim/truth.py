@@ -18,19 +18,13 @@ object.
 
 
 class TrueZone(Struct, frozen=True, omit_defaults=True):
-    """Entry/exit zone; centre and covariance in fractions of the image, None without positions.
-
-    ``moved_at``: time (seconds since the epoch) at which the camera was turned; before it, the zone
-    was at ``was`` in the image.
-    """
+    """Entry/exit zone; centre and covariance in fractions of the image, None without positions."""
 
     id: str
     camera: str
     x: float | None = None
     y: float | None = None
     cov: list[list[float]] | None = None
-    moved_at: float | None = None
-    was: tuple[float, float] | None = None
 
 
 class TrueLink(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):

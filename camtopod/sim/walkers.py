@@ -1,4 +1,4 @@
-"""Walkers of a simulated network: when they come, where they go, how long it takes, with whom."""
+"""Walkers of a simulated network: when they come, where they go, and how long it takes."""
 
 from __future__ import annotations
 
@@ -7,16 +7,13 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs
-from camtopod.sim.faults import Setup
-from camtopod.sim.layout import WALKING_SPEED, Choices
+from camtopod.sim.layout import WALKING_SPEED, Choices, Layout
 from camtopod.sim.settings import SimSettings
 
 WARM_UP_SECONDS = 1200.0
 """Walkers start this long before the recording, so that it begins with a full network."""
 LINGER_FACTOR = (5.0, 30.0)
 """Range of the factor on the dwell times of loiterers."""
-PLATOON_CYCLE_SECONDS = 90.0
-"""Time between platoons in one zone of entry."""
 
 
 class Passages(Struct):
@@ -36,17 +33,18 @@ class Passages(Struct):
         return Passages(*(getattr(self, name)[index] for name in self.__struct_fields__))
 
 
-def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passages:
+def walk(layout: Layout, settings: SimSettings, rng: np.random.Generator) -> Passages:
     """Return all passages; each turn of the loop simulates one passage of every walker still under
     way.
     """
-    layout = setup.layout
+    onward = layout.onward
+    early_choices = onward.without(layout.opening)
+    late_choices = onward.without(layout.closing)
 
     # Who comes, when, where, and how fast.
     t = _arrivals(settings, rng)
     walker = np.arange(len(t))
     zone = rng.choice(len(layout.camera), len(t), p=layout.arrivals)
-    t, zone = _in_platoons(t, zone, settings)
     pace = seconds_per_metre(settings, rng, len(t))
     linger = rng.uniform(*LINGER_FACTOR, len(t))
     linger = np.where(rng.random(len(t)) < settings.loiterers, linger, 1.0)
@@ -54,58 +52,33 @@ def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passa
     # Passage by passage until all have left, or have made a hundred.
     parts: list[Passages] = []
     for number in range(100):
-        if len(t) == 0:
-            break
         out, metres = _choose(layout.through, zone, rng)
         stay = metres * pace * jitter(rng, len(t)) * linger
-        option = _onward(setup, settings, out, t, rng.random(len(t)))
+        draw = rng.random(len(t))
+        late = t >= settings.half_way
+        option = np.where(late, _option(late_choices, out, draw), _option(early_choices, out, draw))
         goes = option >= 0
-        ahead = np.where(goes, layout.onward.metres[out, option], 0.0) * pace * jitter(rng, len(t))
+        ahead = np.where(goes, onward.metres[out, option], 0.0) * pace * jitter(rng, len(t))
         # A walker cannot enter the next view before this one.
         stay = np.maximum(stay, -1.25 * ahead)
         parts.append(Passages(walker, np.full(len(t), number), zone, out, t, t + stay))
         t = (t + stay + ahead)[goes]
-        zone = layout.onward.target[out, option][goes]
+        zone = onward.target[out, option][goes]
         walker = walker[goes]
         pace = pace[goes]
         linger = linger[goes]
-    return _join(parts)
+    return Passages(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in Passages.__struct_fields__
+        )
+    )
 
 
 def seconds_per_metre(settings: SimSettings, rng: np.random.Generator, n: int) -> Floats:
     """Return the pace of ``n`` walkers, seconds per metre; they differ by 0.3 (log scale)."""
     pace = 1 / (WALKING_SPEED * np.exp(0.3 * rng.standard_normal(n)))
     return np.where(rng.random(n) < settings.slow_share, pace / 0.45, pace)
-
-
-def _onward(setup: Setup, settings: SimSettings, zone: Longs, t: Floats, draw: Floats) -> Longs:
-    """Return the index of the path that walkers at ``zone`` take at ``t``, -1 for none; doors may
-    be shut.
-    """
-    late = t >= settings.half_way
-    result = np.zeros(len(zone), dtype=np.int64)
-    for gone, now in ((setup.opening, ~late), (setup.closing, late)):
-        result[now] = _option(setup.layout.onward.without(gone), zone[now], draw[now])
-    return result
-
-
-def _in_platoons(t: Floats, zone: Longs, settings: SimSettings) -> tuple[Floats, Longs]:
-    """Return times and zones of arrival with a share of the walkers moved into platoons."""
-    rng = np.random.default_rng((settings.seed, 5))
-    member = np.flatnonzero(rng.random(len(t)) < settings.platoons)
-    bunch = np.cumsum(rng.random(len(member)) < 1 / settings.platoon_size)
-    _, leader, of = np.unique(bunch, return_index=True, return_inverse=True)
-    where = zone[member[leader]]
-    phase = (where * 0.618) % 1.0 * PLATOON_CYCLE_SECONDS
-    begin = (
-        np.ceil((t[member[leader]] - phase) / PLATOON_CYCLE_SECONDS) * PLATOON_CYCLE_SECONDS + phase
-    )
-    late = 1.5 * ((np.arange(len(member)) - leader[of]) + rng.uniform(-0.4, 0.4, len(member)))
-    t = t.copy()
-    zone = zone.copy()
-    t[member] = begin[of] + late
-    zone[member] = where[of]
-    return t, zone
 
 
 def _arrivals(settings: SimSettings, rng: np.random.Generator) -> Floats:
@@ -138,40 +111,3 @@ def _choose(choices: Choices, zone: Longs, rng: np.random.Generator) -> tuple[Lo
     total = choices.probability.sum(1)[zone]
     option = _option(choices, zone, rng.random(len(zone)) * total * (1 - 1e-12))
     return choices.target[zone, option], choices.metres[zone, option]
-
-
-def _join(parts: list[Passages]) -> Passages:
-    """Concatenate passages."""
-    if not parts:
-        none = np.zeros(0, dtype=np.int64)
-        return Passages(none, none, none, none, none.astype(float), none.astype(float))
-    return Passages(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in Passages.__struct_fields__
-        )
-    )
-
-
-def with_companions(
-    passages: Passages, settings: SimSettings, rng: np.random.Generator
-) -> Passages:
-    """Add companions who walk the leader's way, each a step (0.3 to 2 s) behind the one before."""
-    walkers = int(passages.walker.max(initial=-1)) + 1
-    size = np.where(rng.random(walkers) < settings.group_share, rng.integers(1, 4, walkers), 0)
-    parts = [passages]
-    fresh = walkers
-    behind = np.zeros(walkers)
-    for place in range(1, 4):
-        behind = behind + rng.uniform(0.3, 2.0, walkers)
-        led = np.flatnonzero(size >= place)
-        identity = np.full(walkers, -1)
-        identity[led] = fresh + np.arange(len(led))
-        fresh += len(led)
-        mine = passages.take(identity[passages.walker] >= 0)
-        late = behind[mine.walker]
-        mine.walker = identity[mine.walker]
-        mine.t_in = mine.t_in + late
-        mine.t_out = mine.t_out + late
-        parts.append(mine)
-    return _join(parts)

@@ -53,7 +53,6 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("part", "arguments", "shown"),
     [
-        ("learn", ["--seeds", "1", "--cameras", "3", "--hours", "0.1"], "oracle"),
         ("change", ["--seeds", "1", "--hours", "0.04", "--jobs", "steady"], "steady"),
         ("thesis", ["1"], "table 5.3"),
     ],

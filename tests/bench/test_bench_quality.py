@@ -8,6 +8,7 @@ import msgspec
 import pytest
 
 import bench.quality as quality
+from bench.support.disturbances import with_wrong_clocks
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.sim.simulation import SimSettings, simulate
@@ -21,7 +22,8 @@ class Small(msgspec.Struct):
 
     def make(self, seed: int, scale: float) -> tuple[list[Event], Truth]:
         self.made.append(seed)
-        return simulate(SimSettings(cameras=3, hours=0.15 * scale, seed=seed, clock_sd=2.0))
+        settings = SimSettings(cameras=3, hours=0.15 * scale, seed=seed)
+        return with_wrong_clocks(simulate(settings), settings, 1.0)
 
     def learning(self, scale: float) -> Settings:
         return Settings()

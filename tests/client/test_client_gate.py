@@ -9,6 +9,7 @@ import pytest
 from msgspec.structs import replace
 from scipy.optimize import linear_sum_assignment
 
+from bench.support.prediction_scores import next_entries
 from camtopod.client import Gate, UnknownPlace
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -29,7 +30,6 @@ from camtopod.records import (
     Zone,
     ZoneModel,
 )
-from camtopod.sim.scoring import next_entries
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.topology.lag_bins import LagBins
 

@@ -496,7 +496,7 @@ def test_finds_a_made_up_network(seed: int, hours: float, recall: float) -> None
     assert found.link_precision >= 0.9
     assert found.link_recall >= recall
     assert found.zones_matched == found.zones_true == found.zones_learned
-    assert found.mode_error < 0.1
+    assert found.transit_error("mode") < 0.1
     assert found.pair_precision >= 0.9
     assert found.relations_right >= 0.9 * found.links_right
 

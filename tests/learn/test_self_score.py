@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from bench.support.prediction_scores import next_entries
 from camtopod.learn.learner import Learner
 from camtopod.learn.self_score import (
     EXITS_PER_VERSION,
@@ -19,7 +20,6 @@ from camtopod.learn.self_score import (
 )
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, SelfScore
-from camtopod.sim.scoring import next_entries
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 

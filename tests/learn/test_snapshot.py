@@ -10,6 +10,14 @@ from functools import lru_cache
 import msgspec
 import pytest
 
+from bench.support.disturbances import (
+    Recording,
+    with_outages,
+    with_turned_cameras,
+    with_wrong_clocks,
+    without_positions,
+    without_tracks,
+)
 from camtopod.learn.association import screening
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -20,27 +28,28 @@ from camtopod.sim.simulation import SimSettings, simulate
 SETTINGS = Settings(refit_share=0.6, window_events_max=2000)
 NETWORKS = {
     "usual": SimSettings(seed=3, cameras=5, hours=0.7, objects_per_second=0.1),
-    "hard": SimSettings(
-        seed=4,
-        cameras=5,
-        hours=0.8,
-        objects_per_second=0.1,
-        clock_max=20.0,
-        clock_share=0.4,
-        moved=(("cam02", 1200.0),),
-        lost=(("cam03", 900.0, 1500.0),),
-        platoons=0.5,
-    ),
-    "bare": SimSettings(
-        seed=5, cameras=4, hours=0.5, objects_per_second=0.1, positions=False, tracks=False
-    ),
+    "hard": SimSettings(seed=4, cameras=5, hours=0.8, objects_per_second=0.12),
+    "bare": SimSettings(seed=5, cameras=4, hours=0.5, objects_per_second=0.1),
 }
+
+
+def recorded(name: str) -> Recording:
+    """Return the recording of a network; of one a camera is turned, of one only times are left."""
+    network = NETWORKS[name]
+    recording = simulate(network)
+    if name == "hard":
+        turned = with_turned_cameras(recording, network, ["cam02"])
+        recording = with_outages(turned, network, [("cam03", 0.3, 0.5)])
+        return with_wrong_clocks(recording, network)
+    if name == "bare":
+        return without_tracks(without_positions(recording, network), network)
+    return recording
 
 
 @lru_cache
 def events_of(name: str) -> list[Event]:
     """Return events out of order within the lateness, some twice, with boot and seq."""
-    events, _ = simulate(NETWORKS[name])
+    events, _ = recorded(name)
     chance = random.Random(1)
     events = sorted(events, key=lambda event: event.t + chance.uniform(0.0, 4.0))
     seqs: dict[str, int] = {}

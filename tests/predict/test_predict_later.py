@@ -20,9 +20,9 @@ from test_predictor import (
     sound,
 )
 
+from bench.support.prediction_scores import PredictionScore, score_predictions
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Pace, Prediction, Topology, Way
-from camtopod.sim.scoring import PredictionScore, score_predictions
 
 AT_B = Event("b", "entry", 1008.0, 0.5, 0.5)
 

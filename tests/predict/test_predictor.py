@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from msgspec.structs import replace
 
+from bench.support.prediction_scores import score_predictions
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.predict import open_passages, predictor as module, recent_events
@@ -36,7 +37,6 @@ from camtopod.records import (
     Zone,
     ZoneModel,
 )
-from camtopod.sim.scoring import score_predictions
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth
 from camtopod.topology.lag_bins import LagBins

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from bench.support.prediction_scores import next_entries
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.predict.predictor import Predictor
 from camtopod.predict.speed import PaceModel, windows_at_pace
 from camtopod.records import Camera, Model, Pace, Topology, Way, Zone
-from camtopod.sim.scoring import next_entries
 from camtopod.sim.simulation import SimSettings, simulate
 
 ZONES = [Zone("a/1", "a", 9, 9), Zone("a/2", "a", 9, 9)]

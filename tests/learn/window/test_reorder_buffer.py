@@ -9,6 +9,7 @@ import msgspec
 import pytest
 from hypothesis import example, given, strategies as st
 
+from bench.support.disturbances import with_wrong_clocks
 from camtopod.event_time import BEHIND_EVENTS, MICROSECONDS, microseconds
 from camtopod.learn.window import reorder_buffer as module
 from camtopod.learn.window.reorder_buffer import ReceivedNumbers, ReorderBuffer, ReorderBufferState
@@ -304,9 +305,8 @@ def test_of_a_site_with_wrong_clocks_nearly_all_is_learned(seed: int) -> None:
     """A third of the clocks are up to 30 s off, and events come when they happen, not at their
     times: one clock is behind, or two are ahead and all others behind these.
     """
-    events, truth = simulate(
-        SimSettings(cameras=6, hours=2.0, seed=seed, clock_max=30.0, clock_share=1 / 3)
-    )
+    site = SimSettings(cameras=6, hours=2.0, seed=seed)
+    events, truth = with_wrong_clocks(simulate(site), site)
     patient, hasty = ReorderBuffer(5.0, 9, 60.0), ReorderBuffer(5.0, 9, 0.0)
     for e in sorted(events, key=lambda e: e.t - truth.clock_offsets.get(e.camera, 0.0)):
         patient.receive(e)
