@@ -14,8 +14,7 @@ import textwrap
 from pathlib import Path
 
 from camtopod import __version__
-from camtopod.cli.generated.config_schema import text as schema
-from camtopod.cli.generated.example_config import example
+from camtopod.cli.generated import example, schema_text
 from camtopod.cli.main import COMMANDS, parser_of
 
 ROOT = Path(__file__).parent.parent
@@ -37,7 +36,7 @@ def files() -> dict[Path, str]:
     deploy = ROOT / "deploy"
     return {
         deploy / "camtopod.toml": example(),
-        deploy / "camtopod.schema.json": schema(),
+        deploy / "camtopod.schema.json": schema_text("configuration"),
         deploy / "camtopod.1": manual(),
     }
 

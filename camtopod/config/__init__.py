@@ -1,19 +1,19 @@
 """Configuration files: TOML to typed settings, with the line of every mistake.
 
 `settings` holds the tables, their defaults, and `load`. It is built on `toml_tables`, which makes
-structs of tables, `polygons`, which reads areas of the picture, and `toml_lines`, which finds the
-lines of keys. `secret_files` reads and writes files that hold secrets.
+structs of tables, and `toml_lines`, which finds the lines of keys. `secret_files` reads and writes
+files that hold secrets.
 """
 
 from __future__ import annotations
 
 from camtopod.config import (
-    polygons as polygons,
     secret_files as secret_files,
     settings as settings,
     toml_lines as toml_lines,
 )
 from camtopod.config.settings import (
+    DEFAULT_ENDPOINT as DEFAULT_ENDPOINT,
     RESERVED as RESERVED,
     TABLES as TABLES,
     BusSettings as BusSettings,
@@ -25,11 +25,7 @@ from camtopod.config.settings import (
     SiteSettings as SiteSettings,
     StateSettings as StateSettings,
     detector_line as detector_line,
+    is_endpoint as is_endpoint,
     without_source as without_source,
 )
-from camtopod.config.toml_tables import (
-    DEFAULT_ENDPOINT as DEFAULT_ENDPOINT,
-    FLOAT_MAX as FLOAT_MAX,
-    fields as fields,
-    is_endpoint as is_endpoint,
-)
+from camtopod.config.toml_tables import FLOAT_MAX as FLOAT_MAX, fields as fields

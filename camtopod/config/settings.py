@@ -2,7 +2,7 @@
 
 Every limit that users may set has its default and its unit here, in `camtopod.learn.settings` or in
 `camtopod.vision.settings`, and nowhere else. The docstrings of fields also become the comments of
-the example configuration and the descriptions of the JSON schema. Fields that `toml_tables.is_gone`
+the example configuration and the descriptions of the JSON schema. Fields that `toml_tables.GONE`
 names are for programs, not for files.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,17 +20,7 @@ from msgspec.structs import replace
 
 from camtopod import redact
 from camtopod.config import secret_files, toml_lines
-from camtopod.config.page_settings import Address, MapSettings, PlaceOnPlan, WebSettings
-from camtopod.config.toml_tables import (
-    DEFAULT_ENDPOINT,
-    Endpoint,
-    Problem,
-    TableReader,
-    did_you_mean,
-    is_endpoint,
-    is_gone,
-    syntax,
-)
+from camtopod.config.toml_tables import Problem, TableReader, did_you_mean, syntax
 from camtopod.learn.settings import Settings
 from camtopod.records import CAMERA_PATTERN
 from camtopod.vision.detector.coco import LABELS
@@ -42,7 +32,16 @@ Name = Annotated[
     str, Meta(pattern=CAMERA_PATTERN, description="1 to 64 of the characters A-Z a-z 0-9 _ . -")
 ]
 Positive = Annotated[float, Meta(gt=0)]
+Fraction = Annotated[float, Meta(ge=0, le=1)]
 Count = Annotated[int, Meta(ge=1)]
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+"""Endpoint of a daemon that the configuration gives none."""
+ENDPOINT_PATTERN = r"^(tcp|udp|tls|quic|ws|unixsock-stream|vsock|serial)/\S+\Z"
+"""Regular expression of an endpoint of zenoh: protocol/address."""
+Endpoints = Annotated[
+    tuple[Annotated[str, Meta(pattern=ENDPOINT_PATTERN)], ...],
+    Meta(description=f'endpoints like ["{DEFAULT_ENDPOINT}"]'),
+]
 
 
 class SiteSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -75,11 +74,11 @@ class TlsSettings(Struct, frozen=True, forbid_unknown_fields=True):
 class BusSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """``[bus]``: where the programs meet; without endpoints the daemon is the meeting point."""
 
-    connect: tuple[Endpoint, ...] = ()
+    connect: Endpoints = ()
     """Endpoints to connect to, e.g. ["tcp/192.168.1.5:7447"]; empty: the daemon listens, other
     programs connect to it.
     """
-    listen: tuple[Endpoint, ...] = ()
+    listen: Endpoints = ()
     """Endpoints at which the daemon listens; empty: tcp/127.0.0.1:7447, or none if it connects."""
     connect_seconds: Positive = 3.0
     """Time to try to reach the meeting point until an error is reported."""
@@ -111,7 +110,7 @@ class KeepSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Days that old versions of the topology are kept, which can be queried."""
 
 
-class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
+class CameraSettings(VisionSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """``[cameras.ID]``: one camera of this box; it takes every key of ``[vision]`` as well."""
 
     source: str = ""
@@ -128,18 +127,30 @@ class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """A file only: time of its first frame, seconds since the Unix epoch."""
     speed: Positive = 1.0
     """A file only, with realtime: play it at this many times its own speed."""
-    page: Address = ""
+    page: Annotated[
+        str,
+        Meta(
+            pattern=r"^$|^https?://[^\s/@]+(/\S*)?$",
+            description="an address that begins with http:// or https://, without a password",
+        ),
+    ] = ""
     """Address of the camera's page at a recorder, to which the web page links."""
-    at: PlaceOnPlan = ()
+    at: Annotated[
+        tuple[Fraction, ...],
+        Meta(max_length=2, description="two numbers from 0 to 1, like [0.3, 0.7]"),
+    ] = ()
     """Where the camera is on the plan of [map], if there is one: x to the right and y downwards, as
     fractions.
     """
-    vision: VisionSettings = VisionSettings()
-    """The camera's settings of vision: those of [vision], and those in its own table."""
     detector: DetectorSettings = DetectorSettings()
     """The camera's detector: false for none, or a table [cameras.ID.detector] with keys of
     [detector], for this camera alone.
     """
+
+    @property
+    def vision(self) -> VisionSettings:
+        """The camera's settings of vision: those of [vision], and those in its own table."""
+        return msgspec.convert(self, VisionSettings, from_attributes=True)
 
 
 class Limits(Struct, frozen=True, forbid_unknown_fields=True):
@@ -153,7 +164,7 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     """Maximum number of cameras; events of further ones are refused until one is silent for an
     hour.
     """
-    commit_seconds: float = 0.02
+    commit_seconds: Annotated[float, Meta(ge=0)] = 0.02
     """Time that a transaction waits for more events; predictions do not wait for it. Raise it on an
     SD card (0.05).
     """
@@ -186,13 +197,35 @@ class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
 
-class Config(Struct, frozen=True):
+class WebSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """``[web]``: who may open the page of `camtopod web`."""
+
+    password_file: str = ""
+    """A file whose first line is the password that the page asks for, at least 8 characters; nobody
+    else may be able to read it. A path as in [bus.tls]; empty: no password.
+    """
+    token_file: str = ""
+    """A file whose first line is the token with which programs use the HTTP API, at least 20
+    characters; needs password_file.
+    """
+
+
+class MapSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """``[map]``: the map of the page."""
+
+    plan: str = ""
+    """A picture (png, jpg or svg) of the floor plan to show beneath the map; a path as in
+    [bus.tls]. Cameras with `at` are placed on it, the others below it.
+    """
+
+
+class Config(Struct, frozen=True, forbid_unknown_fields=True):
     """A whole configuration; settings that the file does not have keep their defaults."""
 
     site: SiteSettings = SiteSettings()
     bus: BusSettings = BusSettings()
     state: StateSettings = StateSettings()
-    cameras: dict[str, CameraSettings] = {}
+    cameras: dict[Name, CameraSettings] = {}
     learn: Settings = Settings()
     vision: VisionSettings = VisionSettings()
     detector: DetectorSettings = DetectorSettings()
@@ -213,7 +246,7 @@ class Config(Struct, frozen=True):
         return Path(home).expanduser() / "camtopod"
 
     @property
-    def listens(self) -> tuple[Endpoint, ...]:
+    def listens(self) -> tuple[str, ...]:
         """Endpoints at which the daemon listens; empty if it only connects to others."""
         default = (
             f"tls/{DEFAULT_ENDPOINT.partition('/')[2]}" if self.bus.tls.ca else DEFAULT_ENDPOINT
@@ -221,7 +254,7 @@ class Config(Struct, frozen=True):
         return self.bus.listen or (() if self.bus.connect else (default,))
 
     @property
-    def dials(self) -> tuple[Endpoint, ...]:
+    def dials(self) -> tuple[str, ...]:
         """Endpoints to which all programs but the daemon connect."""
         return self.bus.connect or tuple(_local_address(endpoint) for endpoint in self.listens)
 
@@ -234,6 +267,11 @@ class Config(Struct, frozen=True):
         names = list(self.cameras) if "{camera}" in self.bus.tls.private_key else [""]
         keys = [self.bus.tls.private_key.replace("{camera}", name) for name in names]
         return files + [Path(key) for key in keys if key]
+
+    @property
+    def new_camera(self) -> CameraSettings:
+        """Settings of a camera that has no table."""
+        return CameraSettings(**msgspec.structs.asdict(self.vision), detector=self.detector)
 
     def for_camera(self, camera: str, source: str | None = None) -> Config:
         """Return the configuration of the process that grabs ``camera``.
@@ -249,7 +287,7 @@ class Config(Struct, frozen=True):
             source = secret_files.read(Path(known.source_file))
         if source is not None:
             redact.remember(source)
-            known = known or CameraSettings(vision=self.vision, detector=self.detector)
+            known = known or self.new_camera
             cameras = {**cameras, camera: replace(known, source=source, source_file="")}
         return replace(self.certified(camera), cameras=cameras)
 
@@ -316,8 +354,27 @@ def load(path: Path, raw: bytes | None = None) -> Config:
 def parse(text: str, name: str = "configuration") -> Config:
     """Return the configuration in ``text``; raise `ConfigError`, which calls the file ``name``."""
     data, text, problems = syntax(text.replace("\r\n", "\n"))
-    reader = _Reader(TABLES, toml_lines.key_lines(text))
-    config = reader.config(data)
+    reader = TableReader(TABLES, toml_lines.key_lines(text))
+    tables = data.pop("cameras", {})
+    config = reader.table(Config(), data, ())
+    if not isinstance(tables, dict):
+        reader.report(("cameras",), "expected tables [cameras.ID], one a camera")
+        tables = {}
+
+    # The cameras, each on top of [vision] and [detector].
+    cameras = {}
+    for camera, given in tables.items():
+        defaults = config.new_camera
+        if isinstance(given, dict):
+            redact.remember(str(given.get("source", "")))  # hidden in all messages
+            if given.get("detector") is False:
+                defaults = replace(defaults, detector=DetectorSettings())
+                del given["detector"]
+        cameras[camera] = reader.table(defaults, given, ("cameras", camera))
+    config = replace(config, cameras=cameras)
+
+    for path, what in _mistakes(config):
+        reader.report(path, what)
     problems += reader.problems
     if problems:
         raise ConfigError(name, problems)
@@ -355,164 +412,60 @@ def detector_line(text: str, camera: str, key: str) -> tuple[int, str]:
     return lines.get(place, 1), ".".join(place)
 
 
-class _Detector(Struct, frozen=True):
-    """The keys of a camera's detector, which stand in a table of their own."""
+def _mistakes(config: Config) -> Iterator[tuple[toml_lines.Path, str]]:
+    """Yield what is wrong between settings that are right by themselves."""
+    yield from _mistakes_of_bus(config.bus)
+    if config.web.token_file and not config.web.password_file:
+        yield ("web", "token_file"), "password_file is missing: people cannot give a token"
 
-    detector: DetectorSettings
-
-
-class _Reader(TableReader):
-    """Builds the settings from the tables that tomllib read."""
-
-    def config(self, data: dict[str, Any]) -> Config:
-        known = [*TABLES, "cameras"]
-        for key in data:
-            if is_gone("", key):
-                self.report((key,), f"{key}: no longer needed: delete the table")
-            elif key not in known:
-                self.report((key,), f"{key}: no such table{did_you_mean(key, known)}")
-        tables = {
-            name: self.table(kind, data, (name,))
-            for name, kind in TABLES.items()
-            if "." not in name
-        }
-        self._check_bus(tables["bus"])
-        self._check_web(tables["web"])
-        detector = tables["detector"]
-        assert isinstance(detector, DetectorSettings)
-        self._check_labels(("detector",), detector)
-        cameras = self._cameras(data.get("cameras", {}), tables["vision"], detector)
-        if detector != DetectorSettings() and not any(
-            one.model for one in (detector, *(camera.detector for camera in cameras.values()))
-        ):
-            self.report(("detector",), "detector: model is missing: it is an ONNX file")
-        return Config(cameras=cameras, **tables)  # type: ignore[arg-type]
-
-    def _cameras(
-        self, data: Any, vision: Struct, detector: DetectorSettings
-    ) -> dict[str, CameraSettings]:
-        """Return the cameras.
-
-        vision, detector: the settings that their tables do not have.
-        """
-        assert isinstance(vision, VisionSettings)
-        if not isinstance(data, dict):
-            self.report(("cameras",), "cameras: expected tables [cameras.ID], one a camera")
-            return {}
-        cameras = {}
-        for camera in data:
-            path = ("cameras", camera)
-
-            # The id.
-            if not re.match(CAMERA_PATTERN, camera):
-                self.report(
-                    path,
-                    f"cameras.{camera}: a camera's id is 1 to 64 of the characters"
-                    f" A-Z a-z 0-9 _ . -",
-                )
-            if camera in RESERVED:
-                self.report(
-                    path,
-                    f"cameras.{camera}: this name is taken on the bus; call the camera otherwise",
-                )
-
-            # The source is hidden in all messages, so it is remembered first.
-            given = data[camera]
-            if isinstance(given, dict) and isinstance(given.get("source"), str):
-                redact.remember(given["source"])
-            plain = data
-            if isinstance(given, dict) and "detector" in given:
-                plain = {camera: {key: given[key] for key in given if key != "detector"}}
-            settings = self.table(CameraSettings, plain, path, {"vision": vision})
-            settings = replace(settings, detector=self._own_detector(path, given, detector))
-            self._check_source(path, given, settings)
-            if len(settings.at) == 1:
-                self.report((*path, "at"), f"cameras.{camera}.at: expected two numbers, x and y")
-            cameras[camera] = settings
-        return cameras
-
-    def _own_detector(
-        self, path: tuple[str, str], given: Any, common: DetectorSettings
-    ) -> DetectorSettings:
-        """Return the detector of a camera: that of ``[detector]``, its own, or none."""
-        own = given.get("detector") if isinstance(given, dict) else None
-        path_of_own = (*path, "detector")
-        if own is None:
-            return common
-        if own is False:
-            return DetectorSettings()
-        if not isinstance(own, dict):
-            self.report(
-                path_of_own,
-                f"{'.'.join(path_of_own)}: expected false, or a table [{'.'.join(path_of_own)}]",
-            )
-            return common
-        read = self.table(_Detector, given, path_of_own, {"detector": common}).detector
-        if "labels" in own:
-            self._check_labels(path_of_own, read)
-        if not read.model:
-            self.report(
-                path_of_own,
-                f"{'.'.join(path_of_own)}: model is missing, here and in [detector]",
-            )
-        return read
-
-    def _check_labels(self, path: tuple[str, ...], detector: DetectorSettings) -> None:
-        """Check that there are labels, and that COCO has those that are names."""
-        title = f"{'.'.join(path)}.labels"
+    # Cameras, and their detectors where those differ from the common one.
+    detectors: dict[toml_lines.Path, DetectorSettings] = {("detector",): config.detector}
+    for name, camera in config.cameras.items():
+        path: toml_lines.Path = ("cameras", name)
+        if not re.match(CAMERA_PATTERN, name):
+            yield path, "a camera's id is 1 to 64 of the characters A-Z a-z 0-9 _ . -"
+        if name in RESERVED:
+            yield path, "this name is taken on the bus; call the camera otherwise"
+        if camera.source and camera.source_file:
+            yield (*path, "source"), "give source or source_file, not both"
+        if len(camera.at) == 1:
+            yield (*path, "at"), "expected two numbers, x and y"
+        if camera.detector != config.detector:
+            detectors[*path, "detector"] = camera.detector
+    some_model = any(detector.model for detector in detectors.values())
+    for path, detector in detectors.items():
+        needed = not some_model or "cameras" in path
+        if needed and not detector.model and detector != DetectorSettings():
+            yield path, "model is missing: it is an ONNX file"
         if not detector.labels:
-            self.report((*path, "labels"), f"{title}: is empty; name what makes events")
-        for index, label in enumerate(detector.labels):
+            yield (*path, "labels"), "is empty; name what makes events"
+        for label in detector.labels:
             if isinstance(label, str) and label not in LABELS:
                 hint = did_you_mean(label, list(LABELS))
-                self.report((*path, "labels", index), f"{title}: COCO has no {label!r}{hint}")
+                yield (*path, "labels"), f"COCO has no {label!r}{hint}"
 
-    def _check_source(self, path: tuple[str, str], given: Any, camera: CameraSettings) -> None:
-        """Check that at most one of source and source_file is given, and that it is not empty."""
-        title = ".".join(path)
-        if camera.source and camera.source_file:
-            self.report((*path, "source"), f"{title}.source: give source or source_file, not both")
-        if camera.source or camera.source_file or not isinstance(given, dict):
-            return
-        for key in ("source", "source_file"):
-            if given.get(key) == "":
-                self.report((*path, key), f"{title}.{key}: is empty")
 
-    def _check_web(self, web: Struct) -> None:
-        """Check that a page for which programs need a token has a password for people."""
-        assert isinstance(web, WebSettings)
-        if web.token_file and not web.password_file:
-            what = "web.token_file: password_file is missing: people cannot give a token"
-            self.report(("web", "token_file"), what)
+def _mistakes_of_bus(bus: BusSettings) -> Iterator[tuple[toml_lines.Path, str]]:
+    """Yield what is wrong with certificates: they need all files, and tls/ endpoints."""
+    if bus.tls == TlsSettings():
+        return
+    for key in ("ca", "certificate", "private_key"):
+        if not getattr(bus.tls, key):
+            what = f"{key} is missing; ca, certificate and private_key go together"
+            yield ("bus", "tls"), what
+    if not bus.tls.access and not bus.connect:
+        what = "access is missing: a daemon that is the meeting point has to know who may do what"
+        yield ("bus", "tls"), what
+    for key in ("listen", "connect"):
+        for endpoint in getattr(bus, key):
+            if not endpoint.startswith("tls/"):
+                what = f"{endpoint!r} is not a tls/ endpoint, but [bus.tls] is set"
+                yield ("bus", key), what
 
-    def _check_bus(self, bus: Struct) -> None:
-        """Check that all files of TLS are given or none, and that with TLS all endpoints use it."""
-        assert isinstance(bus, BusSettings)
-        tls = bus.tls
-        if tls == TlsSettings():
-            return
 
-        # All files are needed.
-        for key in ("ca", "certificate", "private_key"):
-            if not getattr(tls, key):
-                self.report(
-                    ("bus", "tls"),
-                    f"bus.tls: {key} is missing; ca, certificate and private_key go together",
-                )
-        if not tls.access and not bus.connect:
-            what = (
-                "access is missing: a daemon that is the meeting point has to know who may do what"
-            )
-            self.report(("bus", "tls"), f"bus.tls: {what}")
-
-        # All endpoints have to use TLS.
-        for key in ("listen", "connect"):
-            for index, endpoint in enumerate(getattr(bus, key)):
-                if is_endpoint(endpoint) and not endpoint.startswith("tls/"):
-                    self.report(
-                        ("bus", key, index),
-                        f"bus.{key}: {endpoint!r} is not a tls/ endpoint, but [bus.tls] is set",
-                    )
+def is_endpoint(value: str) -> bool:
+    """Return True if ``value`` looks like an endpoint of zenoh: protocol/address."""
+    return re.match(ENDPOINT_PATTERN, value) is not None
 
 
 def _with_absolute_paths(folder: Path, config: Config) -> Config:
@@ -557,6 +510,6 @@ def _differences(settings: Struct, others: Struct) -> dict[str, Any]:
     return {key: value for key, value in fields.items() if value != getattr(others, key)}
 
 
-def _local_address(endpoint: Endpoint) -> Endpoint:
+def _local_address(endpoint: str) -> str:
     """Return the address at which this machine reaches an endpoint on all interfaces."""
     return endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")

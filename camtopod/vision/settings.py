@@ -18,9 +18,15 @@ Point = tuple[Fraction, Fraction]
 Polygon = tuple[Point, ...]
 """An area of the picture by its corners; a single point stands for a place."""
 
-Areas = Annotated[tuple[Polygon, ...], Meta(extra={"points_min": 3})]
+_FORM = "of three points or more in fractions of the picture, like [[[x, y], [x, y], [x, y]]]"
+Areas = Annotated[
+    tuple[Annotated[Polygon, Meta(min_length=3)], ...], Meta(description=f"polygons {_FORM}")
+]
 """Polygons of three points or more."""
-Places = Annotated[tuple[Polygon, ...], Meta(extra={"points_min": 1})]
+Places = Annotated[
+    tuple[Annotated[Polygon, Meta(min_length=1)], ...],
+    Meta(description=f"points, or polygons {_FORM}"),
+]
 """Points, and polygons of three points or more."""
 
 

@@ -64,7 +64,7 @@ def test_a_camera_has_the_common_detector_one_of_its_own_or_none() -> None:
         ('[detector]\nmodel = "a"\nscore = 2\n', ":3: detector.score: expected a number <= 1.0"),
         (
             '[detector]\nmodel = "a"\nlabels = [\n"person",\n"persn"]\n',
-            ":5: detector.labels: COCO has no 'persn'; did you mean 'person'?",
+            ":3: detector.labels: COCO has no 'persn'; did you mean 'person'?",
         ),
         ('[detector]\nmodel = "a"\nlabels = []\n', ":3: detector.labels: is empty"),
         (
@@ -73,7 +73,7 @@ def test_a_camera_has_the_common_detector_one_of_its_own_or_none() -> None:
         ),
         (
             "[cameras.a]\ndetector = true\n",
-            ":2: cameras.a.detector: expected false, or a table [cameras.a.detector]",
+            ":2: cameras.a.detector: expected a table [cameras.a.detector]",
         ),
         ("[cameras.a.detector]\nscore = 0.5\n", ":1: cameras.a.detector: model is missing"),
     ],

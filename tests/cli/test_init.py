@@ -10,6 +10,7 @@ import socket
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from rendered_scenes import FPS, Person, Scene, line
@@ -21,7 +22,7 @@ from camtopod.cli.cameras import probe as probes
 from camtopod.cli.cameras.naming import with_names
 from camtopod.cli.main import main
 from camtopod.config import settings
-from camtopod.config.settings import CameraSettings, VisionSettings
+from camtopod.config.settings import Config, VisionSettings
 from camtopod.serve.daemon import Daemon
 from camtopod.vision.source.probe import PIXELS_MAX, Probe
 from camtopod.web import pictures
@@ -53,7 +54,10 @@ def painted(
 
 
 def probed(sources: dict[str, str]) -> dict[str, Probe]:
-    cameras = {name: CameraSettings(source, vision=QUICK) for name, source in sources.items()}
+    settings = Config(vision=QUICK).new_camera
+    cameras = {
+        name: msgspec.structs.replace(settings, source=source) for name, source in sources.items()
+    }
     return probes.probe_all(cameras, lambda name, probe: None)
 
 

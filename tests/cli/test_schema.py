@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,7 @@ from serving import (
     walkers,
 )
 
-from camtopod.cli.generated.message_schemas import NAMES, message_schema
+from camtopod.cli.generated import NAMES, example, schema_text
 from camtopod.cli.main import main
 from camtopod.codec import to_json
 from camtopod.records import Event
@@ -31,7 +33,7 @@ from camtopod.serve.requests import Answer, Batch, Hello
 
 
 def validator(name: str) -> Any:
-    schema = message_schema(name)
+    schema = json.loads(schema_text(name))
     kind = jsonschema.validators.validator_for(schema)
     kind.check_schema(schema)
     return kind(schema)
@@ -42,7 +44,7 @@ def test_it_is_a_schema_and_is_printed(name: str, capsys: pytest.CaptureFixture[
     validator(name)
     assert main(["schema", name]) == 0
     out = capsys.readouterr().out
-    assert json.loads(out) == json.loads(json.dumps(message_schema(name)))
+    assert out == schema_text(name)
     assert r"\Z" not in out, "JavaScript does not know it"
 
 
@@ -126,3 +128,40 @@ def test_mistakes_in_an_event_are_found(given: dict[str, Any], wrong: bool) -> N
     event = json.loads(to_json(Event("a", "exit", 1.5, 0.5, 0.5))) | given
     event = {key: value for key, value in event.items() if value is not None}
     assert validator("event").is_valid(event) != wrong
+
+
+def wrong(toml: str) -> list[str]:
+    """Return the places where the schema of the configuration finds mistakes."""
+    found = validator("configuration").iter_errors(tomllib.loads(toml))
+    return sorted(".".join(map(str, error.path)) for error in found)
+
+
+def test_the_example_configuration_is_valid_with_and_without_its_defaults() -> None:
+    everything = re.sub(r"(?m)^# (\w+ = )", r"\1", example())
+    everything = re.sub(r'(?m)^source_file = ""\n', "", everything)  # beside a source
+
+    assert wrong(example()) == wrong(everything) == []
+
+
+@pytest.mark.parametrize(
+    ("toml", "where"),
+    [
+        ("[sight]\n", ""),
+        ('[site]\nnmae = "hq"', "site"),
+        ('[site]\nname = "a/b"', "site.name"),
+        ('[learn]\nwindow_hours = "x"', "learn.window_hours"),
+        ("[limits]\ncommit_seconds = -1", "limits.commit_seconds"),
+        ('[bus]\nlisten = ["localhost"]', "bus.listen.0"),
+        ('[bus.tls]\nkey = "x"', "bus.tls"),
+        ("[cameras.lobby]\nspeed = 2", "cameras.lobby"),
+        ("[cameras.lobby]\nanalysed_fps = 0", "cameras.lobby.analysed_fps"),
+        ("[cameras.lobby]\nignore = [[[0, 0], [1, 0]]]", "cameras.lobby.ignore.0"),
+        ("[cameras.lobby]\nignore = [[0.5, 0.5]]", "cameras.lobby.ignore.0"),
+        ('[cameras.lobby]\nsource = "a"\nsource_file = "b"', "cameras.lobby"),
+        ('[cameras."a b"]\nsource = "0"', "cameras"),
+        ('[cameras.daemon]\nsource = "0"', "cameras"),
+        ('[health]\nlisten = "nowhere"', "health.listen"),
+    ],
+)
+def test_a_mistake_in_a_configuration_is_found_where_it_is(toml: str, where: str) -> None:
+    assert wrong(toml) == [where]

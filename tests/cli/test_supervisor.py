@@ -279,7 +279,7 @@ def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:
 
 
 def test_a_camera_s_command_line_has_no_source_in_it() -> None:
-    process = CameraProcess("lobby", CameraSettings("rtsp://h/x"))
+    process = CameraProcess("lobby", CameraSettings(source="rtsp://h/x"))
     process.restarts = 3
     process.last_end = "hung for 30 s"
     given = options(
@@ -295,7 +295,7 @@ def test_backoff_grows_has_jitter_and_starts_anew_after_a_steady_run(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A process that cannot be started is one that failed."""
-    process = CameraProcess("lobby", CameraSettings("rtsp://h/x"))
+    process = CameraProcess("lobby", CameraSettings(source="rtsp://h/x"))
     monkeypatch.setattr(camera_process.random, "random", lambda: 0.5)
     waits = []
     now = 100.0

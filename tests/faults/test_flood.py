@@ -38,7 +38,7 @@ SOON_FULL = "[learn]\nversion_seconds = 0.5\nlateness_seconds = 1.0\nwindow_even
 """With these the reorder buffer and the window are full within two seconds; as they are by default,
 within 200.
 """
-ANY_SETTING = {"camtopod.config.toml_tables:_GONE": ()}
+ANY_SETTING = {"camtopod.config.toml_tables:GONE": ()}
 """`SOON_FULL` has settings that only programs can set."""
 UNGUARDED = {"camtopod.serve.ingest.cameras:EVENTS_PER_SECOND_MAX": 1_000_000}
 """With this all of the flood comes to the learner, which holds it for the next version: by default

@@ -168,7 +168,7 @@ def test_the_daemon_at_a_few_moments(under: Under) -> None:
 
 def test_a_hangup_in_the_first_moment_of_a_camera_s_process(under: Under) -> None:
     """Before the interpreter starts the signal is blocked until the program can handle it."""
-    child = CameraProcess("lobby", CameraSettings("rtsp://127.0.0.1:1/x"))
+    child = CameraProcess("lobby", CameraSettings(source="rtsp://127.0.0.1:1/x"))
     line = [sys.executable, "-m", "camtopod", "--config", str(under.file), "grab"]
     line += ["--camera", "lobby", "--beat-fd"]
 

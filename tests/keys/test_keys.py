@@ -418,15 +418,6 @@ def test_paths_are_relative_to_the_file_and_hold_variables(
             load(path).for_camera("a")
 
 
-def test_a_camera_has_one_source() -> None:
-    with pytest.raises(
-        ConfigError, match=r":3: cameras\.a\.source: give source or source_file, not both"
-    ):
-        parse('[cameras.a]\nsource_file = "x"\nsource = "0"\n')
-    with pytest.raises(ConfigError, match=r":2: cameras\.a\.source: is empty"):
-        parse('[cameras.a]\nsource = ""\n')
-
-
 def test_secrets_that_others_can_read_are_warned_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

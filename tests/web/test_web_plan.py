@@ -78,8 +78,8 @@ def test_the_plan_is_beside_the_configuration_and_places_need_it(tmp_path: Path)
     ("line", "said"),
     [
         ("at = [0.5]", "expected two numbers, x and y"),
-        ("at = [0.1, 0.2, 0.3]", "length <= 2"),
-        ("at = [0.5, 1.5]", "<= 1"),
+        ("at = [0.1, 0.2, 0.3]", "expected two numbers from 0 to 1"),
+        ("at = [0.5, 1.5]", "expected two numbers from 0 to 1"),
         ('page = "javascript:alert(1)"', "begins with http:// or https://"),
         ('page = "http://user:secret@nvr/"', "without a password"),
     ],

@@ -59,11 +59,6 @@ def add_parser(subparsers: Any) -> None:
         "one; `camtopod web` and `report` draw zones on it. It shows the scene without the people "
         "who walk through it, and takes 6 to 30 seconds. It is stored only there and not sent",
     )
-    parser.add_argument(
-        "--schema",
-        action="store_true",
-        help="print the JSON Schema of the configuration, for editors",
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -76,11 +71,6 @@ def run(args: argparse.Namespace) -> int:
         from camtopod.cli.generated import example
 
         sys.stdout.write(example())
-        return exits.DONE
-    if args.schema:
-        from camtopod.cli.generated import text
-
-        sys.stdout.write(text())
         return exits.DONE
 
     # Load the configuration, or list its mistakes.

@@ -175,7 +175,7 @@ def _probed(
     from camtopod.cli.cameras.probe import probe_all
 
     def described(urls: Mapping[str, str]) -> dict[str, CameraSettings]:
-        return {name: CameraSettings(url, vision=settings.vision) for name, url in urls.items()}
+        return {name: replace(settings.new_camera, source=url) for name, url in urls.items()}
 
     def tell(name: str, probe: Probe) -> None:
         words[name] = [visible(line) for line in probe.lines]

@@ -1,12 +1,10 @@
-"""Texts generated from the settings' types, defaults and docstrings.
+"""Texts generated from the types, defaults and docstrings of settings and messages.
 
-`example_config` writes the example configuration (`camtopod check --example`), `config_schema` its
-JSON Schema for editors (`camtopod check --schema`), `message_schemas` the schemas of the messages
-on the bus (`camtopod schema`).
+`example_config` writes the example configuration (`camtopod check --example`), `schemas` the JSON
+Schemas (`camtopod schema`).
 """
 
 from __future__ import annotations
 
-from camtopod.cli.generated.config_schema import text as text
 from camtopod.cli.generated.example_config import example as example, table as table
-from camtopod.cli.generated.message_schemas import NAMES as NAMES, schema_text as schema_text
+from camtopod.cli.generated.schemas import NAMES as NAMES, schema_text as schema_text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import itertools
 import json
 import textwrap
 from typing import Any
@@ -51,34 +52,33 @@ def table(name: str, kind: type[Struct], given: dict[str, Any]) -> str:
 def _settings(name: str, kind: type[Struct], given: dict[str, Any]) -> list[str]:
     """Return the lines of one table: explanation and value of each setting."""
     documents = attribute_docs(kind)
+    own = inspect.get_annotations(kind)
     lines = []
     for field in fields(name, kind):
-        if field.required or isinstance(field.default, Struct):  # a table of its own
+        if field.name not in own or isinstance(field.default, Struct):  # a table of its own
             continue
-        lines += [f"# {line}" for line in textwrap.wrap(documents.get(field.name, ""), 110 - 2)]
+        lines += [f"# {line}" for line in textwrap.wrap(documents[field.name], 110 - 2)]
         if field.name in given:
-            lines.append(f"{field.name} = {_value(given[field.name])}")
+            lines.append(f"{field.name} = {json.dumps(given[field.name])}")  # the same in TOML
         else:
-            lines.append(f"# {field.name} = {_value(field.default)}")
+            lines.append(f"# {field.name} = {json.dumps(field.default)}")
     return lines
 
 
 def attribute_docs(kind: type[Struct]) -> dict[str, str]:
     """Return field -> docstring (the string literal below each field in the source of a Struct)."""
-    body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
-    assert isinstance(body, ast.ClassDef)
     documents = {}
-    for statement, following in zip(body.body, body.body[1:], strict=False):
-        if (
-            isinstance(statement, ast.AnnAssign)
-            and isinstance(statement.target, ast.Name)
-            and isinstance(following, ast.Expr)
-            and isinstance(following.value, ast.Constant)
-        ):
-            documents[statement.target.id] = " ".join(str(following.value.value).split())
+    for one in [*kind.__bases__, kind]:
+        if one is Struct:
+            continue
+        body = ast.parse(textwrap.dedent(inspect.getsource(one))).body[0]
+        assert isinstance(body, ast.ClassDef)
+        for statement, following in itertools.pairwise(body.body):
+            if (
+                isinstance(statement, ast.AnnAssign)
+                and isinstance(statement.target, ast.Name)
+                and isinstance(following, ast.Expr)
+                and isinstance(following.value, ast.Constant)
+            ):
+                documents[statement.target.id] = " ".join(str(following.value.value).split())
     return documents
-
-
-def _value(value: Any) -> str:
-    """Return a value as TOML; JSON is the same for all types used here."""
-    return json.dumps(value)

@@ -1,0 +1,130 @@
+"""JSON Schemas of the messages on the bus, and of the configuration.
+
+They are made from the types that the program itself uses, and their docstrings.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from camtopod import records
+from camtopod.cli.generated.example_config import attribute_docs
+from camtopod.config import RESERVED, TABLES, CameraSettings, Config, fields
+from camtopod.records import (
+    DELTA_SCHEMA,
+    TOPOLOGY_SCHEMA,
+    Delta,
+    Event,
+    Prediction,
+    Status,
+    Topology,
+)
+from camtopod.serve.requests import Answer, Batch, Hello
+
+_NONE = re.compile(r"\bNone\b")
+_TYPES_OF: dict[str, list[Any]] = {
+    "event": [Event],
+    "topology": [Topology],
+    "delta": [Delta],
+    "prediction": [Prediction],
+    "status": [Status],
+    "store": [Hello | Batch, Answer],
+    "configuration": [Config],
+}
+"""Types by the name of the schema; ``store`` is a request of a spool, or its answer."""
+NAMES = tuple(_TYPES_OF)
+"""Names of the schemas."""
+_TABLES: dict[type[Struct], str] = {kind: name for name, kind in TABLES.items()} | {
+    CameraSettings: "cameras"
+}
+_OTHERS: list[type[Struct]] = [Hello, Batch, Answer, Config, *_TABLES]
+_KINDS: dict[str, type[Struct]] = vars(records) | {kind.__name__: kind for kind in _OTHERS}
+
+
+def schema_text(name: str) -> str:
+    """Return the JSON Schema of one of `NAMES` as a text."""
+    return json.dumps(schema(name), indent=1, ensure_ascii=False) + "\n"
+
+
+def schema(name: str) -> dict[str, Any]:
+    """Return the JSON Schema of one of `NAMES`.
+
+    Messages may have further fields, which a reader ignores: fields are added, never changed. Of
+    the configuration, `camtopod check` finds more mistakes.
+    """
+    references, types = msgspec.json.schema_components(
+        _TYPES_OF[name], ref_template="#/$defs/{name}"
+    )
+    for kind, described in types.items():
+        _describe(described, _KINDS[kind])
+
+    # Rules that the types cannot express.
+    if "Event" in types:  # a position has both coordinates
+        types["Event"]["dependentRequired"] = {"x": ["y"], "y": ["x"]}
+    for kind, constant in (("Topology", TOPOLOGY_SCHEMA), ("Delta", DELTA_SCHEMA)):
+        if kind in types:
+            types[kind]["properties"]["schema"] = {"const": constant}
+    dialect = "https://json-schema.org/draft/2020-12/schema"
+    if name == "configuration":
+        dialect = "http://json-schema.org/draft-07/schema#"  # which every editor supports
+        types["Config"]["properties"]["cameras"]["propertyNames"]["not"] = {"enum": [*RESERVED]}
+        for kind in ("CameraSettings", "VisionSettings"):
+            _allow_further_forms(types[kind]["properties"])
+        camera = types["CameraSettings"]
+        camera["not"] = {"required": ["source", "source_file"]}
+        camera["properties"]["detector"] = {
+            "anyOf": [{"const": False}, {"$ref": "#/$defs/DetectorSettings"}]
+        }
+    reference = references[0] if len(references) == 1 else {"anyOf": list(references)}
+    content: dict[str, Any] = _portable({**reference, "$defs": types})
+    return {"$schema": dialect, "title": f"camtopod {name}", **content}
+
+
+def _describe(described: dict[str, Any], kind: type[Struct]) -> None:
+    """Add the docstrings of a type's fields to its schema; leave out what no file may set."""
+    documents = attribute_docs(kind)
+    properties = described["properties"]
+    for field in msgspec.structs.fields(kind):
+        if field.name in documents:
+            properties[field.encode_name]["description"] = documents[field.name]
+        if isinstance(field.default, Struct):  # its own fields have defaults
+            del properties[field.encode_name]["default"]
+    if kind in _TABLES:
+        settable = [field.name for field in fields(_TABLES[kind], kind)]
+        described["properties"] = {key: properties[key] for key in settable}
+
+
+def _allow_further_forms(properties: dict[str, Any]) -> None:
+    """Allow polygons to be texts, and a door to be a point."""
+    for key in ("ignore", "doors"):
+        polygon = properties[key]["items"]
+        point = polygon["items"]
+        point["items"] = point.pop("prefixItems")[0]  # which draft 7 does not know
+        forms = [polygon, {"type": "string"}]
+        if key == "doors":
+            forms.append(point)
+        properties[key] |= {"type": ["array", "string"], "items": {"anyOf": forms}}
+
+
+def _portable(node: Any) -> Any:
+    r"""Return a schema without what only Python reads.
+
+    Patterns end with ``$`` instead of ``\Z``. Descriptions have no markup of docstrings, and null
+    for None.
+    """
+    if isinstance(node, list):
+        return [_portable(one) for one in node]
+    if not isinstance(node, dict):
+        return node
+    portable = {key: _portable(value) for key, value in node.items()}
+    if isinstance(pattern := portable.get("pattern"), str):
+        portable["pattern"] = pattern.replace(r"\Z", "$")
+    if isinstance(text := portable.get("description"), str):
+        lines = (line.strip() for line in text.splitlines())  # Python 3.13 indents less
+        portable["description"] = _NONE.sub("null", "\n".join(lines).replace("`", ""))
+    return portable
