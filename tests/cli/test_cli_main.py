@@ -340,7 +340,7 @@ def test_run_says_why_it_cannot(tmp_path: Path, capsys: pytest.CaptureFixture[st
     wrong = tmp_path / "wrong.toml"
     wrong.write_text("[bus]\nlisten = 5\n")
     assert main.main(["--config", str(wrong), "run"]) == 78
-    assert f"{wrong}:2: bus.listen: expected an array" in capsys.readouterr().err
+    assert f"{wrong}:2: bus.listen: expected endpoints" in capsys.readouterr().err
 
     away = tmp_path / "away.toml"
     away.write_text('[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.2\n')
