@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
@@ -17,7 +17,7 @@ from camtopod import codec
 from camtopod.records import CAMERA_PATTERN, Prediction
 from camtopod.serve.bus import Bus, QueryError
 from camtopod.web.feed import Feed
-from camtopod.web.outbox import BEAT_SECONDS, PageQueues
+from camtopod.web.outbox import PageQueues
 
 ASKED = ("zone", "x", "y", "t", "now")
 """Parameters of a query for a prediction beside ``camera``."""
@@ -47,11 +47,13 @@ class Api:
 
     def routes(self) -> list[Route]:
         """Return the routes of the API."""
+        if not self._is_open:
+            return [Route("/api/{any}", lambda request: _error(403, LOOPBACK_ONLY))]
         return [
-            Route("/api/topology", self._answering(self.topology)),
-            Route("/api/versions", self._answering(self.versions)),
-            Route("/api/status", self._answering(self.status)),
-            Route("/api/predict", self._answering(self.predict)),
+            Route("/api/topology", self.topology),
+            Route("/api/versions", self.versions),
+            Route("/api/status", self.status),
+            Route("/api/predict", self.predict),
             Route("/api/predictions", self.predictions),
         ]
 
@@ -108,8 +110,6 @@ class Api:
 
     async def predictions(self, request: Request) -> Response:
         """Stream the daemon's predictions, of all exits or those of ``camera``."""
-        if not self._is_open:
-            return _error(403, LOOPBACK_ONLY)
         camera = request.query_params.get("camera", _EVERY_CAMERA)
         if camera != _EVERY_CAMERA and not re.match(CAMERA_PATTERN, camera):
             return _error(400, "camera: the id of a camera")
@@ -121,16 +121,10 @@ class Api:
             with contextlib.ExitStack() as stack:
                 stack.callback(self._readers.leave, page_queue)
                 yield b"retry: 1000\n\n"
-                while (messages := await page_queue.take(BEAT_SECONDS)) is not None:
-                    yield messages or b": still here\n\n"
+                while (message := await page_queue.take()) is not None:
+                    yield message or b": still here\n\n"
 
         return StreamingResponse(stream(), media_type="text/event-stream")
-
-    def _answering(self, handler: Callable[[Request], Response]) -> Callable[[Request], Response]:
-        """Return a handler that refuses requests if the API is not open."""
-        if self._is_open:
-            return handler
-        return lambda request: _error(403, LOOPBACK_ONLY)
 
     def _on_prediction(self, key: str, payload: bytes) -> None:
         """Pass a prediction on to the programs that read; a slow one misses some."""

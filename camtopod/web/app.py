@@ -33,7 +33,7 @@ from camtopod.web.explanations import Explanations
 from camtopod.web.feed import Feed
 from camtopod.web.guards import Guard
 from camtopod.web.login import Login
-from camtopod.web.outbox import BEAT_SECONDS, PageQueues
+from camtopod.web.outbox import PageQueues
 from camtopod.web.pictures import picture_of, pictured
 
 CONNECTIONS_MAX = 1_024
@@ -162,8 +162,8 @@ class Routes:
                     await run_in_threadpool(watching.__enter__)
                     stack.callback(watching.__exit__, None, None, None)
                 yield b"retry: 1000\n\n" + self._feed.beat() + self._feed.hello()
-                while (messages := await page_queue.take(BEAT_SECONDS)) is not None:
-                    yield messages or self._feed.beat()
+                while (message := await page_queue.take()) is not None:
+                    yield message or self._feed.beat()
 
         return StreamingResponse(stream(), media_type="text/event-stream")
 

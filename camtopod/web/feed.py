@@ -1,4 +1,4 @@
-"""Follow a site's bus for the page: newest map, health, live news; forward changes to open pages.
+"""Follow a site's bus for the page: newest map, health, live news; forward news to open pages.
 
 Two threads besides the bus's own: *versions* follows the topology and makes its map once a version;
 *messages* processes predictions, events and status from a bounded queue. The bus's threads only
@@ -8,7 +8,6 @@ fill that queue.
 from __future__ import annotations
 
 import contextlib
-import logging
 import math
 import queue
 import re
@@ -25,23 +24,21 @@ from camtopod.publishers import is_gone
 from camtopod.records import (
     CAMERA_PATTERN,
     CameraFigures,
-    CatchingUp,
     DaemonStatus,
     Event,
     Look,
     NextCamera,
     Prediction,
+    Status,
     Topology,
 )
 from camtopod.serve.bus import Bus, TopologySubscriber
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.web.explanations import Explanations
 from camtopod.web.hourly_events import HourlyEvents
-from camtopod.web.map_data import Map, change, draw
+from camtopod.web.map_data import Map, draw
 from camtopod.web.outbox import PageQueues
 from camtopod.web.versions import VersionSummary, summary
-
-log = logging.getLogger(__name__)
 
 INBOX_MAX = 10_000
 """Messages from the bus that wait to be processed; beyond it they are dropped and counted."""
@@ -58,13 +55,10 @@ NEXT_SHOWN = 3
 SILENT_STATUSES = 6
 """Status intervals without a status after which a daemon is not live and a grabber is silent."""
 _TICK_SECONDS = 0.2
-DAEMON = "daemon"
-WAITING = "waiting for the daemon"
-"""Reason while no status of the daemon has been received yet."""
-GONE = "gone"
-"""State of a camera that is gone."""
-ENDED = "ended"
-"""State of a camera whose recording has ended, so that its silence is expected."""
+REASON_CHARACTERS_MAX = 500
+"""Longest state or reason that is shown."""
+NOT_SHOWN = ("cameras", "reject_samples", "alarms")
+"""Fields of the daemon's status that the page does not receive."""
 
 
 class ShownPrediction(msgspec.Struct, frozen=True, rename={"next_": "next"}):
@@ -80,6 +74,35 @@ class ShownPrediction(msgspec.Struct, frozen=True, rename={"next_": "next"}):
     now: list[Look]
     """Cameras that probably see the object at ``t``, when it has left the view of ``camera``."""
     next_: list[NextCamera]
+
+
+class CameraHealth(msgspec.Struct, frozen=True):
+    """A camera's row on the health page.
+
+    state: of its grabber; or ``forgotten``, ``silent``, ``gone``, ``no grabber``, ``unknown``.
+    newest (Unix seconds): time of its newest event.
+    ahead (seconds): by how much its last event was ahead of the daemon's clock.
+    """
+
+    id: str
+    state: str
+    reason: str
+    events: int | None
+    newest: float | None
+    ahead: float | None
+
+
+class Live(msgspec.Struct, frozen=True):
+    """Whether the daemon is live.
+
+    since (Unix seconds): when it was heard of last, if it is not.
+    catching_up: share of stored events that are learned, in percent; None if all are.
+    """
+
+    live: bool
+    reason: str
+    since: float
+    catching_up: int | None
 
 
 def shown(prediction: Prediction) -> ShownPrediction:
@@ -111,24 +134,17 @@ class Feed:
         self._clock = clock
         self._silent_seconds = SILENT_STATUSES * status_seconds
         self._inbox: queue.Queue[tuple[str, bytes]] = queue.Queue(INBOX_MAX)
-        self._mutex = threading.Lock()
-        self._status: dict[str, dict[str, Any]] = {}
-        self._daemon: DaemonStatus | None = None
-        self._heard: dict[str, float] = {}
-        self._silent: set[str] = set()
-        self._forgotten: set[str] = set()
-        self._looked_at_cameras = -1e18
-        self._unheard_since = clock()  # no status can arrive while the bus is unreachable
-        self._live: dict[str, Any] = {
-            "live": False,
-            "reason": WAITING,
-            "since": clock(),
-            "catching_up": None,
-        }
+        self._began = clock()
+        self._connected_since = self._began  # no status can arrive while the bus is unreachable
+        self._daemon: tuple[DaemonStatus, float] | None = None
+        """Newest status of the daemon, and when it was received."""
+        self._grabbers: dict[str, tuple[Status, float]] = {}
+        """The same of each camera's grabber."""
+        self._mutex = threading.Lock()  # of predictions and of watched cameras
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
+        self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
         self._second = 0
         self._this_second = 0
-        self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
         self._view = TopologySubscriber(bus)
         self._hourly = HourlyEvents()
         self.topology: Topology | None = None
@@ -161,48 +177,31 @@ class Feed:
             with self._mutex:
                 self._predictions.clear()
 
-        # Everything that the page asks for.
-        old_map = self.map
-        new_map = draw(topology, old_map)
+        # Everything that the page asks for; then open pages ask.
+        self.map = draw(topology, self.map)
         self.topology = topology
         self.explanations = Explanations(topology)
         self.versions = [*self.versions, summary(topology, before)][-VERSIONS_MAX:]
-        self.map = new_map
-        self.map_json = codec.to_json(new_map)
-
-        # Open pages need what has changed only.
-        if before is not None and old_map is not None:
-            self._page_queues.send("map", codec.to_json(change(old_map, new_map)))
-        else:
-            self._page_queues.send("resync", b"{}")
+        self.map_json = codec.to_json(self.map)
+        self._page_queues.send("version", self._version())
 
     def follow_messages(self, stop: threading.Event, beat: Beat = no_beat) -> None:
-        """Process queued messages, and notice when the daemon falls silent, until ``stop``."""
+        """Process messages of the bus until ``stop`` is set."""
         for key, payload in self._bus.query("status/*"):
-            self._on_status(key.removeprefix("status/"), payload)
+            self._on_message(key, payload)
         while not stop.is_set():
             beat()
             with contextlib.suppress(queue.Empty):
-                key, payload = self._inbox.get(timeout=_TICK_SECONDS)
-                kind, _, name = key.partition("/")
-                {
-                    "status": self._on_status,
-                    "prediction": self._on_prediction,
-                    "event": self._on_event,
-                }[kind](name, payload)
-            self._look()
+                self._on_message(*self._inbox.get(timeout=_TICK_SECONDS))
+            if not self._bus.connected:
+                self._connected_since = self._clock()
 
     def hello(self) -> bytes:
         """Return the first messages for a page that has just connected: server-sent events."""
         with self._mutex:
-            live = msgspec.json.encode(self._live)
             predictions = list(self._predictions)
-        version = self.map and [self.map.epoch, self.map.version]
-        lines = [
-            b"event: live\ndata: " + live,
-            b"event: version\ndata: " + msgspec.json.encode(version),
-            *(b"event: past\ndata: " + one for one in predictions),
-        ]
+        past = [b"event: past\ndata: " + one for one in predictions]
+        lines = [b"event: version\ndata: " + self._version(), *past]
         return b"".join(line + b"\n\n" for line in lines)
 
     def beat(self) -> bytes:
@@ -212,30 +211,19 @@ class Feed:
     def health(self) -> dict[str, Any]:
         """Return the status of the daemon and of every camera, and whether they are live."""
         now = self._clock()  # taken first, so that the data are at least as new
-        with self._mutex:
-            ended = self._forgotten & self._silent
-            status = {name: one for name, one in self._status.items() if name not in ended}
-            live = dict(self._live)
-            daemon = self._daemon
-        figures = daemon or DaemonStatus()
-        known = figures.cameras
-        drawn = self.map.cameras if self.map else {}
-        learned = self.explanations.last_events if self.explanations else {}
-        rows = [
-            _row(name, self._word(name, status.get(name)), known.get(name), learned.get(name))
-            for name in sorted({*status, *known, *drawn})
-        ]
-        _mark_gone(rows, self.map.as_of if self.map is not None else 0.0)
+        daemon: dict[str, Any] = {}
+        figures: dict[str, CameraFigures] = {}
+        if self._daemon is not None:
+            status = self._daemon[0]
+            figures = status.cameras
+            daemon = msgspec.to_builtins(status)
+            daemon = {name: daemon[name] for name in daemon if name not in NOT_SHOWN}
         return {
             "now": now,
-            "live": live,
+            "live": self._live(now),
             "dropped": self.dropped,
-            "daemon": {
-                name: value
-                for name, value in ({} if daemon is None else msgspec.to_builtins(daemon)).items()
-                if name not in ("cameras", "reject_samples", "alarms")
-            },
-            "cameras": rows,
+            "daemon": daemon,
+            "cameras": self._cameras(now, figures),
         }
 
     def hours_of(self, camera: str) -> dict[str, object] | None:
@@ -264,74 +252,110 @@ class Feed:
                 else:
                     end()
 
+    def _version(self) -> bytes:
+        """Return epoch and number of the newest version as JSON, null if there is none."""
+        return msgspec.json.encode(self.map and [self.map.epoch, self.map.version])
+
+    # --- health ---
+
+    def _live(self, now: float) -> Live:
+        """Return whether the daemon is live, and why not."""
+        if self._daemon is None:
+            return Live(False, "no status of the daemon has been received yet", self._began, None)
+        status, heard = self._daemon
+        reason = ""
+        if not self._bus.connected:
+            reason = f"the bus at {self._bus.endpoint} cannot be reached"
+        elif abs(now - heard) >= self._silent_seconds:
+            reason = f"no status from the daemon for {self._silent_seconds:.0f} s"
+        behind = None
+        if status.catching_up is not None:
+            behind = math.floor(100 * status.catching_up.share)
+        return Live(not reason, reason, heard, behind)
+
+    def _cameras(self, now: float, figures: dict[str, CameraFigures]) -> list[CameraHealth]:
+        """Return the health of every camera that anybody knows.
+
+        figures: of the daemon.
+        """
+        drawn = self.map.cameras if self.map else {}
+        learned = self.explanations.last_events if self.explanations else {}
+        grabbers = dict(self._grabbers)
+        newest = {name: learned.get(name) for name in (*grabbers, *drawn)}
+        newest |= {name: one.newest for name, one in figures.items()}
+        last = max([self.map.as_of if self.map else 0.0, *(t for t in newest.values() if t)])
+
+        rows = []
+        for name in sorted(newest):
+            state, reason = self._state(name, grabbers.get(name), now)
+            counted = figures.get(name)
+            events = ahead = None
+            if counted is not None:
+                events = counted.events
+                ahead = counted.ahead
+                if state == "no grabber" and counted.alive:
+                    state = "unknown"
+            t = newest[name]
+            if is_gone(state, t, last) or (t is None and state == "no grabber"):
+                state = "gone"
+                reason = ""
+            if state:
+                rows.append(CameraHealth(name, state, reason, events, t, ahead))
+        return rows
+
+    def _state(
+        self, name: str, grabber: tuple[Status, float] | None, now: float
+    ) -> tuple[str, str]:
+        """Return state and reason of a camera; the state is "" if it is not to be shown.
+
+        grabber: its status, and when it was received.
+        """
+        if grabber is None:
+            return "no grabber", ""
+        status, heard = grabber
+        quiet = abs(now - max(heard, self._connected_since))
+        is_silent = status.state != "ended" and quiet > self._silent_seconds
+        if self._daemon is not None and name in self._daemon[0].names.forgotten:
+            reason = f"its events are refused until `camtopod forget --take-back {name}`"
+            return "" if is_silent else "forgotten", reason
+        if is_silent:
+            reason = f"no status from its grabber for more than {self._silent_seconds:.0f} s"
+            return "silent", reason
+        state = status.state or "unknown"
+        return state[:REASON_CHARACTERS_MAX], status.reason[:REASON_CHARACTERS_MAX]
+
+    # --- messages of the bus ---
+
     def _put(self, key: str, payload: bytes) -> None:
         try:
             self._inbox.put_nowait((key, payload))
         except queue.Full:
             self.dropped += 1
 
-    def _on_status(self, name: str, payload: bytes) -> None:
-        """Store the status of a camera or the daemon; forward it if it has changed."""
-        if name == DAEMON:
-            self._on_daemon_status(payload)
-            return
-        try:
-            status = msgspec.msgpack.decode(payload, type=dict[str, Any])
-        except (msgspec.MsgspecError, UnicodeDecodeError):
-            return
-        if not re.match(CAMERA_PATTERN, name):
-            return
+    def _on_message(self, key: str, payload: bytes) -> None:
+        """Process a message; one that cannot be read is ignored."""
+        kind, _, name = key.partition("/")
+        with contextlib.suppress(codec.Rejected):
+            if key == "status/daemon":
+                self._on_daemon_status(codec.read(DaemonStatus, payload, pack=True))
+            elif kind == "status":
+                self._on_status(name, codec.read(Status, payload, pack=True))
+            elif kind == "prediction":
+                self._on_prediction(codec.read(Prediction, payload, pack=True))
+            else:
+                self._on_event(name, codec.event_from_bytes(payload))
 
-        with self._mutex:
-            before = self._status.get(name)
-            if before is None and len(self._status) >= CAMERAS_MAX:
-                return
-            self._status[name] = status
-            self._heard[name] = self._clock()
-            again = name in self._silent
-            self._silent.discard(name)
+    def _on_daemon_status(self, status: DaemonStatus) -> None:
+        now = self._clock()
+        self._daemon = (status, now)
+        self._hourly.note(now, {name: one.events for name, one in status.cameras.items()})
 
-        if (
-            before is None
-            or again
-            or any(before.get(k) != status.get(k) for k in ("state", "reason"))
-        ):
-            self._tell_health(name, status)
+    def _on_status(self, name: str, status: Status) -> None:
+        known = name in self._grabbers or len(self._grabbers) < CAMERAS_MAX
+        if known and re.match(CAMERA_PATTERN, name):
+            self._grabbers[name] = (status, self._clock())
 
-    def _on_daemon_status(self, payload: bytes) -> None:
-        """Store the daemon's status; forward those of cameras that it has forgotten."""
-        try:
-            daemon = codec.read(DaemonStatus, payload, pack=True)
-        except codec.Rejected:
-            return
-        events = {name: figures.events for name, figures in daemon.cameras.items()}
-        self._hourly.note(self._clock(), events)
-        with self._mutex:
-            self._daemon = daemon
-            self._heard[DAEMON] = self._clock()
-            forgotten = set(daemon.names.forgotten)
-            changed = (forgotten ^ self._forgotten) & self._status.keys()
-            self._forgotten = forgotten
-            statuses = {name: self._status[name] for name in changed}
-        for name, status in statuses.items():
-            self._tell_health(name, status)
-
-    def _tell_health(self, name: str, status: dict[str, Any]) -> None:
-        """Send a camera's health to all pages."""
-        row = _row(name, self._word(name, status), None)
-        self._page_queues.send("health", msgspec.json.encode({**row, "at": self._clock()}))
-
-    def _word(self, name: str, status: dict[str, Any] | None) -> dict[str, Any] | None:
-        """Return a camera's status, with the state ``silent`` if it has stopped publishing."""
-        if status is not None and name in self._forgotten:
-            reason = f"its events are refused until `camtopod forget --take-back {name}`"
-            return {**status, "state": "forgotten", "reason": reason}
-        if status is None or name not in self._silent:
-            return status
-        reason = f"no status from its grabber for more than {self._silent_seconds:.0f} s"
-        return {**status, "state": "silent", "reason": reason}
-
-    def _on_prediction(self, name: str, payload: bytes) -> None:
+    def _on_prediction(self, prediction: Prediction) -> None:
         """Forward a prediction, unless there are too many this second."""
         second = int(self._clock())
         if second != self._second:
@@ -340,117 +364,12 @@ class Feed:
         self._this_second += 1
         if self._this_second > PREDICTIONS_PER_SECOND_MAX:
             return
-        try:
-            prediction = codec.read(Prediction, payload, pack=True)
-        except codec.Rejected:
-            return
         content = codec.to_json(shown(prediction))
         with self._mutex:
             self._predictions.append(content)
         self._page_queues.send("prediction", content, passing=True)
 
-    def _on_event(self, name: str, payload: bytes) -> None:
+    def _on_event(self, camera: str, event: Event) -> None:
         """Forward an event, without its track, to the pages that watch its camera."""
-        try:
-            event = codec.event_from_bytes(payload)
-        except codec.Rejected:
-            return
-        shown = Event(event.camera, event.kind, event.t, event.x, event.y)
-        self._page_queues.send("event", codec.to_json(shown), camera=name, passing=True)
-
-    def _look(self) -> None:
-        """Notice when the daemon becomes live or silent, and which cameras have fallen silent."""
-        now = self._clock()
-        if not self._bus.connected:
-            self._unheard_since = now
-
-        # Cameras once a second, not for every message: there may be thousands.
-        if abs(now - self._looked_at_cameras) >= 1.0:
-            self._looked_at_cameras = now
-            self._look_at_cameras(now)
-
-        # Reason why the daemon is not live.
-        heard = self._heard.get(DAEMON)
-        if not self._bus.connected:
-            reason = f"the bus at {self._bus.endpoint} cannot be reached"
-        elif heard is None:
-            reason = WAITING
-            if now - self._unheard_since >= self._silent_seconds:
-                reason = "no daemon has published its status yet"
-        elif not abs(now - heard) < self._silent_seconds:
-            reason = f"no status from the daemon for {self._silent_seconds:.0f} s"
-        else:
-            reason = ""
-
-        # Tell the pages if it has changed.
-        with self._mutex:
-            behind = _whole_percent(None if self._daemon is None else self._daemon.catching_up)
-            if (self._live["reason"], self._live["catching_up"]) == (reason, behind):
-                return
-            # Another reason for the same silence does not change its beginning.
-            if reason != self._live["reason"] and (not reason or self._live["live"]):
-                silent_since = max(heard or 0.0, now - self._silent_seconds)
-                self._live["since"] = silent_since if reason else now
-            self._live = {
-                **self._live,
-                "live": not reason,
-                "reason": reason,
-                "catching_up": behind,
-            }
-            message = msgspec.json.encode(self._live)
-        self._page_queues.send("live", message)
-
-    def _look_at_cameras(self, now: float) -> None:
-        """Mark and report cameras whose grabbers have stopped publishing."""
-        with self._mutex:
-            gone = {
-                name: status
-                for name, status in self._status.items()
-                if name not in self._silent
-                and status.get("state") != ENDED
-                and abs(now - max(self._heard[name], self._unheard_since)) > self._silent_seconds
-            }
-            self._silent.update(gone)
-        for name, status in gone.items():
-            self._tell_health(name, status)
-
-
-def _whole_percent(catching_up: CatchingUp | None) -> int | None:
-    """Return the share of stored events that are learned, in percent; None if all are."""
-    return None if catching_up is None else math.floor(100 * catching_up.share)
-
-
-def _mark_gone(rows: list[dict[str, Any]], as_of: float) -> None:
-    """Give the state ``gone`` to cameras without a grabber, and without events for long.
-
-    as_of: event time of the newest version, Unix seconds.
-    """
-    newest = max([as_of, *(row["newest"] or 0.0 for row in rows)])
-    for row in rows:
-        last, state = row["newest"], row["state"]
-        if is_gone(state, last, newest) or (last is None and state == "no grabber"):
-            row["state"], row["reason"] = GONE, ""
-
-
-def _row(
-    name: str,
-    status: dict[str, Any] | None,
-    counted: CameraFigures | None,
-    learned: float | None = None,
-) -> dict[str, Any]:
-    """Return a camera's row on the health page.
-
-    status: of its grabber.
-    counted: the daemon's figures of it.
-    learned: time of its last learned event, Unix seconds.
-    """
-    said = status or {}
-    usual = "unknown" if counted is not None and counted.alive else "no grabber"
-    return {
-        "id": name,
-        "state": str(said.get("state") or usual)[:500],
-        "reason": str(said.get("reason") or "")[:500],
-        "events": None if counted is None else counted.events,
-        "newest": learned if counted is None else counted.newest,
-        "ahead": None if counted is None else counted.ahead,
-    }
+        content = codec.to_json(Event(camera, event.kind, event.t, event.x, event.y))
+        self._page_queues.send("event", content, camera, passing=True)

@@ -1,4 +1,4 @@
-"""Map for the page: cameras with positions, an edge per related pair, and changes between maps."""
+"""Map for the page: cameras with positions, and an edge per related pair."""
 
 from __future__ import annotations
 
@@ -71,17 +71,6 @@ class Map(Struct, frozen=True):
     """Missing evidence for the first link between views, in words; "" if there is a link."""
 
 
-class MapChange(Map, frozen=True, kw_only=True):
-    """Difference between the map of version ``since`` and a newer one.
-
-    New or changed items are complete; removed ones are given by key.
-    """
-
-    since: int
-    gone_cameras: list[str]
-    gone_edges: list[str]
-
-
 def draw(topology: Topology, before: Map | None = None) -> Map:
     """Return the map of a version.
 
@@ -97,9 +86,7 @@ def draw(topology: Topology, before: Map | None = None) -> Map:
     # Nodes.
     at = _places(topology, drawn, before)
     cameras = {
-        camera.id: MapCamera(
-            *at[camera.id], len(camera.zones), *(_steady(n) for n in entries[camera.id])
-        )
+        camera.id: MapCamera(*at[camera.id], len(camera.zones), *entries[camera.id])
         for camera in topology.cameras
     }
     return Map(
@@ -113,19 +100,6 @@ def draw(topology: Topology, before: Map | None = None) -> Map:
         topology.score,
         topology.alarms or [],
         waiting_for_links(topology),
-    )
-
-
-def change(old: Map, new: Map) -> MapChange:
-    """Return what a page that shows ``old`` needs to show ``new``."""
-    fields = {name: getattr(new, name) for name in Map.__struct_fields__}
-    fields["cameras"] = {k: one for k, one in new.cameras.items() if old.cameras.get(k) != one}
-    fields["edges"] = {k: one for k, one in new.edges.items() if old.edges.get(k) != one}
-    return MapChange(
-        **fields,
-        since=old.version,
-        gone_cameras=[name for name in old.cameras if name not in new.cameras],
-        gone_edges=[key for key in old.edges if key not in new.edges],
     )
 
 
@@ -159,8 +133,8 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
             pair.relation if pair else relation,
             why_provisional(pair, transitions, best.get(key)),
             pair is not None,
-            _digits(transitions, 2),
-            [_way(edge) for edge in there],
+            transitions,
+            [_direction(edge) for edge in there],
         )
     return result
 
@@ -215,26 +189,8 @@ def _key(a: str, b: str) -> str:
     return " ".join(sorted((a, b)))
 
 
-def _way(edge: Edge) -> Direction:
+def _direction(edge: Edge) -> Direction:
     t = edge.transit
-    mode, q10, q50, q90 = (_digits(value, 3) for value in (t.mode, t.q10, t.q50, t.q90))
     return Direction(
-        edge.from_,
-        edge.to,
-        mode,
-        q10,
-        q50,
-        q90,
-        _digits(edge.probability, 2),
-        _digits(edge.transitions, 2),
+        edge.from_, edge.to, t.mode, t.q10, t.q50, t.q90, edge.probability, edge.transitions
     )
-
-
-def _digits(value: float, digits: int) -> float:
-    """Round to significant digits: invisible changes are not worth a message to every page."""
-    return float(f"{value:.{digits}g}")
-
-
-def _steady(count: int) -> int:
-    """Round a count to two significant digits."""
-    return int(_digits(count, 2))

@@ -1,4 +1,4 @@
-"""The map: the drawing of a topology, and its changes from version to version."""
+"""The map: the drawing of a topology."""
 
 from __future__ import annotations
 
@@ -11,18 +11,7 @@ from synthetic_topology import made_link, synthetic_topology
 
 from camtopod.export import Place, places
 from camtopod.records import Lacks
-from camtopod.web.map_data import Map, MapChange, MapEdge, change, draw, map_edges
-
-
-def applied(old: Map, delta: MapChange) -> tuple[dict[str, object], dict[str, object]]:
-    """Return the page's cameras and edges after a change."""
-    cameras = {
-        name: one for name, one in old.cameras.items() if name not in delta.gone_cameras
-    } | delta.cameras
-    edges = {
-        key: one for key, one in old.edges.items() if key not in delta.gone_edges
-    } | delta.edges
-    return dict(cameras), dict(edges)
+from camtopod.web.map_data import MapEdge, draw, map_edges
 
 
 def apart(a: Place, b: Place) -> float:
@@ -42,7 +31,7 @@ def test_a_pair_is_an_edge_with_both_ways() -> None:
         edge = drawn.edges[" ".join(pair.cameras)]
         assert edge.relation == pair.relation
         assert {(way.from_, way.to) for way in edge.ways} == {pair.cameras, pair.cameras[::-1]}
-        assert edge.transitions == pytest.approx(sum(way.transitions for way in edge.ways), rel=0.1)
+        assert edge.transitions == pytest.approx(sum(way.transitions for way in edge.ways))
 
 
 def weak_edge(*changes: dict[str, Any]) -> MapEdge | None:
@@ -72,35 +61,6 @@ def test_a_map_without_links_says_what_it_waits_for() -> None:
     assert draw(topology).waiting == ""
     without = replace(topology, links=inside, pairs=[])
     assert draw(without).waiting.startswith("No two cameras are linked yet: ")
-    assert change(draw(without), draw(topology)).waiting == ""
-
-
-# --- what changes
-
-
-def test_a_change_makes_the_new_map_of_the_old() -> None:
-    topology = synthetic_topology(12)
-    links = [
-        replace(link, probability=0.2) if link.from_.startswith("cam0003/") else link
-        for link in topology.links
-        if "cam0005/" not in link.from_ + link.to
-    ]
-    gone = [pair for pair in topology.pairs if "cam0005" not in pair.cameras]
-    newer = replace(
-        topology,
-        version=2,
-        links=links,
-        pairs=gone,
-        cameras=[c for c in topology.cameras if c.id != "cam0005"],
-        zones=[zone for zone in topology.zones if zone.camera != "cam0005"],
-    )
-    old = draw(topology)
-    new = draw(newer, old)
-    delta = change(old, new)
-
-    assert applied(old, delta) == (new.cameras, new.edges)
-    assert delta.gone_cameras == ["cam0005"]
-    assert (delta.since, delta.version) == (1, 2)
 
 
 # --- where

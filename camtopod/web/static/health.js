@@ -1,19 +1,16 @@
-// Who is well: the daemon, and every camera with its reason. Asked anew every few seconds while it is shown.
+// Who is well: the daemon, and every camera with its reason.
 
 import { fact } from "./camera.js";
 import { fill, h, more, say } from "./dom.js";
 import { link } from "./place.js";
-import { Away, logOut } from "./source.js";
+import { logOut } from "./source.js";
 import { ago, count, goneSince, plural, seconds, stateClass, troubled } from "./words.js";
 
-const EVERY_SECONDS = 4;
 const ROWS = 200;
 
 export class Health {
-  #timer = null;
   #rows = ROWS;
   #text = "";
-  #content = null;
 
   constructor(app) {
     this.app = app;
@@ -45,30 +42,17 @@ export class Health {
   }
 
   async shown() {
-    this.hidden();
-    this.#timer = setInterval(() => this.#ask(), 1000 * EVERY_SECONDS);
-    await this.#ask();
-  }
-
-  hidden() {
-    clearInterval(this.#timer);
-  }
-
-  async #ask() {
-    if (document.hidden && this.#content) return;
-    try {
-      this.#content = await this.app.source.health();
-    } catch (error) {
-      if (!(error instanceof Away)) throw error; // the server is away, which the banner says
-      return;
-    }
-    this.app.heardHealth(this.#content.cameras, this.#content.now);
     this.#draw();
+    await this.app.askHealth();
+  }
+
+  update() {
+    if (this.element.isConnected) this.#draw();
   }
 
   #draw() {
-    if (!this.#content) return;
-    const { daemon, live, now, cameras, dropped, login } = this.#content;
+    if (!this.app.health) return;
+    const { daemon, live, now, cameras, dropped, login } = this.app.health;
     this.leave.hidden = !login;
     const events = daemon.events ?? {};
     const rejected = Object.values(daemon.rejects ?? {}).reduce((sum, n) => sum + n, 0);

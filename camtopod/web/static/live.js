@@ -11,7 +11,7 @@ export class Connection {
   #lostSince = null;
   #refused = ""; // why the server does not let this page in, in its own words
 
-  // handlers: {map, resync, version, live, prediction, past, event, health, beat, lost(since or null, why)}
+  // handlers: {version, prediction, past, event, beat, lost(since or null, why)}
   constructor(handlers) {
     this.handlers = handlers;
     this.offset = 0; // seconds that the server's clock is ahead of this one's
@@ -41,8 +41,7 @@ export class Connection {
     const query = this.#camera === null ? "" : `?${new URLSearchParams({ camera: this.#camera })}`;
     const events = (this.#events = new EventSource(`live${query}`));
     this.#opened = performance.now();
-    const names = ["map", "resync", "version", "live", "prediction", "past", "event", "health", "beat"];
-    for (const name of names) {
+    for (const name of ["version", "prediction", "past", "event", "beat"]) {
       events.addEventListener(name, (message) => {
         const content = JSON.parse(message.data);
         this.#alive(name === "beat" ? content.now : null);

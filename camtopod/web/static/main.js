@@ -16,15 +16,16 @@ import { ago, clock, count, troubled } from "./words.js";
 
 const PANELS = { camera: cameraPanel, pair: pairPanel, link: linkPanel };
 const RETRY_MILLISECONDS = 2000;
+const HEALTH_MILLISECONDS = 4000;
 
 class App {
   map = null; // the newest version's, as the server draws it
+  health = null; // of the daemon and the cameras, as asked for last
   rows = new Map(); // camera -> its health
   #shown = null; // the panel that is open
   #lost = null; // since when the server is not reached, or refuses this page
   #refused = ""; // why it does
   #loading = null; // the first map; what is said of versions meanwhile is held against it
-  #daemon = null; // what the server says of the daemon
   #place = "";
   #told = h("span", {});
   #age = h("span", { "aria-hidden": "true" }); // a screen reader need not say every second
@@ -67,21 +68,12 @@ class App {
   async start() {
     if (this.source.live) {
       this.connection = new Connection({
-        map: (change) => this.#change(change),
-        resync: () => {
-          this.load();
-          this.#askHealth();
-        },
-        // of a new connection: what was missed meanwhile is fetched
+        // the newest one, of a new connection, too: what was missed meanwhile is fetched
         version: async (version) => {
           await this.#loading;
           if (!this.#has(version)) this.load();
           else if (!this.#shown || this.#shown.failed) this.#again();
-          this.#askHealth();
-        },
-        live: (said) => {
-          this.#daemon = said;
-          this.#tellLive();
+          this.askHealth();
         },
         lost: (since, why) => {
           this.#lost = since;
@@ -94,12 +86,12 @@ class App {
           this.#heardFrom(event);
           this.#shown?.onEvent?.(event);
         },
-        health: (row) => this.heardHealth([row], row.at),
       });
       setInterval(() => {
         this.#tellLive();
         this.#shown?.onTick?.();
       }, 1000);
+      setInterval(() => document.hidden || this.askHealth(), HEALTH_MILLISECONDS);
     }
     this.#loading = this.load();
     await this.#loading;
@@ -131,30 +123,32 @@ class App {
     }
   }
 
-  // Rows of the health page as they were at a time; one that is older than what is known says nothing new.
-  heardHealth(rows, at) {
-    for (const row of rows) {
-      const known = this.rows.get(row.id);
-      if (known?.at > at) continue;
-      const fresh = { ...known, ...withValues(row), at };
-      if (known?.newest > fresh.newest) fresh.newest = known.newest; // an event comes here before the daemon counts it
-      this.rows.set(row.id, fresh);
+  // Ask for the health of the daemon and of every camera.
+  async askHealth() {
+    try {
+      this.health = await this.source.health();
+    } catch (error) {
+      if (!(error instanceof Away)) throw error; // the server is away, which the banner says
+      return;
     }
+    const before = this.rows;
+    this.rows = new Map(this.health.cameras.map((row) => [row.id, row]));
+    for (const [id, row] of this.rows) {
+      const known = before.get(id)?.newest ?? 0;
+      if (known > row.newest) row.newest = known; // an event comes here before the daemon counts it
+    }
+    this.#tellHealth();
+    this.#tellLive();
+    this.views.health.update();
+  }
+
+  #tellHealth() {
     const those = (test) => new Set([...this.rows.values()].filter(test).map((row) => row.id));
     const gone = those((row) => row.state === "gone");
     this.network.health(those((row) => troubled(row.state)), gone);
     this.overlays.tellGone(gone);
     if (!this.map) this.network.tellEvents([...this.rows.values()].map((row) => row.events ?? 0));
     this.#shown?.onHealth?.(this.rows);
-  }
-
-  async #askHealth() {
-    try {
-      const { cameras, now } = await this.source.health();
-      this.heardHealth(cameras, now);
-    } catch (error) {
-      if (!(error instanceof Away)) throw error; // the next connection asks again
-    }
   }
 
   // Something has come from a camera.
@@ -230,17 +224,6 @@ class App {
     return version === null ? this.map === null : this.map?.epoch === version[0] && this.map.version === version[1];
   }
 
-  async #change(change) {
-    await this.#loading;
-    this.#askHealth();
-    if (!this.#has([change.epoch, change.since])) return this.load();
-    const cameras = { ...this.map.cameras, ...change.cameras };
-    const edges = { ...this.map.edges, ...change.edges };
-    for (const id of change.gone_cameras) delete cameras[id];
-    for (const key of change.gone_edges) delete edges[key];
-    return this.#use({ ...change, cameras, edges });
-  }
-
   #use(map) {
     this.map = map;
     if (!map) return;
@@ -248,7 +231,7 @@ class App {
     document.title = `${map.site} · camtopod`;
     this.network.update(map);
     this.overlays.update(map);
-    this.heardHealth([]);
+    this.#tellHealth();
     this.#again();
     this.#tellLive();
   }
@@ -273,16 +256,17 @@ class App {
       this.pill.textContent = `report, ${version}, ${clock(this.map.as_of)}`;
       return;
     }
-    const since = this.#lost ?? (this.#daemon && !this.#daemon.live ? this.#daemon.since : null);
-    const behind = this.#daemon?.catching_up ?? null;
-    const state = !this.#daemon ? "…" : `${behind === null ? "live" : `catching up, ${behind} %`} · ${version}`;
-    this.pill.className = `pill ${since !== null ? "bad" : this.#daemon && behind === null ? "good" : "off"}`;
+    const live = this.health?.live;
+    const since = this.#lost ?? (live && !live.live ? live.since : null);
+    const behind = live?.catching_up ?? null;
+    const state = !live ? "…" : `${behind === null ? "live" : `catching up, ${behind} %`} · ${version}`;
+    this.pill.className = `pill ${since !== null ? "bad" : live && behind === null ? "good" : "off"}`;
     this.pill.textContent = since === null ? state : `not live · ${version}`;
     this.banner.hidden = since === null;
     document.body.classList.toggle("stale", since !== null);
     if (since === null) return;
     const lost = this.#refused || "this page cannot reach its server";
-    const reason = this.#lost !== null ? lost : this.#daemon.reason;
+    const reason = this.#lost !== null ? lost : live.reason;
     const what = this.map ? `Map, predictions and health remain at ${version}.` : "Nothing has been received yet.";
     const text = `Not live since ${clock(since)}: ${reason}. ${what} It reconnects automatically. `;
     say(this.#told, text);
@@ -312,10 +296,6 @@ function headOf({ kind, title }) {
     h("div", {}, h("p", { class: "kind" }, kind), h("h2", { tabindex: "-1" }, title)),
     h("a", { class: "close", href: "#/map", "aria-label": "Close" }, "✕"),
   );
-}
-
-function withValues(row) {
-  return Object.fromEntries(Object.entries(row).filter(([, value]) => value !== null));
 }
 
 new App().start();
