@@ -25,7 +25,7 @@ import numpy as np
 from bench.support import ratios
 from camtopod.arrays import Floats
 from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
-from camtopod.learn.zones.zone_map import cell_sums, find_zones, refresh_zones
+from camtopod.learn.zones.zone_map import cell_sums, find_zones, fixed_point, refresh_zones
 
 FIRST_SEED = 1_000_000
 SPEED_EVENTS = 10_000
@@ -117,8 +117,8 @@ def speed(first: int, rounds: int) -> ratios.Table:
     for kind in KINDS:
         if kind.name in SPEED_KINDS:
             positions, _ = camera(first, kind, SPEED_EVENTS)
-            known = find_zones(cell_sums(*positions[: int(0.95 * SPEED_EVENTS)].T))
-            ours.append(partial(refresh_zones, cell_sums(*positions.T), known))
+            known = find_zones(cell_sums(*fixed_point(positions[: int(0.95 * SPEED_EVENTS)].T)))
+            ours.append(partial(refresh_zones, cell_sums(*fixed_point(positions.T)), known))
             method = HDBSCAN(min_cluster_size=SPEED_EVENTS // 40, copy=True)
             theirs.append(partial(method.fit_predict, positions))
 
@@ -154,11 +154,11 @@ def rightness(cameras: int, first: int) -> None:
             right = []
             for seed in range(first, first + cameras):
                 positions, zones = camera(seed, kind, events)
-                sums = cell_sums(*positions.T)
+                sums = cell_sums(*fixed_point(positions.T))
                 started = time.process_time()
                 found = len(find_zones(sums).zones)
                 seconds, refreshed = seconds + time.process_time() - started, refreshed + 1
-                plain = data_spectroscopy(sums.count, bandwidth(sums.count)).groups
+                plain = data_spectroscopy(sums[0], bandwidth(sums[0])).groups
                 right.append([count == zones for count in (found, plain, *others(positions))])
             shares = " | ".join(f"{share:.2f}" for share in np.mean(right, axis=0))
             columns.append(f"{shares:>32s}")
@@ -179,10 +179,10 @@ def flicker(seed: int, kind: Kind) -> tuple[float, float]:
     """
     positions, _ = camera(seed, kind, STEADY_EVENTS)
     positions = positions[np.random.default_rng(seed).permutation(len(positions))]
-    maps = [find_zones(cell_sums(*positions[:STEADY_WINDOW].T))] * 2
+    maps = [find_zones(cell_sums(*fixed_point(positions[:STEADY_WINDOW].T)))] * 2
     changes = [0, 0]
     for at in range(STEADY_WINDOW, STEADY_EVENTS + 1, STEADY_WINDOW // 10):
-        sums = cell_sums(*positions[at - STEADY_WINDOW : at].T)
+        sums = cell_sums(*fixed_point(positions[at - STEADY_WINDOW : at].T))
         new = [refresh_zones(sums, maps[0]), find_zones(sums, maps[1].zones, maps[1].next_number)]
         for k in range(2):
             changes[k] += {zone.number for zone in new[k].zones} != {

@@ -156,25 +156,6 @@ def wiener(image, size, noise):
 # --- learner: window, lags, rates, candidates, joint fit, transit times, significance ---
 
 
-def window_sums(events, rows, columns, one):
-    """Return sums over each camera's cells, and its entries and exits without a position.
-
-    The sums are (7, rows, columns) as in `Window.sums`.
-    """
-    sums, unplaced = {}, {}
-    for event in events:
-        grid = sums.setdefault(event.camera, np.zeros((7, rows, columns), np.int64))
-        bare = unplaced.setdefault(event.camera, [0, 0])
-        if event.x is None:
-            bare[0 if event.kind == "entry" else 1] += 1
-            continue
-        x, y = round(event.x * one), round(event.y * one)
-        cell = min(y * rows // one, rows - 1), min(x * columns // one, columns - 1)
-        for plane, value in enumerate((1, x, y, x * x, x * y, y * y, event.kind == "entry")):
-            grid[plane][cell] += int(value)
-    return sums, unplaced
-
-
 def mates(events):
     """Return for each event the index of the entry that began the passage which it
     ends, or None.

@@ -42,12 +42,16 @@ from camtopod.learn.traffic import Scene, label_events
 from camtopod.learn.window import (
     FORGOTTEN,
     ReorderBuffer,
-    ReorderBufferState,
     Window,
-    WindowState,
-    cells_of,
 )
-from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
+from camtopod.learn.zones import (
+    ZoneMap,
+    ZoneShape,
+    cell_sums,
+    cells_of,
+    find_zones,
+    refresh_zones,
+)
 from camtopod.predict import Predictor
 from camtopod.publishers import RETURNS_MIN, Publisher
 from camtopod.records import Event, Topology
@@ -96,21 +100,17 @@ class Learner:
     def _use(self, state: LearnerState) -> None:
         """Go on from a state."""
         settings = state.settings
-        self.state = replace(state, intake=ReorderBufferState(), window=WindowState())
+        self.state = state
         self._intake = ReorderBuffer(
-            settings.lateness_seconds,
-            settings.cameras_max,
-            settings.ahead_seconds_max,
-            settings.version_seconds,
+            settings.lateness_seconds, settings.cameras_max, settings.ahead_seconds_max
         )
         self._intake.load(state.intake)
         self._window = Window(
             settings.window_events_max,
             settings.window_events,
             settings.window_camera_events,
+            state.window,
         )
-        if state.window.columns:
-            self._window.load(state.window)
         self._clock_tracker = ClockTracker(state.clocks)
         self._alarms = AlarmLog(state.alarms)
         self._scorer = Scorer(state.scorer, state.topology)
@@ -176,10 +176,9 @@ class Learner:
 
     def save(self) -> LearnerState:
         """Return a copy of the state, from which `load` continues; fetch the `updates` before."""
+        self._intake.save()
         state = deepcopy(replace(self.state, topology=None))
         state.topology = self.state.topology
-        state.intake = self._intake.save()
-        state.window = self._window.save()
         state.scorer.predictor = self._scorer.predictor_state()
         return state
 
@@ -196,7 +195,7 @@ class Learner:
         The evidence of their events about other cameras is kept. `camtopod.learn.rename` renames a
         camera.
         """
-        known = names & {*self._window.cameras, *self._intake.cameras, *self.state.retired}
+        known = names & {*self._window.cameras, *self._intake.newest_of, *self.state.retired}
         self._intake.drop_held(names)
         self.forget(names)
         self._alarms.erase(names)
@@ -257,7 +256,7 @@ class Learner:
         if oldest is None:
             return None
         tick = -(-oldest // self._tick_us) * self._tick_us
-        return (tick + self._intake.lateness_us + 1) / MICROSECONDS
+        return (tick + self._intake.time.lateness_us + 1) / MICROSECONDS
 
     def event_time(self) -> EventTimeState:
         """Return the state of event time and watermark."""
@@ -273,9 +272,8 @@ class Learner:
         """Return counts and sizes by name, for people and for health checks."""
         watermark = self._intake.watermark_us
         return {
-            **self._intake.counts,
-            "surplus": self._intake.surplus,
-            "held": self._intake.held_count,
+            **self._intake.state.counts,
+            "held": len(self._intake.state.held),
             "learned": self.state.learned,
             "window": len(self._window),
             "cameras": len(self._window.cameras),
@@ -520,15 +518,18 @@ class Learner:
             known = self.state.cameras[camera]
             known.tested_at = window.seen[camera]
             rows = rows_of_camera[camera]
-            rows = rows[window.column("px")[rows] >= 0]
+            rows = rows[window.has_position()[rows]]
             px, py = (window.column(name)[rows].astype(np.int64) for name in ("px", "py"))
             move = find_move(cells_of(px, py), known.zones.cells)
 
             # Learn the zones of the new view from the events since the move.
             if move:
                 since = float(window.column("t")[rows[move.first]] / MICROSECONDS)
-                window.forget_camera(camera, window.base + int(rows[move.first]))
-                known.zones = find_zones(window.cell_sums(camera), (), known.zones.next_number)
+                window.forget_camera(camera, int(rows[move.first]))
+                since_move = slice(move.first, None)
+                known.zones = find_zones(
+                    cell_sums(px[since_move], py[since_move]), (), known.zones.next_number
+                )
                 known.zoned_at = known.tested_at
                 known.vanished = ()
                 self.state.moved.append((camera, since, move))
@@ -550,15 +551,18 @@ class Learner:
 
     def _refresh_zones(self) -> None:
         """Learn the zones of new cameras, and again those of cameras with enough new events."""
-        for camera in range(len(self._window.cameras)):
-            events = self._window.seen[camera]
+        window = self._window
+        placed = window.has_position()
+        px, py = (window.column(name).astype(np.int64) for name in ("px", "py"))
+        for camera, rows_of_camera in enumerate(window.rows_of_cameras()):
+            events = window.seen[camera]
+            rows = rows_of_camera[placed[rows_of_camera]]
 
             # A new camera, or a retired one that reports again.
             if camera == len(self.state.cameras):
-                name = self._window.cameras[camera]
-                retired = self.state.retired.pop(name, RetiredCamera())
+                retired = self.state.retired.pop(window.cameras[camera], RetiredCamera())
                 zones = find_zones(
-                    self._window.cell_sums(camera), retired.zones, retired.next_number
+                    cell_sums(px[rows], py[rows]), retired.zones, retired.next_number
                 )
                 vanished = _vanished(retired.zones, zones)
                 self.state.cameras.append(CameraState(zones, events, vanished, events))
@@ -566,11 +570,10 @@ class Learner:
 
             # A known camera.
             known = self.state.cameras[camera]
-            new_events = events - known.zoned_at
-            if new_events >= ZONES_REFRESH_SHARE * self._window.count_with_position(camera):
+            if events - known.zoned_at >= ZONES_REFRESH_SHARE * len(rows):
                 before = known.zones.zones + known.vanished
                 known.zones = refresh_zones(
-                    self._window.cell_sums(camera), known.zones, known.vanished
+                    cell_sums(px[rows], py[rows]), known.zones, known.vanished
                 )
                 known.zoned_at = events
                 known.vanished = _vanished(before, known.zones)

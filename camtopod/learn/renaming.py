@@ -51,8 +51,6 @@ def _intake(state: ReorderBufferState, old: str, new: str) -> ReorderBufferState
         state,
         time=time,
         held=[replace(event, camera=new) if event.camera == old else event for event in state.held],
-        cameras=[new if name == old else name for name in state.cameras],
-        seen=[(new if row[0] == old else row[0], *row[1:]) for row in state.seen],
         newest=_with_new_key(state.newest, old, new),
     )
 

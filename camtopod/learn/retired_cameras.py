@@ -44,11 +44,7 @@ def cameras_to_retire(
     """
     newest = reorder_buffer.newest_of
     t_us = now_us - max(window_us, round(RETIRED_AFTER_SECONDS * MICROSECONDS))
-    return {
-        name
-        for name in (*reorder_buffer.cameras, *window.cameras)
-        if newest.get(name, t_us - 1) < t_us
-    }
+    return {name for name in (*newest, *window.cameras) if newest.get(name, t_us - 1) < t_us}
 
 
 def camera_to_replace(reorder_buffer: ReorderBuffer, window: Window) -> str | None:

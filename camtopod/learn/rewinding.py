@@ -54,7 +54,7 @@ def _window(state: WindowState, to_us: int) -> WindowState:
     return replace(
         state,
         columns={name: column[:rows].copy() for name, column in state.columns.items()},
-        open=[passage for passage in state.open if passage[2] < state.base + rows],
+        open={key: row for key, row in state.open.items() if row < state.base + rows},
     )
 
 

@@ -2,8 +2,8 @@
 
 A restored learner makes the same versions as one that never stopped. So the state (`LearnerState`)
 has everything that affects later versions, including events that wait for the watermark and
-predictions that wait for their outcome. It leaves out values that can be computed from others (sums
-of the window, keys, indices). Floats and integers are preserved exactly.
+predictions that wait for their outcome. It leaves out values that can be computed from others (keys
+and indices). Floats and integers are preserved exactly.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from camtopod.learn.zones import ZoneMap, ZoneShape
 from camtopod.publishers import Publisher
 from camtopod.records import Topology
 
-FORMAT = 2
+FORMAT = 3
 """Format of the snapshots that this program reads and writes.
 
 Snapshots of another format are refused; the state is learned again from the journal.
@@ -73,7 +73,6 @@ class LearnerState(Struct):
     topology: Topology | None = None
     """The newest version; None before the first one of the epoch."""
     intake: ReorderBufferState = field(default_factory=ReorderBufferState)
-    """Set when the state is saved, as is ``window``."""
     window: WindowState = field(default_factory=WindowState)
     clocks: ClockState = field(default_factory=ClockState)
     alarms: AlarmState = field(default_factory=AlarmState)

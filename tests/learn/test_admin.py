@@ -72,8 +72,8 @@ def known(learner: Learner, camera: str) -> bool:
     state = learner.save()
     texts = [
         codec.to_json(newest(learner)),
-        json.dumps([state.intake.cameras, state.intake.newest, state.window.cameras]),
-        codec.to_json([state.intake.held, state.intake.seen, [*state.intake.time.behind]]),
+        json.dumps([state.intake.newest, state.window.cameras]),
+        codec.to_json([state.intake.held, [*state.intake.time.behind]]),
         codec.to_json([state.alarms, [*state.publishers], [*state.retired]]),
         codec.to_json([state.intake.time.leader or ""]),
     ]

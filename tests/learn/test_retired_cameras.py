@@ -69,12 +69,7 @@ def names_known(learner: Learner) -> set[str]:
     state = learner.save()
     assert len(state.cameras) <= len(state.window.cameras) == len(state.window.seen)
     assert len(state.clocks.offset) <= len(state.window.cameras)
-    intake = {
-        *state.intake.cameras,
-        *state.intake.newest,
-        *state.intake.time.behind,
-        *(row[0] for row in state.intake.seen),
-    }
+    intake = {*state.intake.newest, *state.intake.time.behind}
     return {*state.window.cameras, *intake, *(event.camera for event in state.intake.held)}
 
 

@@ -214,10 +214,10 @@ def test_a_damaged_snapshot_is_refused() -> None:
 
 
 def test_a_newer_snapshot_is_refused_by_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("camtopod.learn.snapshot.FORMAT", 3)
+    monkeypatch.setattr("camtopod.learn.snapshot.FORMAT", 4)
     blob = pack(Learner(SETTINGS, "s", "e").save())
     monkeypatch.undo()
-    with pytest.raises(NewerSnapshot, match="format is 3, this program's 2"):
+    with pytest.raises(NewerSnapshot, match="format is 4, this program's 3"):
         unpack(blob)
 
 

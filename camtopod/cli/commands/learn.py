@@ -20,7 +20,6 @@ from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal import Progress, busiest_links, transit
 from camtopod.codec import to_json
 from camtopod.learn.learner import STEPS, Learner
-from camtopod.learn.window import EVENTS_PER_SECOND_MAX
 from camtopod.records import TOPOLOGY_SCHEMA, Topology
 from camtopod.serve.recorded_state import RecordedState
 from camtopod.serve.runtime import wall
@@ -89,12 +88,6 @@ def run(args: argparse.Namespace) -> int:
     # Report what was not learned from.
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
-    if surplus := learner.statistics()["surplus"]:
-        most = f"more than {EVENTS_PER_SECOND_MAX:.0f} events a second of one camera"
-        print(
-            f"camtopod: {surplus} events are not learned: {most}; only the newest of these count",
-            file=sys.stderr,
-        )
     topology = learner.topology
     if topology is None and args.state and learner.statistics()["accepted"]:
         print(

@@ -16,8 +16,8 @@ from camtopod.event_time import MICROSECONDS
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.traffic.speed import slowness
-from camtopod.learn.window import Window, cells_of
-from camtopod.learn.zones import ZoneMap, ZoneShape
+from camtopod.learn.window import Window
+from camtopod.learn.zones import ZoneMap, ZoneShape, cells_of
 from camtopod.topology import blocks_of
 
 NO_ZONE = -1
@@ -79,6 +79,7 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
     `NO_ZONE` for clutter. The last column is for events without position: they belong to the single
     zone of a camera none of whose events has a position, and otherwise to no zone.
     """
+    unplaced = set(window.column("camera")[~window.has_position()].tolist())
     zones: list[ZoneRef] = []
     tables = []
     for camera, zone_map in enumerate(maps):
@@ -88,7 +89,7 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
         table = np.append(np.where(cells >= 0, cells + first, NO_ZONE), NO_ZONE)
 
         # A camera whose events have no positions is one zone.
-        if not zone_map.zones and window.unplaced[camera].sum() > 0:
+        if not zone_map.zones and camera in unplaced:
             table[-1] = len(zones)
             zones.append(ZoneRef(camera, 1, None))
         tables.append(table)
@@ -118,7 +119,7 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
     zone = tables[
         camera, cells_of(window.column("px").astype(np.int64), window.column("py").astype(np.int64))
     ]
-    mate = window.column("mate").astype(np.int64) - window.base
+    mate = window.entries_of_exits()
     n = len(zones)
 
     # Rows of departures and arrivals, by corrected time.

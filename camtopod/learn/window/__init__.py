@@ -3,13 +3,12 @@
 Reading order: `reorder_buffer` receives events in any order, drops duplicates and late events, and
 releases the others in order of time once the watermark has passed them. `sliding_window` stores
 the released events by column (`Window`): it ties the entry and the exit of each track to a passage,
-sums positions per camera and grid cell, and removes events that are too old or too many.
+and removes events that are too old or too many.
 """
 
 from __future__ import annotations
 
 from camtopod.learn.window.reorder_buffer import (
-    EVENTS_PER_SECOND_MAX as EVENTS_PER_SECOND_MAX,
     ReorderBuffer as ReorderBuffer,
     ReorderBufferState as ReorderBufferState,
 )
@@ -17,5 +16,4 @@ from camtopod.learn.window.sliding_window import (
     FORGOTTEN as FORGOTTEN,
     Window as Window,
     WindowState as WindowState,
-    cells_of as cells_of,
 )

@@ -1,8 +1,8 @@
 """Entry and exit zones: where in a camera's view objects appear and disappear.
 
-The view is a grid of 30 rows and 24 columns. For each camera and cell, `cell_sums` stores how many
-events fell into the cell and the sums of their positions; everything here is computed from these
-sums. Events of tracks that begin or end anywhere in the view belong to no zone: they are *clutter*.
+The view is a grid of 30 rows and 24 columns. For each cell, `cell_sums` counts the events in the
+cell and sums their positions; everything here is computed from these sums. Events of tracks that
+begin or end anywhere in the view belong to no zone: they are *clutter*.
 
 Reading order: `zone_map` turns the sums of a camera into numbered zones (`find_zones`). For that,
 `partition` assigns the cells that have events to zones or to clutter. `partition` builds on
@@ -17,12 +17,12 @@ Last, `mixture` assigns every cell of the grid to one of the zones found, or to 
 
 from __future__ import annotations
 
-from camtopod.learn.zones.cell_sums import GridSums as GridSums
 from camtopod.learn.zones.daspec import kernel_1d as kernel_1d
 from camtopod.learn.zones.zone_map import (
-    CellSums as CellSums,
     ZoneMap as ZoneMap,
     ZoneShape as ZoneShape,
+    cell_sums as cell_sums,
+    cells_of as cells_of,
     find_zones as find_zones,
     refresh_zones as refresh_zones,
 )

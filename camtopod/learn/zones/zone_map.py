@@ -1,7 +1,7 @@
 """Find the entry and exit zones of one camera from the sums over its grid (thesis 2.4, 2.8, 4.2).
 
-The input are integer sums per grid cell (`CellSums`), so an old event is subtracted exactly, and
-the cost does not depend on the number of events. `find_zones` has `partition` group the cells.
+The input are integer sums per grid cell (`cell_sums`), so the cost of finding zones does not depend
+on the number of events. `find_zones` has `partition` group the cells.
 Each group becomes a zone (`ZoneShape`) with exact mean and covariance and with a number that it
 keeps while it stays in place. The result is a `ZoneMap`: the zones, and a table that assigns each
 cell of the grid to a zone or to clutter. `refresh_zones` adapts a map to later events.
@@ -10,7 +10,6 @@ cell of the grid to a zone or to clutter. `refresh_zones` adapts a map to later 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -29,6 +28,8 @@ ANEW_EVENTS_MAX = 4000
 """A map that was learned from nothing with at least this many events is only adapted later."""
 CELLS = GRID_ROWS * GRID_COLUMNS
 """Number of cells of the grid."""
+NO_CELL = -1
+"""Cell of events without position."""
 MATCH_DISTANCE = 3.0
 """Largest distance, in standard deviations, at which a new zone takes an old one's number."""
 PLACE_SD_MIN = 0.02
@@ -37,24 +38,6 @@ _SCALE = np.array(
     [1, POSITION_ONE, POSITION_ONE, POSITION_ONE**2, POSITION_ONE**2, POSITION_ONE**2]
 )[:, None]
 """Factors from the six sums in image units to fixed point."""
-
-
-class CellSums(NamedTuple):
-    """Sums over the events of each cell; each is int64 of shape (GRID_ROWS, GRID_COLUMNS).
-
-    count: number of events.
-    sx, sy: sums of their positions x and y.
-    sxx, sxy, syy: sums of the products x x, x y and y y.
-
-    Positions are in fixed point, `POSITION_ONE` being the width or height of the image.
-    """
-
-    count: Longs  # type: ignore[assignment]  # hides an unused method of tuple
-    sx: Longs
-    sy: Longs
-    sxx: Longs
-    sxy: Longs
-    syy: Longs
 
 
 class ZoneShape(Struct, frozen=True):
@@ -88,41 +71,45 @@ class ZoneMap(Struct, frozen=True, eq=False):
     """Number of events when the map was last learned from nothing."""
 
 
-def cells_of(x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the rows and columns of the cells of image positions, both coordinates in [0, 1]."""
-    rows = (np.asarray(y, dtype=np.float64) * GRID_ROWS).astype(np.intp)
-    columns = (np.asarray(x, dtype=np.float64) * GRID_COLUMNS).astype(np.intp)
-    return np.minimum(rows, GRID_ROWS - 1), np.minimum(columns, GRID_COLUMNS - 1)
-
-
 def fixed_point(x: ArrayLike) -> Longs:
-    """Return image positions, fractions in [0, 1], as integers in the fixed point of `CellSums`."""
+    """Return image positions, fractions in [0, 1], as integers in fixed point (`POSITION_ONE`)."""
     return np.rint(np.asarray(x, dtype=np.float64) * POSITION_ONE).astype(np.int64)
 
 
-def cell_sums(x: ArrayLike, y: ArrayLike) -> CellSums:
-    """Return the sums by grid cell of n events at given positions.
+def cells_of(px: Longs, py: Longs) -> Longs:
+    """Return the flat grid cell (n,), row * columns + column, of positions; `NO_CELL` for none.
 
-    x, y (n,): positions in image units.
+    px, py (n,): positions in fixed point, negative if unknown.
     """
-    rows, columns = cells_of(x, y)
-    px = fixed_point(x)
-    py = fixed_point(y)
-    sums = np.zeros((6, GRID_ROWS, GRID_COLUMNS), dtype=np.int64)
+    column = np.minimum(px * GRID_COLUMNS // POSITION_ONE, GRID_COLUMNS - 1)
+    row = np.minimum(py * GRID_ROWS // POSITION_ONE, GRID_ROWS - 1)
+    return np.where(px < 0, NO_CELL, row * GRID_COLUMNS + column)
+
+
+def cell_sums(px: Longs, py: Longs) -> Longs:
+    """Return six sums over the events of each grid cell, (6, GRID_ROWS, GRID_COLUMNS).
+
+    px, py (n,): known positions in fixed point.
+
+    The sums are the number of events, and the sums of x, y, x x, x y and y y. They are integers,
+    and so exact in any order of the events.
+    """
+    cell = cells_of(px, py)
+    sums = np.zeros((6, CELLS), np.int64)
     for grid, value in zip(
         sums, (np.ones_like(px), px, py, px * px, px * py, py * py), strict=True
     ):
-        np.add.at(grid, (rows, columns), value)
-    return CellSums(*sums)
+        np.add.at(grid, cell, value)
+    return sums.reshape(6, GRID_ROWS, GRID_COLUMNS)
 
 
 def find_zones(
-    sums: CellSums,
+    sums: Longs,
     previous: tuple[ZoneShape, ...] = (),
     next_number: int = 1,
     held: NDArray[np.int16] | None = None,
 ) -> ZoneMap:
-    """Find the zones of a camera from its sums; without events there are none.
+    """Find the zones of a camera from its sums (`cell_sums`); without events there are none.
 
     previous: earlier zones of the camera; a new zone at the place of one of them gets its number.
         Vanished zones may be among them.
@@ -131,7 +118,8 @@ def find_zones(
         is clear; None to learn from nothing.
     """
     # The cells that have events.
-    flat = np.array(sums).reshape(len(sums), CELLS)
+    count = sums[0]
+    flat = sums.reshape(len(sums), CELLS)
     occupied = np.flatnonzero(flat[0])
     if not len(occupied):
         return ZoneMap((), np.full((GRID_ROWS, GRID_COLUMNS), -1, dtype=np.int16), next_number)
@@ -139,10 +127,9 @@ def find_zones(
     # Assign these cells to groups, of which at most `ZONES_PER_CAMERA_MAX` become zones.
     filled = flat[:, occupied]
     so_far = None if held is None else held.ravel()[occupied].astype(np.intp)
-    rates = clutter_rates(np.asarray(sums.count))
+    rates = clutter_rates(count)
     labels = _largest(
-        partition(Cells.of(filled / _SCALE, occupied), np.asarray(sums.count), rates, so_far),
-        filled[0],
+        partition(Cells.of(filled / _SCALE, occupied), count, rates, so_far), filled[0]
     )
 
     # Make zones from the exact sums (groups, 6), and number them like earlier zones in their place.
@@ -158,7 +145,7 @@ def find_zones(
     return ZoneMap(zones, classify_cells(zones, clutter), next_number, events)
 
 
-def refresh_zones(sums: CellSums, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()) -> ZoneMap:
+def refresh_zones(sums: Longs, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()) -> ZoneMap:
     """Return the map ``old`` adapted to the present sums where the evidence for a change is clear.
 
     gone: vanished zones of the camera; a zone at the place of one of them gets its number back.
@@ -167,7 +154,7 @@ def refresh_zones(sums: CellSums, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()
     of events has doubled, so that early errors do not persist.
     """
     known = old.zones + gone
-    events = int(np.asarray(sums.count).sum())
+    events = int(sums[0].sum())
     if events >= 2 * old.events and old.events < ANEW_EVENTS_MAX:
         return find_zones(sums, known, old.next_number)
     return replace(find_zones(sums, known, old.next_number, old.cells), events=old.events)
@@ -191,7 +178,7 @@ def _largest(labels: NDArray[np.intp], events: Longs) -> NDArray[np.intp]:
 def _shape(sums: list[int], total: int) -> ZoneShape:
     """Return a zone with the exact mean and covariance of its events; its number is still 0.
 
-    sums: the six sums (`CellSums`) over the zone's events.
+    sums: the six sums (`cell_sums`) over the zone's events.
     total: number of events in all zones of the camera.
     """
     n, sx, sy, sxx, sxy, syy = sums

@@ -10,7 +10,7 @@ from camtopod.learn.links.visible_links import visible_transitions
 from camtopod.learn.traffic.labelled_events import Scene, label_events, number_zones
 from camtopod.learn.traffic.speed import USUAL_PASSAGES_MIN
 from camtopod.learn.window.sliding_window import Window
-from camtopod.learn.zones.zone_map import ZoneMap, cells_of, find_zones
+from camtopod.learn.zones.zone_map import ZoneMap, cell_sums, cells_of, find_zones, fixed_point
 from camtopod.records import Event
 from camtopod.topology.lag_bins import LagBins
 
@@ -56,7 +56,11 @@ def seen(events: list[Event], forget: int = 0) -> tuple[Window, list[ZoneMap], S
     window.append([(microseconds(e.t), e) for e in events])
     if forget:
         window.forget_old(microseconds(events[forget].t))
-    maps = [find_zones(window.cell_sums(k)) for k in range(len(window.cameras))]
+    maps = []
+    for rows in window.rows_of_cameras():
+        placed = rows[window.has_position()[rows]]
+        px, py = (window.column(name)[placed].astype(np.int64) for name in ("px", "py"))
+        maps.append(find_zones(cell_sums(px, py)))
     return window, maps, label_events(window, maps)
 
 
@@ -71,9 +75,7 @@ def test_scene_equals_a_walk_over_the_events(forget: int) -> None:
         if event.x is None or event.y is None:
             zone = (camera, 1)
         else:
-            index = maps[camera].cells[
-                cells_of(round(event.x * 4096) / 4096, round(event.y * 4096) / 4096)
-            ]
+            index = maps[camera].cells.flat[cells_of(*fixed_point((event.x, event.y)))]
             zone = (camera, maps[camera].zones[index].number) if index >= 0 else None
         began = (
             opened.pop((event.camera, event.track), None)
@@ -152,13 +154,7 @@ def test_zones_are_numbered_through() -> None:
             assert (tables[door, :-1] == -1).all()
         else:
             assert zone.shape is not None
-            assert (
-                tables[
-                    zone.camera,
-                    cells_of(zone.shape.x, zone.shape.y)[0] * 24 + int(zone.shape.x * 24),
-                ]
-                == k
-            )
+            assert tables[zone.camera, cells_of(*fixed_point((zone.shape.x, zone.shape.y)))] == k
             assert tables[zone.camera, -1] == -1
 
 

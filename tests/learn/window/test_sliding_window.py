@@ -1,4 +1,4 @@
-"""The sliding window: integer sums that always equal a recount."""
+"""The sliding window: which events are held, and which entry began the passage of an exit."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from camtopod.learn.window import sliding_window as module
 from camtopod.learn.window.sliding_window import (
     FLOOD_CAMERAS_MIN,
     FLOOD_SHARE,
-    NO_CELL,
     NO_MATE,
     Window,
-    cells_of,
 )
+from camtopod.learn.zones.zone_map import NO_CELL, cells_of
 from camtopod.records import Event
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
@@ -58,7 +57,9 @@ def bounded(
 
 
 @given(STEPS, st.integers(1, 25))
-def test_sums_equal_a_recount(steps: list[tuple[list[Event], int, bool]], events_max: int) -> None:
+def test_the_newest_events_are_held(
+    steps: list[tuple[list[Event], int, bool]], events_max: int
+) -> None:
     window, kept, seen, now = Window(events_max), list[tuple[int, Event]](), list[Event](), 0
     for batch, age, forget in steps:
         now += 5
@@ -71,42 +72,14 @@ def test_sums_equal_a_recount(steps: list[tuple[list[Event], int, bool]], events
             )
             assert window.forget_old(microseconds(now - age)) == len(kept) - len(remaining)
             kept = remaining
+
         assert len(window) == len(kept)
         assert window.column("t").tolist() == [t for t, _ in kept]
         assert [window.cameras[k] for k in window.column("camera")] == [e.camera for _, e in kept]
         assert window.column("entry").tolist() == [e.kind == "entry" for _, e in kept]
-        sums, unplaced = naive.window_sums(
-            [e for _, e in kept], GRID_ROWS, GRID_COLUMNS, POSITION_ONE
-        )
-        nothing = np.zeros((7, GRID_ROWS, GRID_COLUMNS))
+        assert window.has_position().tolist() == [e.x is not None for _, e in kept]
         for camera, name in enumerate(window.cameras):
-            assert (window.sums[camera] == sums.get(name, nothing)).all()
-            assert window.unplaced[camera].tolist() == unplaced.get(name, [0, 0])
-            assert window.count_with_position(camera) == sums.get(name, nothing)[0].sum()
             assert window.seen[camera] == sum(e.camera == name and e.x is not None for e in seen)
-            assert (window.cell_sums(camera).syy == window.sums[camera][5]).all()
-
-
-@given(STEPS)
-def test_what_is_forgotten_leaves_no_trace(steps: list[tuple[list[Event], int, bool]]) -> None:
-    """The sums are those of a fresh window over the remaining events."""
-    window, kept, now = Window(1000), list[tuple[int, Event]](), 0
-    for batch, age, _ in steps:
-        now += 5
-        window.append(at(now, batch))
-        window.forget_old(microseconds(now - age))
-        kept = [(t, e) for t, e in kept + at(now, batch) if t >= microseconds(now - age)]
-    fresh = Window(1000)
-    fresh.append(kept)
-    for name in window.cameras:
-        camera, other = window.camera_index(name), fresh.camera_index(name)
-        assert camera is not None
-        if other is None:
-            assert not window.sums[camera].any()
-            assert not window.unplaced[camera].any()
-        else:
-            assert (window.sums[camera] == fresh.sums[other]).all()
-            assert (window.unplaced[camera] == fresh.unplaced[other]).all()
 
 
 @given(STEPS)
@@ -121,7 +94,7 @@ def test_mates(steps: list[tuple[list[Event], int, bool]]) -> None:
         events += batch
         window.forget_old(microseconds(now - age))
     base = len(events) - len(window)
-    assert window.base == base
+    assert window.state.base == base
     found = window.column("mate").tolist()
     for row, mate in enumerate(naive.mates(events)[base:]):
         assert found[row] == NO_MATE or found[row] == mate
@@ -139,26 +112,11 @@ def test_open_passages_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert window.column("mate").tolist() == [-1, -1, -1, -1, 1, 2]
 
 
-def test_columns_grow_and_are_reused() -> None:
-    window, one = Window(10_000), Event("a", "entry", 0.0, 0.5, 0.5)
-    for k in range(200):
-        window.append(at(k, [one] * 100))
-        window.forget_old(microseconds(k - 4))
-        assert len(window) == min(k + 1, 5) * 100
-    assert len(window.column("t").base) <= 4096  # type: ignore[arg-type]
-    assert window.base == 19_500
-    assert window.count_with_position(0) == 500
-    window.append([])
-    assert window.forget_old(0) == 0
-
-
 def test_at_most_so_many_events() -> None:
     window = Window(7)
     window.append(at(1, [Event("a", "entry", 1)] * 20))
     assert window.forget_old(0) == 13
     assert len(window) == 7
-    assert window.unplaced[0].tolist() == [7, 0]
-    assert window.camera_index("b") is None
 
 
 def test_at_most_so_many_of_each_camera_if_that_is_more() -> None:
@@ -172,26 +130,8 @@ def test_at_most_so_many_of_each_camera_if_that_is_more() -> None:
             window.forget_old(0)
         assert window.events_max == len(window) == held
     for most, held in ((1000, 18), (10, 10)):
-        again = Window(most, 7, 3)
-        again.load(window.save())
+        again = Window(most, 7, 3, window.state)
         assert again.events_max == held
-
-
-@given(STEPS)
-def test_rows_of_cameras_are_where_their_events_are(
-    steps: list[tuple[list[Event], int, bool]],
-) -> None:
-    window, now = Window(20), 0
-    for batch, age, turned in steps:
-        now += 5
-        window.append(at(now, batch))
-        window.forget_old(microseconds(now - age))
-        if turned and window.cameras:
-            window.forget_camera(0, window.base + len(window) // 2)
-        camera = window.column("camera").tolist()
-        assert [rows.tolist() for rows in window.rows_of_cameras()] == [
-            [row for row, own in enumerate(camera) if own == k] for k in range(len(window.cameras))
-        ]
 
 
 @given(st.floats(0, 1), st.floats(0, 1))
@@ -214,10 +154,8 @@ def test_a_camera_that_floods_displaces_only_itself() -> None:
         window.append(sorted(batch, key=lambda row: row[0]))
         window.forget_old(0)
     assert len(window) == 1000
-    placed = {
-        name: int(sums[0].sum()) for name, sums in zip(window.cameras, window.sums, strict=True)
-    }
-    assert placed == {"a": 50, "b": 50, "wild": 900}
+    held = dict(zip(window.cameras, window.events_of_cameras().tolist(), strict=True))
+    assert held == {"a": 50, "b": 50, "wild": 900}
     wild = window.column("camera") == window.cameras.index("wild")
     assert window.column("t")[wild].tolist() == [t for t, _ in flood][-900:]
 
@@ -240,8 +178,28 @@ def test_passages_whose_entry_is_forgotten_are_no_longer_open(turned: bool) -> N
         window.append(at(t, [Event("a", "entry", t, 0.5, 0.5, "again")]))
         window.forget_old(microseconds(t - 10))
         if turned and t == 25:
-            window.forget_camera(0, window.base + len(window) - 4)
-    passages = window.save().open
-    assert [row for _, _, row in passages] == sorted(row for _, _, row in passages)
-    assert window.base <= passages[0][2]
-    assert len(passages) == 23, "11 seconds of two cameras, and one that came again and again"
+            window.forget_camera(0, len(window) - 4)
+    rows = list(window.state.open.values())
+    assert rows == sorted(rows)
+    assert window.state.base <= rows[0]
+    assert len(rows) == 23, "11 seconds of two cameras, and one that came again and again"
+
+
+@given(st.lists(event(), min_size=1, max_size=30), st.integers(0, 30))
+def test_one_camera_forgets_and_the_passages_of_the_others_stay(
+    events: list[Event], before: int
+) -> None:
+    window = Window(100)
+    window.append([(t, e) for t, e in enumerate(events)])
+    row = window.entries_of_exits()
+    began = np.where(row >= 0, row, -1)
+    stays = (np.arange(len(events)) >= before) | (window.column("camera") != 0)
+
+    window.forget_camera(0, before)
+
+    t = window.column("t")
+    assert t.tolist() == np.flatnonzero(stays).tolist()
+    row = window.entries_of_exits()
+    now = np.where(row >= 0, t[np.maximum(row, 0)], -1)
+    expected = np.where((began >= 0) & stays[began], began, -1)
+    assert now.tolist() == expected[stays].tolist()

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import naive
 import numpy as np
 import pytest
 
 from camtopod.learn.changes.camera_moved import find_move
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.learn.window.sliding_window import Window
-from camtopod.learn.zones.zone_map import cell_sums, cells_of, find_zones
+from camtopod.learn.zones.zone_map import cell_sums, cells_of, find_zones, fixed_point
 from camtopod.records import Event
-from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
+from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 BEFORE = [(0.05, 0.5), (0.5, 0.95), (0.9, 0.3)]
 AFTER = [(0.3, 0.1), (0.7, 0.7), (0.2, 0.8)]
@@ -26,20 +24,15 @@ def places(
     return np.clip(np.where(rng.random((n, 1)) < clutter, rng.random((n, 2)), door), 0, 1)
 
 
-def cells(positions: np.ndarray) -> np.ndarray:
-    row, column = cells_of(*positions.T)
-    return row * GRID_COLUMNS + column
-
-
 def first_look(before: np.ndarray, after: np.ndarray) -> int | None:
     """Return after how many events a move is detected, checking every 25; None: never."""
-    table = find_zones(cell_sums(*before.T)).cells
-    cell = cells(np.concatenate([before, after]))
+    table = find_zones(cell_sums(*fixed_point(before.T))).cells
+    cell = cells_of(*fixed_point(np.concatenate([before, after]).T))
     looks = range(len(before) + 25, len(cell) + 1, 25)
     return next((at - len(before) for at in looks if find_move(cell[:at], table)), None)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("n", [200, 2000])
 def test_a_turned_camera_is_seen_within_a_hundred_events(seed: int, n: int) -> None:
     before = places(seed, BEFORE, [0.5, 0.3, 0.2], n)
@@ -47,14 +40,15 @@ def test_a_turned_camera_is_seen_within_a_hundred_events(seed: int, n: int) -> N
     seen = first_look(before, after)
     assert seen is not None
     assert seen <= 100
-    move = find_move(cells(np.concatenate([before, after])), find_zones(cell_sums(*before.T)).cells)
+    table = find_zones(cell_sums(*fixed_point(before.T))).cells
+    move = find_move(cells_of(*fixed_point(np.concatenate([before, after]).T)), table)
     assert move is not None
     assert abs(move.first - n) <= 20
     assert move.outside > 0.8
     assert move.left < 0.2
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     ("doors", "shares", "clutter"),
     [
@@ -79,42 +73,6 @@ def test_few_events_and_no_zones_are_no_move() -> None:
     assert find_move(np.arange(400) % 720, empty) is None
     before = places(0, BEFORE, [0.5, 0.3, 0.2], 90)
     assert first_look(before, places(1, AFTER, [0.4, 0.4, 0.2], 60)) is None
-
-
-def test_window_forgets_one_camera_and_keeps_the_passages_of_the_others() -> None:
-    window = Window(100)
-    rng = np.random.default_rng(0)
-    for k in range(30):
-        camera, kind, track = (
-            "ab"[int(rng.integers(2)) if k else 0],
-            ("entry", "exit")[int(rng.integers(2))],
-            str(rng.integers(3)),
-        )
-        window.append([(k, Event(camera, kind, float(k), *rng.random(2), track=track))])
-    window.forget_old(3)
-    t, camera, mate, base = (
-        *(window.column(c).copy() for c in ("t", "camera", "mate")),
-        window.base,
-    )
-    stays = (t >= 18) | (camera == 1)
-    began = np.where(mate >= base, t[np.maximum(mate - base, 0)], -1)
-    began[(mate >= base) & ~stays[np.maximum(mate - base, 0)]] = -1
-    row = base + int(np.flatnonzero(t == 18)[0])
-    assert window.forget_camera(0, row) == (~stays).sum() > 0
-    assert window.column("t").tolist() == t[stays].tolist()
-    mate = window.column("mate")
-    now = np.where(mate >= window.base, window.column("t")[np.maximum(mate - window.base, 0)], -1)
-    assert now.tolist() == began[stays].tolist()
-    rows = zip(*(window.column(c) for c in ("camera", "entry", "px", "py")), strict=True)
-    kept = [
-        Event("ab"[c], "entry" if e else "exit", 0.0, x / POSITION_ONE, y / POSITION_ONE)
-        for c, e, x, y in rows
-    ]
-    sums, _ = naive.window_sums(kept, GRID_ROWS, GRID_COLUMNS, POSITION_ONE)
-    assert all((window.sums[k] == sums["ab"[k]]).all() for k in (0, 1))
-    window.append([(40, Event("b", "exit", 40.0, track="0"))])
-    last = int(window.column("mate")[-1])
-    assert last < window.base or window.column("camera")[last - window.base] == 1
 
 
 def walks(seed: int, start: float, n: int, doors: list[tuple[float, float]]) -> list[Event]:
