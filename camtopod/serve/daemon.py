@@ -50,7 +50,6 @@ from camtopod.serve.ingest import (
     Merger,
     Names,
     Numbers,
-    Received,
     execute,
     read_names,
 )
@@ -80,7 +79,6 @@ from camtopod.serve.storage import (
     Learned,
     Snapshot,
     StateError,
-    command_entry,
 )
 from camtopod.topology import links_between_views, links_in_words, waiting_for_links
 
@@ -154,6 +152,7 @@ class Daemon:
         self.progress.watch("start", LEARN_SECONDS)
         config = self._config
         self._journal = Journal(config.state_directory, config.keep)
+        self._last_epoch = max(self._journal.meta(key) or "" for key in ("epoch", "epoch before"))
 
         # Recover the learner, join the bus and build the parts; undo everything on failure.
         with contextlib.ExitStack() as undo:
@@ -327,29 +326,28 @@ class Daemon:
 
     def _new_epoch(self) -> str:
         """Begin an epoch and store its name."""
-        before = max(self._journal.meta(key) or "" for key in ("epoch", "epoch before"))
-        epoch = clocks.ulid(self._clock(), after=before)
-        self._journal.set_meta("epoch", epoch)
-        return epoch
+        self._last_epoch = clocks.ulid(self._clock(), after=self._last_epoch)
+        self._journal.set_meta("epoch", self._last_epoch)
+        return self._last_epoch
 
-    def _begin_reset(self) -> Reset:
-        """Begin an epoch with nothing; return the whole command."""
+    def _reset(self) -> Reset:
+        """Return the whole command that begins the site anew; its epoch is stored with it."""
         self._live.forget()
-        ended = self._journal.meta("epoch") or self.epoch
-        return Reset(self._clock(), ended, self._new_epoch())
+        ended = self._last_epoch
+        self._last_epoch = clocks.ulid(self._clock(), after=ended)
+        return Reset(self._clock(), ended, self._last_epoch)
 
-    def _rewound(self, to: float) -> Received:
-        """Begin an epoch as event time is taken back to ``to`` (Unix seconds); return its entry."""
+    def _rewind(self, to: float) -> Rewind:
+        """Return the command that takes event time back to ``to`` (Unix seconds)."""
         self._live.forget()
-        ended = self._journal.meta("epoch") or self.epoch
-        begun = self._new_epoch()
+        ended = self._last_epoch
+        self._last_epoch = clocks.ulid(self._clock(), after=ended)
         log.error(
             "this machine's clock was set back: what was learned of later events is dropped, and"
             " event time continues from the clock, in epoch %s",
-            begun,
+            self._last_epoch,
         )
-        command = Rewind(to, ended, begun)
-        return Received(command_entry(command), command=command)
+        return Rewind(to, ended, self._last_epoch)
 
     def _build(self, bus: Bus, recovered: Recovered, process: LearnerProcess) -> None:
         """Create the parts from the recovered state and connect them."""
@@ -371,7 +369,7 @@ class Daemon:
         newest = -math.inf if learned.newest_us is None else learned.newest_us / MICROSECONDS
 
         # Receiving and storing.
-        numbers = Numbers(*self._journal.numbers())
+        numbers = Numbers(self._journal.numbers())
         cameras = Cameras(limits.cameras_max)
         wall = self._clock()
         now = self._steady()
@@ -389,7 +387,7 @@ class Daemon:
             limits,
             see=self._live.see,
             learn=lambda _: self._learning.note_stored(),
-            rewound=self._rewound,
+            rewind=self._rewind,
             clock=self._clock,
             steady=self._steady,
         )
@@ -455,7 +453,7 @@ class Daemon:
         """Execute the operator's command of a query. Raises `QueryError`."""
         command = command_of(key, parameters)
         try:
-            return Done(execute(self._intake, command, self.topology, self._begin_reset))
+            return Done(execute(self._intake, command, self.topology, self._reset))
         except CommandRefused as error:
             raise QueryError(str(error)) from None
         except (sqlite3.Error, StateError) as error:

@@ -21,7 +21,7 @@ BATCH_EVENTS_MAX = 500
 BATCH_BYTES_MAX = 64 * 1024
 """Most bytes of events in one request; a single event may always be sent."""
 BOOTS_MAX = 1_000
-"""Most boots of one camera that a hello names, and whose numbers the daemon keeps."""
+"""Most boots of one camera that a hello names."""
 ANSWER_SECONDS_MAX = 150.0
 """Time that a grabber waits for an answer."""
 HELD_SECONDS_MAX = 60.0
@@ -76,7 +76,7 @@ class Answer(Struct, frozen=True, omit_defaults=True):
     """The daemon's answer.
 
     have: for the boot of the batch, or each of the hello's, the highest number that is on disk; 0
-        if none is. A boot is left out if the daemon does not know.
+        if none is.
     batch: how many events the next batch may have.
     reason: why nothing was taken, or that the batch is held; "" if ``have`` says it all.
     detail: the reason as a sentence for people.

@@ -36,13 +36,16 @@ FAULTS = (
     "replay",
 )
 SET_BACK = ("older journal", "erased journal")
-"""Faults of the daemon's machine, after which it cannot tell how far a boot was stored..."""
+"""Faults that set the daemon's machine back."""
 NOT_BESIDE = {
     "older spool": ("damage", *SET_BACK),
     "lost number": SET_BACK,
 }
-"""... if it has lost the number as well; and what it has counted as lost stays so, though an older
-copy of the spool that still has it comes back. Fault -> those that do not happen beside it.
+"""Fault -> those that do not happen beside it.
+
+What the daemon has counted as lost stays so, though an older copy of the spool that still has it
+comes back. And a history has no snapshots: of events that the journal has deleted ("lost number")
+it cannot tell whether the learner of an older journal knows them.
 """
 FAULTS_SECONDS = 600.0
 """Time in which faults happen."""
@@ -244,15 +247,15 @@ class World:
         wrongs = []
         if left := self.spool.waiting():
             wrongs.append(f"{left} events wait at the end")
-        stored = Counter(uid for _, _, uid in self.daemon.journal)
+        stored = {uid for _, _, uid in self.daemon.journal}
         rows = self.spool._db.execute("SELECT raw FROM event WHERE raw != x'00'")
-        kept = [int(str(codec.event_from_bytes(raw).track)) for (raw,) in rows]
-        if lost := [uid for uid in kept if uid not in stored]:
+        spooled = [int(str(codec.event_from_bytes(raw).track)) for (raw,) in rows]
+        if lost := [uid for uid in spooled if uid not in stored]:
             wrongs.append(f"{len(lost)} events lost")
-        if twice := [uid for uid, count in stored.items() if count > 1]:
-            wrongs.append(f"{len(twice)} events twice in the journal")
-        if any(count > 1 for count in self.daemon.released.values()):
-            wrongs.append("learned twice")
+        kept = Counter(uid for _, _, uid in self.daemon.kept)
+        for where, counts in (("in the journal", kept), ("learned", self.daemon.counted)):
+            if twice := [uid for uid, count in counts.items() if count > 1]:
+                wrongs.append(f"{len(twice)} events twice {where}")
         uids = list(dict.fromkeys(uid for _, _, uid in self.daemon.journal))
         if uids != sorted(uids) and "older spool" not in self.kinds:
             wrongs.append("order")

@@ -10,19 +10,16 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from intake_bench import IntakeBench
+from intake_bench import LATENESS, IntakeBench
 from one_camera import CAMERA, World
 
 from camtopod import codec
+from camtopod.event_time import EventTime, microseconds
 from camtopod.serve.requests import Answer
 from camtopod.serve.storage import Journal
 from camtopod.serve.storage.journal import highest_numbers
 
 QUICK_HISTORIES = 12
-MARK_LOST = ("flapping", "new boot", "older spool")
-"""Faults that may set back the mark of a spool. Where the journal has lost its number, too, and all
-entries of the boot are deleted, nobody knows any more how far it was stored.
-"""
 TICK_SECONDS = 1.0
 WALL = 1e6
 """This machine's clock at the beginning; the events are older."""
@@ -36,8 +33,10 @@ class RealDaemon:
         self.folder = folder
         self.bench: IntakeBench | None = None
         self.generation = 0
-        self.released: Counter[tuple[int, int]] = Counter()
-        self._deleted: list[tuple[str, int, int]] = []  # older events that are no longer kept
+        self.counted: Counter[int] = Counter()
+        """How often each event was learned, as far as the journal has not gone back since."""
+        self._learned = EventTime(LATENESS)
+        self._deleted: list[tuple[str, int, int]] = []  # events that are no longer kept
 
     @property
     def up(self) -> bool:
@@ -45,13 +44,18 @@ class RealDaemon:
 
     @property
     def journal(self) -> list[tuple[str, int, int]]:
-        """(boot, seq, uid) of each stored event."""
+        """(boot, seq, uid) of each event that was stored, in order."""
+        return self._deleted + self.kept
+
+    @property
+    def kept(self) -> list[tuple[str, int, int]]:
+        """Those that are in the journal."""
         bench = self.bench
         journal = bench.journal if bench is not None else Journal(self.folder)
         entries = [entry for _, entry in journal.entries() if entry is not None]
         if bench is None:
             journal.close()
-        return self._deleted + [
+        return [
             (str(one.boot), one.seq or 0, int(str(codec.event_from_bytes(one.raw).track)))
             for one in entries
             if one.kind == "event"
@@ -61,12 +65,16 @@ class RealDaemon:
     def numbers(self) -> dict[str, int]:
         if self.bench is None:
             return {}
-        return {boot: seq for (_, boot), seq in self.bench.journal.numbers()[0].items()}
+        return {boot: seq for (_, boot), seq in self.bench.journal.numbers().items()}
 
     def start(self) -> None:
         self.generation += 1
         now = self.world.now
         self.bench = IntakeBench(self.folder, wall=WALL + now, now=now, settled=False)
+        stored = {uid for _, _, uid in self.journal}
+        self.counted = Counter({uid: n for uid, n in self.counted.items() if uid in stored})
+        self._learned = EventTime(LATENESS)
+        self._learned.note(microseconds(max(stored, default=0)), CAMERA)
         self.world.at(self.world.now + self.world.chance.choice([0.3, 0.8]), self.world.appear)
         self._tick(self.generation)
 
@@ -92,13 +100,16 @@ class RealDaemon:
         self.stop(1.0)
 
     def lose_number(self, boot: str) -> None:
-        """Stop, and come back with a damaged number of a boot, and without the older entries."""
+        """Stop, and come back with a damaged number of a boot, and without older entries.
+
+        As in service, those that are deleted are too late to be learned.
+        """
         assert self.bench is not None
         database = self.bench.journal._db
-        half = len(self.bench.journal) // 2
-        before = self.journal
-        database.execute("DELETE FROM entry WHERE id <= ?", (half,))
-        self._deleted = before[: len(before) - len(self.journal) + len(self._deleted)]
+        newest = max((uid for _, _, uid in self.kept), default=0)
+        half = [one for one in self.kept[: len(self.kept) // 2] if one[2] < newest - LATENESS]
+        self._deleted += half
+        database.executemany("DELETE FROM entry WHERE boot = ? AND seq = ?", [x[:2] for x in half])
         database.execute("UPDATE stream SET seq = seq + 7 WHERE boot = ?", (boot,))
         self.stop(1.0)
 
@@ -135,8 +146,8 @@ class RealDaemon:
         if self.world.now >= self.world.until["slow"]:
             bench.work()
         for received in bench.learned:
-            if received.event is not None:
-                self.released[generation, int(str(received.event.track))] += 1
+            if (event := received.event) is not None:
+                self.counted[int(event.t)] += self._learned.note(microseconds(event.t), CAMERA)
         bench.learned.clear()
 
 
@@ -147,8 +158,6 @@ def history(seed: int, kinds: list[str] | None = None) -> tuple[list[str], World
         world = World(seed, folder, kinds)
         daemon = RealDaemon(world, folder / "state")
         world.daemon = daemon
-        if "lost number" in world.kinds:
-            world.kinds = [kind for kind in world.kinds if kind not in MARK_LOST]
         wrongs = world.run()
         daemon.stop(0.0)
         return wrongs, world

@@ -30,10 +30,10 @@ def give(one: Installation, command: Command, learn: bool = True) -> None:
     names = Names(read_names(one.journal.meta(NAMES_KEY)), lambda: 1.0)
     if isinstance(command, TakeBack):
         received = names.carry_out(Forget("x"), site)[0]
-        one.journal.commit([received.entry], meta={NAMES_KEY: received.names or ""})
+        one.journal.commit([received.entry], meta=received.meta)
     names.state = read_names(one.journal.meta(NAMES_KEY))
     received = names.carry_out(command, site)[0]
-    one.journal.commit([received.entry], meta={NAMES_KEY: received.names or ""})
+    one.journal.commit([received.entry], meta=received.meta)
     if learn:
         one.run()
 

@@ -14,7 +14,7 @@ import msgspec
 from camtopod import codec
 from camtopod.admin import Rewind
 from camtopod.config import Limits
-from camtopod.event_time import EventTime
+from camtopod.event_time import MICROSECONDS, EventTime, microseconds
 from camtopod.records import Event
 from camtopod.serve.ingest import (
     Cameras,
@@ -28,7 +28,7 @@ from camtopod.serve.ingest import (
     read_names,
 )
 from camtopod.serve.requests import Answer, Batch, Hello
-from camtopod.serve.storage import NAMES_KEY, Journal, JournalWriter, command_entry
+from camtopod.serve.storage import NAMES_KEY, Journal, JournalWriter
 
 START = 1_700_000_000.0
 """Unix seconds at which the clocks of a test begin."""
@@ -72,26 +72,23 @@ class IntakeBench:
     def start(self, settled: bool = True) -> None:
         """Start on what the journal has; ``settled``: the first seconds have passed already."""
         self.journal = Journal(self.directory)
-        newest = max(
-            (
-                codec.event_from_bytes(entry.raw).t
-                for _, entry in self.journal.entries()
-                if entry is not None and entry.kind == "event"
-            ),
-            default=-math.inf,
-        )
+        learned = EventTime(LATENESS)
+        for _, entry in self.journal.entries():
+            if entry is not None and entry.kind == "event":
+                learned.note(microseconds(codec.event_from_bytes(entry.raw).t), entry.camera)
+        newest = -math.inf if learned.newest_us is None else learned.newest_us / MICROSECONDS
         future = self.limits.future_seconds_max
         self.intake = Intake(
-            Numbers(*self.journal.numbers()),
+            Numbers(self.journal.numbers()),
             Cameras(self.limits.cameras_max),
             Names(read_names(self.journal.meta(NAMES_KEY)), lambda: self.wall),
             Merger(LATENESS, future, newest, self.now - merge.SETTLE_SECONDS * settled),
-            EventClock(EventTime(LATENESS), newest, future, 10.0, self.wall, self.now),
+            EventClock(learned, newest, future, 10.0, self.wall, self.now),
             JournalWriter(self.journal, lambda: self.wall),
             self.limits,
             see=lambda ready, seconds: self.predicted.extend(ready),
             learn=self.learned.extend,
-            rewound=self._rewound,
+            rewind=lambda to: Rewind(to, "before", "after"),
             clock=lambda: self.wall,
             steady=lambda: self.now,
         )
@@ -154,10 +151,6 @@ class IntakeBench:
         """The journal's entries as (kind, camera, seq)."""
         entries = [entry for _, entry in self.journal.entries() if entry is not None]
         return [(entry.kind, entry.camera, entry.seq) for entry in entries]
-
-    def _rewound(self, to: float) -> Received:
-        command = Rewind(to, "before", "after")
-        return Received(command_entry(command), command=command)
 
 
 _tracks = itertools.count()

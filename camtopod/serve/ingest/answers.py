@@ -54,7 +54,7 @@ class Answers:
     def greet(self, camera: CameraState, hello: Hello) -> bytes:
         """Return the answer to a hello: the highest stored number of each boot."""
         camera.hello = hello.number
-        return self.encode(self._numbers.hello(camera.name, hello.boots))
+        return self.encode({boot: self._numbers.stored(camera.name, boot) for boot in hello.boots})
 
     def refuse(self, camera: CameraState, batch: Batch, now: float) -> bytes | None:
         """Return the answer to a batch of which nothing can be taken; None if it can."""

@@ -26,7 +26,7 @@ def execute(
     """Execute a command; return its effect as a sentence, once it is stored. Any thread.
 
     topology: the newest version.
-    reset: begins the epoch of a reset, and returns the whole command.
+    reset: returns the whole command of a reset.
 
     Raises `CommandRefused` and `sqlite3.Error`.
     """

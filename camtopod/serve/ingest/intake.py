@@ -27,6 +27,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 
 from camtopod import codec
+from camtopod.admin import Rewind
 from camtopod.config import Limits
 from camtopod.serve.ingest import decode
 from camtopod.serve.ingest.answers import Answers
@@ -36,11 +37,11 @@ from camtopod.serve.ingest.inbox import PUBLISHED_MAX, Inbox, Reply
 from camtopod.serve.ingest.merge import Merger
 from camtopod.serve.ingest.names import Names
 from camtopod.serve.ingest.numbers import Numbers
-from camtopod.serve.ingest.received import Received
+from camtopod.serve.ingest.received import Received, command_received
 from camtopod.serve.ingest.store_queue import StoreQueue
 from camtopod.serve.requests import Hello
 from camtopod.serve.runtime import Beat, Clock, Rejects, no_beat
-from camtopod.serve.storage import NAMES_KEY, Entry, JournalWriter
+from camtopod.serve.storage import Entry, JournalWriter
 
 EVENTS_MAX = 50_000
 """Most events in memory, received and not yet stored; further requests are answered ``busy``."""
@@ -63,8 +64,7 @@ class Intake:
 
     see: predicts from entries about to be stored, within a number of seconds.
     learn: takes stored entries, in the journal's order. It must not block.
-    rewound: begins an epoch, as event time is taken back to the given Unix seconds; returns the
-        entry for it.
+    rewind: returns the command that takes event time back to the given Unix seconds.
     steady: a clock that never steps.
     """
 
@@ -79,7 +79,7 @@ class Intake:
         limits: Limits,
         see: Callable[[list[Received], float], None],
         learn: Callable[[list[Received]], None],
-        rewound: Callable[[float], Received],
+        rewind: Callable[[float], Rewind],
         clock: Clock,
         steady: Clock,
     ) -> None:
@@ -92,7 +92,7 @@ class Intake:
         self.limits = limits
         self._see = see
         self._learn = learn
-        self._rewound = rewound
+        self._rewind_to = rewind
         self._clock = clock
         self._steady = steady
         self.alive: set[str] = set()
@@ -163,11 +163,10 @@ class Intake:
         limits = self.limits
         ready = self.queue.take(COMMIT_EVENTS_MAX, seconds, limits.commit_seconds)
         entries = [received.entry for received in ready]
-        names = [received.names for received in ready if received.names is not None]
-        meta = {NAMES_KEY: names[-1]} if names else None
-        delivered = {entry.camera for entry in entries if entry.boot is not None}
-        surplus = [(name, boot) for name in delivered for boot in self.numbers.forget_surplus(name)]
-        new = self.writer.store(entries, stopping, beat, meta, surplus)
+        meta: dict[str, str] = {}
+        for received in ready:
+            meta |= received.meta
+        new = self.writer.store(entries, stopping, beat, meta)
         if new is None:
             return False
         if len(new) < len(entries):  # after a rescue, some may be there already
@@ -187,7 +186,7 @@ class Intake:
             if entry.boot is not None and entry.seq is not None:
                 self.numbers.note_stored(entry.camera, entry.boot, entry.seq)
         self.queue.done()
-        for name in delivered:
+        for name in {entry.camera for entry in entries if entry.boot is not None}:
             self._answers.note_stored(name)
         if self.merger.waiting:
             self.inbox.wake()  # what waited for these cameras may go on
@@ -275,7 +274,7 @@ class Intake:
         self.merger.rewind(self.cameras.all(), wall)
         if self.event_clock.newest > wall:
             self.event_clock.newest = wall
-            self.queue.put([self._rewound(wall)])
+            self.queue.put([command_received(self._rewind_to(wall), {})])
 
     def _count_stored(self, ready: Sequence[Received]) -> None:
         """Count what is stored: for the status, and for the answer to its request."""

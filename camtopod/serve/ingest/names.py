@@ -21,8 +21,8 @@ from msgspec.structs import replace
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, Rewind, TakeBack
 from camtopod.records import NamesStatus
-from camtopod.serve.ingest.received import Received
-from camtopod.serve.storage import Entry, command_entry
+from camtopod.serve.ingest.received import Received, command_received
+from camtopod.serve.storage import NAMES_KEY, Entry
 
 log = logging.getLogger(__name__)
 
@@ -183,8 +183,8 @@ class Names:
         cameras: those that have ever sent anything.
         """
         self.state, effect = carried_out(self.state, command, cameras, self._clock())
-        stored = codec.to_json(self.state).decode()
-        return Received(command_entry(command), command=command, names=stored), effect
+        meta = {NAMES_KEY: codec.to_json(self.state).decode()}
+        return command_received(command, meta), effect
 
     def apply(self, received: Received) -> list[Received]:
         """Return the entries to store for one: renamed or refused, if its camera is.

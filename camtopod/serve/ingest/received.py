@@ -6,9 +6,9 @@ import threading
 
 from msgspec import Struct
 
-from camtopod.admin import Command
+from camtopod.admin import Command, Reset, Rewind
 from camtopod.records import Event
-from camtopod.serve.storage import Entry
+from camtopod.serve.storage import Entry, command_entry
 
 
 class Received(Struct, frozen=True, gc=False):
@@ -17,7 +17,7 @@ class Received(Struct, frozen=True, gc=False):
     event: the event to be learned; None if it is only stored.
     advance: event time that advances without an event, Unix seconds.
     command: a command.
-    names: with a command, the state of all names after it, as it is stored (`Names`).
+    meta: what is stored under other keys in the same transaction (`Journal.set_meta`).
     stored: set when the entry is stored, if somebody waits for that.
     """
 
@@ -25,5 +25,12 @@ class Received(Struct, frozen=True, gc=False):
     event: Event | None = None
     advance: float | None = None
     command: Command | None = None
-    names: str | None = None
+    meta: dict[str, str] = {}
     stored: threading.Event | None = None
+
+
+def command_received(command: Command, meta: dict[str, str]) -> Received:
+    """Return the entry of a command, with the epoch that it begins, if it does."""
+    if isinstance(command, Reset | Rewind):
+        meta = meta | {"epoch": command.epoch}
+    return Received(command_entry(command), command=command, meta=meta)

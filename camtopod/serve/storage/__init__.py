@@ -14,10 +14,12 @@ from camtopod.serve.storage.commands import (
     read_command as read_command,
 )
 from camtopod.serve.storage.journal import (
+    STREAMS_KEPT_MAX as STREAMS_KEPT_MAX,
     Entry as Entry,
     Journal as Journal,
     Snapshot as Snapshot,
     StoredVersion as StoredVersion,
+    Stream as Stream,
 )
 from camtopod.serve.storage.journal_schema import NAMES_KEY as NAMES_KEY
 from camtopod.serve.storage.journal_writer import (

@@ -219,7 +219,6 @@ class Journal:
         now: float = 0.0,
         meta: Mapping[str, str] | None = None,
         numbers: Mapping[Stream, int] | None = None,
-        forgotten: Sequence[Stream] = (),
     ) -> None:
         """Store everything in one transaction, or nothing.
 
@@ -227,7 +226,6 @@ class Journal:
         now (Unix seconds): when they are stored.
         meta: values to store under their keys, as `set_meta` does.
         numbers: the highest number of streams that count as stored further than these entries say.
-        forgotten: streams whose number is deleted.
 
         Raises `sqlite3.Error`; then the same call may be repeated, after an
         `sqlite3.IntegrityError` with the `new_entries`. A commit can fail although its rows are
@@ -236,7 +234,7 @@ class Journal:
         """
         with self._mutex, sqlite_file.damage_noticed(self._path):
             self._db.check()
-            if not (entries or versions or snapshot or meta or numbers or forgotten):
+            if not (entries or versions or snapshot or meta or numbers):
                 return
 
             # Write, unless an earlier attempt did.
@@ -249,9 +247,6 @@ class Journal:
                         "INSERT OR REPLACE INTO stream",
                         [(*one, seq, self._last + len(entries)) for one, seq in highest.items()],
                     )
-                    self._db.executemany(
-                        "DELETE FROM stream WHERE camera = ? AND boot = ?", forgotten
-                    )
                     for version in versions:
                         self._add_version(version, int(now))
                     if snapshot is not None:
@@ -261,11 +256,12 @@ class Journal:
                     self._db.check()  # again, as a transaction can take long
             self._sure = True
             self._last += len(entries)
-            self._without_holes.difference_update(forgotten)
 
             # Record how far the journal has come.
             known = self._witness.known
             newest = journal_schema.last_version(self._db) if versions else known.versions
+            if meta:  # an epoch may have begun
+                known = journal_schema.how_far(self._db)
             self._witness.note(known._replace(entries=self._last, versions=newest))
 
     def prune(self, now: float) -> bool:
@@ -353,14 +349,13 @@ class Journal:
             )
             return True
 
-    def numbers(self) -> tuple[dict[Stream, int], set[Stream]]:
+    def numbers(self) -> dict[Stream, int]:
         """Return the highest stored number of each stream, in the order of their last entries.
 
-        A damaged number is that of the newest undamaged entry. The second value has the streams
-        without one: the publisher tells how far it has come.
+        A damaged number is that of the newest undamaged entry. A stream without one is left out:
+        its entries were deleted long ago, so they are too late to be learned if they come again.
         """
         numbers: dict[Stream, int] = {}
-        unknown: set[Stream] = set()
         with self._mutex, sqlite_file.damage_noticed(self._path):
             for *row, checksum in self._db.execute(
                 "SELECT camera, boot, seq, entry, crc FROM stream ORDER BY entry"
@@ -374,11 +369,9 @@ class Journal:
                     )
                     seq = next((one[5] for one in entries if crc(*one[:-1]) == one[-1]), None)
                     log.error("a number of camera %s in the journal is damaged", row[0])
-                if seq is None:
-                    unknown.add(stream)
-                else:
+                if seq is not None:
                     numbers[stream] = seq
-        return numbers, unknown
+        return numbers
 
     def versions(self, epoch: str) -> dict[int, str]:
         """Return version -> digest for the versions of an epoch, which may have been published."""

@@ -22,7 +22,6 @@ from camtopod.serve.storage.journal import (
     Journal,
     Snapshot,
     StoredVersion,
-    Stream,
     highest_numbers,
 )
 
@@ -81,11 +80,10 @@ class JournalWriter:
         stopping: threading.Event,
         beat: Beat = no_beat,
         meta: Mapping[str, str] | None = None,
-        forgotten: Sequence[Stream] = (),
     ) -> Sequence[Entry] | None:
         """Commit ``entries``, versions and snapshots of the learner, with retries; then publish.
 
-        meta, forgotten: see `Journal.commit`.
+        meta: see `Journal.commit`.
 
         Returns the entries that were not in the journal before, which are nearly always all; None
         only if the daemon stops before it succeeds: then nothing may be stored after ``entries``.
@@ -103,9 +101,7 @@ class JournalWriter:
                     if new is None:
                         new = self._journal.new_entries(entries)
                         numbers = highest_numbers(entries) if len(new) < len(entries) else {}
-                    self._journal.commit(
-                        new, versions, snapshot, self._clock(), meta, numbers, forgotten
-                    )
+                    self._journal.commit(new, versions, snapshot, self._clock(), meta, numbers)
                 break
             except sqlite3.Error as error:
                 if not self._failure:

@@ -10,7 +10,7 @@ from intake_bench import IntakeBench, Request, event_bytes
 
 from camtopod import codec
 from camtopod.config import Limits
-from camtopod.serve.ingest import cameras, intake as intake_module, numbers as numbers_module
+from camtopod.serve.ingest import cameras, intake as intake_module, numbers
 from camtopod.serve.requests import BATCH_EVENTS_MAX, Batch, Hello
 
 
@@ -43,21 +43,16 @@ def test_what_was_taken_is_skipped_and_counts_once(bench: IntakeBench) -> None:
     assert bench.intake.counts["duplicate"] == 2
 
 
-def test_a_hole_in_the_spool_is_counted_as_lost(bench: IntakeBench) -> None:
+def test_what_is_missing_between_events_is_counted_as_lost(bench: IntakeBench) -> None:
     bench.hello(boots=["b1"])
-    bench.send(times={1: -3})
+    bench.send(times={1041: -4, 1043: -3})
+    assert bench.intake.numbers.lost == 1
 
-    answer = bench.send(after=1, times={4: -2, 7: -1}).answer
+    answer = bench.send(after=1043, times={1046: -2, 1049: -1}).answer
 
     assert answer is not None
-    assert answer.have == {"b1": 7}
-    assert bench.intake.numbers.lost == 4
-
-
-def test_events_before_the_first_of_a_boot_are_not_lost(bench: IntakeBench) -> None:
-    bench.hello(boots=["b1"])
-    bench.send(times={1041: -1})
-    assert bench.intake.numbers.lost == 0
+    assert answer.have == {"b1": 1049}
+    assert bench.intake.numbers.lost == 5
 
 
 def test_a_batch_behind_events_that_were_never_taken_is_told_where_to_begin(
@@ -239,6 +234,7 @@ def test_a_clock_that_is_set_back_while_the_daemon_runs_takes_event_time_back(
     assert answer is not None
     assert answer.have == {"b1": 2}
     assert [kind for kind, _, _ in bench.stored] == ["event", "correction", "event"]
+    assert bench.journal.meta("epoch") == "after", "in one transaction with its entry"
 
 
 def test_events_that_wait_when_the_clock_is_set_back_are_not_learned(bench: IntakeBench) -> None:
@@ -394,30 +390,23 @@ def test_a_damaged_number_is_that_of_the_newest_entry(bench: IntakeBench) -> Non
     assert bench.hello(boots=["b1"]).have == {"b1": 2}
 
 
-def test_a_boot_without_number_and_entries_is_left_to_the_spool(bench: IntakeBench) -> None:
+def test_a_boot_without_number_and_entries_comes_again_too_late_to_be_learned(
+    bench: IntakeBench,
+) -> None:
     bench.hello()
-    bench.send(times={1: -2.0, 2: -1.0})
-    bench.journal._db.execute("UPDATE stream SET seq = 9")
-    bench.journal._db.execute("DELETE FROM entry")
+    bench.send(times={1: -20.0, 2: -19.0})
+    bench.send(boot="b2", times={1: -1.0})
+    bench.tick(5.1)
+    bench.journal._db.execute("UPDATE stream SET seq = 9 WHERE boot = 'b1'")
+    bench.journal._db.execute("DELETE FROM entry WHERE boot = 'b1'")
     bench.restart()
 
-    assert bench.hello(boots=["b1"]).have == {}
-    answer = bench.send(after=2, times={3: -1.0}).answer
-    assert answer is not None
-    assert answer.have == {"b1": 3}
+    assert bench.hello(boots=["b1", "b2"]).have == {"b1": 0, "b2": 1}
+    again = bench.send(times={1: -25.0, 2: -24.0, 3: -1.0})
+    bench.tick(5.1)
 
-
-def test_the_oldest_boots_that_the_spool_does_not_hold_are_forgotten(
-    bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(numbers_module, "BOOTS_MAX", 3)
-    for number in range(6):
-        bench.hello(boots=["boot-0", f"boot-{number}"])
-        bench.send(boot=f"boot-{number}", times={1: -1.0})
-
-    numbers, _ = bench.journal.numbers()
-
-    assert [boot for _, boot in numbers] == ["boot-0", "boot-3", "boot-4", "boot-5"]
+    assert again.answer is not None
+    assert (again.answer.have, again.answer.late) == ({"b1": 3}, 2)
 
 
 def test_a_thousand_cameras_come_back_at_once(bench: IntakeBench) -> None:
@@ -475,7 +464,7 @@ def test_a_hello_is_answered_again(bench: IntakeBench) -> None:
 def test_events_of_a_forgotten_boot_that_come_again_count_once(
     bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(numbers_module, "BOOTS_MAX", 3)
+    monkeypatch.setattr(numbers, "STREAMS_KEPT_MAX", 3)
     for number in range(6):
         bench.hello(boots=[f"boot-{number}"])
         bench.send(boot=f"boot-{number}", times={1: -1.0})
