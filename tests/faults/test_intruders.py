@@ -14,26 +14,34 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
+from grabber import publisher_on
 from puppets import HQ, Puppet, client
-from real_daemon import OPEN, RealDaemon
-from serving import T0, WAIT_SECONDS, closing_event, small_config, wait_for, walkers
+from real_daemon import OPEN, RealDaemon, status_over
+from serving import (
+    T0,
+    WAIT_SECONDS,
+    closing_event,
+    free_endpoint,
+    small_config,
+    wait_for,
+    walkers,
+)
 from site_keys import Keys
 
+from bench.support.site import resident
 from camtopod.cli import exits
 from camtopod.cli.main import main
 from camtopod.config.settings import BusSettings, Config, SiteSettings
 from camtopod.keys import rules
-from camtopod.serve.bus.session import BusError, dial, open_daemon_session
+from camtopod.serve.bus.session import Bus, BusError, dial, open_daemon_session
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.outbox.publisher import Publisher
-from camtopod.serve.outbox.spool import Spool
 
 BIG_BYTES = 2 * 1024 * 1024
 GROWTH_BYTES_MAX = 24 * 1024 * 1024
@@ -76,21 +84,18 @@ def observer(observers: Puppet) -> Puppet:
 @pytest.fixture(scope="module")
 def unguarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RealDaemon]:
     """Run a daemon without authentication, for this machine only."""
-    daemon = RealDaemon(tmp_path_factory.mktemp("u") / "d", f'[site]\nname = "hq"\n{OPEN}')
+    daemon = RealDaemon(tmp_path_factory.mktemp("unguarded"), OPEN)
     yield daemon
     daemon.stop()
 
 
+MakePuppet = Callable[[], Puppet]
+
+
 @pytest.fixture
-def cleanup() -> Iterator[contextlib.ExitStack]:
+def make_puppet() -> Iterator[MakePuppet]:
     with contextlib.ExitStack() as stack:
-        yield stack
-
-
-def puppet(cleanup: contextlib.ExitStack) -> Puppet:
-    one = Puppet()
-    cleanup.callback(one.close)
-    return one
+        yield lambda: stack.enter_context(contextlib.closing(Puppet()))
 
 
 # --- a stolen box ---------------------------------------------------------------------------------
@@ -180,18 +185,18 @@ def reaches(one: Puppet, other: Puppet, key: str) -> bool:
 
 @pytest.mark.parametrize("mode", ["client", "peer"])
 def test_a_stolen_box_can_deliver_its_own_events_and_nothing_else(
-    mode: str, keys: Keys, guarded: str, observer: Puppet, cleanup: contextlib.ExitStack
+    mode: str, keys: Keys, guarded: str, observer: Puppet, make_puppet: MakePuppet
 ) -> None:
-    thief = puppet(cleanup)
+    thief = make_puppet()
     assert thief.open(**client(guarded, mode), **keys.tls("camera/cam1"))
 
     assert attack(thief, observer) == OWN
 
 
 def test_a_stolen_box_that_poses_as_a_router_gains_and_breaks_nothing(
-    keys: Keys, guarded: str, observer: Puppet, cleanup: contextlib.ExitStack
+    keys: Keys, guarded: str, observer: Puppet, make_puppet: MakePuppet
 ) -> None:
-    thief, other = puppet(cleanup), puppet(cleanup)
+    thief, other = make_puppet(), make_puppet()
     observer.do("subscribe", key=f"{HQ}/**")
     observer.do("watch", key=f"{HQ}/alive/grabber/*")
     assert thief.open(**client(guarded, "router"), **keys.tls("camera/cam1"))
@@ -218,13 +223,25 @@ def test_a_stolen_box_that_poses_as_a_router_gains_and_breaks_nothing(
 
 
 def test_the_file_for_a_router_of_its_own_enforces_the_same(
-    keys: Keys, cleanup: contextlib.ExitStack
+    keys: Keys, make_puppet: MakePuppet
 ) -> None:
-    with open_daemon_session(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)))) as bus:
-        endpoint = bus.endpoint.replace("tcp/", "tls/")  # free again in a moment
+    endpoint = free_endpoint().replace("tcp/", "tls/")
     folder = keys.folder / "daemon"
     access = rules.read_access((folder / "access.json").read_bytes())
     (folder / "router.json5").write_text(rules.router_json5(access, [endpoint], 1 << 24))
+    thief, observer = make_puppet(), make_puppet()
+
+    with router_of(folder):
+        assert thief.open(**client(endpoint), **keys.tls("camera/cam1"))
+        assert observer.open(**client(endpoint), **keys.tls("daemon"))
+        effects = attack(thief, observer)
+
+    assert effects == OWN - {"asked store/cam1"}, "there is no daemon"
+
+
+@contextlib.contextmanager
+def router_of(folder: Path) -> Iterator[None]:
+    """Run zenoh on the router.json5 of a folder, in a process of its own."""
     start = "import sys, zenoh; s = zenoh.open(zenoh.Config.from_file('router.json5'));"
     router = subprocess.Popen(
         [sys.executable, "-c", f"{start} print(1, flush=True); sys.stdin.read(); s.close()"],
@@ -232,26 +249,24 @@ def test_the_file_for_a_router_of_its_own_enforces_the_same(
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     )
-    cleanup.callback(router.communicate, timeout=WAIT_SECONDS)
     assert router.stdout is not None
     assert router.stdout.readline() == b"1\n"
-    thief, observer = puppet(cleanup), puppet(cleanup)
-    assert thief.open(**client(endpoint), **keys.tls("camera/cam1"))
-    assert observer.open(**client(endpoint), **keys.tls("daemon"))
-
-    assert attack(thief, observer) == OWN - {"asked store/cam1"}, "there is no daemon"
+    try:
+        yield
+    finally:
+        router.communicate(timeout=WAIT_SECONDS)
 
 
 def test_the_same_box_allowed_everything_does_all_of_it(
-    keys: Keys, tmp_path: Path, cleanup: contextlib.ExitStack
+    keys: Keys, tmp_path: Path, make_puppet: MakePuppet
 ) -> None:
     access = keys.allow(tmp_path / "access.json", everything="cam1")
-    daemon = cleanup.enter_context(Daemon(guarded_config(keys, tmp_path / "state", access)))
-    thief, observer = puppet(cleanup), puppet(cleanup)
-    assert thief.open(**client(daemon.endpoint), **keys.tls("camera/cam1"))
-    assert observer.open(**client(daemon.endpoint), **keys.tls("daemon"))
+    thief, observer = make_puppet(), make_puppet()
 
-    effects = attack(thief, observer, everything=True)
+    with Daemon(guarded_config(keys, tmp_path / "state", access)) as daemon:
+        assert thief.open(**client(daemon.endpoint), **keys.tls("camera/cam1"))
+        assert observer.open(**client(daemon.endpoint), **keys.tls("daemon"))
+        effects = attack(thief, observer, everything=True)
 
     done = {f"{what.replace('appear', 'put')} {HQ}/{key}" for what, key in STOLEN if "*" not in key}
     heard = {f"thief heard put {HQ}/{key}" for key in (*HEARD, "alive/grabber/cam3")}
@@ -261,9 +276,9 @@ def test_the_same_box_allowed_everything_does_all_of_it(
 
 
 def test_a_reader_reads_and_nothing_else(
-    keys: Keys, guarded: str, observer: Puppet, cleanup: contextlib.ExitStack
+    keys: Keys, guarded: str, observer: Puppet, make_puppet: MakePuppet
 ) -> None:
-    reader = puppet(cleanup)
+    reader = make_puppet()
     assert reader.open(**client(guarded), **keys.tls("reader/wall"))
     observer.do("subscribe", key=f"{HQ}/**")
     for key in ("topology", "topology/delta", "prediction/*", "status/*", "event/*", "**"):
@@ -297,10 +312,10 @@ def test_a_box_whose_certificate_was_withdrawn_has_no_rights(
     keys: Keys,
     guarded: str,
     observer: Puppet,
-    cleanup: contextlib.ExitStack,
+    make_puppet: MakePuppet,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    thief = puppet(cleanup)
+    thief = make_puppet()
     assert thief.open(**client(guarded), **keys.tls("camera/gone")), "it is the authority's"
     observer.do("subscribe", key=f"{HQ}/event/*")
     thief.do("put", key=f"{HQ}/event/gone")
@@ -314,26 +329,20 @@ def test_a_box_whose_certificate_was_withdrawn_has_no_rights(
 # --- at the door ----------------------------------------------------------------------------------
 
 
-def test_who_is_not_let_in(keys: Keys, guarded: str, cleanup: contextlib.ExitStack) -> None:
-    intruder = puppet(cleanup)
+def test_who_is_not_let_in(keys: Keys, guarded: str, make_puppet: MakePuppet) -> None:
+    intruder = make_puppet()
     good = client(guarded) | keys.tls("camera/cam1")
     own = "transport/link/tls/connect_"
-    nothing = {
-        f"{own}certificate": None,
-        f"{own}private_key": None,
-        "transport/link/tls/enable_mtls": False,
-    }
-    plain = {
-        "connect/endpoints": [guarded.replace("tls/", "tcp/")],
-        "transport/link/protocols": ["tcp"],
-    }
+    nothing = {own + "certificate": None, own + "private_key": None}
+    plain = {"connect/endpoints": [guarded.replace("tls/", "tcp/")]}
     for reason, wrong in (
-        ("no certificate", nothing),
+        ("no certificate", nothing | {"transport/link/tls/enable_mtls": False}),
         ("another authority's", _own(keys.tls("other/camera/cam1"))),
         ("expired", _own(keys.tls("old/camera/cam1"))),
-        ("not TLS", plain),
+        ("not TLS", plain | {"transport/link/protocols": ["tcp"]}),
     ):
         assert not intruder.open(**good | wrong), reason
+
     assert intruder.open(**good), "the control: the same with a good certificate"
 
 
@@ -359,46 +368,30 @@ def test_a_stolen_box_cannot_pass_for_the_daemon(keys: Keys) -> None:
 # --- too large ------------------------------------------------------------------------------------
 
 
-def memory(pid: int) -> int:
-    """Return the resident bytes."""
-    found = re.search(r"VmRSS:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
-    assert found is not None
-    return 1024 * int(found.group(1))
-
-
-def status(observer: Puppet) -> dict[str, Any]:
-    """Return the daemon's status, asking again if the answer is late."""
-    answers: list[str] = []
-
-    def is_answered() -> bool:
-        answers[:] = observer.do("ask", key=f"{HQ}/status/daemon?format=application/json")
-        return any("{" in answer for answer in answers)
-
-    wait_for(is_answered, "the daemon's status")
-    found: dict[str, Any] = json.loads(next(answer for answer in answers if "{" in answer))
-    return found
-
-
 def test_what_is_too_large_neither_arrives_nor_takes_memory(
-    unguarded: RealDaemon, cleanup: contextlib.ExitStack
+    unguarded: RealDaemon, make_puppet: MakePuppet
 ) -> None:
-    flooder, observer = puppet(cleanup), puppet(cleanup)
+    flooder, observer = make_puppet(), make_puppet()
     assert flooder.open(**client(unguarded.endpoint))
     assert observer.open(**client(unguarded.endpoint))
-    event = f"{HQ}/event/cam1"
     good = '{"camera":"cam1","kind":"entry","t":1}'
-    flooder.do("put", key=event, payload=good)
-    wait_for(lambda: status(observer)["events"]["received"] == 1, "the daemon to receive")
-    before = memory(unguarded.process.pid)
+    event = "camtopo/site/event/cam1"
+    with unguarded.dial() as bus:
 
-    for size, count in ((BIG_BYTES, 20), (rules.EVENT_BYTES_MAX + 1, 100)):
-        flooder.do("put", key=event, repeat=size, count=count)
-    flooder.do("put", key=event, payload=good)
-    wait_for(lambda: status(observer)["events"]["received"] == 2, "the one that fits")
-    assert status(observer)["rejects"] == {}
-    assert memory(unguarded.process.pid) - before < GROWTH_BYTES_MAX
-    flooder.do("put", key=event, repeat=rules.EVENT_BYTES_MAX)
-    wait_for(lambda: status(observer)["rejects"] == {"too-long": 1}, "what the bus lets pass")
+        def await_received(count: int) -> None:
+            flooder.do("put", key=event, payload=good)
+            wait_for(lambda: status_over(bus)["events"]["received"] == count, "the one that fits")
+
+        await_received(1)
+        before = resident(unguarded.process.pid)
+        for size, count in ((BIG_BYTES, 20), (rules.EVENT_BYTES_MAX + 1, 100)):
+            flooder.do("put", key=event, repeat=size, count=count)
+        await_received(2)
+        assert status_over(bus)["rejects"] == {}
+        assert resident(unguarded.process.pid) - before < GROWTH_BYTES_MAX
+        flooder.do("put", key=event, repeat=rules.EVENT_BYTES_MAX)
+        too_long = {"too-long": 1}
+        wait_for(lambda: status_over(bus)["rejects"] == too_long, "what the bus lets pass")
 
     # The filter limits events; a message of any kind is limited where the daemon reassembles it.
     observer.do("subscribe", key=f"{HQ}/any/*")
@@ -409,15 +402,16 @@ def test_what_is_too_large_neither_arrives_nor_takes_memory(
     assert f"put {HQ}/any/large" not in observer.do("heard")
 
 
-def test_without_limits_the_same_arrives(cleanup: contextlib.ExitStack) -> None:
-    with open_daemon_session(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)))) as bus:
-        endpoint = bus.endpoint  # free again in a moment
-    unlimited, flooder = puppet(cleanup), puppet(cleanup)
+def test_without_limits_the_same_arrives(make_puppet: MakePuppet) -> None:
+    unlimited, flooder = make_puppet(), make_puppet()
+    endpoint = free_endpoint()
     listen = {"listen/endpoints": [endpoint], "connect/endpoints": []}
     assert unlimited.open(**rules.session_settings("router"), **listen)
     unlimited.do("subscribe", key="**")
     assert flooder.open(**client(endpoint))
+
     flooder.do("put", key=f"{HQ}/event/cam1", repeat=BIG_BYTES)
+
     unlimited.hears(f"put {HQ}/event/cam1")
 
 
@@ -441,11 +435,11 @@ def listening(pid: int) -> set[str]:
 
 
 def test_what_listens_is_said(
-    unguarded: RealDaemon, cleanup: contextlib.ExitStack, caplog: pytest.LogCaptureFixture
+    unguarded: RealDaemon, make_puppet: MakePuppet, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert listening(unguarded.process.pid) == {"tcp 0100007F"}
     assert "warning: no authentication: every program of this machine" in "".join(unguarded.said)
-    grabber = puppet(cleanup)
+    grabber = make_puppet()
     assert grabber.open(**client(unguarded.endpoint))
     assert listening(grabber.pid) == set()
 
@@ -458,75 +452,73 @@ def test_what_listens_is_said(
 # --- and those who belong there -------------------------------------------------------------------
 
 
-def test_an_authenticated_site_works_as_one_without(
-    keys: Keys, tmp_path: Path, cleanup: contextlib.ExitStack
-) -> None:
+def test_an_authenticated_site_works_as_one_without(keys: Keys, tmp_path: Path) -> None:
     cameras = ("a", "b", "c", "late")
     for camera in cameras:
         keys.authority.issue("camera", camera, 100)
     keys.allow(keys.folder / "daemon" / "access.json")
     config = guarded_config(keys, tmp_path / "state")
-    publishers = {}
-    for camera in cameras:
-        spool = Spool(tmp_path / f"{camera}.db", f"boot-{camera}", 100_000)
-        cleanup.callback(spool.close)
-        publishers[camera] = Publisher(spool)
     events = walkers(120)
-    for event in events[:100]:
-        publishers[event.camera].publish(event)  # before there is a bus
+    with contextlib.ExitStack() as stack:
+        daemon = stack.enter_context(Daemon(config))
 
-    def joined(own: str) -> Any:
-        bus = keys.bus(own, daemon.endpoint)
-        return cleanup.enter_context(dial(msgspec.structs.replace(config, bus=bus)))
+        def joined(own: str) -> Bus:
+            bus = keys.bus(own, daemon.endpoint)
+            return stack.enter_context(dial(msgspec.structs.replace(config, bus=bus)))
 
-    daemon = cleanup.enter_context(Daemon(config))
-    for camera, publisher in publishers.items():
-        publisher.attach(joined(f"camera/{camera}"), [camera])
-        cleanup.callback(publisher.close)
-    for event in events[100:]:
-        publishers[event.camera].publish(event)
-    reader = joined("reader/wall")
-    for camera, publisher in publishers.items():
-        assert publisher.wait_stored(WAIT_SECONDS), f"{camera} is not stored"
-    publishers["late"].publish(closing_event())  # not before: who comes behind it is late
-    assert publishers["late"].wait_stored(WAIT_SECONDS)
+        publishers = {
+            camera: stack.enter_context(
+                publisher_on(joined(f"camera/{camera}"), tmp_path / camera, [camera])
+            )
+            for camera in cameras
+        }
+        reader = joined("reader/wall")
+        for event in events:
+            publishers[event.camera].publish(event)
+        for camera, publisher in publishers.items():
+            assert publisher.wait_stored(WAIT_SECONDS), f"{camera} is not stored"
+        publishers["late"].publish(closing_event())  # not before: who comes behind it is late
+        assert publishers["late"].wait_stored(WAIT_SECONDS)
 
-    subscriber = TopologySubscriber(reader)
-    wait_for(lambda: subscriber.update() is not None, "the topology")
-    assert daemon.status().events["stored"] == len(events) + 1
-    exit_at = {"x": 0.9, "y": 0.5}
-    wait_for(lambda: bool(reader.query("predict/a", exit_at)), "a prediction")
-    wait_for(lambda: "status/daemon" in dict(reader.query("status/*")), "the status")
+        subscriber = TopologySubscriber(reader)
+        wait_for(lambda: subscriber.update() is not None, "the topology")
+        assert daemon.status().events["stored"] == len(events) + 1
+        exit_at = {"x": 0.9, "y": 0.5}
+        wait_for(lambda: bool(reader.query("predict/a", exit_at)), "a prediction")
+        wait_for(lambda: "status/daemon" in dict(reader.query("status/*")), "the status")
 
 
 def test_one_certificate_for_the_cameras_of_another_program(
     keys: Keys,
     tmp_path: Path,
-    cleanup: contextlib.ExitStack,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     keys.authority.issue("camera", "nvr", 100, cameras=["door", "yard"])
     keys.allow(keys.folder / "daemon" / "access.json")
-    daemon = cleanup.enter_context(Daemon(guarded_config(keys, tmp_path / "state")))
-    config = tmp_path / "nvr.toml"
-    tls = msgspec.structs.asdict(keys.bus("camera/nvr").tls)
-    config.write_text(
-        f'[site]\nname = "hq"\n[bus]\nconnect = ["{daemon.endpoint}"]\n[bus.tls]\n'
-        + "".join(f'{key} = "{path}"\n' for key, path in tls.items())
-    )
-
-    def ingest(*cameras: str) -> int:
-        times = [T0 + n for n in range(50)]
-        lines = [{"camera": camera, "kind": "entry", "t": t} for t in times for camera in cameras]
-        path = tmp_path / "events.jsonl"
-        path.write_text("".join(json.dumps(line) + "\n" for line in lines))
-        state = str(tmp_path / cameras[0])
-        return main(["--config", str(config), "ingest", "jsonl", str(path), "--state", state])
-
-    assert ingest("door", "yard") == exits.DONE
-    assert daemon.status().events["stored"] == 100
     monkeypatch.setattr("camtopod.serve.outbox.delivery.RETRY_SECONDS", 0.1)
-    assert ingest("hall") == exits.BUS
-    assert "camera hall: the daemon is there and does not answer" in capfd.readouterr().err
-    assert daemon.status().events["stored"] == 100
+    with Daemon(guarded_config(keys, tmp_path / "state")) as daemon:
+
+        def ingest(*cameras: str) -> int:
+            lines = [
+                json.dumps({"camera": camera, "kind": "entry", "t": T0 + n})
+                for n in range(50)
+                for camera in cameras
+            ]
+            path = tmp_path / "events.jsonl"
+            path.write_text("\n".join(lines))
+            state = str(tmp_path / cameras[0])
+            return main(["--config", str(config), "ingest", "jsonl", str(path), "--state", state])
+
+        config = tmp_path / "nvr.toml"
+        tls = msgspec.structs.asdict(keys.bus("camera/nvr").tls)
+        config.write_text(
+            f'[site]\nname = "hq"\n[bus]\nconnect = ["{daemon.endpoint}"]\n[bus.tls]\n'
+            + "".join(f'{key} = "{path}"\n' for key, path in tls.items())
+        )
+
+        assert ingest("door", "yard") == exits.DONE
+        assert daemon.status().events["stored"] == 100
+        assert ingest("hall") == exits.BUS
+        assert "camera hall: the daemon is there and does not answer" in capfd.readouterr().err
+        assert daemon.status().events["stored"] == 100
