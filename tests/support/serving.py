@@ -29,12 +29,17 @@ WAIT_SECONDS = 30.0
 """Default timeout of waits, seconds."""
 
 
-def wait_for(condition: Callable[[], bool], what: str, seconds: float = WAIT_SECONDS) -> None:
+def wait_for(
+    condition: Callable[[], bool],
+    what: str,
+    seconds: float = WAIT_SECONDS,
+    interval: float = 0.02,
+) -> None:
     """Wait until ``condition()`` holds; on timeout fail with ``what`` was waited for."""
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f"waited {seconds} s for {what}"
-        time.sleep(0.02)
+        time.sleep(interval)
 
 
 def all_out(daemon: Daemon, events: int) -> bool:
