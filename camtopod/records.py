@@ -580,16 +580,15 @@ class JournalStatus(Struct, frozen=True):
     entries: number of entries that there have ever been.
     missing: entries known to have been lost when it was opened.
     damaged: damaged entries that were not learned.
-    bytes: size of the used part; None if it cannot be read, for ``reason``.
+    bytes: size of the file.
     damaged_files: files set aside for damage.
     """
 
     entries: int = 0
     missing: int = 0
     damaged: int = 0
-    bytes: int | None = None
+    bytes: int = 0
     damaged_files: list[str] = []
-    reason: str = ""
 
 
 class DaemonStatus(Status, frozen=True):

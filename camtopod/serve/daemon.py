@@ -172,7 +172,7 @@ class Daemon:
                 if cancelled.is_set():
                     return False
                 self._build(self._bus, recovered, process)
-                self._rivals = OtherDaemons(self._bus, self._name())
+                self._rivals = OtherDaemons(self._bus, clocks.ulid(self._clock()))
                 self._rivals.require_none(config.bus.connect_seconds, cancelled)
                 self._join_bus(self._bus)
             except sqlite3.Error as error:
@@ -409,14 +409,6 @@ class Daemon:
         bus.watch_alive("grabber", self._on_alive)
         bus.answer_requests("store/*", self._intake.inbox.on_request)
         self._rivals.appear()
-
-    def _name(self) -> str:
-        """Return the name by which other daemons know this one; it is kept with the state."""
-        name = self._journal.meta("name")
-        if name is None:
-            name = clocks.ulid(self._clock())
-            self._journal.set_meta("name", name)
-        return name
 
     def _on_alive(self, camera: str, alive: bool) -> None:
         """Take note that a grabber has appeared or vanished."""

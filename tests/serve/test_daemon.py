@@ -380,10 +380,10 @@ def test_a_disk_that_is_full_stops_the_answers_and_nothing_else(
     full = True
     commit = daemon._journal.commit
 
-    def failing(*given: Any) -> None:
+    def failing(*given: Any) -> Any:
         if full and given[0]:
             raise sqlite3.OperationalError("database or disk is full")
-        commit(*given)
+        return commit(*given)
 
     monkeypatch.setattr(daemon._journal, "commit", failing)
     publisher.publish(*(Event("lobby", "entry", T0 + n) for n in range(20)))

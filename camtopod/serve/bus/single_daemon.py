@@ -3,8 +3,6 @@
 Two daemons would both acknowledge, and each would have half of the events. So a daemon that starts
 beside another one refuses to. If neither could see the other (in a network partition that has
 healed), both go on and log errors until one is stopped: nothing that was acknowledged is given up.
-A daemon's name stays with its state directory, so it does not mistake its own traces from before a
-crash for another daemon.
 """
 
 from __future__ import annotations

@@ -22,13 +22,12 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from camtopod.config import KeepSettings
 from camtopod.records import JournalStatus
 from camtopod.serve.storage import journal_schema, sqlite_file
 from camtopod.serve.storage.journal_schema import FORMAT, SCHEMA, last_entry, rescue
-from camtopod.serve.storage.sqlite_file import Displaced, crc
+from camtopod.serve.storage.sqlite_file import crc
 from camtopod.serve.storage.witness import Witness
 
 log = logging.getLogger(__name__)
@@ -45,8 +44,8 @@ CHUNK_ENTRIES = 1_000
 """Entries read at a time; a long read would keep SQLite from checkpointing the log."""
 VERSIONS_TRIED_MAX = 10
 """Newest versions of which the first undamaged one is used at a start."""
-_ROWS_AT_ONCE = (1_000, 100, 10, 1)
-"""Rows inserted by one statement, the largest number that fits.
+_ROWS_AT_ONCE = 1_000
+"""Most rows inserted by one statement.
 
 After each statement other threads can run, and it may take long until this one continues, so there
 should be few statements.
@@ -109,10 +108,6 @@ class Journal:
         self._lock = sqlite_file.Lock(directory / "journal.lock")
         self._witness = Witness(self._lock)
         self._path = directory / "journal.db"
-        # Streams that have no entries above their number.
-        self._without_holes: set[Stream] = set()
-        self._seen = JournalStatus()
-        self._sure = True  # False after a transaction that raised an error
         self.set_aside: Path | None = None
         """Path of a damaged journal that was set aside on opening; this one began empty."""
         self.missing = 0
@@ -124,7 +119,7 @@ class Journal:
             self._db, self.set_aside = sqlite_file.connect_or_recreate(self._path, SCHEMA, FORMAT)
             undo.callback(self._db.close)
             try:
-                with sqlite_file.damage_noticed(self._path):
+                with self._access():
                     if last_entry(self._db) == 0:
                         self._rescue()
                     self._last = last_entry(self._db)
@@ -134,7 +129,12 @@ class Journal:
                     f"cannot read {self._path}: {error}; the file was not modified"
                 ) from None
             undo.pop_all()
-        self.status()  # fills self._seen
+
+    @contextlib.contextmanager
+    def _access(self) -> Iterator[None]:
+        """Serve one call: others wait, and damage is noticed."""
+        with self._mutex, sqlite_file.damage_noticed(self._path):
+            yield
 
     def _rescue(self) -> None:
         """Read entries out of the newest damaged journal into this one, which is empty.
@@ -165,51 +165,15 @@ class Journal:
 
     def meta(self, key: str) -> str | None:
         """Return a value stored by `set_meta`; None if there is none or it is damaged."""
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             return journal_schema.read_meta(self._db, key)
 
     def set_meta(self, key: str, value: str) -> None:
         """Store a value under ``key``. Raises `sqlite3.Error`."""
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             self._db.check()
             journal_schema.write_meta(self._db, key, value)
             self._witness.note(journal_schema.how_far(self._db))
-
-    def new_entries(self, entries: Sequence[Entry]) -> Sequence[Entry]:
-        """Return the entries whose number (boot, seq) no stored entry has.
-
-        That is nearly always all of them. After a rescue entries may be stored behind a hole that
-        the spools fill now, and the entries of a boot outlast its number. Raises `sqlite3.Error`.
-        """
-        lowest: dict[Stream, int] = {}
-        for one in entries:
-            if one.boot is not None and one.seq is not None:
-                stream = (one.camera, one.boot)
-                if stream not in self._without_holes:
-                    lowest[stream] = min(one.seq, lowest.get(stream, one.seq))
-        if not lowest:
-            return entries
-
-        # Look up the streams that may have further entries.
-        stored: set[tuple[str, str | None, int | None]] = set()
-        with self._mutex, sqlite_file.damage_noticed(self._path):
-            for (camera, boot), seq in lowest.items():
-                further = self._db.execute(
-                    "SELECT seq FROM entry WHERE camera = ? AND boot = ? AND seq >= ?",
-                    (camera, boot, seq),
-                ).fetchall()
-                stored.update((camera, boot, number) for (number,) in further)
-                if not further:
-                    self._without_holes.add((camera, boot))
-        if len(self._without_holes) > STREAMS_KEPT_MAX:
-            self._without_holes.clear()
-        if not stored:
-            return entries
-        return [one for one in entries if (one.camera, one.boot, one.seq) not in stored]
-
-    def look_again(self) -> None:
-        """Have `new_entries` look up every stream, as an entry was there that it did not know."""
-        self._without_holes.clear()
 
     def commit(
         self,
@@ -218,35 +182,29 @@ class Journal:
         snapshot: Snapshot | None = None,
         now: float = 0.0,
         meta: Mapping[str, str] | None = None,
-        numbers: Mapping[Stream, int] | None = None,
-    ) -> None:
+    ) -> Sequence[Entry]:
         """Store everything in one transaction, or nothing.
 
         entries: appended in this order.
         now (Unix seconds): when they are stored.
         meta: values to store under their keys, as `set_meta` does.
-        numbers: the highest number of streams that count as stored further than these entries say.
 
-        Raises `sqlite3.Error`; then the same call may be repeated, after an
-        `sqlite3.IntegrityError` with the `new_entries`. A commit can fail although its rows are
-        durable, so a repeated call first looks whether they are there. Without anything to
-        store, only `Displaced` is raised if the file is not in place.
+        Returns the entries that were not there before, which are nearly always all: after a rescue
+        entries may be stored behind a hole that the spools fill now, and the entries of a boot
+        outlast its number. Raises `sqlite3.Error`; then the same call may be repeated. Without
+        anything to store, only `Displaced` is raised if the file is not in place.
         """
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             self._db.check()
-            if not (entries or versions or snapshot or meta or numbers):
-                return
+            if not (entries or versions or snapshot or meta):
+                return entries
 
-            # Write, unless an earlier attempt did.
-            if not entries or not self._has(len(entries)):
-                self._sure = False  # an error leaves open whether the rows are there
+            # Write; where some are there already, the others.
+            highest = highest_numbers(entries)
+
+            def write(new: Sequence[Entry]) -> Sequence[Entry]:
                 with sqlite_file.transaction(self._db):
-                    self._add_entries(entries, int(now))
-                    highest = highest_numbers(entries) | dict(numbers or {})
-                    self._insert(
-                        "INSERT OR REPLACE INTO stream",
-                        [(*one, seq, self._last + len(entries)) for one, seq in highest.items()],
-                    )
+                    last = self._add_entries(new, highest, int(now))
                     for version in versions:
                         self._add_version(version, int(now))
                     if snapshot is not None:
@@ -254,8 +212,13 @@ class Journal:
                     for key, value in (meta or {}).items():
                         journal_schema.write_meta(self._db, key, value)
                     self._db.check()  # again, as a transaction can take long
-            self._sure = True
-            self._last += len(entries)
+                self._last = last
+                return new
+
+            try:
+                new = write(entries)
+            except sqlite3.IntegrityError:
+                new = write([one for one in entries if not self._has(one)])
 
             # Record how far the journal has come.
             known = self._witness.known
@@ -263,6 +226,7 @@ class Journal:
             if meta:  # an epoch may have begun
                 known = journal_schema.how_far(self._db)
             self._witness.note(known._replace(entries=self._last, versions=newest))
+            return new
 
     def prune(self, now: float) -> bool:
         """Delete entries, streams and versions beyond the retention; return True if more are left.
@@ -272,11 +236,12 @@ class Journal:
         A part is deleted at a time: call it now and then, and again if it returns True. Raises
         `sqlite3.Error`.
         """
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             # Find the entries to delete: those before both snapshots that are too old, or all of
             # those if the journal is too large.
             keep = self._keep
-            oldest = self._oldest_snapshot()
+            positions = self._db.execute("SELECT position FROM snapshot ORDER BY 1").fetchall()
+            oldest = positions[0][0] if len(positions) >= SNAPSHOTS_KEPT else 0
             size, free, pages = (
                 self._pragma(name) for name in ("page_size", "freelist_count", "page_count")
             )
@@ -314,7 +279,7 @@ class Journal:
         last = len(self) if up_to is None else up_to
         after = max(after, self.first() - 1)  # older entries were deleted
         while after < last:
-            with self._mutex, sqlite_file.damage_noticed(self._path):
+            with self._access():
                 rows = self._db.execute(
                     "SELECT * FROM entry WHERE id > ? AND id <= ? ORDER BY id LIMIT ?",
                     (after, last, CHUNK_ENTRIES),
@@ -328,7 +293,7 @@ class Journal:
 
     def corrections(self, after: int) -> list[Entry]:
         """Return the corrections after an entry. Raises `sqlite3.Error`."""
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             rows = self._db.execute(
                 "SELECT * FROM entry WHERE id > ? AND kind = 'correction' ORDER BY id", (after,)
             ).fetchall()
@@ -339,7 +304,7 @@ class Journal:
 
         Raises `sqlite3.Error`.
         """
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             row = self._db.execute("SELECT * FROM entry WHERE id = ?", (number,)).fetchone()
             if row is None or row[2] in ("future", "refused", "skipped"):
                 return False
@@ -356,7 +321,7 @@ class Journal:
         its entries were deleted long ago, so they are too late to be learned if they come again.
         """
         numbers: dict[Stream, int] = {}
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             for *row, checksum in self._db.execute(
                 "SELECT camera, boot, seq, entry, crc FROM stream ORDER BY entry"
             ).fetchall():
@@ -375,7 +340,7 @@ class Journal:
 
     def versions(self, epoch: str) -> dict[int, str]:
         """Return version -> digest for the versions of an epoch, which may have been published."""
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             return dict(
                 self._db.execute(
                     "SELECT version, digest FROM version WHERE epoch = ? ORDER BY version", (epoch,)
@@ -384,7 +349,7 @@ class Journal:
 
     def version(self, epoch: str, version: int | None = None) -> bytes | None:
         """Return a version (default: the newest) as JSON; None if it is not kept or damaged."""
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             row = self._db.execute(
                 "SELECT * FROM version WHERE epoch = ? AND version = COALESCE(?, "
                 "(SELECT MAX(version) FROM version WHERE epoch = ?)) AND size > 0",
@@ -401,7 +366,7 @@ class Journal:
 
     def newest_version(self) -> bytes | None:
         """Return the undamaged version that was stored last, of any epoch, as JSON; else None."""
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             rows = self._db.execute(
                 "SELECT epoch, version FROM version WHERE size > 0 ORDER BY id DESC LIMIT ?",
                 (VERSIONS_TRIED_MAX,),
@@ -410,7 +375,7 @@ class Journal:
 
     def snapshots(self) -> list[Snapshot]:
         """Return the snapshots, the newest first. Damaged ones are logged and left out."""
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             rows = self._db.execute("SELECT * FROM snapshot ORDER BY position DESC").fetchall()
         for row in rows:
             if crc(*row[:4]) != row[4]:
@@ -422,79 +387,60 @@ class Journal:
 
     def first(self) -> int:
         """Return the number of the oldest entry that is kept; 0 if there is none."""
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             return int(self._db.execute("SELECT COALESCE(MIN(id), 0) FROM entry").fetchone()[0])
 
     def __len__(self) -> int:
         """Return the number of the newest entry, which is how many there have ever been."""
         return self._last
 
-    def size(self) -> int:
-        """Return the size of the used part of the database, in bytes."""
-        with self._mutex, sqlite_file.damage_noticed(self._path):
-            return self._pragma("page_size") * (
-                self._pragma("page_count") - self._pragma("freelist_count")
-            )
-
     def status(self) -> JournalStatus:
-        """Return the number of entries, bytes and damaged files, or why the disk cannot be read.
-
-        Does not wait for a transaction under way, which a slow disk can delay for long; then it
-        returns the figures of the previous call.
-        """
-        if self._mutex.acquire(blocking=False):
-            try:
-                files = [path.name for path in sqlite_file.damaged_files(self._path)]
-                self._seen = JournalStatus(bytes=self.size(), damaged_files=files)
-            except (sqlite3.Error, OSError) as error:
-                self._seen = JournalStatus(reason=str(error))
-            finally:
-                self._mutex.release()
-        return replace(self._seen, entries=len(self), missing=self.missing)
+        """Return the number of entries, bytes and damaged files. Never waits for a transaction."""
+        size = 0
+        with contextlib.suppress(OSError):
+            size = self._path.stat().st_size
+        files = [path.name for path in sqlite_file.damaged_files(self._path)]
+        return JournalStatus(len(self), self.missing, bytes=size, damaged_files=files)
 
     def close(self) -> None:
         """Close the journal and release the directory; may be called twice."""
-        with self._mutex, sqlite_file.damage_noticed(self._path):
+        with self._access():
             self._db.close()
             self._lock.close()
 
-    def _has(self, count: int) -> bool:
-        """Return True if an attempt that raised an error did store its transaction completely.
+    def _has(self, entry: Entry) -> bool:
+        """Return True if an entry with this number (boot, seq) is stored."""
+        return bool(
+            self._db.execute(
+                "SELECT 1 FROM entry WHERE camera = ? AND boot = ? AND seq = ?",
+                (entry.camera, entry.boot, entry.seq),
+            ).fetchone()
+        )
 
-        count: number of its entries.
+    def _add_entries(
+        self, entries: Sequence[Entry], highest: Mapping[Stream, int], stored: int
+    ) -> int:
+        """Insert entries, and the highest number of streams; return the number of the last entry.
 
-        Raises `Displaced` if the journal has entries of another program.
+        stored: Unix seconds.
         """
-        last = last_entry(self._db)
-        if last == self._last + count and not self._sure:
-            return True
-        if last != self._last:
-            raise Displaced(
-                f"{self._path} was changed by another program, "
-                f"its last entry is {last} and was {self._last}: "
-                f"stop that program, and restart this one"
-            )
-        return False
-
-    def _add_entries(self, entries: Sequence[Entry], stored: int) -> None:
-        """Insert entries; ``stored``: Unix seconds."""
+        first = last_entry(self._db) + 1
         rows = [
             (number, stored, one.kind, one.camera, one.boot, one.seq, one.raw)
-            for number, one in enumerate(entries, start=self._last + 1)
+            for number, one in enumerate(entries, start=first)
         ]
+        last = first + len(rows) - 1
         self._insert("INSERT INTO entry", rows)
+        self._insert(
+            "INSERT OR REPLACE INTO stream", [(*one, seq, last) for one, seq in highest.items()]
+        )
+        return last
 
     def _insert(self, insert: str, rows: Sequence[tuple[Any, ...]]) -> None:
         """Insert rows of equal length, each with its checksum."""
-        start = 0
-        variables_max = self._db.getlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER)
-        for size in _ROWS_AT_ONCE:
-            while len(rows) - start >= size and size * (len(rows[0]) + 1) <= variables_max:
-                some = [(*row, crc(*row)) for row in rows[start : start + size]]
-                self._db.execute(
-                    _values(insert, len(rows[0]) + 1, size), [*chain.from_iterable(some)]
-                )
-                start += size
+        for start in range(0, len(rows), _ROWS_AT_ONCE):
+            some = [(*row, crc(*row)) for row in rows[start : start + _ROWS_AT_ONCE]]
+            self._db.execute(_values(insert, len(some[0]), len(some)), [*chain.from_iterable(some)])
 
     def _insert_large(self, insert: str, row: tuple[Any, ...]) -> None:
         """Insert one large row with its checksum, and keep no copy of it.
@@ -531,14 +477,6 @@ class Journal:
             " (SELECT position FROM snapshot ORDER BY position DESC LIMIT ?)",
             (SNAPSHOTS_KEPT,),
         )
-
-    def _oldest_snapshot(self) -> int:
-        """Return the position of the older snapshot.
-
-        Returns 0 if there is only one, as then all entries are needed.
-        """
-        found = self._db.execute("SELECT position FROM snapshot ORDER BY position DESC").fetchall()
-        return int(found[SNAPSHOTS_KEPT - 1][0]) if len(found) >= SNAPSHOTS_KEPT else 0
 
     def _pragma(self, name: str) -> int:
         return int(self._db.execute(f"PRAGMA {name}").fetchone()[0])

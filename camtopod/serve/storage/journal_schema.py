@@ -138,9 +138,7 @@ def last_version(database: sqlite3.Connection) -> int:
 def how_far(database: sqlite3.Connection) -> JournalExtent:
     """Return how far the journal has come."""
     epoch = max(read_meta(database, key) or "" for key in ("epoch", "epoch before"))
-    return JournalExtent(
-        last_entry(database), last_version(database), epoch, read_meta(database, "name") or ""
-    )
+    return JournalExtent(last_entry(database), last_version(database), epoch)
 
 
 def prepare_new_epoch(database: sqlite3.Connection, known: JournalExtent) -> None:
@@ -152,5 +150,3 @@ def prepare_new_epoch(database: sqlite3.Connection, known: JournalExtent) -> Non
     found = how_far(database)
     database.execute("DELETE FROM meta WHERE key = 'epoch'")
     write_meta(database, "epoch before", max(found.epoch, known.epoch))
-    if known.name and not found.name:
-        write_meta(database, "name", known.name)

@@ -22,7 +22,6 @@ from camtopod.serve.storage.journal import (
     Journal,
     Snapshot,
     StoredVersion,
-    highest_numbers,
 )
 
 log = logging.getLogger(__name__)
@@ -94,22 +93,15 @@ class JournalWriter:
         snapshot = learned[-1].snapshot if learned else None
 
         # Retry until it succeeds, or until the daemon stops.
-        new: Sequence[Entry] | None = None
         while True:
             try:
                 with self._timed():
-                    if new is None:
-                        new = self._journal.new_entries(entries)
-                        numbers = highest_numbers(entries) if len(new) < len(entries) else {}
-                    self._journal.commit(new, versions, snapshot, self._clock(), meta, numbers)
+                    new = self._journal.commit(entries, versions, snapshot, self._clock(), meta)
                 break
             except sqlite3.Error as error:
                 if not self._failure:
                     log.error("cannot write the journal, so nothing is acknowledged: %s", error)
                 self._failure = f"cannot write the journal: {error}"
-                if isinstance(error, sqlite3.IntegrityError):
-                    new = None  # some entries are there already
-                    self._journal.look_again()
                 beat()  # a restart would not help
                 if stopping.wait(0.5):
                     return None

@@ -23,13 +23,11 @@ class JournalExtent(NamedTuple):
 
     entries, versions: the numbers of the newest ones.
     epoch: the newest epoch that has begun.
-    name: the name by which other daemons know this one.
     """
 
     entries: int = 0
     versions: int = 0
     epoch: str = ""
-    name: str = ""
 
     def is_older_than(self, other: JournalExtent) -> bool:
         """Return True if a journal that had come as far as ``other`` has lost something."""
@@ -47,7 +45,7 @@ class Witness:
         self._lock = lock
         self.known = JournalExtent()
         """The record as it was read or written last; the default if it could not be read."""
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, msgspec.MsgspecError):
             self.known = _decode(lock.read(1000))
 
     def note(self, known: JournalExtent) -> None:
