@@ -24,7 +24,6 @@ import threading
 import time
 from collections.abc import Callable
 
-import msgspec
 from msgspec.structs import replace
 
 from camtopod import codec
@@ -69,7 +68,6 @@ from camtopod.serve.runtime import (
     STALL_SECONDS,
     Beat,
     Progress,
-    changed_settings,
     clock as clocks,
 )
 from camtopod.serve.storage import (
@@ -244,14 +242,6 @@ class Daemon:
         if not self._config.listens and not self._bus.connected:
             reasons.append(f"the bus at {self._bus.endpoint} is not reached")
         return [redact(reason) for reason in reasons] + self.failing()
-
-    def reconfigure(self, config: Config) -> list[str]:
-        """Apply settings that can change at run time; return the names of those that cannot."""
-        limits, waiting = changed_settings(self._config, config)
-        self._config = msgspec.structs.replace(self._config, limits=limits)
-        self.progress.set_limit("status", limits.status_seconds + STALL_SECONDS)
-        self._intake.limits = limits
-        return waiting
 
     def status(self) -> DaemonStatus:
         """Return the contents of ``status/daemon``: state, reason and counters."""

@@ -1,6 +1,6 @@
-"""SIGTERM and SIGHUP to the real programs at any moment.
+"""SIGTERM to the real programs at any moment, and SIGHUP to grabbers.
 
-They end, lose nothing, and no SIGHUP ends them. The quick form takes a few moments; the
+They end, lose nothing, and no SIGHUP ends a grabber. The quick form takes a few moments; the
 campaign many.
 """
 
@@ -97,18 +97,21 @@ def under(tmp_path: Path) -> Iterator[Under]:
 
 
 def at_moments(under: Under, command: str, count: int, chance: random.Random) -> None:
-    """Start the program ``count`` times; send SIGHUPs and a SIGTERM at random moments."""
+    """Start the program ``count`` times; send a SIGTERM at a random moment, to grabbers SIGHUPs."""
+    hangups = command == "grab"
     for number in range(count):
         process = under.start(command)
-        wait_for(lambda one=process: under.listens(one), "it to listen", interval=0.002)  # type: ignore[misc]
+        if hangups:
+            wait_for(lambda one=process: under.listens(one), "it to listen", interval=0.002)  # type: ignore[misc]
         until = time.monotonic() + START_SECONDS[command] * chance.random() ** 2
         while time.monotonic() < until:
-            process.send_signal(signal.SIGHUP)
+            if hangups:
+                process.send_signal(signal.SIGHUP)
             time.sleep(chance.uniform(0.0, 0.2))
-        assert process.poll() is None, f"run {number}: SIGHUP ended it\n{under.log[-3000:]}"
+        assert process.poll() is None, f"run {number}: it ended\n{under.log[-3000:]}"
 
         process.send_signal(signal.SIGTERM)
-        if chance.random() < 0.5:
+        if hangups and chance.random() < 0.5:
             process.send_signal(signal.SIGHUP)
 
         # Before it catches SIGTERM, and again at the very end, the signal itself ends it.

@@ -1,4 +1,4 @@
-"""Health means progress: heartbeats of loops, the health endpoints, systemd's watchdog, reloads."""
+"""Health means progress: heartbeats of loops, the health endpoints, systemd's watchdog."""
 
 from __future__ import annotations
 
@@ -16,21 +16,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 from fake_systemd import Systemd
 from serving import T0, WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
 
-from camtopod.config.settings import HealthSettings
 from camtopod.records import Event
 from camtopod.serve import daemon as daemons
 from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.live_predictions import Live
 from camtopod.serve.monitoring import health
 from camtopod.serve.runtime import systemd
 from camtopod.serve.runtime.progress import Progress
-from camtopod.serve.runtime.reload import changed_settings
 
 # --- marks ----------------------------------------------------------------------------------------
 
@@ -50,11 +46,6 @@ def test_a_loop_that_does_not_get_on_is_named_and_one_that_does_is_not() -> None
     now += 1000.0
     assert [reason.split()[0] for reason in progress.stalled()] == ["learn", "receive"]
 
-    learn.beat()
-    progress.set_limit("receive", 2000.0)
-    assert progress.stalled() == []
-
-    now += 1e6
     progress.unwatch("receive")
     assert [reason.split()[0] for reason in progress.stalled()] == ["learn"]
 
@@ -289,8 +280,7 @@ def test_a_daemon_whose_learner_hangs_does_not_feed_the_watchdog(
     daemon: Daemon, systemd_socket: Systemd, caplog: pytest.LogCaptureFixture
 ) -> None:
     with systemd.watchdog(daemon.failing, lambda: not daemon.started):
-        assert systemd_socket.hear(0.4).count("WATCHDOG=1") >= 3
-        assert not any(line.startswith("EXTEND") for line in systemd_socket.told)
+        systemd_socket.wait_for("WATCHDOG=1")
         let_go = stopped(daemon)
         put(daemon, Event("lobby", "entry", T0))
         wait_for(lambda: daemon.failing() != [], "it to be noticed")
@@ -303,13 +293,6 @@ def test_a_daemon_whose_learner_hangs_does_not_feed_the_watchdog(
             let_go()
             wait_for(lambda: "WATCHDOG=1" in systemd_socket.hear(), "it to be fed again")
         assert "making progress again" in caplog.text
-
-
-def test_a_start_that_gets_on_may_take_its_time(systemd_socket: Systemd) -> None:
-    with systemd.watchdog(list, lambda: True):
-        systemd_socket.wait_for("EXTEND_TIMEOUT_USEC=30000000")
-    systemd_socket.hear(0.1)
-    assert systemd_socket.hear(0.2) == [], "nothing after the end"
 
 
 # --- the real program -----------------------------------------------------------------------------
@@ -368,21 +351,6 @@ def test_the_daemon_under_systemd_from_start_to_end(program: Program) -> None:
     assert connection.getresponse().status == 200
     connection.close()
 
-    program.configure(
-        "[limits]\nstatus_seconds = 0.7\ncameras_max = 50\n[learn]\nwindow_hours = 12\n"
-    )
-    program.signal(signal.SIGHUP)
-    wait_for(lambda: "these need a restart" in program.log, "the report")
-    assert "learn.window_hours, limits.cameras_max" in program.log
-    program.systemd.wait_for("RELOADING=1")
-    program.file.write_text("[limits]\nstatus_second = 0.7\n")
-    program.signal(signal.SIGHUP)
-    wait_for(lambda: "the old configuration stays" in program.log, "the report")
-    assert "did you mean 'status_seconds'?" in program.log
-    for _ in range(50):
-        program.signal(signal.SIGHUP)
-    program.systemd.told.clear()
-    program.systemd.wait_for("WATCHDOG=1")
     program.signal(signal.SIGTERM)
     assert program.end() == 0
     program.systemd.wait_for("STOPPING=1")
@@ -412,26 +380,3 @@ def test_a_grabber_under_systemd_and_one_that_is_stopped(program: Program) -> No
         program.signal(signal.SIGTERM)
         assert program.end() == 0
         assert time.monotonic() - began < 8.0
-
-
-# --- another configuration ------------------------------------------------------------------------
-
-
-def test_what_changes_while_it_runs_and_what_needs_a_restart(tmp_path: Path) -> None:
-    config = small_config(tmp_path)
-    limits = msgspec.structs.replace(
-        config.limits, commit_seconds=0.9, status_seconds=77.0, cameras_max=7
-    )
-    new = msgspec.structs.replace(
-        config, limits=limits, health=HealthSettings(listen="127.0.0.1:1")
-    )
-    obeyed, waiting = changed_settings(config, new)
-    assert waiting == ["limits.cameras_max", "health.listen"]
-    assert (obeyed.commit_seconds, obeyed.cameras_max) == (0.9, config.limits.cameras_max)
-    assert changed_settings(config, config) == (config.limits, [])
-    with Daemon(config) as daemon:
-        assert daemon.reconfigure(new) == waiting
-        assert daemon.reconfigure(new) == waiting, "they still wait"
-        assert daemon._intake.limits.commit_seconds == 0.9
-        assert daemon.reconfigure(config) == []
-        assert isinstance(daemon._live, Live)

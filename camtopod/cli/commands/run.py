@@ -7,12 +7,12 @@ import faulthandler
 import gc
 import logging
 import sys
+import threading
 from typing import Any
 
 from camtopod.cli import descriptors, exits
-from camtopod.cli.common import SignalRequests, configuration, ends_within, signals, start_logging
+from camtopod.cli.common import configuration, ends_within, signals, start_logging
 from camtopod.cli.exits import CommandError
-from camtopod.config import Config
 from camtopod.serve.bus import log_to_standard_output
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.monitoring import health, metrics
@@ -37,7 +37,7 @@ def add_parser(subparsers: Any) -> None:
         help="run the daemon: learn the topology from events on the bus and predict",
         description="Runs the daemon: it learns the topology from the events on the bus, publishes "
         "it and predicts. With no endpoint configured, all other programs of this machine connect "
-        "to it. SIGHUP reloads the configuration.",
+        "to it.",
         epilog="example: camtopod --config camtopod.toml run",
     )
     parser.add_argument(
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     descriptors.raise_limit()
 
     # Load the configuration, then run with health page and watchdog.
-    with signals() as requests, ends_within(requests.stop, LEAVE_SECONDS):
+    with signals(reloads=False) as requests, ends_within(requests.stop, LEAVE_SECONDS):
         config = configuration(args)
         daemon = Daemon(config)
         log_to_standard_output()
@@ -68,42 +68,20 @@ def run(args: argparse.Namespace) -> int:
             if listening:
                 log.info("health at http://%s/healthz, /readyz and /metrics", listening)
             systemd.notify(systemd.status("starting"))
-            _run(daemon, args, config, requests)
+            _run(daemon, requests.stop)
     log.info("ended cleanly")
     return exits.DONE
 
 
-def _run(
-    daemon: Daemon, args: argparse.Namespace, config: Config, requests: SignalRequests
-) -> None:
-    """Start the daemon, then reload on SIGHUP until a signal ends it or a part of it fails."""
-    if not daemon.start(requests.stop):
+def _run(daemon: Daemon, stop: threading.Event) -> None:
+    """Start the daemon, and run it until ``stop`` is set or a part of it fails."""
+    if not daemon.start(stop):
         return
     try:
         systemd.notify("READY=1", systemd.status(f"running at {daemon.endpoint}"))
-        while not requests.stop.wait(0.2):
+        while not stop.wait(0.2):
             if daemon.wait(0):
                 raise CommandError("a part of the daemon failed, see above; start it again")
-            if requests.reload.is_set():
-                requests.reload.clear()
-                systemd.reloading()
-                config = _reloaded(daemon, args, config)
-                systemd.notify("READY=1")
     finally:
         systemd.notify("STOPPING=1")
         daemon.stop()
-
-
-def _reloaded(daemon: Daemon, args: argparse.Namespace, config: Config) -> Config:
-    """Return the new configuration; one with mistakes is reported and the old one stays."""
-    try:
-        new = configuration(args)
-    except CommandError as error:
-        log.error("the old configuration stays in use: %s", " ".join(str(error).splitlines()))
-        return config
-    waiting = daemon.reconfigure(new)
-    if waiting:
-        log.warning("the configuration is reloaded; these need a restart: %s", ", ".join(waiting))
-    else:
-        log.info("the configuration is reloaded")
-    return new

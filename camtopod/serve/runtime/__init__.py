@@ -1,8 +1,7 @@
 """Building blocks of a running program: clocks, liveness, counters, systemd.
 
 Read `clock` (wall clock, steady clock, ULIDs) and `progress` (watch whether loops make progress)
-first. `systemd` reports both to the service manager. `rejects` counts malformed input, and `reload`
-compares configurations.
+first. `systemd` reports both to the service manager. `rejects` counts malformed input.
 """
 
 from __future__ import annotations
@@ -23,5 +22,4 @@ from camtopod.serve.runtime.progress import (
     no_beat as no_beat,
 )
 from camtopod.serve.runtime.rejects import Rejects as Rejects
-from camtopod.serve.runtime.reload import changed_settings as changed_settings
 from camtopod.serve.runtime.systemd import SOCKET_VARIABLE as SOCKET_VARIABLE

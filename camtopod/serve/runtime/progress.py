@@ -57,11 +57,6 @@ class Progress:
             self._marks[name] = mark
         return mark
 
-    def set_limit(self, name: str, seconds_max: float) -> None:
-        """Change the time limit of a loop that is watched already."""
-        with self._mutex:
-            self._marks[name].seconds_max = seconds_max
-
     def unwatch(self, name: str) -> None:
         """Stop watching a loop, which has ended as it should. May be called twice."""
         with self._mutex:
