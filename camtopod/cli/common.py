@@ -40,7 +40,7 @@ def configuration(args: argparse.Namespace) -> Config:
     if args.config is not None:
         if getattr(args, "config_found", False):
             _say(args, logging.INFO, f"configuration: {implicit_config.shown(args.config)}")
-        if getattr(args, "beat_fd", None) is None:  # otherwise the supervisor warns
+        if getattr(args, "with_parent", None) is None:  # otherwise the supervisor warns
             for sentence in secret_files.find_exposed(loaded.secrets(args.config)):
                 log.warning("%s", sentence)
 
@@ -266,24 +266,14 @@ def until_signal() -> Iterator[threading.Event]:
         yield requests.stop
 
 
-class ForcedExit:
-    """Exit status of a process that `ends_within` ends because its block did not end in time."""
-
-    def __init__(self) -> None:
-        self.status = exits.DONE
-
-
 @contextlib.contextmanager
-def ends_within(
-    stop: threading.Event, seconds: float, parent: int | None = None
-) -> Iterator[ForcedExit]:
+def ends_within(stop: threading.Event, seconds: float, parent: int | None = None) -> Iterator[None]:
     """Give the block ``seconds`` to end once ``stop`` is set; then end the process.
 
     Data that must not be lost is on disk by then. ``stop`` is also set when the process ``parent``
     is no longer this one's parent.
     """
     done = threading.Event()
-    forced_exit = ForcedExit()
 
     def watch() -> None:
         while not stop.wait(0.5):
@@ -294,11 +284,11 @@ def ends_within(
                 "not everything closed within %g s; the process ends anyway, stored data is safe",
                 seconds,
             )
-            os._exit(forced_exit.status)
+            os._exit(exits.DONE)
 
     threading.Thread(target=watch, name="leaving", daemon=True).start()
     try:
-        yield forced_exit
+        yield
     finally:
         done.set()
         stop.set()

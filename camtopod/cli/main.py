@@ -135,8 +135,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         # SIGHUP is ignored until the command installs its handler: there is no configuration to
         # reload yet.
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
-        # The supervisor starts a camera's process with SIGHUP blocked.
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGHUP])
 
     try:
         try:

@@ -123,10 +123,6 @@ class CameraSettings(VisionSettings, frozen=True, forbid_unknown_fields=True, kw
     """
     realtime: bool = False
     """A file only: play it at its own speed, not as fast as it decodes."""
-    start: float = 0.0
-    """A file only: time of its first frame, seconds since the Unix epoch."""
-    speed: Positive = 1.0
-    """A file only, with realtime: play it at this many times its own speed."""
     page: Annotated[
         str,
         Meta(

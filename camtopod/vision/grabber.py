@@ -25,8 +25,8 @@ class Grabber:
     source: an ``rtsp://`` (or other) URL, the path of a video file, or a device number as text.
     start (seconds since the epoch): time of a file's beginning; event times are ``start`` +
         position.
-    realtime, speed: pace a file at ``speed`` times its own rate; otherwise it is read as fast as it
-        decodes. Event times do not depend on it.
+    realtime: read a file at its own pace; otherwise it is read as fast as it decodes. Event times
+        do not depend on it.
     wall_clock: current time in seconds since the epoch. Frames of a stream or device have capture
         times on this clock.
     observer: called with every analysed frame, within `events`; the events do not depend on it.
@@ -46,7 +46,6 @@ class Grabber:
         *,
         start: float = 0.0,
         realtime: bool = False,
-        speed: float = 1.0,
         wall_clock: Callable[[], float],
         settings: VisionSettings | None = None,
         ffmpeg_log: FfmpegLog | None = None,
@@ -58,9 +57,7 @@ class Grabber:
         self._source: RecordedSource | LiveSource
         if kind_of(source) == "file":
             path = source.removeprefix("file://")
-            self._source = RecordedSource(
-                path, settings, start, speed if realtime else None, detector is not None
-            )
+            self._source = RecordedSource(path, settings, start, realtime, detector is not None)
         else:
             self._source = LiveSource(
                 source, settings, wall_clock, ffmpeg_log, detector is not None

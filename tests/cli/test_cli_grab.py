@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,7 +12,7 @@ import pytest
 import serving
 from serving import T0, small_config, wait_for
 
-from camtopod.cli.cameras.heartbeat import Heartbeat, HeartbeatReceiver
+from camtopod.cli.cameras.heartbeat import HeartbeatReceiver
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json
 from camtopod.records import Event
@@ -76,16 +75,12 @@ def test_lines_to_a_file_and_to_standard_output(
 ) -> None:
     out = tmp_path / "e.jsonl"
     arguments = ["grab", "--camera", "lobby", "x.mp4"]
-    arguments += ["--start", "5", "--realtime", "--speed", "2", "--out"]
+    arguments += ["--start", "5", "--realtime", "--out"]
     assert main([*arguments, str(out)]) == 0
     assert [event_from_json(line) for line in out.read_bytes().splitlines()] == EVENTS
     made = FakeGrabber.made[0]
     assert (made.source, made.closed) == ("x.mp4", True)
-    assert (made.options["start"], made.options["realtime"], made.options["speed"]) == (
-        5.0,
-        True,
-        2.0,
-    )
+    assert (made.options["start"], made.options["realtime"]) == (5.0, True)
     assert main([*arguments, "-"]) == 0
     assert capfdbinary.readouterr().out == out.read_bytes()
 
@@ -118,8 +113,6 @@ def test_a_file_that_cannot_be_read(
         ["--camera", "a b", "x"],
         ["--camera", "daemon", "x"],
         ["--camera", "lobby"],
-        ["--camera", "a", "x", "--speed", "0"],
-        ["--camera", "a", "x", "--speed", "nan"],
         ["--camera", "a", "x", "--start", "inf"],
         ["--out", "-"],
     ],
@@ -156,12 +149,19 @@ def test_a_camera_s_own_settings_and_another_source(
     assert f"{config}:3: cameras.lobby: source is missing" in capsys.readouterr().err
 
 
-def test_no_bus_and_no_state(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_bus_and_no_state(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", 0.05)
     config = tmp_path / "c.toml"
-    config.write_text('[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.2\n')
+    config.write_text('[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.05\n')
     grab = ["--config", str(config), "grab", "--camera", "lobby", "x.mp4", "--state"]
+
     assert main([*grab, str(tmp_path)]) == 69
-    assert "is `camtopod run` running there?" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "is `camtopod run` running there?" in err
+    assert "20 events are not stored" in err
+
     (tmp_path / "file").write_text("")
     assert main([*grab, str(tmp_path / "file" / "state")]) == 74
     assert "cannot write the state directory" in capsys.readouterr().err
@@ -189,62 +189,52 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("overdue", "states"), [(0.0, ["running", "ended"]), (1.0, ["connecting", "ended"])]
 )
-def test_it_tells_the_one_above_that_it_gets_on(
+def test_heartbeats_show_progress_unless_opencv_is_overdue(
     overdue: float, states: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Progress is reported unless a call of OpenCV does not return, even if the loop goes on."""
     receiver = HeartbeatReceiver()
     heard: list[str] = []
     monkeypatch.setattr(FakeGrabber, "overdue_seconds", overdue)
+    monkeypatch.setenv("NOTIFY_SOCKET", receiver.address)
 
-    def between() -> None:
-        said = receiver.newest()
-        heard.extend([] if said is None else [said.state])
+    def hear() -> None:
+        heard.extend(state for state, _ in [receiver.newest() or ("", "")] if state)
 
-    monkeypatch.setattr(FakeGrabber, "between", staticmethod(between))
+    monkeypatch.setattr(FakeGrabber, "between", staticmethod(hear))
     with Daemon(small_config(tmp_path / "daemon")) as daemon:
-        arguments = grab_to(daemon.endpoint, tmp_path)
-        given = ["--beat-fd", str(receiver.child_fd), "--restarts", "2", "--last-end", "failed"]
-        assert main([*arguments, *given]) == 0
-    between()
+        restarted = ["--restarts", "2", "--last-end", "failed"]
+        assert main([*grab_to(daemon.endpoint, tmp_path), *restarted]) == 0
+    hear()
     assert heard == states
-    os.close(receiver.child_fd)
     receiver.close()
 
 
-@pytest.mark.parametrize("above", ["supervisor", "systemd"])
-def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
-    above: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_supervised_file_waits_for_the_daemon_at_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If it ended as failed, it would be started again, and all events would be duplicated."""
     monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", 0.05)
-    receiver, said, looks = HeartbeatReceiver(), [], 0
-    really_drained = Publisher.wait_stored
+    receiver = HeartbeatReceiver()
+    monkeypatch.setenv("NOTIFY_SOCKET", receiver.address)
+    said = []
+    really_wait_stored = Publisher.wait_stored
 
-    def drained(publisher: Publisher, seconds: float, most: int = 0) -> bool:
-        nonlocal looks
-        looks += 1
+    def wait_stored(publisher: Publisher, seconds: float, most: int = 0) -> bool:
         said.append(receiver.newest())
-        if looks == 4:
+        if len(said) == 4:
             daemon.start()
-        return really_drained(publisher, serving.WAIT_SECONDS if looks >= 4 else seconds, most)
+        if len(said) >= 4:
+            seconds = serving.WAIT_SECONDS
+        return really_wait_stored(publisher, seconds, most)
 
-    monkeypatch.setattr(Publisher, "wait_stored", drained)
+    monkeypatch.setattr(Publisher, "wait_stored", wait_stored)
     with contextlib.ExitStack() as stack:
         meeting = stack.enter_context(buses.open_daemon_session(small_config(tmp_path)))
         daemon = Daemon(small_config(tmp_path / "daemon"), meeting)
         stack.callback(daemon.stop)
-        arguments = grab_to(meeting.endpoint, tmp_path)
-        if above == "supervisor":
-            arguments += ["--beat-fd", str(receiver.child_fd)]
-        else:
-            monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
-        assert main(arguments) == 0
+        assert main(grab_to(meeting.endpoint, tmp_path)) == 0
         assert daemon.status().events["stored"] == len(EVENTS)
-    assert (Heartbeat("ended", "waiting for the daemon to store 20 events") in said) == (
-        above == "supervisor"
-    )
-    os.close(receiver.child_fd)
+    assert ("ended", "waiting for the daemon to store 20 events") in said
     receiver.close()
 
 

@@ -12,7 +12,6 @@ import random
 import re
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -24,8 +23,7 @@ from grabber import publisher_on, stored
 from serving import T0, WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for, walkers
 from sizes import size
 
-from camtopod.cli.cameras.camera_process import CameraProcess
-from camtopod.config.settings import BusSettings, CameraSettings
+from camtopod.config.settings import BusSettings
 from camtopod.records import Event
 from camtopod.serve.bus.session import dial
 from camtopod.serve.daemon import Daemon
@@ -157,28 +155,6 @@ def daemon_at_moments(under: Under, count: int, seed: int) -> None:
 
 def test_the_daemon_at_a_few_moments(under: Under) -> None:
     daemon_at_moments(under, 2, seed=2)  # the first ends while events are stored
-
-
-def test_a_hangup_in_the_first_moment_of_a_camera_s_process(under: Under) -> None:
-    """Before the interpreter starts the signal is blocked until the program can handle it."""
-    child = CameraProcess("lobby", CameraSettings(source="rtsp://127.0.0.1:1/x"))
-    line = [sys.executable, "-m", "camtopod", "--config", str(under.file), "grab"]
-    line += ["--camera", "lobby", "--beat-fd"]
-
-    def look() -> None:
-        child.look_after(time.monotonic(), lambda process, heartbeat_fd: [*line, str(heartbeat_fd)])
-
-    look()
-    process = child.process
-    assert process is not None
-    under.started.append(process)
-    for _ in range(200):
-        process.send_signal(signal.SIGHUP)
-        time.sleep(0.001)
-    wait_for(lambda: look() is None and not child.silent, "it to be there")
-    assert (child.restarts, process.poll()) == (0, None)
-    child.request_end(time.monotonic())
-    wait_for(lambda: look() is None and child.over, "its end")
 
 
 def test_grabbers_at_a_moment_and_they_end_with_the_one_above_them(under: Under) -> None:

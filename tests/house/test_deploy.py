@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from paths import DEPLOY
 
-from camtopod.cli.cameras.status_reporter import CLOSE_SECONDS
+from camtopod.cli.cameras.camera_process import STOP_SECONDS
 from camtopod.cli.commands.grab import LEAVE_SECONDS as GRAB_LEAVE_SECONDS
 from camtopod.cli.commands.run import LEAVE_SECONDS as RUN_LEAVE_SECONDS
 from camtopod.cli.main import COMMANDS, parser_of
@@ -70,7 +70,7 @@ def test_no_service_shares_its_user_or_gives_up() -> None:
             [""],
         )
         assert float(unit["TimeoutStopSec"][0]) > max(
-            RUN_LEAVE_SECONDS, GRAB_LEAVE_SECONDS + CLOSE_SECONDS
+            RUN_LEAVE_SECONDS, GRAB_LEAVE_SECONDS, STOP_SECONDS + 1.0
         )
 
 

@@ -1,9 +1,7 @@
 """Supervision of camera processes: `camtopod grab` runs one process per camera.
 
 Read `supervisor` first (all cameras of a configuration), then `camera_process` (start, watchdog and
-restart of one process), `heartbeat` (the pipe between the two) and `status_reporter` (status of
-cameras whose process cannot publish it). `probe`
-opens cameras once, for `camtopod init` and `check --probe`; `onvif` and `finding` find
-cameras and their streams for `init`, `naming` gives them ids. `decision_words` says why a track
-became an event or not.
+restart of one process) and `heartbeat` (notifications between the two). `probe` opens cameras once,
+for `camtopod init` and `check --probe`; `onvif` and `finding` find cameras and their streams for
+`init`, `naming` gives them ids. `decision_words` says why a track became an event or not.
 """

@@ -11,7 +11,7 @@ import os
 import random
 import signal
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from camtopod.cli import exits
@@ -24,46 +24,32 @@ from camtopod.vision.source import kind_of
 log = logging.getLogger(__name__)
 
 HUNG_SECONDS = 30.0
-"""A camera's process without progress for this long is killed and restarted."""
-START_SECONDS = 2 * HUNG_SECONDS
-"""Time that a camera's process may take to start: OpenCV loads slowly on a small machine."""
+"""A camera's process without a heartbeat for this long is killed and restarted."""
+START_SECONDS = 30.0
+"""Time that its start may take in addition: OpenCV loads slowly on a small machine."""
 RESTART_SECONDS_MIN = 1.0
 """First wait before a camera's process is restarted; it doubles up to `RESTART_SECONDS_MAX`."""
 RESTART_SECONDS_MAX = 60.0
 """Largest wait; after a run of this length the first wait is used again."""
 STOP_SECONDS = 4.5
 """Time after which a process that was asked to end, or to log where it hangs, is killed."""
-_WORDS = {
-    exits.DONE: "ended by itself",
-    exits.FAILED: "failed",
-    exits.USAGE: "refused its command line",
-    exits.INPUT: "cannot read its source",
-    exits.BUS: "cannot reach the bus",
-    exits.STATE: "cannot write its state directory",
-    exits.CONFIG: "refused the configuration",
-}
-"""Exit status -> its meaning in words."""
-
-Command = Callable[["CameraProcess", int], Sequence[str]]
-"""Function (camera process, file descriptor for heartbeats) -> command line."""
 
 
 def exit_reason(status: int) -> str:
     """Return why a process ended, from its exit status as `subprocess` gives it."""
-    if status >= 0:
-        return f"{_WORDS.get(status, 'failed')} (status {status})"
-    names = {number.value: number.name for number in signal.Signals}
-    return f"killed by {names.get(-status, f'signal {-status}')}"
+    if status < 0:
+        return f"killed by signal {-status} ({signal.strsignal(-status)})"
+    return f"ended with status {status}"
 
 
-def with_restarts(times: int, why: str, reason: str = "") -> str:
+def with_restarts(times: int, why: str, reason: str) -> str:
     """Return ``reason`` followed by the number of restarts and the cause of the last one."""
     if not times:
         return reason
     restarted = f"restarted {counted(times, 'time')}, last: {why}"
-    if reason and reason != why:
-        return f"{reason}; {restarted}"
-    return restarted
+    if reason == why:
+        return restarted
+    return f"{reason}; {restarted}".removeprefix("; ")
 
 
 class CameraProcess:
@@ -86,10 +72,9 @@ class CameraProcess:
         None if the process is running, has ended, or must not be restarted.
         """
         self._backoff = RESTART_SECONDS_MIN
-        self._started_at = 0.0
-        self._heartbeat_at: float | None = None
-        """Time of the last heartbeat; None before the first."""
         self._receiver: HeartbeatReceiver | None = None
+        self._started_at = 0.0
+        self._heard_at = 0.0
         self._kill_at: float | None = None
         self._hung = ""
         """How long the process was silent, in words, if it is being killed for that."""
@@ -100,13 +85,11 @@ class CameraProcess:
         """Return True if there is no process and none is to be started."""
         return self.process is None and self.start_at is None
 
-    @property
-    def silent(self) -> bool:
-        """Return True if no process publishes the camera's status."""
-        return self.process is None or self._heartbeat_at is None
+    def look_after(self, now: float, command: Sequence[str]) -> None:
+        """Start the process, read its heartbeats, or kill it, as needed; never waits.
 
-    def look_after(self, now: float, command: Command) -> None:
-        """Start the process, read its heartbeats, or kill it, as needed; never waits."""
+        command: the process's command line.
+        """
         if self.process is None:
             if self.start_at is not None and now >= self.start_at:
                 self._start(now, command)
@@ -116,17 +99,17 @@ class CameraProcess:
         assert self._receiver is not None
         status = self.process.poll()  # before reading, so that its last heartbeat counts
         if (heartbeat := self._receiver.newest()) is not None:
-            self._heartbeat_at = now
-            self.state = heartbeat.state
-            self.reason = heartbeat.reason
+            self.state, self.reason = heartbeat
+            self._heard_at = now
 
         # Handle its end, or kill it when its time is over.
+        silence = now - self._heard_at
         if status is not None:
             self._ended(status, now)
         elif self._kill_at is not None:
             if now >= self._kill_at:
                 self.process.kill()  # if it survives, wait for it: it holds the spool
-        elif (silence := self._silence(now)) > 0.0:
+        elif silence > HUNG_SECONDS:
             self._hung = f"hung for {silence:.0f} s while {self.state}"
             log.error("camera %s: the process %s; killing it", self.camera, self._hung)
             self._signal(signal.SIGABRT, now)  # it logs where it hangs
@@ -144,29 +127,15 @@ class CameraProcess:
         self._backoff = RESTART_SECONDS_MIN
         self.request_end(now, start_at=now)
 
-    def summary(self, now: float) -> dict[str, Any]:
-        """Return the status for ``status/{camera}`` while no process publishes it."""
-        reason = with_restarts(self.restarts, self.last_end, self.reason)
-        if self.process is None and self.start_at is not None:
-            reason = f"restarting in {max(0.0, self.start_at - now):.0f} s; {reason}"
+    def summary(self) -> dict[str, Any]:
+        """Return the status for ``status/{camera}`` while there is no process to publish it."""
         return {
             "camera": self.camera,
             "state": self.state,
-            "reason": reason,
+            "reason": with_restarts(self.restarts, self.last_end, self.reason),
             "restarts": self.restarts,
             "last_end": self.last_end,
         }
-
-    def _silence(self, now: float) -> float:
-        """Return how long the process has been silent, seconds; 0 if it may be."""
-        allowed = HUNG_SECONDS
-        since = self._heartbeat_at
-        if since is None:
-            allowed = START_SECONDS
-            since = self._started_at
-        if now - since <= allowed:
-            return 0.0
-        return now - since
 
     def _signal(self, number: signal.Signals, now: float) -> None:
         """Send a signal that should end the process; it is killed if it does not."""
@@ -175,46 +144,37 @@ class CameraProcess:
         if self._kill_at is None:
             self._kill_at = now + STOP_SECONDS
 
-    def _start(self, now: float, command: Command) -> None:
-        """Start the process with a pipe for its heartbeats."""
+    def _start(self, now: float, command: Sequence[str]) -> None:
+        """Start the process, which sends its heartbeats to this one instead of systemd."""
         self._receiver = HeartbeatReceiver()
-        # The child reports to this process, not to systemd.
-        hidden = (SOCKET_VARIABLE, "WATCHDOG_USEC")
-        environment = {name: value for name, value in os.environ.items() if name not in hidden}
-        # SIGHUP stays blocked until the child ignores or handles it.
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
+        environment = {**os.environ, SOCKET_VARIABLE: self._receiver.address}
+        environment.pop("WATCHDOG_USEC", None)
         try:
-            self.process = subprocess.Popen(
-                command(self, self._receiver.child_fd),
-                stdin=subprocess.DEVNULL,
-                env=environment,
-                pass_fds=(self._receiver.child_fd,),
-            )
+            self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=environment)
         except OSError as error:  # no memory or too many processes: try again later
             self._receiver.close()
             self._restart_later(now, 0.0, f"cannot be started: {error.strerror}")
-        else:
-            self._started_at = now
-            self._heartbeat_at = None
-            self._asked_to_end = False
-            self._kill_at = None
-            self._hung = ""
-            self.start_at = None
-            self.state = "connecting"
-            self.reason = "the process is starting"
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-            os.close(self._receiver.child_fd)
+            return
+        self.start_at = None
+        self.state = "connecting"
+        self.reason = "the process is starting"
+        self._started_at = now
+        self._heard_at = now + START_SECONDS
+        self._kill_at = None
+        self._hung = ""
+        self._asked_to_end = False
 
     def _ended(self, status: int, now: float) -> None:
         """Handle the end of the process: finished, failed for good, or to be restarted."""
         assert self._receiver is not None
         self._receiver.close()
         self.process = None
-        self.status = status if status >= 0 else exits.FAILED
+        self.status = status
+        if status < 0:
+            self.status = exits.FAILED
 
         if self._asked_to_end:
-            self.status = 0
+            self.status = exits.DONE
             self.state = "ended"
             self.reason = ""
         elif status == exits.DONE and self.state == "ended":  # a file; a stream never ends

@@ -9,15 +9,15 @@ import argparse
 import logging
 import os
 import sys
+import threading
 import time
 
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import STOP_SECONDS, CameraProcess
-from camtopod.cli.cameras.status_reporter import StatusReporter
 from camtopod.cli.common import SignalRequests, configuration
 from camtopod.cli.exits import CommandError
 from camtopod.config import CameraSettings, Config, without_source
-from camtopod.serve.runtime import systemd
+from camtopod.serve.runtime import clock, systemd
 
 log = logging.getLogger(__name__)
 
@@ -43,16 +43,15 @@ def supervise(args: argparse.Namespace, config: Config, requests: SignalRequests
                 supervisor.reload()
             supervisor.look_after()
             requests.stop.wait(0.1)
+        if requests.stop.is_set():
+            return exits.DONE
+        return supervisor.status
     finally:
-        closed = supervisor.end()
-    status = exits.DONE if requests.stop.is_set() else supervisor.status
-    if not closed:  # a bus that was not closed would keep the process from ending
-        os._exit(status)
-    return status
+        supervisor.end()
 
 
 class _Supervisor:
-    """Processes of all cameras, and their status reports."""
+    """Processes of all cameras, and a thread that publishes the status of those that do not run."""
 
     def __init__(self, args: argparse.Namespace, config: Config) -> None:
         self._args = args
@@ -61,8 +60,9 @@ class _Supervisor:
             name: CameraProcess(name, _filled(config, name)) for name in config.cameras
         }
         """Those of removed cameras are included until they have ended."""
-        self._reporter = StatusReporter(config)
-        self._report_at = 0.0
+        self._notify_at = 0.0
+        self._ending = threading.Event()
+        threading.Thread(target=self._publish, name="statuses", daemon=True).start()
 
     @property
     def over(self) -> bool:
@@ -72,19 +72,19 @@ class _Supervisor:
     @property
     def status(self) -> int:
         """Return the worst exit status."""
-        return max((process.status for process in self._processes.values()), default=0)
+        return max(process.status for process in self._processes.values())
 
     def look_after(self) -> None:
         """Check every process once; never waits for a camera."""
         now = time.monotonic()
         for process in self._processes.values():
-            process.look_after(now, self._command)
+            process.look_after(now, command(process, self._args))
         for name in self._processes.keys() - self._config.cameras.keys():
             if self._processes[name].over:
                 del self._processes[name]
-        if now >= self._report_at:
-            self._report_at = now + min(0.5, systemd.feed_seconds())
-            self._report(now)
+        if now >= self._notify_at:
+            self._notify_at = now + systemd.feed_seconds()
+            self._notify()
 
     def reload(self) -> None:
         """Reload the configuration.
@@ -100,74 +100,57 @@ class _Supervisor:
         old = self._config
         self._config = config
 
-        # Restart or start cameras.
+        # Start, restart and end cameras.
         now = time.monotonic()
         every = any(getattr(old, table) != getattr(config, table) for table in _OF_ALL)
-        started = []
-        restarted = []
         for name in config.cameras:
             settings = _filled(config, name)
             process = self._processes.get(name)
             if process is None:
                 self._processes[name] = CameraProcess(name, settings)
-                started.append(name)
-                continue
-            if every or name not in old.cameras or process.settings != settings:
+            elif every or name not in old.cameras or process.settings != settings:
                 process.restart(settings, now)
-                restarted.append(name)
-
-        # End removed cameras.
-        ended = sorted(self._processes.keys() - config.cameras.keys())
-        for name in ended:
+        for name in self._processes.keys() - config.cameras.keys():
             self._processes[name].request_end(now)
+        log.info("the configuration is reloaded, of %d cameras", len(config.cameras))
 
-        if (old.site, old.bus) != (config.site, config.bus):
-            self._reporter.close()
-            self._reporter = StatusReporter(config)
-        log.info(
-            "the configuration is reloaded; cameras started: %s; restarted: %s; ended: %s",
-            *(", ".join(names) or "none" for names in (started, restarted, ended)),
-        )
-
-    def end(self) -> bool:
-        """End all processes, killing those that do not end in time.
-
-        Returns False if the bus blocks and is left open.
-        """
+    def end(self) -> None:
+        """End all processes, killing those that do not end in time."""
         systemd.notify("STOPPING=1")
+        self._ending.set()
         for process in self._processes.values():
             process.request_end(time.monotonic())
         deadline = time.monotonic() + STOP_SECONDS + 1.0
         while not self.over and time.monotonic() < deadline:
             for process in self._processes.values():
-                process.look_after(time.monotonic(), self._command)
-            time.sleep(0.1 / 5)
-        return self._reporter.close()
+                process.look_after(time.monotonic(), command(process, self._args))
+            time.sleep(0.02)
 
-    def _report(self, now: float) -> None:
-        """Publish the statuses of cameras whose processes cannot, and report to systemd."""
-        self._reporter.publish(
-            {
-                process.camera: process.summary(now)
-                for process in self._processes.values()
-                if process.silent and (process.restarts or process.over)
-            }
-        )
-        others = [
-            f"; {process.camera}: {process.state}"
-            for process in self._processes.values()
-            if process.state != "running"
-        ]
-        running = len(self._processes) - len(others)
-        summary = f"{running} of {len(self._processes)} cameras run{''.join(others[:10])}"
+    def _notify(self) -> None:
+        """Report to systemd."""
+        running = sum(process.state == "running" for process in self._processes.values())
+        summary = f"{running} of {len(self._processes)} cameras run"
         systemd.notify("READY=1", "WATCHDOG=1", systemd.status(summary))
 
-    def _command(self, process: CameraProcess, heartbeat_fd: int) -> list[str]:
-        """Return the command line of a camera's process."""
-        return command(process, self._args, heartbeat_fd)
+    def _publish(self) -> None:
+        """Publish the statuses of cameras without a process until the end."""
+        from camtopod.serve.bus import dial
+
+        while not self._ending.wait(self._config.limits.status_seconds):
+            for process in list(self._processes.values()):
+                camera = process.camera
+                if process.process is not None or not (process.restarts or process.over):
+                    continue
+                try:
+                    with dial(self._config.certified(camera)) as bus:
+                        bus.publish(
+                            f"status/{camera}", {**process.summary(), "t": clock.wall()}, "status"
+                        )
+                except OSError as error:  # no bus, as the cameras' own processes report
+                    log.debug("camera %s: its status is not published: %s", camera, error)
 
 
-def command(process: CameraProcess, args: argparse.Namespace, heartbeat_fd: int) -> list[str]:
+def command(process: CameraProcess, args: argparse.Namespace) -> list[str]:
     """Return the command line of a camera's process; it contains no source, so no password."""
     line = [sys.executable, "-m", "camtopod", "--config", str(args.config)]
     line += ["--log-format", args.log_format, "--log-level", getattr(args, "log_level", "info")]
@@ -176,12 +159,13 @@ def command(process: CameraProcess, args: argparse.Namespace, heartbeat_fd: int)
     for endpoint in args.connect:
         line += ["--connect", endpoint]
     line += ["grab", "--camera", process.camera, "--with-parent", str(os.getpid())]
-    line += ["--beat-fd", str(heartbeat_fd), "--restarts", str(process.restarts)]
-    line += ["--last-end", process.last_end]
-    for option in ("state", "start", "speed"):
-        if getattr(args, option) is not None:
-            line += [f"--{option}", str(getattr(args, option))]
-    return line + (["--realtime"] if args.realtime else [])
+    line += ["--restarts", str(process.restarts), "--last-end", process.last_end]
+    line += ["--start", str(args.start)]
+    if args.state is not None:
+        line += ["--state", args.state]
+    if args.realtime:
+        line += ["--realtime"]
+    return line
 
 
 def _filled(config: Config, camera: str) -> CameraSettings:

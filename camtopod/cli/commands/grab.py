@@ -13,17 +13,15 @@ import math
 import os
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
-
-import msgspec
 
 from camtopod import codec, redact
 from camtopod.cli import descriptors, exits
 from camtopod.cli.cameras.camera_process import with_restarts
 from camtopod.cli.cameras.heartbeat import HeartbeatSender
 from camtopod.cli.common import (
-    ForcedExit,
     SignalRequests,
     check_camera,
     configuration,
@@ -35,9 +33,10 @@ from camtopod.cli.common import (
 from camtopod.cli.exits import CommandError
 from camtopod.config import CameraSettings, Config, detector_line
 from camtopod.serve.runtime import clock, systemd
-from camtopod.vision.source import RETRY_SEPARATOR, captured_log, kind_of
+from camtopod.vision.source import RETRY_SEPARATOR, captured_log
 
 if TYPE_CHECKING:
+    from camtopod.records import Event
     from camtopod.serve.bus import Bus
     from camtopod.serve.outbox import Publisher
     from camtopod.vision.analysis import Analysis, Observer
@@ -94,26 +93,20 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--start",
         type=float,
+        default=0.0,
         metavar="SECONDS",
         help="video file: event time of its first frame (default 0)",
     )
     parser.add_argument(
         "--realtime",
         action="store_true",
-        default=None,
         help="video file: read it in real time instead of as fast as possible",
-    )
-    parser.add_argument(
-        "--speed",
-        type=float,
-        metavar="FACTOR",
-        help="video file: with --realtime, read it FACTOR times as fast",
     )
     parser.add_argument(
         "--state", metavar="DIRECTORY", help="directory of the spool (default: [state] directory)"
     )
     # Options that the supervisor passes to a camera's process.
-    for option in ("with-parent", "beat-fd", "restarts"):
+    for option in ("with-parent", "restarts"):
         parser.add_argument(f"--{option}", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--last-end", default="", help=argparse.SUPPRESS)
 
@@ -126,15 +119,13 @@ def run(args: argparse.Namespace) -> int:
     with signals() as requests:
         if args.camera is None:
             return _all(args, requests)
-        with ends_within(requests.stop, LEAVE_SECONDS, args.with_parent) as forced_exit:
-            return _one(args, requests, forced_exit)
+        with ends_within(requests.stop, LEAVE_SECONDS, args.with_parent):
+            return _one(args, requests.stop)
 
 
 def _all(args: argparse.Namespace, requests: SignalRequests) -> int:
     """Supervise one process for each camera of the configuration."""
     from camtopod.cli.cameras.supervisor import supervise
-    from camtopod.serve.outbox import spool_path
-    from camtopod.serve.storage import lock_reason
 
     config = configuration(args)
     if args.source is not None or args.out is not None or args.show is not None or args.explain:
@@ -145,37 +136,31 @@ def _all(args: argparse.Namespace, requests: SignalRequests) -> int:
         raise CommandError(
             "no camera given: add --camera ID SOURCE, or a --config with cameras", exits.USAGE
         )
-    for camera in config.cameras:
-        path = spool_path(config.state_directory, config.site.name, camera)
-        if reason := lock_reason(path):
-            raise CommandError(f"{camera}: {reason}", exits.STATE)
     return supervise(args, config, requests)
 
 
-def _one(args: argparse.Namespace, requests: SignalRequests, forced_exit: ForcedExit) -> int:
+def _one(args: argparse.Namespace, stop: threading.Event) -> int:
     """Grab one camera, to the bus or to event lines."""
     check_camera(args.camera)
     config = configuration(args)
     settings = _settings(args, config)
     redact.remember(settings.source)
+    heartbeats = HeartbeatSender()
     with contextlib.ExitStack() as stack:
         # Save standard output: from here on FFmpeg's messages arrive on it.
-        output = stack.enter_context(os.fdopen(os.dup(1), "wb")) if args.out == "-" else None
+        output: BinaryIO = stack.enter_context(os.fdopen(os.dup(1), "wb"))
         ffmpeg_log = stack.enter_context(captured_log())
         from camtopod.vision.grabber import Grabber
 
-        detector = _detector(args, settings)
-
         # Open the camera.
-        heartbeats = HeartbeatSender(args.beat_fd)
         heartbeats.beat("connecting", "not opened yet")
+        detector = _detector(args, settings)
         preview = _preview(args, settings.vision)
         grabber = Grabber(
             args.camera,
             settings.source,
-            start=settings.start,
-            realtime=settings.realtime,
-            speed=settings.speed,
+            start=args.start,
+            realtime=args.realtime or settings.realtime,
             wall_clock=clock.wall,
             settings=settings.vision,
             ffmpeg_log=ffmpeg_log,
@@ -186,15 +171,16 @@ def _one(args: argparse.Namespace, requests: SignalRequests, forced_exit: Forced
         if preview is not None:
             stack.callback(preview.close)  # before the camera, which may take long
 
-        if args.out is not None:
-            lines = output or stack.enter_context(open_output(args.out))
-            return _to_lines(grabber, lines, requests.stop, forced_exit)
-        _to_bus(grabber, args, config, settings, requests, heartbeats)
-        return exits.DONE
+        if args.out is None:
+            return _to_bus(grabber, args, config, stop, heartbeats)
+        if args.out == "-":
+            return _to_lines(grabber, output, stop, heartbeats)
+        with open_output(args.out) as file:
+            return _to_lines(grabber, file, stop, heartbeats)
 
 
 def _settings(args: argparse.Namespace, config: Config) -> CameraSettings:
-    """Return the camera's settings: those of the configuration, overridden by the command line."""
+    """Return the camera's settings. Raises `CommandError` for a command line without sense."""
     settings = config.cameras.get(args.camera)
     if settings is None or not settings.source:
         raise CommandError(
@@ -202,13 +188,9 @@ def _settings(args: argparse.Namespace, config: Config) -> CameraSettings:
             f"[cameras.{args.camera}]",
             exits.USAGE,
         )
-    given: dict[str, Any] = {name: getattr(args, name) for name in ("start", "realtime", "speed")}
-    given = {name: value for name, value in given.items() if value is not None}
-    if not 0 < given.get("speed", 1.0) < math.inf:
-        raise CommandError("--speed must be a number above 0", exits.USAGE)
-    if not math.isfinite(given.get("start", 0.0)):
+    if not math.isfinite(args.start):
         raise CommandError("--start must be a number of seconds", exits.USAGE)
-    return msgspec.structs.replace(settings, **given)
+    return settings
 
 
 def _detector(args: argparse.Namespace, settings: CameraSettings) -> Detector | None:
@@ -257,149 +239,109 @@ def _observer(args: argparse.Namespace, preview: Preview | None) -> Observer | N
     return observe
 
 
+def _until_stopped(
+    grabber: Grabber, stop: threading.Event, heartbeats: HeartbeatSender
+) -> Iterator[Event | None]:
+    """Yield what a grabber yields until its source ends or a signal arrives.
+
+    Its state is reported in heartbeats, and logged when it changes: each reason for a state once.
+    """
+    state = ""
+    causes: set[str] = set()
+    for event in grabber.events():
+        if grabber.overdue_seconds == 0.0:  # otherwise the watchdog ends this process
+            # Before the event: once a beat says "running", a file is not read again.
+            heartbeats.beat(grabber.state, grabber.reason)
+
+        # Log the state.
+        if grabber.state != state:
+            state = grabber.state
+            causes.clear()
+        cause = grabber.reason.partition(RETRY_SEPARATOR)[0]  # without the time of the next attempt
+        if cause not in causes:
+            causes.add(cause)
+            words = f"camera {grabber.camera} is {state}: {grabber.reason}"
+            log.info("%s", words.removesuffix(": "))
+
+        yield event
+        if stop.is_set():
+            return
+    heartbeats.beat(grabber.state, grabber.reason)
+
+
 def _to_lines(
-    grabber: Grabber, out: BinaryIO, stop: threading.Event, forced_exit: ForcedExit
+    grabber: Grabber, out: BinaryIO, stop: threading.Event, heartbeats: HeartbeatSender
 ) -> int:
     """Write event lines, each flushed at once; return the exit status (66 if there was no
     picture).
     """
-    state_log = _StateLog(grabber)
-    # The generator is kept until the return: closing it may wait for OpenCV longer than there is
-    # time.
-    events = grabber.events()
-    for event in events:
-        state_log.update()
+    for event in _until_stopped(grabber, stop, heartbeats):
         if event is not None:
             out.write(codec.to_json(event) + b"\n")
             out.flush()
-        if stop.is_set():
-            break
     if grabber.state == "connecting":
-        forced_exit.status = exits.INPUT
         log.error("camera %s gave no picture: %s", grabber.camera, grabber.reason)
-    return forced_exit.status
-
-
-class _StateLog:
-    """Logs the state of a camera when it changes, and each reason for a state once."""
-
-    def __init__(self, grabber: Grabber) -> None:
-        self._grabber = grabber
-        self._logged: set[tuple[str, str]] = set()
-
-    def update(self) -> None:
-        """Log state and reason if they are new."""
-        state = self._grabber.state
-        reason = self._grabber.reason
-        cause = reason.partition(RETRY_SEPARATOR)[0]  # without the time of the next attempt
-        if (state, cause) in self._logged:
-            return
-        if not any(logged == state for logged, _ in self._logged):
-            self._logged.clear()
-        self._logged.add((state, cause))
-        log.info(": ".join(filter(None, [f"camera {self._grabber.camera} is {state}", reason])))
+        return exits.INPUT
+    return exits.DONE
 
 
 def _to_bus(
     grabber: Grabber,
     args: argparse.Namespace,
     config: Config,
-    settings: CameraSettings,
-    requests: SignalRequests,
+    stop: threading.Event,
     heartbeats: HeartbeatSender,
-) -> None:
-    """Publish the camera's events, and wait at the end of a file until they are stored."""
+) -> int:
+    """Publish the camera's events, and wait at the end of a file until they are stored.
+
+    A supervised process waits for as long as it takes: it would be started again, and its events
+    would count twice. Others wait for `DRAIN_SECONDS`.
+    """
     from camtopod.serve.outbox import Publisher, open_spool
 
     with contextlib.ExitStack() as stack:
         spool = open_spool(config.state_directory, config.site.name, args.camera, config.limits)
         stack.callback(spool.close)
         publisher = Publisher(spool)
-
-        # Connect: a live camera does not wait for the bus, a file can.
         connection = _Connection(config, grabber, publisher, args)
         stack.callback(connection.close)
-        connection.open(in_background=kind_of(settings.source) != "file")
 
-        # Publish, then wait until all is stored.
-        _publish_all(grabber, publisher, connection, config, requests, heartbeats)
-        _drain(grabber, publisher, connection, args, requests, heartbeats)
-        if publisher.waiting and not requests.stop.is_set():
-            raise CommandError(
-                f"{publisher.waiting} events are not stored: is `camtopod run` running for site "
-                f"{config.site.name}? They are kept in {spool.path} and published when this camera "
-                f"is grabbed again{connection.other_site()}"
-            )
-
-
-def _publish_all(
-    grabber: Grabber,
-    publisher: Publisher,
-    connection: _Connection,
-    config: Config,
-    requests: SignalRequests,
-    heartbeats: HeartbeatSender,
-) -> None:
-    """Publish events and statuses until the source ends or a signal arrives."""
-    state_log = _StateLog(grabber)
-    next_status = 0.0
-    heartbeats.beat(grabber.state, grabber.reason)
-    for event in grabber.events():
-        if grabber.overdue_seconds == 0.0:  # otherwise the watchdog ends this process
-            # Before the event: once a beat says "running", a file is not read again.
-            heartbeats.beat(grabber.state, grabber.reason)
-        if event is not None:
-            publisher.publish(event)
-        else:
+        # Publish events, and a status from time to time.
+        next_status = 0.0
+        for event in _until_stopped(grabber, stop, heartbeats):
+            if event is not None:
+                publisher.publish(event)
             publisher.retry()
+            if time.monotonic() >= next_status:
+                next_status = time.monotonic() + config.limits.status_seconds
+                connection.publish_status()
 
-        state_log.update()
-        now = time.monotonic()
-        if now >= next_status:
-            next_status = now + config.limits.status_seconds
+        # Wait until all is stored.
+        patience = DRAIN_SECONDS
+        if systemd.SOCKET_VARIABLE in os.environ:
+            patience = math.inf
+        deadline = time.monotonic() + patience
+        while not stop.is_set():
+            publisher.retry()
             connection.publish_status()
-        if requests.reload.is_set():
-            requests.reload.clear()
-            log.warning(
-                "camera %s: the configuration is read only at the start; restart the command",
-                grabber.camera,
-            )
-        if requests.stop.is_set():
-            return
-    publisher.retry()
-    connection.publish_status()
-    heartbeats.beat(grabber.state, grabber.reason)
-
-
-def _drain(
-    grabber: Grabber,
-    publisher: Publisher,
-    connection: _Connection,
-    args: argparse.Namespace,
-    requests: SignalRequests,
-    heartbeats: HeartbeatSender,
-) -> None:
-    """Wait at the end of a file until its events are stored, for at most `DRAIN_SECONDS`.
-
-    A supervised process waits for as long as it takes: it would be started again, and its events
-    would count twice.
-    """
-    supervised = args.beat_fd is not None or systemd.SOCKET_VARIABLE in os.environ
-    deadline = math.inf if supervised else time.monotonic() + DRAIN_SECONDS
-    while not requests.stop.is_set() and not publisher.wait_stored(0.2):
-        if time.monotonic() >= deadline:
-            return
-        publisher.retry()
-        connection.publish_status()
-        heartbeats.beat(
-            grabber.state, f"waiting for the daemon to store {publisher.waiting} events"
-        )
+            if publisher.wait_stored(0.2):
+                break
+            waiting = publisher.waiting
+            if time.monotonic() >= deadline:
+                raise CommandError(
+                    f"{waiting} events are not stored: is `camtopod run` running for site "
+                    f"{config.site.name}? They are kept in {spool.path} and published when this "
+                    "camera is grabbed again",
+                    exits.BUS,
+                )
+            heartbeats.beat(grabber.state, f"waiting for the daemon to store {waiting} events")
+    return exits.DONE
 
 
 class _Connection:
-    """Connection of the grabber to the bus, which may come later than the first events.
+    """Connection of the grabber to the bus, which is made in the background.
 
-    It also logs when the daemon cannot be reached any more, and when it can again.
+    Until then events wait in the spool. It logs when the daemon is not there, and when it is again.
     """
 
     def __init__(
@@ -411,72 +353,54 @@ class _Connection:
         self._restarts = args.restarts or 0
         self._last_end = args.last_end
         self._daemons: set[str] = set()
-        self._unreached = False
+        self._missed = False
+        """The log says that the daemon is not there."""
         self._bus: Bus | None = None
         self._closed = threading.Event()
-        self._mutex = threading.Lock()
+        threading.Thread(target=self._connect, name="connect", daemon=True).start()
 
-    def open(self, in_background: bool) -> None:
-        """Connect, now or in the background; until then events wait in the spool.
-
-        Raises `BusError` if there is no bus now.
-        """
-        from camtopod.serve.bus import dial
-
-        if not in_background:
-            self._use(dial(self._config))
-        threading.Thread(target=self._run, name="reach", daemon=True).start()
-
-    def _run(self) -> None:
-        """Connect if that is not done yet; then look for the daemon until the end."""
+    def _connect(self) -> None:
+        """Connect, trying again until it succeeds, and publish from then on."""
+        from camtopod.cli.site_choice import right_site
         from camtopod.serve.bus import BusError, dial
 
-        while self._bus is None and not self._closed.is_set():
+        bus = None
+        while bus is None:
             try:
-                self._use(dial(self._config))
+                bus = dial(self._config)
             except BusError as error:
-                self._note_unreached(str(error))
-
-        while not self._closed.wait(_DAEMON_LOOK_SECONDS) and self._bus is not None:
-            endpoint = self._bus.endpoint
-            if not self._bus.connected:
-                self._note_unreached(f"the connection to the daemon at {endpoint} is lost")
-            elif not self._daemons:
-                self._note_unreached(
-                    f"connected to the bus at {endpoint}, but no daemon of site {self._bus.site} "
-                    f"is there{self.other_site()}"
-                )
-            elif self._unreached:
-                self._unreached = False
-                log.info("camera %s: connected to the daemon again", self._grabber.camera)
-
-    def _use(self, bus: Bus) -> None:
-        """Publish on ``bus`` from now on."""
-        camera = self._grabber.camera
-        with self._mutex:
+                self._miss(str(error))
             if self._closed.is_set():
-                bus.close()
                 return
-            self._publisher.attach(bus, [camera])
-            bus.answer_queries(f"status/{camera}", lambda key, parameters: self.status(), "status")
-            bus.watch_alive("daemon", self._on_daemon)
-            self._bus = bus
+        camera = self._grabber.camera
+        self._publisher.attach(bus, [camera])
+        bus.answer_queries(f"status/{camera}", lambda key, parameters: self.status(), "status")
+        bus.watch_alive("daemon", self._on_daemon)
+        self._bus = bus
+
+        # Look for the daemon once; from then on the bus tells when it appears or goes.
+        if not self._closed.wait(_DAEMON_LOOK_SECONDS) and not self._daemons:
+            self._miss(
+                f"connected to the bus at {bus.endpoint}, but no daemon of site {bus.site} is there"
+                f"{right_site(bus, self._config)}"
+            )
 
     def _on_daemon(self, name: str, alive: bool) -> None:
-        (self._daemons.add if alive else self._daemons.discard)(name)
+        """Note that a daemon has appeared or gone."""
+        if not alive:
+            self._daemons.discard(name)
+            self._miss("the daemon has gone")
+            return
+        self._daemons.add(name)
+        if self._missed:
+            self._missed = False
+            log.info("camera %s: connected to the daemon again", self._grabber.camera)
 
-    def _note_unreached(self, why: str) -> None:
-        """Log once that the daemon is not reached."""
-        if not self._unreached:
-            self._unreached = True
-            camera = self._grabber.camera
-            log.warning("camera %s: %s; events are kept in the spool", camera, why)
-
-    def other_site(self) -> str:
-        """Return which site has a daemon if this one has none; see `camtopod.cli.site_choice`."""
-        from camtopod.cli.site_choice import right_site
-
-        return "" if self._bus is None else right_site(self._bus, self._config)
+    def _miss(self, why: str) -> None:
+        """Log once that the daemon is not there."""
+        if not self._missed and not self._closed.is_set():
+            self._missed = True
+            log.warning("camera %s: %s; events are kept in the spool", self._grabber.camera, why)
 
     def status(self) -> dict[str, Any]:
         """Return the content of ``status/{camera}``."""
@@ -498,9 +422,8 @@ class _Connection:
             self._bus.publish(f"status/{self._grabber.camera}", self.status(), "status")
 
     def close(self) -> None:
-        """Close the bus, now or as soon as it is connected."""
+        """End the delivery and close the bus, now or as soon as it is connected."""
         self._closed.set()
-        with self._mutex:
-            self._publisher.close()
-            if self._bus is not None:
-                self._bus.close()
+        self._publisher.close()
+        if self._bus is not None:
+            self._bus.close()

@@ -111,7 +111,7 @@ def probe(
     path = source.removeprefix("file://")
     if kind == "file":
         try:
-            RecordedSource(path, settings, 0.0, None).close()
+            RecordedSource(path, settings, 0.0, False).close()
         except OSError as error:
             return Probe(error.strerror or str(error).removeprefix(f"{path}: "))
 

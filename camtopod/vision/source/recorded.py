@@ -1,4 +1,4 @@
-"""Frames of a video file, as fast as it decodes or at a multiple of its own pace."""
+"""Frames of a video file, as fast as it decodes or at its own pace."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class RecordedSource:
         path: str,
         settings: VisionSettings,
         start: float,
-        speed: float | None,
+        realtime: bool,
         colour: bool = False,
     ) -> None:
         """Open the file.
 
-        speed: multiple of the file's own pace; None to read as fast as it decodes.
+        realtime: read at the file's own pace, not as fast as it decodes.
         colour: frames have an image in colour.
 
         Raises `OSError`, `SourceError`.
@@ -41,7 +41,7 @@ class RecordedSource:
         self._path = path
         self._settings = settings
         self._start = start
-        self._speed = speed
+        self._realtime = realtime
         self._capture: Capture | None = Capture(path, settings, colour)
         if not self._capture.is_open:
             self.close()
@@ -79,8 +79,8 @@ class RecordedSource:
             if frame is None:
                 self.dropped += 1
                 continue
-            if self._speed is not None:
-                yield from _until(began + position / self._speed)
+            if self._realtime:
+                yield from _until(began + position)
             yield frame._replace(t=self._start + position)
 
         self.close()
