@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import AsyncIterator
+from typing import Any
 
+import msgspec
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from camtopod import codec
 from camtopod.records import CAMERA_PATTERN, Prediction
-from camtopod.serve.bus import Bus, QueryError
+from camtopod.serve.bus import JSON, Bus, QueryError
 from camtopod.web.feed import Feed
 from camtopod.web.outbox import PageQueues
 
@@ -27,8 +28,6 @@ LOOPBACK_ONLY = (
 )
 _EVERY_CAMERA = "*"
 """Stands for all cameras; no camera has this id."""
-_VERSION = re.compile("[0-9]{1,18}")
-"""As many digits as the daemon accepts."""
 
 
 class Api:
@@ -48,7 +47,7 @@ class Api:
     def routes(self) -> list[Route]:
         """Return the routes of the API."""
         if not self._is_open:
-            return [Route("/api/{any}", lambda request: _error(403, LOOPBACK_ONLY))]
+            return [Route("/api/{any}", lambda request: error(403, LOOPBACK_ONLY))]
         return [
             Route("/api/topology", self.topology),
             Route("/api/versions", self.versions),
@@ -65,83 +64,72 @@ class Api:
         """Return the newest topology, or with ``version`` an older one of its epoch."""
         newest = self._feed.topology
         if newest is None:
-            return _error(404, "nothing has been learned yet")
-        number = request.query_params.get("version", str(newest.version))
-        if not _VERSION.fullmatch(number):
-            return _error(400, f"version {number[:20]!r} is not a whole number")
-        if int(number) == newest.version:
-            return _content(codec.to_json(newest))
-        asked = {"epoch": newest.epoch, "version": int(number)}
-        try:
-            answers = self._bus.query("topology", asked, one=True)
-            found = [codec.decode_topology(payload, pack=True) for _, payload in answers]
-        except (QueryError, codec.Rejected):
-            found = []
-        if not found:
-            return _error(404, f"version {number} is not kept, or the daemon does not answer")
-        return _content(codec.to_json(found[0]))
+            return error(404, "nothing has been learned yet")
+        version = request.query_params.get("version", str(newest.version))
+        if version == str(newest.version):
+            return content(newest)
+        return self._asked("topology", {"epoch": newest.epoch, "version": version}, 404)
 
     def versions(self, request: Request) -> Response:
         """Return summaries of the versions since this server began, oldest first."""
-        return _content(codec.to_json(self._feed.versions))
+        return content(self._feed.versions)
 
     def status(self, request: Request) -> Response:
         """Return state, reason and counters of the daemon and of all cameras."""
-        return _content(codec.to_json(self._feed.health()))
+        return content(self._feed.health())
 
     def predict(self, request: Request) -> Response:
         """Return the daemon's prediction for an exit: `ASKED` are those of ``predict/{camera}``."""
         given = dict(request.query_params)
         camera = given.pop("camera", "")
         if not re.match(CAMERA_PATTERN, camera):
-            return _error(400, "camera: the id of the camera whose view the object left")
+            return error(400, "camera: the id of the camera whose view the object left")
         if unknown := sorted(set(given) - set(ASKED)):
-            return _error(400, f"unknown parameter {unknown[0][:20]!r}: use {', '.join(ASKED)}")
-        if any(set(value) & set(";=&?#") for value in given.values()):
-            return _error(400, "zone is an id of the topology; the others are numbers")
-
-        try:
-            answers = self._bus.query(f"predict/{camera}", given, one=True)
-        except QueryError as error:
-            return _error(400, str(error))
-        if not answers:
-            return _error(503, "the daemon does not answer")
-        return _content(codec.to_json(codec.read(Prediction, answers[0][1], pack=True)))
+            return error(400, f"unknown parameter {unknown[0][:20]!r}: use {', '.join(ASKED)}")
+        return self._asked(f"predict/{camera}", given, 400)
 
     async def predictions(self, request: Request) -> Response:
         """Stream the daemon's predictions, of all exits or those of ``camera``."""
         camera = request.query_params.get("camera", _EVERY_CAMERA)
         if camera != _EVERY_CAMERA and not re.match(CAMERA_PATTERN, camera):
-            return _error(400, "camera: the id of a camera")
+            return error(400, "camera: the id of a camera")
         page_queue = self._readers.open(camera)
         if page_queue is None:
-            return _error(503, "too many programs read predictions")
+            return error(503, "too many programs read predictions")
 
-        async def stream() -> AsyncIterator[bytes]:
-            with contextlib.ExitStack() as stack:
-                stack.callback(self._readers.leave, page_queue)
-                yield b"retry: 1000\n\n"
-                while (message := await page_queue.take()) is not None:
-                    yield message or b": still here\n\n"
+        messages = self._readers.messages(page_queue, lambda: b": still here\n\n")
+        return StreamingResponse(messages, media_type="text/event-stream")
 
-        return StreamingResponse(stream(), media_type="text/event-stream")
+    def _asked(self, key: str, given: dict[str, str], refused: int) -> Response:
+        """Return the daemon's answer to a query; ``refused`` is the status of a refusal."""
+        if any(set(value) & set(";=&?#") for value in given.values()):
+            return error(400, "a parameter is an id of the topology or a number")
+        try:
+            answers = self._bus.query(key, {**given, "format": JSON}, one=True)
+        except QueryError as refusal:
+            return error(refused, str(refusal))
+        return (
+            content(msgspec.Raw(answers[0][1]))
+            if answers
+            else error(503, "the daemon does not answer")
+        )
 
     def _on_prediction(self, key: str, payload: bytes) -> None:
         """Pass a prediction on to the programs that read; a slow one misses some."""
         if not self._readers:
             return
-        try:
+        with contextlib.suppress(codec.Rejected):
             prediction = codec.read(Prediction, payload, pack=True)
-        except codec.Rejected:
-            return
-        content = codec.to_json(prediction)
-        for camera in (prediction.camera, _EVERY_CAMERA):
-            self._readers.send("prediction", content, camera, passing=True)
+            encoded = codec.to_json(prediction)
+            for camera in (prediction.camera, _EVERY_CAMERA):
+                self._readers.send("prediction", encoded, camera, passing=True)
 
 
-def _content(json: bytes) -> Response:
-    return Response(json, media_type="application/json")
+def content(value: Any) -> Response:
+    """Return the response with a value, in JSON."""
+    return Response(codec.to_json(value), media_type="application/json")
 
 
-def _error(status: int, what: str) -> Response:
+def error(status: int, what: str) -> Response:
+    """Return the response that says what is wrong."""
     return JSONResponse({"error": what}, status)

@@ -13,7 +13,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -24,41 +23,39 @@ from starlette.responses import FileResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
+from camtopod.config import CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
-from camtopod.web.api import Api
-from camtopod.web.configured import Configured
-from camtopod.web.explanations import Explanations
+from camtopod.web.api import Api, content, error
 from camtopod.web.feed import Feed
 from camtopod.web.guards import Guard
 from camtopod.web.login import Login
 from camtopod.web.outbox import PageQueues
-from camtopod.web.pictures import picture_of, pictured
+from camtopod.web.pictures import picture_of
 
 CONNECTIONS_MAX = 1_024
 """Open connections; requests on further ones are answered with 503."""
 CLOSE_SECONDS = 2
 """Time that open responses have to end when the server stops."""
-_NOTHING = Configured()
 STATIC = resources.files("camtopod.web").joinpath("static")
 
 
 class Routes:
-    """Handlers of the routes."""
+    """Handlers of the page's routes."""
 
     def __init__(
         self,
         feed: Feed,
         page_queues: PageQueues,
         pictures: Path | None,
-        configured: Configured,
+        config: Config,
         has_login: bool,
     ) -> None:
         self._feed = feed
         self._page_queues = page_queues
         self._pictures = pictures
-        self._configured = configured
+        self._config = config
         self._has_login = has_login
 
     def map(self, request: Request) -> Response:
@@ -67,103 +64,73 @@ class Routes:
 
     def health(self, request: Request) -> Response:
         """Return state and reason of the daemon and of every camera."""
-        return _json({**self._feed.health(), "login": self._has_login})
+        return content({**self._feed.health(), "login": self._has_login})
 
     def camera(self, request: Request) -> Response:
         """Return one camera's zones and links, and whether there is a picture."""
         name = request.path_params["camera"]
         explanations = self._feed.explanations
-        details = explanations and explanations.camera(name)
-        if not details:
-            return _json({"error": f"camera {name} is not in the newest version"}, 404)
+        details: Any = explanations and explanations.camera(name)
         more = {
-            "picture": self._picture_of(name) is not None,
-            "page": self._configured.pages.get(name),
+            "picture": picture_of(self._pictures, name) is not None,
+            "page": self._config.cameras.get(name, CameraSettings()).page or None,
             "hours": self._feed.hours_of(name),
         }
-        return _json({**details, **more})
+        return _found(details and {**details, **more}, f"camera {name}")
 
     def pair(self, request: Request) -> Response:
         """Return the links between two cameras."""
         a = request.path_params["a"]
         b = request.path_params["b"]
-        return self._explained(lambda version: version.pair(a, b), f"between {a} and {b}")
+        explanations = self._feed.explanations
+        details = explanations and explanations.pair(a, b)
+        return _found(details, f"a link between {a} and {b}")
 
     def link(self, request: Request) -> Response:
         """Return one link, given by ``from``, ``to`` and ``relation``."""
-        key = [request.query_params.get(name, "") for name in ("from", "to", "relation")]
-        return self._explained(lambda version: version.link(*key), f"{key[0]} → {key[1]}")
-
-    def versions(self, request: Request) -> Response:
-        """Return summaries of the versions since this server began, oldest first."""
-        return _json(self._feed.versions)
+        from_, to, relation = (request.query_params.get(k, "") for k in ("from", "to", "relation"))
+        explanations = self._feed.explanations
+        details = explanations and explanations.link(from_, to, relation)
+        return _found(details, f"the link {from_} → {to}")
 
     def pictures(self, request: Request) -> Response:
         """Return the cameras of which there is a picture."""
-        try:
-            return _json(pictured(self._pictures))
-        except OSError:  # the command has warned of it
-            return _json([])
+        drawn = self._feed.map.cameras if self._feed.map else {}
+        return content([name for name in drawn if picture_of(self._pictures, name)])
 
     def placement(self, request: Request) -> Response:
         """Return the cameras' places on the floor plan; null without a plan."""
-        if self._configured.plan is None:
-            return _json(None)
-        return _json({"at": self._configured.at})
+        if not self._config.map.plan:
+            return content(None)
+        cameras = self._config.cameras.items()
+        return content({"at": {name: camera.at for name, camera in cameras if camera.at}})
 
     def plan(self, request: Request) -> Response:
         """Return the floor plan."""
-        plan = self._configured.plan
-        if plan is None or not os.access(plan, os.R_OK):
-            return _json({"error": "no floor plan"}, 404)
-        return FileResponse(plan)
+        return _file(self._config.map.plan)
 
     def picture(self, request: Request) -> Response:
         """Return a camera's picture, if there is one in the folder."""
-        path = self._picture_of(request.path_params["camera"])
-        if path is None:
-            return _json({"error": "no picture"}, 404)
-        return FileResponse(path)
-
-    def _explained(
-        self, details_of: Callable[[Explanations], dict[str, Any] | None], ends: str
-    ) -> Response:
-        """Return details of the newest version, or that it has no link with these ends."""
-        explanations = self._feed.explanations
-        if explanations is not None and (details := details_of(explanations)) is not None:
-            return _json(details)
-        return _json({"error": f"the newest version has no link {ends}"}, 404)
-
-    def _picture_of(self, camera: str) -> Path | None:
-        """Return the path of a camera's picture; None if there is none that this user may read.
-
-        The camera's page works without a picture.
-        """
-        try:
-            path = picture_of(self._pictures, camera)
-        except PermissionError:  # raised for the folder
-            return None
-        return path if path is not None and os.access(path, os.R_OK) else None
+        return _file(picture_of(self._pictures, request.path_params["camera"]) or "")
 
     async def live(self, request: Request) -> Response:
         """Stream server-sent events: all news and, with ``camera``, that camera's events."""
         camera = request.query_params.get("camera")
         if camera is not None and not re.match(CAMERA_PATTERN, camera):
-            return _json({"error": "not a valid camera id"}, 404)
+            return error(404, "not a valid camera id")
         page_queue = self._page_queues.open(camera)
         if page_queue is None:
-            return _json({"error": "too many pages are open"}, 503)
+            return error(503, "too many pages are open")
 
         async def stream() -> AsyncIterator[bytes]:
             async with contextlib.AsyncExitStack() as stack:
-                stack.callback(self._page_queues.leave, page_queue)
                 if camera is not None:
                     watching = self._feed.watching(camera)
                     await run_in_threadpool(watching.__enter__)
                     stack.callback(watching.__exit__, None, None, None)
                 yield b"retry: 1000\n\n" + self._feed.beat() + self._feed.hello()
-                while (message := await page_queue.take()) is not None:
-                    yield message or self._feed.beat()
+                async for message in self._page_queues.messages(page_queue, self._feed.beat):
+                    yield message
 
         return StreamingResponse(stream(), media_type="text/event-stream")
 
@@ -202,7 +169,7 @@ def application(
         Route("/data/camera/{camera}", site.camera),
         Route("/data/pair/{a}/{b}", site.pair),
         Route("/data/link", site.link),
-        Route("/data/versions", site.versions),
+        Route("/data/versions", api.versions),
         Route("/data/pictures", site.pictures),
         Route("/data/placement", site.placement),
         Route("/plan", site.plan),
@@ -230,11 +197,10 @@ def serving(
     names: Collection[str],
     pictures: Path | None,
     clock: Clock,
-    status_seconds: float,
+    config: Config,
     is_public: bool = False,
     progress: Progress | None = None,
     login: Login | None = None,
-    configured: Configured = _NOTHING,
 ) -> Iterator[Callable[[], bool]]:
     """Serve the page from a listening socket, in threads, while the block runs.
 
@@ -244,7 +210,6 @@ def serving(
     is_public: whether other machines can connect; then the API needs a login.
     progress: receives the progress of the threads.
     login: None for a page without a password.
-    configured: the configuration's settings of the page.
     """
     # Progress marks, bus followers, HTTP server.
     marks = progress or Progress()
@@ -253,10 +218,10 @@ def serving(
     )
     stop = threading.Event()
     page_queues = PageQueues()
-    feed = Feed(bus, page_queues, clock, status_seconds)
+    feed = Feed(bus, page_queues, clock, config.limits.status_seconds)
     api = Api(bus, feed, is_open=login is not None or not is_public)
-    site = Routes(feed, page_queues, pictures, configured, login is not None)
-    config = uvicorn.Config(
+    site = Routes(feed, page_queues, pictures, config, login is not None)
+    settings = uvicorn.Config(
         application(site, api, names, login, page.beat),
         log_config=None,
         log_level="error",  # not each invalid request
@@ -267,7 +232,7 @@ def serving(
         timeout_graceful_shutdown=CLOSE_SECONDS,
         http="h11",
     )
-    server = uvicorn.Server(config)
+    server = uvicorn.Server(settings)
 
     # One thread for each.
     threads = [
@@ -293,5 +258,15 @@ def serving(
             thread.join(CLOSE_SECONDS + 1)
 
 
-def _json(content: Any, status: int = 200) -> Response:
-    return Response(msgspec.json.encode(content), status, media_type="application/json")
+def _found(details: Any, what: str) -> Response:
+    """Return the response with details, or that the newest version does not have them."""
+    if not details:
+        return error(404, f"{what} is not in the newest version")
+    return content(details)
+
+
+def _file(path: str | Path) -> Response:
+    """Return the response with a file, or that there is none; "" is no file."""
+    if not os.access(path, os.R_OK):
+        return error(404, "there is no such file")
+    return FileResponse(path)

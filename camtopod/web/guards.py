@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
-import re
 from collections.abc import Collection
+from urllib.parse import urlsplit
 
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse
@@ -28,8 +29,6 @@ REFUSED = (
     "camtopod web --name NAME\n"
 )
 """Body of the response to a request for an unknown host name."""
-_HOST = re.compile(r"\[?([0-9A-Za-z:._-]+?)\]?(?::[0-9]{1,5})?")
-"""Host header: address or name, and optionally a port."""
 
 
 class Guard:
@@ -67,13 +66,11 @@ class Guard:
         await app(scope, receive, send_with_headers)
 
     def _knows(self, host: str) -> bool:
-        match = _HOST.fullmatch(host)
-        return match is not None and (match[1].lower() in self._names or _is_address(match[1]))
-
-
-def _is_address(text: str) -> bool:
-    try:
-        ipaddress.ip_address(text)
-    except ValueError:
+        """Return True for the Host header of an accepted name or any address."""
+        with contextlib.suppress(ValueError):
+            name = urlsplit(f"//{host}").hostname or ""
+            if name in self._names:
+                return True
+            ipaddress.ip_address(name)
+            return True
         return False
-    return True

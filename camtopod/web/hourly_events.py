@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter
 from collections.abc import Mapping
 
 HOURS_MAX = 48
-"""Hours that are kept of each camera."""
+"""Hours that are kept."""
 
 
 class HourlyEvents:
-    """A ring of hourly counts for each camera; for one thread that notes and others that read."""
+    """Counts of the last hours; for one thread that notes and others that read."""
 
     def __init__(self) -> None:
-        self._counted: dict[str, int] = {}
+        self._counters: dict[str, int] = {}
         """The daemon's counter of each camera, as of the last status."""
-        self._hours: dict[str, deque[tuple[int, int]]] = {}
-        """By camera: (hour since the epoch, events in it), hours without events left out."""
+        self._hours: dict[int, Counter[str]] = {}
+        """By hour since the epoch: events of each camera."""
         self._since: float | None = None
 
     def note(self, now: float, counters: Mapping[str, int]) -> None:
@@ -25,18 +25,18 @@ class HourlyEvents:
         now: Unix seconds.
         counters: events of each camera since the daemon's start.
         """
-        hour = int(now // 3600)
-        first = self._since is None
         if self._since is None:
             self._since = now
+            self._counters.update(counters)
+        hour = int(now // 3600)
+        counts = self._hours.setdefault(hour, Counter())
         for camera, counter in counters.items():
-            # The counter starts at 0 when the daemon starts, and for a camera that is new.
-            before = self._counted.get(camera, counter if first else 0)
-            self._counted[camera] = counter
-            if new := counter - before if counter >= before else counter:
-                held = self._hours.setdefault(camera, deque(maxlen=HOURS_MAX))
-                count = held.pop()[1] if held and held[-1][0] == hour else 0
-                held.append((hour, count + new))
+            before = self._counters.get(camera, 0)
+            if counter < before:  # the daemon has been restarted
+                before = 0
+            counts[camera] += counter - before
+        self._counters.update(counters)
+        self._hours.pop(hour - HOURS_MAX, None)
 
     def of(self, camera: str, now: float) -> dict[str, object] | None:
         """Return a camera's events by the hour; None before the first status.
@@ -48,9 +48,6 @@ class HourlyEvents:
             return None
         last = int(now // 3600)
         first = max(int(self._since // 3600), last - HOURS_MAX + 1)
-        held = dict(self._hours.get(camera, ()))
-        return {
-            "since": self._since,
-            "first": first * 3600,
-            "counts": [held.get(hour, 0) for hour in range(first, last + 1)],
-        }
+        hours = [self._hours.get(hour, Counter()) for hour in range(first, last + 1)]
+        counts = [hour[camera] for hour in hours]
+        return {"since": self._since, "first": first * 3600, "counts": counts}

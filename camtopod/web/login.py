@@ -60,7 +60,7 @@ class Login:
         self._token = token
         self._clock = clock
         self._key = secrets.token_bytes(32)
-        self._minute = 0
+        self._minute = 0.0
         self._wrong: Counter[str] = Counter()
         """By address: wrong passwords in this minute."""
 
@@ -71,7 +71,8 @@ class Login:
         kind, _, token = request.headers.get("authorization", "").partition(" ")
         if self._token is not None and kind.lower() == "bearer":
             return _same(token.strip(), self._token)
-        return self._is_session(request.cookies.get(cookie_name(request), ""))
+        ends, _, signature = request.cookies.get(cookie_name(request), "").partition(".")
+        return _same(signature, self._signature(ends)) and int(ends) > self._clock()
 
     def refusal(self, request: Request) -> Response:
         """Return the response to a request without a login: the page leads to it, data is 401."""
@@ -83,8 +84,6 @@ class Login:
     async def page(self, request: Request) -> Response:
         """Show the login page, or take the password that it sends."""
         if request.method != "POST":
-            if self._is_session(request.cookies.get(cookie_name(request), "")):
-                return RedirectResponse("./", 303)
             return _login_page("", 200)
         content = b""
         async for part in request.stream():
@@ -94,11 +93,10 @@ class Login:
         password = parse_qs(content.decode("utf-8", "replace")).get("password", [""])[0]
 
         # Count wrong passwords by the minute.
-        minute = int(self._clock() // 60)
-        if minute != self._minute:
-            self._minute = minute
+        if self._clock() // 60 != self._minute:
+            self._minute = self._clock() // 60
             self._wrong.clear()
-        address = request.client.host if request.client is not None else ""
+        address = str(request.client and request.client.host)
         if self._wrong[address] >= TRIES_PER_MINUTE_MAX:
             return _login_page(TOO_MANY, 429)
         if not _same(password, self._password):
@@ -124,10 +122,6 @@ class Login:
         answer = JSONResponse({})
         answer.delete_cookie(cookie_name(request))
         return answer
-
-    def _is_session(self, cookie: str) -> bool:
-        ends, _, signature = cookie.partition(".")
-        return _same(signature, self._signature(ends)) and int(ends) > self._clock()
 
     def _signature(self, text: str) -> str:
         return hmac.new(self._key, text.encode(), hashlib.sha256).hexdigest()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import AsyncIterator, Callable
 
 MESSAGES_MAX = 256
 """Messages that may wait for a page; beyond it the connection ends, and the page comes back."""
@@ -75,9 +76,13 @@ class PageQueues:
         """Return True if any page is open."""
         return bool(self._queues)
 
-    def leave(self, queue: PageQueue) -> None:
-        """Remove the queue of a closed page."""
-        self._queues.discard(queue)
+    async def messages(self, queue: PageQueue, beat: Callable[[], bytes]) -> AsyncIterator[bytes]:
+        """Yield the messages to a page until it leaves; ``beat`` makes one when there is none."""
+        try:
+            while (message := await queue.take()) is not None:
+                yield message or beat()
+        finally:
+            self._queues.discard(queue)
 
     def send(
         self, name: str, content: bytes, camera: str | None = None, passing: bool = False

@@ -19,25 +19,11 @@ TYPES = {".jpg": "image/jpeg", ".png": "image/png"}
 
 
 def picture_of(folder: Path | None, camera: str) -> Path | None:
-    """Return the file of a camera's picture; None if there is none."""
+    """Return the file of a camera's picture; None if there is none that this user may read."""
     if folder is None or not re.match(CAMERA_PATTERN, camera):
         return None
-    return next(
-        (path for ending in TYPES if (path := folder / f"{camera}{ending}").is_file()), None
-    )
-
-
-def pictured(folder: Path | None) -> list[str]:
-    """Return the cameras that have a picture in the folder, sorted. Raises `OSError`."""
-    if folder is None:
-        return []
-    with os.scandir(folder) as files:
-        found = {
-            Path(file.name).stem
-            for file in files
-            if Path(file.name).suffix in TYPES and file.is_file()
-        }
-    return sorted(camera for camera in found if re.match(CAMERA_PATTERN, camera))
+    paths = (folder / f"{camera}{ending}" for ending in TYPES)
+    return next((path for path in paths if os.access(path, os.R_OK)), None)
 
 
 def stored_path(folder: Path, camera: str) -> Path:

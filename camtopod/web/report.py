@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import base64
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from camtopod.records import Link, Topology
 from camtopod.web.explanations import Explanations
@@ -19,58 +18,35 @@ LINKS_MAX = 3_000
 
 A browser cannot open the links of a large site in one file.
 """
-Count = Callable[[int, int], None]
-"""Progress callback: parts that are ready, and their total number."""
-_T = TypeVar("_T")
 
 
-def gather(
-    topology: Topology,
-    older: Sequence[Topology],
-    pictures: Path | None,
-    count: Count = lambda done, of: None,
-) -> dict[str, Any]:
-    """Return the data of a report on ``topology``. Raises OSError.
+def gather(topology: Topology, older: Sequence[Topology], pictures: Path | None) -> dict[str, Any]:
+    """Return the data of a report on ``topology``: the server's answers, by query. Raises OSError.
 
     older: earlier versions, oldest first.
     pictures: folder of camera pictures.
-    count: called often, with the number of parts that are ready and their total number.
     """
-    # What the report covers.
     drawn = draw(topology)
-    cameras = [camera.id for camera in topology.cameras]
-    files = {
-        camera: path for camera in cameras if (path := picture_of(pictures, camera)) is not None
-    }
     explanations = Explanations(topology)
+    cameras = [camera.id for camera in topology.cameras]
+    found = {camera: picture_of(pictures, camera) for camera in cameras}
+    files = {camera: path for camera, path in found.items() if path is not None}
     versions = [*older, topology]
-    links = _explained(topology)
-
-    # Progress.
-    ready = itertools.count()
-    parts = len(cameras) + len(drawn.edges) + len(links) + len(versions)
-
-    def counted(part: _T) -> _T:
-        count(next(ready), parts)
-        return part
-
-    # The answers of the server, by query.
     return {
         "map": drawn,
         "cameras": {
-            name: {**(explanations.camera(counted(name)) or {}), "picture": name in files}
+            name: {**(explanations.camera(name) or {}), "picture": name in files}
             for name in cameras
         },
-        "pairs": {key: explanations.pair(*counted(key).split(" ")) for key in drawn.edges},
+        "pairs": {key: explanations.pair(*key.split(" ")) for key in drawn.edges},
         "links": {
             f"{link.from_} {link.to} {link.relation}": explanations.link(
                 link.from_, link.to, link.relation
             )
-            for link in map(counted, links)
+            for link in _explained(topology)
         },
         "versions": [
-            summary(counted(one), before)
-            for before, one in zip([None, *versions[:-1]], versions, strict=True)
+            summary(one, before) for before, one in zip([None, *older], versions, strict=True)
         ],
         "pictures": {name: _inline(path) for name, path in files.items()},
     }

@@ -106,7 +106,7 @@ def test_what_cannot_be_read_or_written_is_told(
     for options, status, said in (
         ([str(tmp_path / "none.json")], exits.INPUT, "none.json"),
         ([str(bad)], exits.INPUT, "is not a topology"),
-        ([str(strange)], exits.INPUT, f"there is no zone '{SITE.zones[0].id}' in it"),
+        ([str(strange)], exits.INPUT, f"there is no '{SITE.zones[0].id}' in it"),
         ([str(source), "--updates", str(bad)], exits.INPUT, "line 1 is not a topology"),
         ([str(source), "--updates", str(tmp_path / "none")], exits.INPUT, "cannot read"),
         ([str(source), "--pictures", str(tmp_path / "none")], exits.INPUT, "no such directory"),

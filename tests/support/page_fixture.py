@@ -14,10 +14,10 @@ from chromium import Browser
 from fake_bus import OneBus
 
 from camtopod.cli.commands.web import listening, names
+from camtopod.config.settings import parse
 from camtopod.records import Topology
 from camtopod.serve.bus.session import Bus
 from camtopod.web import app
-from camtopod.web.configured import Configured
 from camtopod.web.login import Login
 
 
@@ -37,6 +37,7 @@ class Shown:
     """A web page on a fake bus.
 
     pictures: folder of camera pictures.
+    config: the configuration, as its file has it.
     """
 
     def __init__(
@@ -44,13 +45,13 @@ class Shown:
         *versions: Topology,
         pictures: Path | None = None,
         login: Login | None = None,
-        configured: Configured | None = None,
+        config: str = "",
     ) -> None:
         self.bus = OneBus()
         self.bus.kept = {one.version: one for one in versions}
         self.pictures = pictures
         self.login = login
-        self.configured = configured or Configured()
+        self.config = parse(f"[limits]\nstatus_seconds = 3600.0\n{config}")
         self.port = 0
 
     @property
@@ -69,9 +70,8 @@ class Shown:
                 names("127.0.0.1", further_names),
                 self.pictures,
                 time.time,
-                3600.0,
+                self.config,
                 login=self.login,
-                configured=self.configured,
             ),
         ):
             self.port = listener.getsockname()[1]

@@ -28,7 +28,7 @@ from serving import (
 from synthetic_topology import synthetic_topology
 
 from camtopod.cli.commands.web import listening, names
-from camtopod.config.settings import BusSettings
+from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import Bus
@@ -74,7 +74,7 @@ class Site:
         """Serve the page; yield its port."""
         with (
             listening("127.0.0.1", port) as listener,
-            app.serving(bus, listener, names("127.0.0.1"), self.directory, self.now, 1.0),
+            app.serving(bus, listener, names("127.0.0.1"), self.directory, self.now, Config()),
         ):
             yield listener.getsockname()[1]
 

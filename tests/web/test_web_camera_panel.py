@@ -10,7 +10,6 @@ from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
 from camtopod.records import InView, Look, Prediction
-from camtopod.web.configured import Configured
 
 SITE = synthetic_topology(4, as_of=time.time())
 A, B, C = (camera.id for camera in SITE.cameras[:3])
@@ -18,7 +17,7 @@ A, B, C = (camera.id for camera in SITE.cameras[:3])
 
 def test_it_links_to_the_recorder_and_counts_events_by_the_hour(browser: Browser) -> None:
     page = "http://frigate.example/#" + A
-    shown = Shown(SITE, configured=Configured({A: page}))
+    shown = Shown(SITE, config=f'[cameras.{A}]\nsource = "0"\npage = "{page}"\n')
     with shown.serving():
         opened(browser, shown)
         for events in (10, 17):

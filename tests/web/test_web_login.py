@@ -73,7 +73,7 @@ def test_the_page_leads_to_the_login_and_a_login_to_the_page(client: Client) -> 
     assert (answer.status, answer.headers["location"]) == (303, "./")
 
     cookie = answer.headers["set-cookie"].partition(";")[0]
-    for path, status in (("/", 200), ("/data/map", 200), ("/login", 303)):
+    for path, status in (("/", 200), ("/data/map", 200)):
         assert client.ask(path, cookie=cookie).status == status
     assert json.loads(client.ask("/data/health", cookie=cookie).content)["login"] is True
 

@@ -12,9 +12,7 @@ from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
 from camtopod import redact
-from camtopod.config import Config
 from camtopod.config.settings import ConfigError, load, parse
-from camtopod.web.configured import Configured
 
 SITE = synthetic_topology(4)
 NAMES = [camera.id for camera in SITE.cameras]
@@ -41,7 +39,8 @@ def test_cameras_stand_where_they_are_on_the_plan_on_every_screen(
 ) -> None:
     plan = tmp_path / "floor.png"
     cv2.imwrite(str(plan), np.full((300, 600, 3), 230, np.uint8))
-    shown = Shown(SITE, configured=Configured({}, plan, AT))
+    cameras = [f'[cameras.{name}]\nsource = "0"\nat = {list(at)}' for name, at in AT.items()]
+    shown = Shown(SITE, config="\n".join([f'[map]\nplan = "{plan}"', *cameras]))
     with shown.serving():
         browser.size(*size)
         opened(browser, shown)
@@ -62,16 +61,11 @@ def test_cameras_stand_where_they_are_on_the_plan_on_every_screen(
 # --- the configuration
 
 
-def test_the_plan_is_beside_the_configuration_and_places_need_it(tmp_path: Path) -> None:
+def test_the_plan_is_beside_the_configuration(tmp_path: Path) -> None:
     path = tmp_path / "camtopod.toml"
-    cameras = '[cameras.a]\nsource = "1"\nat = [0.2, 0.7]\npage = "https://nvr.example/a"\n'
-    path.write_text('[map]\nplan = "floor.png"\n' + cameras)
+    path.write_text('[map]\nplan = "floor.png"\n')
 
-    assert Configured.of(load(path)) == Configured(
-        {"a": "https://nvr.example/a"}, tmp_path / "floor.png", {"a": (0.2, 0.7)}
-    )
-    assert Configured.of(parse(cameras)) == Configured({"a": "https://nvr.example/a"})
-    assert Configured.of(Config()) == Configured()
+    assert load(path).map.plan == str(tmp_path / "floor.png")
 
 
 @pytest.mark.parametrize(

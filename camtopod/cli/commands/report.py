@@ -12,7 +12,6 @@ from camtopod.cli.commands.export import TOO_LONG, TOPOLOGY_BYTES_MAX, load
 from camtopod.cli.common import writing
 from camtopod.cli.events.event_lines import numbered
 from camtopod.cli.exits import InputError
-from camtopod.cli.terminal import Progress
 from camtopod.codec import Rejected, decode_topology
 from camtopod.records import Topology
 from camtopod.web import report, single_file
@@ -59,15 +58,7 @@ def run(args: argparse.Namespace) -> int:
     if args.pictures is not None and not args.pictures.is_dir():
         raise InputError(f"--pictures {args.pictures}: no such directory")
     older = [] if args.updates is None else _older(args.updates, topology)
-    with Progress() as progress:
-        text = single_file.page(
-            report.gather(
-                topology,
-                older,
-                args.pictures,
-                lambda ready, of: progress.show("%d of %d parts ready", ready, of),
-            )
-        )
+    text = single_file.page(report.gather(topology, older, args.pictures))
     if args.out == "-":
         sys.stdout.write(text)
         return exits.DONE

@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
     descriptors.raise_limit()
     try:
-        from camtopod.web import app, configured
+        from camtopod.web import app
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn"):
             raise
@@ -94,9 +94,8 @@ def run(args: argparse.Namespace) -> int:
         log.warning("--pictures %s: %s; cameras are shown without pictures", args.pictures, why)
 
     login = _login(config)
-    settings = configured.Configured.of(config)
-    if (plan := settings.plan) is not None:
-        if plan.suffix not in PLAN_ENDINGS:
+    if plan := config.map.plan:
+        if not plan.endswith(PLAN_ENDINGS):
             raise CommandError(
                 f"[map] plan {plan}: write a file that ends in {', '.join(PLAN_ENDINGS)}",
                 exits.CONFIG,
@@ -117,11 +116,10 @@ def run(args: argparse.Namespace) -> int:
                 names(host, args.name),
                 args.pictures,
                 clock.wall,
-                config.limits.status_seconds,
+                config,
                 not is_loopback(host),
                 progress,
                 login,
-                settings,
             )
         )
         stack.enter_context(
