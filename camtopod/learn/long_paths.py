@@ -25,9 +25,8 @@ from camtopod.learn.changes import Change
 from camtopod.learn.clocks import (
     LAGS,
     ROWS_AT_ONCE,
+    Correlograms,
     Counts,
-    cache_friendly_order,
-    correlograms,
     null_expectation,
 )
 from camtopod.learn.links import LinkTable
@@ -100,7 +99,7 @@ def find_long_paths(
     longest = min(LONG_SECONDS_MAX, LONG_SHARE_MAX * float(last - first))
     middle = 0.5 * (first + last)
     halves = [
-        correlograms(
+        Correlograms(
             (departures.t[half], departures.camera[half]),
             (arrivals.t, arrivals.camera),
             cameras,
@@ -111,10 +110,9 @@ def find_long_paths(
     ]
     nats = np.zeros(len(pairs))
     seconds = np.zeros(len(pairs))
-    order = cache_friendly_order(source, target, min(half.at_once for half in halves))
-    for k in range(0, len(order), ROWS_AT_ONCE):
-        part = order[k : k + ROWS_AT_ONCE]
-        counts = [half.correlograms_of(source[part], target[part]) for half in halves]
+    for k in range(0, len(pairs), ROWS_AT_ONCE):
+        part = slice(k, k + ROWS_AT_ONCE)
+        counts = [half.between(source[part], target[part]) for half in halves]
         nats[part], seconds[part] = clearest_peaks(counts, lag_max, longest)
     false = len(pairs) * max(longest, 1.0) / BIN_SECONDS * np.exp(-nats)
 

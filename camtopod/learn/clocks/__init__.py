@@ -11,9 +11,8 @@ from __future__ import annotations
 from camtopod.learn.clocks.correlogram import (
     LAGS as LAGS,
     ROWS_AT_ONCE as ROWS_AT_ONCE,
+    Correlograms as Correlograms,
     Counts as Counts,
-    cache_friendly_order as cache_friendly_order,
-    correlograms as correlograms,
     null_expectation as null_expectation,
 )
 from camtopod.learn.clocks.offsets import (

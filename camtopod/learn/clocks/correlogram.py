@@ -7,20 +7,17 @@ above the null model, `null_expectation`. The joint fit estimates transit times 
 minutes and needs correct clocks. A correlogram only counts, so it reaches much further: about a
 quarter of an hour with bins of a second, negative lags included.
 
-`correlograms` prepares the events. Few pairs of events are counted one by one (`ByDifference`),
-many by Fourier transform (`ByTransform`). Counts are integers, so both give the same result.
+`Correlograms` counts by Fourier transform and rounds to integers.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from camtopod.arrays import Floats, Ints, Longs, rows_by_group
+from camtopod.arrays import Floats, Ints, rows_by_group
 
 Counts = NDArray[np.float32]
 Spectra = NDArray[np.complex64]
@@ -33,15 +30,6 @@ block after it.
 """
 SPECTRA_MAX = 4096
 """Limit of the blocks of all labels together; beyond, only the newest stretch of time counts."""
-SPECTRA_KEPT = 2048
-"""Transforms of blocks kept in memory, departures and arrivals together (16 MB a thousand).
-
-Others are computed again when they are needed.
-"""
-DIFFERENCES_MAX = 4_000_000
-"""Up to this many pairs of events within the lags are counted one by one."""
-DIFFERENCES_AT_ONCE = 500_000
-"""Pairs of events processed together."""
 ROWS_AT_ONCE = 256
 """Number of correlograms that callers ask for at a time."""
 CHANCE_BINS = (301, 101)
@@ -62,114 +50,40 @@ NEAR_BINS = 100.0
 """Lag in bins beyond which a peak weighs less, the less the longer its lag is."""
 
 
-def correlograms(
-    departures: tuple[Floats, Ints], arrivals: tuple[Floats, Ints], labels: int, bin_seconds: float
-) -> ByDifference | ByTransform:
-    """Prepare departures and arrivals; the result then computes correlograms of pairs of labels.
+class Correlograms:
+    """The correlograms of departures and arrivals, by Fourier transform.
 
     departures: times (n,) in seconds, ascending, and labels (n,); not empty.
     arrivals: times (m,) and labels (m,), likewise.
     labels: number of labels; they are counted from 0.
     bin_seconds: width of the bins.
-
-    The correlograms of all pairs would need a lot of memory, so the result's ``correlograms_of`` is
-    called for some pairs at a time. It is fastest if pairs asked for in succession have at most
-    ``at_once`` labels (`cache_friendly_order`).
-    """
-    # Bin the newest stretch of time.
-    blocks = max(SPECTRA_MAX // labels, 1)
-    last = max(departures[0][-1], arrivals[0][-1])
-    first = max(min(departures[0][0], arrivals[0][0]), last - blocks * BLOCK * bin_seconds)
-    bins = []
-    names = []
-    for t, label in (departures, arrivals):
-        kept = slice(int(np.searchsorted(t, first)), None)
-        bins.append(((t[kept] - first) / bin_seconds).astype(np.int64))
-        names.append(label[kept].astype(np.int64))
-
-    # The arrivals within the lags of each departure.
-    low = np.searchsorted(bins[1], bins[0] - LAGS, side="left")
-    n = np.searchsorted(bins[1], bins[0] + LAGS, side="right") - low
-    if int(n.sum()) <= DIFFERENCES_MAX:
-        return ByDifference(bins, names, labels, low, n)
-    return ByTransform(bins, names, labels)
-
-
-def cache_friendly_order(a: NDArray[Any], b: NDArray[Any], at_once: int) -> NDArray[np.intp]:
-    """Return an order (P,) of pairs in which pairs of the same labels are close together.
-
-    a, b (P,): the two labels of each pair.
-    at_once: number of labels whose intermediate results are kept.
-
-    The order passes through the matrix of all pairs tile by tile.
-    """
-    side = max(at_once // 2, 1)
-    return np.lexsort((b, a, b // side, a // side))
-
-
-class ByDifference:
-    """Correlograms by counting pairs of events one by one.
-
-    bins, names: time bins and labels, first of the departures, then of the arrivals.
-    labels: number of labels.
-    low, n: for each departure the first arrival within the lags, and the number of such arrivals.
     """
 
     def __init__(
-        self, bins: list[Longs], names: list[Longs], labels: int, low: Longs, n: Longs
+        self,
+        departures: tuple[Floats, Ints],
+        arrivals: tuple[Floats, Ints],
+        labels: int,
+        bin_seconds: float,
     ) -> None:
-        self._labels = self.at_once = labels
-        reached = np.cumsum(n)
+        # Bin the newest stretch of time.
+        blocks = max(SPECTRA_MAX // labels, 1)
+        last = max(departures[0][-1], arrivals[0][-1])
+        first = max(min(departures[0][0], arrivals[0][0]), last - blocks * BLOCK * bin_seconds)
+        self._blocks = int((last - first) / bin_seconds) // BLOCK + 1
+        self._bins = []
+        for t, label in (departures, arrivals):
+            kept = slice(int(np.searchsorted(t, first)), None)
+            bins = ((t[kept] - first) / bin_seconds).astype(np.int64)
+            self._bins.append([bins[rows] for rows in rows_by_group(label[kept], labels)])
+        self._spectra: dict[tuple[int, int], Spectra] = {}
+        """Transforms by (side, label), 16 KB a block."""
 
-        # Each pair of events as (source, target, lag) in one number, sorted.
-        self._cells = np.empty(int(n.sum()), np.int64)
-        for k in range(0, len(self._cells), DIFFERENCES_AT_ONCE):
-            few = slice(*np.searchsorted(reached, (k, k + DIFFERENCES_AT_ONCE), side="right"))
-            if few.start == few.stop:  # within one departure, which belongs to a later part
-                continue
-
-            # Rows of the departure and of the arrival of each pair.
-            leaving = np.repeat(np.arange(few.start, few.stop), n[few])
-            begun = reached[few] - n[few]
-            coming = np.arange(len(leaving)) + np.repeat(low[few] - (begun - begun[0]), n[few])
-
-            # Their labels and lags.
-            pair = names[0].take(leaving) * labels + names[1].take(coming)
-            lag = bins[1].take(coming) - bins[0].take(leaving) + LAGS
-            self._cells[begun[0] : begun[0] + len(leaving)] = pair * (2 * LAGS + 1) + lag
-        self._cells.sort()
-
-    def correlograms_of(self, source: Ints, target: Ints) -> Counts:
+    def between(self, source: Ints, target: Ints) -> Counts:
         """Return the correlograms (P, 2 LAGS + 1) of P pairs of labels, from lag -LAGS to LAGS.
 
         source, target (P,): labels of the departures and of the arrivals.
         """
-        counts = np.zeros((len(source), 2 * LAGS + 1), np.float32)
-        first = (source.astype(np.int64) * self._labels + target) * counts.shape[1]
-        low, high = (
-            np.searchsorted(self._cells, cell) for cell in (first, first + counts.shape[1])
-        )
-        for k, row in enumerate(counts):
-            np.add.at(row, self._cells[low[k] : high[k]] - first[k], 1.0)
-        return counts
-
-
-class ByTransform:
-    """Correlograms by Fourier transform; the arguments are as for `ByDifference`."""
-
-    def __init__(self, bins: list[Longs], names: list[Longs], labels: int) -> None:
-        self._blocks = int(max(b.max(initial=0) for b in bins)) // BLOCK + 1
-        self._bins = [
-            [side_bins[rows] for rows in rows_by_group(side_labels, labels)]
-            for side_bins, side_labels in zip(bins, names, strict=True)
-        ]
-        self.at_once = max(SPECTRA_KEPT // (2 * self._blocks), 2)
-        """Number of labels whose transforms are kept."""
-        # Transforms by (side, label), those used last at the end.
-        self._spectra: dict[tuple[int, int], Spectra] = {}
-
-    def correlograms_of(self, source: Ints, target: Ints) -> Counts:
-        """Return the correlograms, as `ByDifference.correlograms_of` does."""
         product = np.empty((len(source), BLOCK + 1), np.complex64)
         for row, u, v in zip(product, source.tolist(), target.tolist(), strict=True):
             np.einsum("bf,bf->f", self._of_label(0, u), self._of_label(1, v), out=row)
@@ -183,8 +97,7 @@ class ByTransform:
         side: 0 for departures in each block, conjugate; 1 for arrivals from half a block before to
             half a block after it.
         """
-        known = self._spectra.pop((side, label), None)
-        if known is None:
+        if (side, label) not in self._spectra:
             # Count the events by block and bin.
             bins = self._bins[side][label]
             present = np.zeros((self._blocks, 2 * BLOCK), np.float32)
@@ -195,15 +108,9 @@ class ByTransform:
                 np.add.at(present, (block[inside], at[inside]), 1.0)
 
             # Transform.
-            known = scipy.fft.rfft(present, overwrite_x=True)
-            if side == 0:
-                np.conj(known, out=known)
-
-        # Keep the transforms used last.
-        self._spectra[side, label] = known
-        if len(self._spectra) > 2 * self.at_once:
-            del self._spectra[next(iter(self._spectra))]
-        return known
+            spectra = scipy.fft.rfft(present, overwrite_x=True)
+            self._spectra[side, label] = np.conj(spectra) if side == 0 else spectra
+        return self._spectra[side, label]
 
 
 def null_expectation(counts: Counts) -> Counts:

@@ -20,13 +20,12 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 from scipy.optimize import linprog
-from scipy.sparse import coo_array
+from scipy.sparse import block_array, coo_array, eye_array
 
 from camtopod.arrays import Bools, Floats, Ints
 from camtopod.learn.clocks.correlogram import (
     ROWS_AT_ONCE,
-    cache_friendly_order,
-    correlograms,
+    Correlograms,
     highest_peaks,
 )
 from camtopod.learn.clocks.two_way_paths import find_two_way_paths
@@ -266,20 +265,16 @@ def find_differences(
     # Correlograms of all pairs of zones of each pair of cameras.
     departed = (departures.t, departures.zone)
     arrived = (arrivals.t, arrivals.zone)
-    pair_counts = correlograms(departed, arrived, len(camera_of), BIN_SECONDS)
+    pair_counts = Correlograms(departed, arrived, len(camera_of), BIN_SECONDS)
     found = []
-    a_of, b_of = np.array(pairs).T
-    cameras_at_once = pair_counts.at_once * len(zones_of) // len(camera_of)
-    for a, b in (pairs[k] for k in cache_friendly_order(a_of, b_of, cameras_at_once)):
+    for a, b in pairs:
         u, v = (
             ends.ravel().astype(np.int32)
             for ends in np.meshgrid(zones_of[a], zones_of[b], indexing="ij")
         )
 
         # Their two-way paths.
-        for k, path in find_two_way_paths(
-            pair_counts.correlograms_of(u, v), pair_counts.correlograms_of(v, u)
-        ):
+        for k, path in find_two_way_paths(pair_counts.between(u, v), pair_counts.between(v, u)):
             if path.spread > SPREAD_SHARE_MAX * max(abs(path.transit), SHORT_SECONDS / BIN_SECONDS):
                 continue
             # If objects turn around at both zones, one walk from u to v also looks like one from v
@@ -288,7 +283,7 @@ def find_differences(
                 continue
             sd = max(path.sd * BIN_SECONDS, SD_MIN_SECONDS)
             found.append(Difference(a, b, path.ahead * BIN_SECONDS, sd, path.transit * BIN_SECONDS))
-    return sorted(found, key=lambda difference: (difference.a, difference.b))
+    return found
 
 
 def _promising(
@@ -309,14 +304,13 @@ def _promising(
     a, b = (np.array([pair[k] for pair in pairs], np.int32) for k in range(2))
     departed = (departures.t, departures.camera)
     arrived = (arrivals.t, arrivals.camera)
-    pair_counts = correlograms(departed, arrived, len(zones_of), SCREENING_BIN_SECONDS)
+    pair_counts = Correlograms(departed, arrived, len(zones_of), SCREENING_BIN_SECONDS)
     peak = np.zeros(len(a))
-    order = cache_friendly_order(a, b, pair_counts.at_once)
     for k in range(0, len(a), ROWS_AT_ONCE):
-        rows = order[k : k + ROWS_AT_ONCE]
+        rows = slice(k, k + ROWS_AT_ONCE)
         peak[rows] = np.minimum(
-            highest_peaks(pair_counts.correlograms_of(a[rows], b[rows])),
-            highest_peaks(pair_counts.correlograms_of(b[rows], a[rows])),
+            highest_peaks(pair_counts.between(a[rows], b[rows])),
+            highest_peaks(pair_counts.between(b[rows], a[rows])),
         )
 
     # The best ones within the limit.
@@ -428,24 +422,19 @@ def _least_disagreement(
     cost = np.concatenate((np.zeros(cameras), RIGHT_WEIGHT * trust, np.ones(n)))
 
     # Constraints: disagreements and absolute values are at least either sign of their argument.
-    k = np.arange(n)
-    c = np.arange(cameras)
-    above = k
-    below = n + k
-    left = 2 * n + c
-    right = 2 * n + cameras + c
-    rows = np.concatenate((above, above, above, below, below, below, left, left, right, right))
-    columns = np.concatenate(
-        (b, a, 2 * cameras + k, b, a, 2 * cameras + k, c, cameras + c, c, cameras + c)
+    at = (np.tile(np.arange(n), 2), np.concatenate((b, a)))
+    apart = coo_array((np.concatenate((1.0 / sd, -1.0 / sd)), at), shape=(n, cameras))
+    each = eye_array(n)
+    clock = eye_array(cameras)
+    matrix = block_array(
+        [
+            [apart, None, -each],
+            [-apart, None, -each],
+            [clock, -clock, None],
+            [-clock, -clock, None],
+        ],
+        format="csr",
     )
-    one = 1.0 / sd
-    ones = np.ones(cameras)
-    values = np.concatenate(
-        (one, -one, -np.ones(n), -one, one, -np.ones(n), ones, -ones, -ones, -ones)
-    )
-    matrix = coo_array(
-        (values, (rows, columns)), shape=(2 * n + 2 * cameras, 2 * cameras + n)
-    ).tocsr()
     limit = np.concatenate((ahead / sd, -ahead / sd, np.zeros(2 * cameras)))
 
     # Solve.
