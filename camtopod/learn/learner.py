@@ -465,38 +465,35 @@ class Learner:
 
     def _report(self, found: Refit, topology: Topology, version: int, now: float) -> None:
         """Raise an alarm for each change that this version is the first to show."""
-        # Changes of links, zones, cameras and clocks.
         cameras = self._window.cameras
-        scene = found.scene
-        ids = [zone_id(cameras, zone) for zone in scene.zones]
+        ids = [zone_id(cameras, zone) for zone in found.scene.zones]
         if self.only_last:  # no earlier version has published the links that have closed
             self._alarms.join(ids, zone_pairs_of(found.significant_links))
-        self._alarms.report(
-            version,
-            now,
-            scene,
-            ids,
-            cameras,
-            found.silences,
-            found.changes,
-            zone_pairs_of(found.published),
-            self.settings.publish_probability_min,
-        )
-        self._alarms.clocks(version, now, topology.cameras)
+        news = [
+            *self._alarms.changes(
+                now,
+                found.scene,
+                ids,
+                cameras,
+                found.silences,
+                found.changes,
+                zone_pairs_of(found.published),
+                self.settings.publish_probability_min,
+            ),
+            *self._alarms.clocks(topology.cameras),
+        ]
 
         # Cameras that were turned, and those that two programs publish.
         for camera, since, move in self.state.moved:
-            detail = (
-                f"{move.outside:.2f} of {move.events} events outside its zones since {since:.0f}"
-            )
-            self._alarms.add(version, now, "camera_moved", cameras[camera], detail)
+            outside = f"{move.outside:.2f} of {move.events} events outside its zones"
+            news.append(("camera_moved", cameras[camera], f"{outside} since {since:.0f}"))
         for name in self.state.doubled:
             publisher = self.state.publishers[name]
-            detail = (
-                "two programs publish it at the same time, "
-                f"boots {publisher.before} and {publisher.boot}"
+            boots = f"boots {publisher.before} and {publisher.boot}"
+            news.append(
+                ("camera_doubled", name, f"two programs publish it at the same time, {boots}")
             )
-            self._alarms.add(version, now, "camera_doubled", name, detail)
+        self._alarms.add(version, now, news)
         self.state.moved = []
         self.state.doubled = []
 

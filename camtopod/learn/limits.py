@@ -80,18 +80,3 @@ def fair_share(wanted: Counts, most: int) -> int:
         return most
     k = int(too_much[0])
     return (most - int(order[:k].sum())) // (len(order) - k)
-
-
-def zone_pairs_max(cameras: int) -> int:
-    """Return the largest number of zone pairs that screening follows on a site of ``cameras``."""
-    return max(ZONE_PAIRS_MAX, ZONE_PAIRS_PER_CAMERA_MAX * cameras)
-
-
-def entry_pairs_max(cameras: int) -> int:
-    """Return the largest number of entry kernels on a site of ``cameras``."""
-    return max(ENTRY_PAIRS_MAX, ENTRY_PAIRS_PER_CAMERA_MAX * cameras)
-
-
-def context_cells_max(cameras: int) -> int:
-    """Return the largest number of cells of a context table on a site of ``cameras``."""
-    return max(CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX * cameras)

@@ -60,7 +60,7 @@ def _alarms(state: AlarmState, old: str, new: str) -> AlarmState:
     return replace(
         state,
         newest=[replace(alarm, subject=renamed(alarm.subject, old, new)) for alarm in state.newest],
-        said={renamed(subject, old, new): t for subject, t in state.said.items()},
+        reported={renamed(subject, old, new): t for subject, t in state.reported.items()},
         joined={renamed(link, old, new) for link in state.joined},
         silent={new if name == old else name for name in state.silent},
         clock=_with_new_key(state.clock, old, new),
@@ -77,7 +77,7 @@ def _scorer(state: ScorerState, old: str, new: str) -> ScorerState:
     def prediction(one: ScoredPrediction) -> ScoredPrediction:
         return one._replace(
             camera=new if one.camera == old else one.camera,
-            said=_with_new_key(one.said, old, new),
+            predicted=_with_new_key(one.predicted, old, new),
             baseline=_with_new_key(one.baseline, old, new),
         )
 

@@ -15,10 +15,10 @@ window among those silent for an hour, which `camera_to_replace` names.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from camtopod.arrays import Longs
 from camtopod.event_time import MICROSECONDS
-from camtopod.learn.association import FollowedSources, place
+from camtopod.learn.association import FollowedSources
 from camtopod.learn.window import FORGOTTEN, ReorderBuffer, Window
 
 RETIRED_AFTER_SECONDS = 7 * 86_400.0
@@ -72,7 +72,7 @@ def camera_to_replace(reorder_buffer: ReorderBuffer, window: Window) -> str | No
 
 
 def renumber_followed(
-    followed: dict[int, FollowedSources], number: NDArray[np.int64]
+    followed: dict[int, FollowedSources], number: Longs
 ) -> dict[int, FollowedSources]:
     """Renumber the cameras in the state of `CandidateScreen`.
 
@@ -82,13 +82,16 @@ def renumber_followed(
     """
     result = {}
     for target, known in followed.items():
-        if number[target >> _CAMERA_SHIFT] != FORGOTTEN:
-            sources = known.sources[number[known.sources >> _CAMERA_SHIFT] != FORGOTTEN]
-            moved = np.array([_moved(source, number) for source in sources.tolist()], np.int64)
-            result[_moved(target, number)] = FollowedSources(moved, known.looked)
+        for moved in _moved(np.array([target]), number).tolist():
+            result[moved] = FollowedSources(_moved(known.sources, number), known.looked)
     return result
 
 
-def _moved(old: int, number: NDArray[np.int64]) -> int:
-    """Return the new key of a zone, given its old one and the new index of each camera."""
-    return place(int(number[old >> _CAMERA_SHIFT]), old & ((1 << _CAMERA_SHIFT) - 1))
+def _moved(keys: Longs, number: Longs) -> Longs:
+    """Return the new keys of zones, without those of forgotten cameras.
+
+    number (cameras,): new index of each camera.
+    """
+    kept = keys[number[keys >> _CAMERA_SHIFT] != FORGOTTEN]
+    moved: Longs = number[kept >> _CAMERA_SHIFT] << _CAMERA_SHIFT | kept & (1 << _CAMERA_SHIFT) - 1
+    return moved

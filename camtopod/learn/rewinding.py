@@ -63,7 +63,7 @@ def _alarms(state: AlarmState, to: float) -> AlarmState:
     return replace(
         state,
         newest=[alarm for alarm in state.newest if alarm.t <= to],
-        said={subject: min(t, to) for subject, t in state.said.items()},
+        reported={subject: min(t, to) for subject, t in state.reported.items()},
     )
 
 

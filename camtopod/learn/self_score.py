@@ -45,7 +45,7 @@ class ScoredPrediction(NamedTuple):
     """Camera of the exit."""
     version: int
     """Version with which the prediction was made."""
-    said: dict[str, float]
+    predicted: dict[str, float]
     """Predicted probabilities."""
     baseline: dict[str, float]
     """Probabilities of the baseline, the Markov chain over cameras."""
@@ -122,11 +122,13 @@ class Scorer:
             if event.kind == "exit":
                 state.exits += 1
                 if state.exits % state.stride == 0 and predictor.zone_of(event) is not None:
-                    said = _by_camera(predictor.predict(event))
+                    predicted = _by_camera(predictor.predict(event))
                     baseline = state.baseline.get(event.camera, {"": 1.0})
                     version = predictor.version
                     state.waiting.append(
-                        ScoredPrediction(t_us / MICROSECONDS, event.camera, version, said, baseline)
+                        ScoredPrediction(
+                            t_us / MICROSECONDS, event.camera, version, predicted, baseline
+                        )
                     )
                     del state.waiting[:-PENDING_MAX]
             predictor.observe(event)
@@ -185,10 +187,10 @@ class Scorer:
 
 def _by_camera(prediction: Prediction) -> dict[str, float]:
     """Return the probability of each next camera, by name, with "" for leaving the site."""
-    said = {"": prediction.leave}
+    shares = {"": prediction.leave}
     for choice in prediction.next_:
-        said[choice.camera] = said.get(choice.camera, 0.0) + choice.probability
-    return said
+        shares[choice.camera] = shares.get(choice.camera, 0.0) + choice.probability
+    return shares
 
 
 def marks(guess: ScoredPrediction, happened: dict[str, float]) -> Scores:
@@ -198,13 +200,13 @@ def marks(guess: ScoredPrediction, happened: dict[str, float]) -> Scores:
     """
     followed = sum(happened.values())
     outcomes = {**happened, "": max(1.0 - followed, 0.0)}
-    ranked, usual = (_ranked(shares) for shares in (guess.said, guess.baseline))
+    ranked, usual = (_ranked(shares) for shares in (guess.predicted, guess.baseline))
     return Scores(
         guess.version,
         followed,
         sum(happened.get(camera, 0.0) for camera in ranked[:1]),
         sum(happened.get(camera, 0.0) for camera in ranked[:3]),
-        _loss(guess.said, outcomes),
+        _loss(guess.predicted, outcomes),
         sum(happened.get(camera, 0.0) for camera in usual[:1]),
         _loss(guess.baseline, outcomes),
     )
@@ -217,14 +219,14 @@ def _ranked(shares: dict[str, float]) -> list[str]:
     )
 
 
-def _loss(said: dict[str, float], outcomes: dict[str, float]) -> float:
+def _loss(shares: dict[str, float], outcomes: dict[str, float]) -> float:
     """Return the expected log loss, -ln(predicted probability of the outcome), in nats.
 
-    said: predicted probability of each outcome.
+    shares: predicted probability of each outcome.
     outcomes: probability that each outcome has happened.
     """
     return -sum(
-        r * math.log(max(said.get(camera, 0.0), PROBABILITY_FLOOR))
+        r * math.log(max(shares.get(camera, 0.0), PROBABILITY_FLOOR))
         for camera, r in outcomes.items()
         if r > 0
     )

@@ -43,9 +43,9 @@ from camtopod.learn.limits import (
     WEIGHED_AT_ONCE,
     WEIGHED_MAX,
     ZONE_PAIRS_MAX,
+    ZONE_PAIRS_PER_CAMERA_MAX,
     ZONE_SCREEN_PAIRS_PER_EVENT_MAX,
     arrivals_within,
-    zone_pairs_max,
 )
 from camtopod.learn.traffic import NullRates
 from camtopod.topology import LagBins, lag_smoothing_matrix, smooth
@@ -210,7 +210,8 @@ class CandidateScreen:
         never = FollowedSources(np.zeros(0, np.int64), -1)
         self.followed = {place: self.followed.get(place, never) for place in places.tolist()}
 
-        pairs_max = zone_pairs_max(len(np.unique(places >> 32)))
+        cameras = len(np.unique(places >> 32))
+        pairs_max = max(ZONE_PAIRS_MAX, ZONE_PAIRS_PER_CAMERA_MAX * cameras)
         departures, arrivals, bins, *_ = ends.problem
         budget = max(LOOKS_MIN, LOOKS_PER_EVENT * (len(departures.t) + len(arrivals.t)))
         for zone in sorted(

@@ -1,13 +1,13 @@
 """Alarms: report each change of the site once, in the first version that shows it.
 
-`AlarmLog.report` is called with each new version and what its refit has found. To learn something
-for the first time is not a change: a link is reported as opened only if the window shows that it
-was closed before (`change_points`), so that a new installation raises no alarms.
+`AlarmLog` is given what the refit of each new version has found, and returns what is new. To learn
+something for the first time is not a change: a link is reported as opened only if the window shows
+that it was closed before (`change_points`), so that a new installation raises no alarms.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Set
+from collections.abc import Iterable, Iterator, Set
 
 import numpy as np
 from msgspec import Struct
@@ -50,12 +50,16 @@ It is below 1, so that the evidence of a single event is limited.
 """
 
 
+News = tuple[str, str, str]
+"""Kind of a change, such as ``camera_moved``; camera, zone or link that has changed; in words."""
+
+
 class AlarmState(Struct):
     """The state of an `AlarmLog`."""
 
     newest: list[Alarm] = []
     """The newest alarms, at most `ALARMS_KEPT_MAX`, oldest first."""
-    said: dict[str, float] = {}
+    reported: dict[str, float] = {}
     """Subject of an alarm (a zone, or a link as ``from->to``) -> time of its last report, seconds.
     """
     joined: set[str] = set()
@@ -85,8 +89,8 @@ class AlarmLog:
         self.state.newest = [
             alarm for alarm in self.state.newest if not mentions(alarm.subject, names)
         ]
-        self.state.said = {
-            subject: t for subject, t in self.state.said.items() if not mentions(subject, names)
+        self.state.reported = {
+            subject: t for subject, t in self.state.reported.items() if not mentions(subject, names)
         }
         self.state.joined = {link for link in self.state.joined if not mentions(link, names)}
 
@@ -98,21 +102,16 @@ class AlarmLog:
         """
         self.state.joined |= {f"{zones[source]}->{zones[target]}" for source, target in links}
 
-    def add(self, version: int, t: float, kind: str, subject: str, detail: str) -> None:
-        """Raise an alarm for a change that the caller has found.
+    def add(self, version: int, t: float, news: Iterable[News]) -> None:
+        """Raise alarms.
 
-        version, t: the version that shows the change, and its event time in seconds.
-        kind: kind of the change, such as ``camera_moved``.
-        subject: the camera, zone or link that has changed.
-        detail: the change in words.
+        version, t: the version that shows the changes, and its event time in seconds.
         """
-        self.state.newest = [*self.state.newest, Alarm(version, t, kind, subject, detail)][
-            -ALARMS_KEPT_MAX:
-        ]
+        alarms = [*self.state.newest, *(Alarm(version, t, *one) for one in news)]
+        self.state.newest = alarms[-ALARMS_KEPT_MAX:]
 
-    def report(
+    def changes(
         self,
-        version: int,
         t: float,
         scene: Scene,
         zones: list[str],
@@ -121,8 +120,8 @@ class AlarmLog:
         changes: list[Change],
         published: set[tuple[int, int]],
         share_min: float,
-    ) -> None:
-        """Raise the alarms for all changes that this version shows.
+    ) -> Iterator[News]:
+        """Yield the new changes of cameras, zones and links.
 
         t (seconds): event time of the version.
         scene: the labelled events of the window.
@@ -132,12 +131,13 @@ class AlarmLog:
         published: pairs (zone of departure, zone of arrival) of the links of this version.
         share_min: least share of the departures at a zone that makes a pair of zones a link.
         """
-        # Cameras and zones.
         begun = scene.first + STARTING_SECONDS
-        self.cameras(version, t, silences, cameras, begun)
-        for index, change in zone_changes(scene).items():
-            if change[2] >= begun:
-                self.zone(version, t, zones[index], *change)
+        yield from self.cameras(silences, cameras, begun)
+        for index, (since, before, after) in zone_changes(scene).items():
+            kind = "zone_new" if after > before else "zone_gone"
+            shares = f"{before:.2f} of the camera's entries or exits until {since:.0f}"
+            if since >= begun:
+                yield from self._once(t, kind, zones[index], f"{shares}, {after:.2f} since", since)
 
         # Links, without the changes near the beginning or end of a silence.
         edges = np.array(
@@ -148,92 +148,59 @@ class AlarmLog:
             for c in changes
             if c.since >= begun and not np.any(np.abs(edges - c.since) < SILENCE_SLACK_SECONDS)
         ]
-        self.links(version, t, link_changes, zones, published, share_min)
+        yield from self.links(t, link_changes, zones, published, share_min)
 
     def links(
         self,
-        version: int,
         t: float,
         changes: Iterable[Change],
         zones: list[str],
         published: set[tuple[int, int]],
         share_min: float,
-    ) -> None:
-        """Raise the alarms for links that opened, closed or changed their share.
-
-        Arguments are as for `report`.
-        """
+    ) -> Iterator[News]:
+        """Yield links that opened, closed or changed their share; see `changes`."""
+        joined = self.state.joined
         for change in changes:
             # Classify the change. Skip slight changes, closed links that had never been published,
             # and open links that are not published.
-            closed = change.after < share_min
-            opened = not closed and change.before < share_min
-            slight = not opened and abs(change.after - change.before) < SHARE_CHANGE_MIN
             subject = f"{zones[change.source]}->{zones[change.target]}"
-            was_none = closed and subject not in self.state.joined
-            is_none = not closed and (change.source, change.target) not in published
-            if (slight and not closed) or was_none or is_none:
+            if change.after < share_min:
+                kind = "link_closed"
+                is_shown = subject in joined
+            else:
+                kind = "link_opened" if change.before < share_min else "link_changed"
+                is_slight = abs(change.after - change.before) < SHARE_CHANGE_MIN
+                is_shown = (change.source, change.target) in published
+                is_shown &= not (is_slight and kind == "link_changed")
+            if not is_shown:
                 continue
 
             # Report it.
-            kind = "link_closed" if closed else "link_opened" if opened else "link_changed"
             detail = f"share {change.before:.2f} until {change.since:.0f}, {change.after:.2f} since"
-            self._once(version, t, kind, subject, detail, change.since)
-            if closed:
-                self.state.joined.discard(subject)
+            yield from self._once(t, kind, subject, detail, change.since)
+            if kind == "link_closed":
+                joined.discard(subject)
 
         # Remember which links are open.
-        links = {f"{zones[source]}->{zones[target]}" for source, target in published}
-        self.state.joined = (
-            links if len(self.state.joined) > SUBJECTS_MAX else self.state.joined | links
-        )
-
-    def zone(
-        self, version: int, t: float, subject: str, before: float, after: float, since: float
-    ) -> None:
-        """Raise the alarm for a zone that is used since a moment, or no longer.
-
-        subject: id of the zone.
-        before, after: the zone's share of its camera's entries or exits until then and since.
-        since (seconds): time of the change.
-        """
-        kind = "zone_new" if after > before else "zone_gone"
-        detail = (
-            f"{before:.2f} of the camera's entries or exits until {since:.0f}, {after:.2f} since"
-        )
-        self._once(version, t, kind, subject, detail, since)
+        if len(joined) > SUBJECTS_MAX:
+            joined.clear()
+        self.join(zones, published)
 
     def cameras(
-        self,
-        version: int,
-        t: float,
-        silences: list[CameraSilences],
-        cameras: list[str],
-        begun: float,
-    ) -> None:
-        """Raise alarms for cameras that fell silent after ``begun`` (seconds) or report again."""
+        self, silences: list[CameraSilences], cameras: list[str], begun: float
+    ) -> Iterator[News]:
+        """Yield cameras that fell silent after ``begun`` (seconds) or report again."""
         silent = self.state.silent
-        for name, silence in zip(cameras, silences, strict=True):
-            ongoing = bool(silence.intervals) and silence.intervals[-1][1] == np.inf
-            if (
-                silence.lasts
-                and name not in self.state.silent
-                and silence.intervals[-1][0] >= begun
-            ):
+        for name, (intervals, lasts) in zip(cameras, silences, strict=True):
+            if lasts and name not in silent and intervals[-1][0] >= begun:
                 silent.add(name)
-                self.add(
-                    version,
-                    t,
-                    "camera_silent",
-                    name,
-                    f"nothing since {silence.intervals[-1][0]:.0f}",
-                )
-            elif name in silent and not ongoing:
+                yield "camera_silent", name, f"nothing since {intervals[-1][0]:.0f}"
+            elif name in silent and not (intervals and intervals[-1][1] == np.inf):
                 silent.discard(name)
-                self.add(version, t, "camera_back", name, "events again")
+                yield "camera_back", name, "events again"
 
-    def clocks(self, version: int, t: float, cameras: list[Camera]) -> None:
-        """Raise the alarms for cameras whose clock has moved against the others.
+    def clocks(self, cameras: list[Camera]) -> Iterator[News]:
+        """Yield cameras whose clock has moved against the others.
 
         cameras: records of the new version, with clock offsets.
 
@@ -246,41 +213,33 @@ class AlarmLog:
             if sd is None:
                 continue
             before, before_sd = self.state.clock.get(camera.id, (now, np.inf))
-            moved = abs(now - before)
-            clear = moved >= CLOCK_CHANGE_SECONDS_MIN and moved > CLOCK_CHANGE_SD * np.hypot(
-                sd, before_sd
-            )
-            if clear:
-                self.add(
-                    version,
-                    t,
-                    "clock_changed",
-                    camera.id,
-                    f"ahead by {before:.2f} s before, by {now:.2f} s now",
-                )
-            if clear or sd < before_sd / 2:
+            least = max(CLOCK_CHANGE_SECONDS_MIN, CLOCK_CHANGE_SD * np.hypot(sd, before_sd))
+            is_clear = abs(now - before) >= least
+            if is_clear:
+                detail = f"ahead by {before:.2f} s before, by {now:.2f} s now"
+                yield "clock_changed", camera.id, detail
+            if is_clear or sd < before_sd / 2:
                 self.state.clock[camera.id] = now, sd
 
-    def _once(
-        self, version: int, t: float, kind: str, subject: str, detail: str, since: float
-    ) -> None:
-        """Raise an alarm unless the change is older than the last report on its subject.
+    def _once(self, t: float, kind: str, subject: str, detail: str, since: float) -> Iterator[News]:
+        """Yield a change unless it is older than the last report on its subject.
 
-        since (seconds): time of the change; the other arguments are as for `add`.
+        t, since (seconds): event time of the version, and time of the change.
         """
-        if since <= self.state.said.get(subject, -np.inf):
+        reported = self.state.reported
+        if since <= reported.get(subject, -np.inf):
             return
-        self.state.said.pop(subject, None)
-        self.state.said[subject] = t
-        if len(self.state.said) > SUBJECTS_MAX:
-            del self.state.said[next(iter(self.state.said))]
-        self.add(version, t, kind, subject, detail)
+        reported.pop(subject, None)
+        reported[subject] = t
+        if len(reported) > SUBJECTS_MAX:
+            del reported[next(iter(reported))]
+        yield kind, subject, detail
 
 
 def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
     """Find zones that are used since a moment within the window, or no longer.
 
-    Return (share before, share after, time of the change in seconds) by index of the zone. The
+    Return (time of the change in seconds, share before, share after) by index of the zone. The
     share is that of the zone among its camera's entries, or among its exits if the zone has more of
     these. Both together would show a change in a site that fills (entries first) or empties (exits
     last).
@@ -313,5 +272,5 @@ def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
         if change is not None:
             since, before, after, _ = change
             if min(before, after) <= GONE_RATIO * max(before, after):
-                found[index] = before, after, since
+                found[index] = since, before, after
     return found

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.association import Candidates, Problem, slices_by_arrival
-from camtopod.learn.limits import context_cells_max
+from camtopod.learn.limits import CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX
 from camtopod.topology import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
 LEVELS = ("entry", "block", "entry+block", "previous")
@@ -155,7 +155,8 @@ class Contexts:
         sure = self._sureness(c, responsibility)[self._zone]
         column, width = self._columns(c)
         levels = []
-        most = max(context_cells_max(self.cameras) // width, 1)
+        cells = max(CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX * self.cameras)
+        most = max(cells // width, 1)
 
         # Departures of each context, and leaving the site as one of their outcomes.
         for (number, keys), certainty in self._contexts(c, responsibility):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Singles, row_slices
 from camtopod.learn.association import START_FLOOR, Candidates, Problem, initial_hazards
-from camtopod.learn.limits import entry_pairs_max
+from camtopod.learn.limits import ENTRY_PAIRS_MAX, ENTRY_PAIRS_PER_CAMERA_MAX
 from camtopod.learn.links import passages_lasting
 from camtopod.learn.traffic import NullRates
 from camtopod.topology import smooth
@@ -62,7 +62,8 @@ class EntryKernels:
         # have rates by lag from the exit.
         key = entry[c.departure[early]] * zones + a.zone[c.arrival[early]]
         present, number, often = np.unique(key, return_inverse=True, return_counts=True)
-        most = entry_pairs_max(int(a.camera.max(initial=0)) + 1)
+        cameras = int(a.camera.max(initial=0)) + 1
+        most = max(ENTRY_PAIRS_MAX, ENTRY_PAIRS_PER_CAMERA_MAX * cameras)
         if len(present) > most:
             usual = np.sort(np.argsort(-often, kind="stable")[:most])
             kept = np.isin(number, usual)

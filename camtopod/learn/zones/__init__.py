@@ -18,9 +18,9 @@ Last, `mixture` assigns every cell of the grid to one of the zones found, or to 
 from __future__ import annotations
 
 from camtopod.learn.zones.daspec import kernel_1d as kernel_1d
+from camtopod.learn.zones.mixture import ZoneShape as ZoneShape
 from camtopod.learn.zones.zone_map import (
     ZoneMap as ZoneMap,
-    ZoneShape as ZoneShape,
     cell_sums as cell_sums,
     cells_of as cells_of,
     find_zones as find_zones,

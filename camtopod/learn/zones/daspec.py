@@ -43,8 +43,6 @@ class Spectrum(NamedTuple):
     Each group belongs to an eigenvector that does not change sign.
 
     shape: rows and columns of the grid.
-    bandwidth: of the kernel, grid steps.
-    counts (m,): points in each occupied cell.
     cells (m,): flat index of each occupied cell.
     values (G,): eigenvalues, descending.
     vectors (m, G): entry of each *point* of a cell in each eigenvector; these have unit length
@@ -53,8 +51,6 @@ class Spectrum(NamedTuple):
     """
 
     shape: tuple[int, int]
-    bandwidth: float
-    counts: Floats
     cells: NDArray[np.intp]
     values: Floats
     vectors: Floats
@@ -125,8 +121,7 @@ def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum
 
     # A cell belongs to the group of its largest eigenvector.
     labels = np.abs(vectors).argmax(axis=1)
-    shape = (grid.shape[0], grid.shape[1])
-    return Spectrum(shape, bandwidth, weights, cells, values, vectors, labels)
+    return Spectrum((len(rows), len(columns)), cells, values, vectors, labels)
 
 
 def bandwidth(counts: NDArray[np.generic]) -> float:

@@ -20,7 +20,7 @@ from scipy.optimize import linear_sum_assignment
 from camtopod.arrays import Floats, Longs
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.zones.clutter import clutter_rates
-from camtopod.learn.zones.mixture import classify_cells
+from camtopod.learn.zones.mixture import ZoneShape, classify_cells
 from camtopod.learn.zones.partition import Cells, partition
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
@@ -38,22 +38,6 @@ _SCALE = np.array(
     [1, POSITION_ONE, POSITION_ONE, POSITION_ONE**2, POSITION_ONE**2, POSITION_ONE**2]
 )[:, None]
 """Factors from the six sums in image units to fixed point."""
-
-
-class ZoneShape(Struct, frozen=True):
-    """One zone of a camera, as a Gaussian.
-
-    number: identifies the zone among all zones that the camera ever had; from 1.
-    x, y, cov: mean and covariance of its events, in image units (fractions of the image's width and
-        height).
-    weight: its share of the camera's events that are in zones.
-    """
-
-    number: int
-    x: float
-    y: float
-    cov: tuple[tuple[float, float], tuple[float, float]]
-    weight: float
 
 
 class ZoneMap(Struct, frozen=True, eq=False):

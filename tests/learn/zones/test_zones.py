@@ -15,10 +15,10 @@ from camtopod.learn.zones import (
 )
 from camtopod.learn.zones.clutter import clutter_rates, dense_cells
 from camtopod.learn.zones.marginal_likelihood import SHARE_PRIOR, gaussians, log_zone, moments
+from camtopod.learn.zones.mixture import ZoneShape
 from camtopod.learn.zones.separation import are_far_apart, valley_log_ratio
 from camtopod.learn.zones.zone_map import (
     ZoneMap,
-    ZoneShape,
     cell_sums,
     cells_of,
     find_zones,
