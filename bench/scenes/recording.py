@@ -6,13 +6,23 @@ Times are seconds since the recording's start; positions are fractions of the im
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 from msgspec import Struct
 
 from camtopod.arrays import Bools, Floats, Longs
 from camtopod.records import Event, Pair
 from camtopod.sim.reports import events_of
-from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth, transit_of
+from camtopod.sim.truth import (
+    CLUTTER,
+    TRUTH_SCHEMA,
+    TrueLink,
+    TrueZone,
+    Truth,
+    walked_links,
+    zone_at,
+)
 
 PAIR_WALKS_MIN = 3
 """Least number of walks from one camera to another that relates them in the ground truth."""
@@ -235,20 +245,10 @@ def _zones(cameras: list[str], walked: Sightings) -> list[TrueZone]:
         owner = int(camera[mine[0]])
         counts[owner] = counts.get(owner, 0) + 1
         name = f"{cameras[owner]}/{counts[owner]}"
-        x, y = at[mine].mean(0)
-        if np.isnan(x):
+        if np.isnan(at[mine]).any():
             result.append(TrueZone(id=name, camera=cameras[owner]))
-            continue
-        cov = np.cov(at[mine].T) if len(mine) > 1 else np.zeros((2, 2))
-        result.append(
-            TrueZone(
-                name,
-                cameras[owner],
-                round(float(x), 4),
-                round(float(y), 4),
-                np.round(cov, 7).tolist(),
-            )
-        )
+        else:
+            result.append(zone_at(name, cameras[owner], at[mine]))
     return result
 
 
@@ -262,26 +262,16 @@ def _links(
     next_ = walked.who[1:] == walked.who[:-1]
     whole = (seen.who[1:] == seen.who[:-1]) & (number[1:] == number[:-1] + 1)
     whole &= (seen.zone_out[:-1] >= 0) & (seen.zone_in[1:] >= 0)
-    exits = np.bincount(walked.zone_out, minlength=len(zones))
-    lags: dict[tuple[int, int], list[float]] = {}
+    ids = [zone.id for zone in zones]
+    exits = np.bincount(walked.zone_out, minlength=len(zones)).tolist()
+    lags: dict[tuple[str, str], list[float]] = {}
     columns = (
         walked.zone_out[:-1][next_],
         walked.zone_in[1:][next_],
         (walked.t_in[1:] - walked.t_out[:-1])[next_],
     )
     for u, v, lag in zip(*columns, strict=True):
-        lags.setdefault((int(u), int(v)), []).append(float(lag))
-    count: dict[tuple[int, int], int] = {}
-    for u, v in zip(seen.zone_out[:-1][whole], seen.zone_in[1:][whole], strict=True):
-        count[int(u), int(v)] = count.get((int(u), int(v)), 0) + 1
-    return [
-        TrueLink(
-            from_=zones[u].id,
-            to=zones[v].id,
-            relation="overlapped" if np.median(seconds) < 0 else "unseen",
-            probability=round(len(seconds) / int(exits[u]), 6),
-            transitions=count.get((u, v), 0),
-            transit=transit_of(np.array(seconds)),
-        )
-        for (u, v), seconds in sorted(lags.items())
-    ]
+        lags.setdefault((ids[u], ids[v]), []).append(float(lag))
+    both = zip(seen.zone_out[:-1][whole], seen.zone_in[1:][whole], strict=True)
+    transitions = Counter((ids[u], ids[v]) for u, v in both)
+    return walked_links(lags, dict(zip(ids, exits, strict=True)), transitions)

@@ -8,14 +8,16 @@ they entered and left it.
 from __future__ import annotations
 
 import math
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
+import cv2
 import numpy as np
 
 from camtopod.arrays import Floats, Longs
-from camtopod.sim.truth import TRUTH_SCHEMA, TrueLink, TrueZone, Truth, pairs_of, transit_of
+from camtopod.sim.truth import TRUTH_SCHEMA, Truth, pairs_of, walked_links, zone_at
 
 WIDTH, HEIGHT = 192, 144
 """Size of the cameras' pictures, pixels."""
@@ -92,23 +94,11 @@ class View:
 
     def footprint(self) -> Floats:
         """Return the corners of the floor that is in the picture, (4, 2) metres."""
-
-        # Solve for the homography from the floor to the picture.
-        here = np.array([(-3, -3), (3, -3), (3, 3), (-3, 3)], dtype=float) + self.target
-        seen = self.feet(here)[:, :2]
-        rows = [
-            (x, y, 1, 0, 0, 0, -u * x, -u * y) for (x, y), (u, _) in zip(here, seen, strict=True)
-        ]
-        rows += [
-            (0, 0, 0, x, y, 1, -v * x, -v * y) for (x, y), (_, v) in zip(here, seen, strict=True)
-        ]
-        homography = np.append(np.linalg.solve(np.array(rows), seen.T.ravel()), 1.0).reshape(3, 3)
-
-        # Map the picture's corners back to the floor.
-        corners = (
-            np.array([(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]) @ np.linalg.inv(homography).T
-        )
-        floor: Floats = corners[:, :2] / corners[:, 2:]
+        here = np.array([(-3, -3), (3, -3), (3, 3), (-3, 3)], float) + self.target
+        seen = self.feet(here)[:, :2].astype(np.float32)
+        corners = np.array([[(0, 0), (1, 0), (1, 1), (0, 1)]], float)
+        homography = cv2.getPerspectiveTransform(seen, here.astype(np.float32))
+        floor: Floats = cv2.perspectiveTransform(corners, homography)[0].astype(float)
         return floor
 
 
@@ -141,7 +131,7 @@ class Plan:
 
     def around(self, place: str) -> list[str]:
         """Return the places that a path joins to ``place``, in the order of the paths."""
-        return [b if a == place else a for a, b in self.ways if place in (a, b)]
+        return [a for way in self.ways if place in way for a in way if a != place]
 
 
 @dataclass(frozen=True)
@@ -280,7 +270,8 @@ def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Longs]:
         end = np.array(plan.places[b])
         share = np.arange(0, 1, STEP_METRES / float(np.linalg.norm(end - begin)))[:, None]
         points.append(begin + share * (end - begin))
-        ways.append(np.full(len(share), plan.ways.index((a, b) if (a, b) in plan.ways else (b, a))))
+        number = next(k for k, way in enumerate(plan.ways) if {*way} == {a, b})
+        ways.append(np.full(len(share), number))
     return np.concatenate(points), np.concatenate(ways)
 
 
@@ -318,57 +309,25 @@ def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
 
     Zones are where the edge of a picture cuts a path, links are transitions that were walked.
     """
-
-    # Collect positions by zone, exits by zone, and lags by pair of zones.
-    points: dict[tuple[str, int], list[tuple[float, float]]] = {}
-    exits: dict[tuple[str, int], int] = {}
-    lags: dict[tuple[tuple[str, int], tuple[str, int]], list[float]] = {}
+    # Zones with their positions, numbered within their camera.
+    points: dict[tuple[str, int], list[tuple[float, float]]] = defaultdict(list)
     for passage in seen:
-        points.setdefault((passage.camera, passage.way_in), []).append(passage.at_in)
-        points.setdefault((passage.camera, passage.way_out), []).append(passage.at_out)
-        leaving = (passage.camera, passage.way_out)
-        exits[leaving] = exits.get(leaving, 0) + 1
-    for before, after in pairwise(seen):
-        if before.walker == after.walker:
-            key = (before.camera, before.way_out), (after.camera, after.way_in)
-            lags.setdefault(key, []).append(after.t_in - before.t_out)
-
-    # Zones, numbered within their camera.
-    order = {view.camera: k for k, view in enumerate(plan.views)}
-    keys = sorted(points, key=lambda key: (order[key[0]], key[1]))
+        points[passage.camera, passage.way_in].append(passage.at_in)
+        points[passage.camera, passage.way_out].append(passage.at_out)
+    cameras = [view.camera for view in plan.views]
     ids: dict[tuple[str, int], str] = {}
-    for camera, way in keys:
-        ids[camera, way] = (
-            f"{camera}/{1 + sum(zone.startswith(camera + '/') for zone in ids.values())}"
-        )
-    zones = [_zone(ids[key], key[0], np.array(points[key])) for key in keys]
+    for camera in cameras:
+        mine = sorted(place for place in points if place[0] == camera)
+        ids |= {place: f"{camera}/{number}" for number, place in enumerate(mine, 1)}
+    zones = [zone_at(name, place[0], np.array(points[place])) for place, name in ids.items()]
 
     # Links with the transit times that were walked.
-    links = [
-        TrueLink(
-            from_=ids[u],
-            to=ids[v],
-            relation="overlapped" if np.median(seconds) < 0 else "unseen",
-            probability=round(len(seconds) / exits[u], 6),
-            transitions=len(seconds),
-            transit=transit_of(np.array(seconds)),
-        )
-        for (u, v), seconds in sorted(
-            lags.items(), key=lambda item: (ids[item[0][0]], ids[item[0][1]])
-        )
-    ]
+    lags: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for before, after in pairwise(seen):
+        if before.walker == after.walker:
+            ends = ids[before.camera, before.way_out], ids[after.camera, after.way_in]
+            lags[ends].append(after.t_in - before.t_out)
+    exits = Counter(ids[passage.camera, passage.way_out] for passage in seen)
+    links = walked_links(lags, exits, {ends: len(seconds) for ends, seconds in lags.items()})
     pairs = pairs_of(links, {zone.id: zone.camera for zone in zones})
-    return Truth(schema=TRUTH_SCHEMA, cameras=list(order), zones=zones, links=links, pairs=pairs)
-
-
-def _zone(name: str, camera: str, at: Floats) -> TrueZone:
-    """Return a zone with the mean and covariance of its positions (n, 2)."""
-    cov = np.cov(at.T) if len(at) > 1 else np.zeros((2, 2))
-    x, y = at.mean(0)
-    return TrueZone(
-        id=name,
-        camera=camera,
-        x=round(float(x), 4),
-        y=round(float(y), 4),
-        cov=np.round(cov, 7).tolist(),
-    )
+    return Truth(schema=TRUTH_SCHEMA, cameras=cameras, zones=zones, links=links, pairs=pairs)

@@ -181,8 +181,8 @@ def _place(rng: np.random.Generator) -> tuple[Floats, float]:
     along = rng.uniform(0.12, 0.88)
     inset = rng.uniform(0.05, 0.08)
     side = rng.choice(4, p=(0.3, 0.3, 0.25, 0.15))
-    x, y = ((inset, along), (1 - inset, along), (along, 1 - inset), (along, inset))[side]
-    return np.array((x, y)), math.pi / 2 if side < 2 else 0.0
+    at = ((inset, along), (1 - inset, along), (along, 1 - inset), (along, inset))[side]
+    return np.array(at), (math.pi / 2, math.pi / 2, 0.0, 0.0)[side]
 
 
 def _ellipse(angle: float, rng: np.random.Generator) -> Floats:
@@ -234,12 +234,10 @@ class _Paths:
         """Let the nearest ``count`` pairs of cameras with a free zone overlap, at most ``each`` per
         camera.
         """
-        order = np.argsort(self._distance, axis=None, kind="stable")
-        for a, b in zip(*np.unravel_index(order, self._distance.shape), strict=True):
-            if count == 0:
-                break
-            zones = [self._spare(int(a), each), self._spare(int(b), each)] if a < b else []
-            if len(zones) == 2 and all(zones):
+        a, b = np.triu_indices(len(self._distance), 1)
+        for k in np.argsort(self._distance[a, b], kind="stable"):
+            zones = self._spare(int(a[k]), each), self._spare(int(b[k]), each)
+            if count and all(zones):
                 u, v = (int(self._rng.choice(z)) for z in zones)
                 self._join(u, v, -self._log_uniform(OVERLAP_SECONDS))
                 self._exclusive |= {u, v}
@@ -268,16 +266,13 @@ class _Paths:
 
     def branch(self) -> None:
         """Give every inner zone a path, and two in five another one."""
-        for u in self._rng.permutation(len(self._camera)):
+        for u in self._rng.permutation(len(self._camera)).tolist():
             extra = int(self._rng.random() < 0.4)
-            wanted = 0 if self._street[u] else max(1, len(self.options[u]) + extra)
-            while u not in self._exclusive and len(self.options[u]) < min(
-                wanted, PATHS_PER_ZONE_MAX
-            ):
-                v = self._nearby(int(u))
-                if v is None:
-                    break
-                self._join(int(u), v, self._log_uniform(PATH_SECONDS))
+            wanted = min(max(1, len(self.options[u]) + extra), PATHS_PER_ZONE_MAX)
+            if self._street[u] or u in self._exclusive:
+                continue
+            while len(self.options[u]) < wanted and (v := self._nearby(u)) is not None:
+                self._join(u, v, self._log_uniform(PATH_SECONDS))
 
     def _nearby(self, u: int) -> int | None:
         """Return a zone of a near camera that can have another path."""

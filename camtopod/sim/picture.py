@@ -1,55 +1,41 @@
-"""Picture of the demo: the true and the learned map, and the learned zones in each camera's
-view.
-"""
+"""Picture of the demo: the true and the learned map, and the learned zones in each view."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
 from camtopod.records import Link, Topology
-from camtopod.sim.floor import HEIGHT, WIDTH, Plan, Walk
-from camtopod.sim.rendering import (
-    PIXELS_PER_METRE,
-    Colour,
-    Picture,
-    busy_scene,
-    floor_picture,
-    plan_corner,
-)
+from camtopod.sim.floor import Plan, Walk
+from camtopod.sim.rendering import Colour, Picture, busy_scene, floor_picture, on_plan
 from camtopod.sim.scoring import match_zones
 from camtopod.sim.truth import TrueLink, Truth
+from camtopod.topology import camera_of
 
-MAP_WIDTH, MAP_HEIGHT = 776, 560
-"""Size of each map, pixels."""
-THUMB_WIDTH, THUMBS_PER_ROW = 300, 5
-"""Width of a camera's picture (pixels), and how many stand in a row."""
-FRAME = 16
-"""Margin around a camera's picture, pixels, so that zones at its border are fully visible."""
+MAP_WIDTH = 776
+"""Width of each map, pixels."""
+THUMB_WIDTH = 260
+"""Width of a camera's picture, pixels."""
 GAP = 16
-"""Space between the parts, pixels."""
-HEADER, TITLE, LINE = 58, 34, 22
-"""Heights of the header, of a title and of a line of notes, pixels."""
+"""Space between the parts, and margin of a camera's picture, pixels."""
+LINE = 24
+"""Height of a line of text, pixels."""
+BEND = 0.2
+"""How far a link's middle is above the straight line, as a share of its width."""
 INK: Colour = (40, 40, 40)
 PAPER: Colour = (250, 250, 250)
-BLACK: Colour = (20, 20, 20)
 GREY: Colour = (150, 150, 150)
 NODE: Colour = (190, 120, 40)
 FOUND: Colour = (70, 160, 60)
 FALSE: Colour = (40, 60, 210)
-FONT = cv2.FONT_HERSHEY_DUPLEX
+LEGEND = "black: views overlap, grey: unseen path; seconds left to right / right to left"
 ZONES_LEGEND = (
     "ellipses: learned zones, two standard deviations; green: a true zone; diamonds: true centres"
 )
-LEGEND = "black: views overlap   grey: unseen path   seconds left to right / right to left"
-Point = tuple[float, float]
-"""Position in pixels."""
 Times = dict[tuple[str, str], tuple[bool, float]]
 """(from camera, to camera) -> (True if the views overlap, mode of the transit times in seconds)."""
 
@@ -63,198 +49,126 @@ def write_map(
     notes: Sequence[str],
 ) -> None:
     """Write the picture as PNG; ``notes`` are lines of text below it. Raises OSError."""
-
-    # An empty sheet.
-    rows = -(-len(plan.views) // THUMBS_PER_ROW)
-    thumb_height = THUMB_WIDTH * HEIGHT // WIDTH
-    width = 2 * MAP_WIDTH + 3 * GAP
-    height = HEADER + MAP_HEIGHT + GAP + rows * (TITLE + thumb_height) + LINE * (len(notes) + 2)
-    sheet: Picture = np.full((height, width, 3), PAPER, dtype=np.uint8)
-
     # The two maps.
-    camera = {zone.id: zone.camera for zone in truth.zones}
-    true_times = camera_times(truth.links, camera)
-    camera = {zone.id: zone.camera for zone in topology.zones}
-    learned_times = camera_times(topology.links, camera)
-    for k, (title, times) in enumerate((("true", true_times), ("learned", learned_times))):
-        left = GAP + k * (MAP_WIDTH + GAP)
-        ground = _ground(plan, faded=0.3 if k == 0 else 0.75)
-        _network(ground, _places(plan), times, true_times)
-        cv2.rectangle(ground, (0, 0), (MAP_WIDTH - 1, MAP_HEIGHT - 1), GREY, 1)
-        sheet[HEADER : HEADER + MAP_HEIGHT, left : left + MAP_WIDTH] = ground
-        _text(sheet, f"{title} map", (left + 2, HEADER - 16), 0.75)
-        _text(sheet, LEGEND, (left + 180, HEADER - 16), 0.42)
+    true_times = camera_times(truth.links)
+    learned_times = camera_times(topology.links)
+    maps = [
+        _titled(_map(plan, times, true_times), f"{title} map ({LEGEND})")
+        for title, times in (("true", true_times), ("learned", learned_times))
+    ]
 
     # The cameras' pictures with learned zones.
-    matched = set(match_zones(topology.zones, truth.zones).values())
-    top = HEADER + MAP_HEIGHT + GAP + TITLE
-    for k, view in enumerate(plan.views):
-        left = GAP + (k % THUMBS_PER_ROW) * (THUMB_WIDTH + GAP)
-        y = top + (k // THUMBS_PER_ROW) * (thumb_height + TITLE)
-        view_size = THUMB_WIDTH - 2 * FRAME, thumb_height - 2 * FRAME
-        seen = cv2.resize(busy_scene(plan, view, walks), view_size, interpolation=cv2.INTER_CUBIC)
-        thumb = cv2.copyMakeBorder(
-            seen, FRAME, FRAME, FRAME, FRAME, cv2.BORDER_CONSTANT, value=PAPER
-        )
-        _zones(thumb, view.camera, topology, truth, matched)
-        sheet[y : y + thumb_height, left : left + THUMB_WIDTH] = thumb
-        _text(sheet, f"{view.camera}: learned zones", (left + FRAME, y + 4), 0.48)
+    found = set(match_zones(topology.zones, truth.zones).values())
+    views = []
+    for view in plan.views:
+        seen = busy_scene(plan, view, walks)
+        height = THUMB_WIDTH * seen.shape[0] // seen.shape[1]
+        seen = cv2.resize(seen, (THUMB_WIDTH, height), interpolation=cv2.INTER_CUBIC)
+        seen = cv2.copyMakeBorder(seen, GAP, GAP, GAP, GAP, cv2.BORDER_CONSTANT, value=PAPER)
+        _zones(seen, view.camera, topology, truth, found)
+        views.append(_titled(seen, f"{view.camera}: learned zones"))
 
-    # Legend and notes.
-    bottom = height - LINE * (len(notes) + 1)
-    for k, note in enumerate([ZONES_LEGEND, *notes]):
-        _text(sheet, note, (GAP + 2, bottom + k * LINE), 0.5)
-    if not cv2.imwrite(str(path), sheet):
+    # Both above each other, and the notes.
+    rows = [np.hstack(maps), np.hstack(views)]
+    width = max(row.shape[1] for row in rows)
+    text = np.full((LINE * (len(notes) + 2), width, 3), PAPER, np.uint8)
+    for k, note in enumerate([ZONES_LEGEND, *notes], 1):
+        _text(text, note, np.array((GAP, k * LINE)), INK)
+    padded = [
+        cv2.copyMakeBorder(row, 0, 0, 0, width - row.shape[1], cv2.BORDER_CONSTANT, value=PAPER)
+        for row in rows
+    ]
+    if not cv2.imwrite(str(path), np.vstack([*padded, text])):
         raise OSError(f"cannot write the picture {path}")
 
 
-def camera_times(links: Sequence[Link] | Sequence[TrueLink], camera: dict[str, str]) -> Times:
+def camera_times(links: Iterable[Link | TrueLink]) -> Times:
     """Return, for each direction between two cameras, relation and mode of the link walked most."""
-    best: dict[tuple[str, str], tuple[bool, float, float]] = {}
-    for link in links:
-        key = camera[link.from_], camera[link.to]
-        value = link.relation == "overlapped", float(link.transitions), link.transit.mode
-        if link.relation != "visible" and key[0] != key[1]:
-            best[key] = max(best.get(key, value), value)
-    return {key: (overlapped, mode) for key, (overlapped, _, mode) in best.items()}
-
-
-def _window(plan: Plan) -> tuple[float, float, float]:
-    """Return the part of the plan on the map: west and north end in metres, pixels per metre."""
-    seen = np.concatenate([view.footprint() for view in plan.views])
-    low = seen.min(0) - 3.0
-    high = seen.max(0) + 3.0
-    scale = float(min(MAP_WIDTH / (high[0] - low[0]), MAP_HEIGHT / (high[1] - low[1])))
-    middle = (low + high) / 2
-    return (
-        float(middle[0]) - MAP_WIDTH / 2 / scale,
-        float(middle[1]) + MAP_HEIGHT / 2 / scale,
-        scale,
-    )
-
-
-def _places(plan: Plan) -> dict[str, Point]:
-    """Return the position of each camera's view on the map, pixels."""
-    west, north, scale = _window(plan)
-    return {
-        v.camera: ((v.target[0] - west) * scale, (north - v.target[1]) * scale) for v in plan.views
-    }
-
-
-def _ground(plan: Plan, faded: float) -> Picture:
-    """Return the background of a map: the floor plan and the cameras' footprints."""
-    west, north, scale = _window(plan)
-    edge_west, _, _, edge_north = plan_corner(plan)
-    zoom = scale / PIXELS_PER_METRE
-    shift = np.array(
-        [[zoom, 0, (edge_west - west) * scale], [0, zoom, (north - edge_north) * scale]]
-    )
-
-    # The floor at the scale of the map.
-    smooth = cv2.GaussianBlur(floor_picture(plan), (3, 3), 0)
-    floor = cv2.warpAffine(smooth, shift, (MAP_WIDTH, MAP_HEIGHT), borderMode=cv2.BORDER_REPLICATE)
-
-    # Footprints.
-    seen = floor.copy()
-    outlines = []
-    for view in plan.views:
-        outlines.append(
-            np.round((view.footprint() - (west, north)) * (scale, -scale)).astype(np.int32)
-        )
-        cv2.fillPoly(seen, [outlines[-1]], (255, 240, 215))
-    floor = cv2.addWeighted(floor, 0.5, seen, 0.5, 0)
-    for outline in outlines:
-        cv2.polylines(floor, [outline], True, NODE, 2, cv2.LINE_AA)
-    result: Picture = cv2.addWeighted(floor, 1 - faded, np.full_like(floor, 255), faded, 0).astype(
-        np.uint8
-    )
+    result: Times = {}
+    for link in sorted(links, key=lambda link: link.transitions):
+        ends = camera_of(link.from_), camera_of(link.to)
+        if link.relation != "visible" and ends[0] != ends[1]:
+            result[ends] = link.relation == "overlapped", link.transit.mode
     return result
 
 
-def _network(picture: Picture, place: dict[str, Point], times: Times, true_times: Times) -> None:
-    """Draw links, then cameras and labels; a pair that is not related in truth has a red label."""
+def _titled(picture: Picture, title: str) -> Picture:
+    """Return a picture with a title above it and space at its sides."""
+    framed = cv2.copyMakeBorder(
+        picture, 2 * LINE, 0, GAP // 2, GAP // 2, cv2.BORDER_CONSTANT, value=PAPER
+    )
+    _text(framed, title, np.array((GAP / 2, LINE + GAP / 2)), INK)
+    return framed
+
+
+def _map(plan: Plan, times: Times, true_times: Times) -> Picture:
+    """Return the floor plan with views, cameras and links; a false link has a red label."""
+    # The floor, faded, and the footprints of the views.
+    floor = floor_picture(plan)
+    zoom = MAP_WIDTH / floor.shape[1]
+    floor = cv2.resize(floor, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_AREA)
+    picture = cv2.addWeighted(floor, 0.5, np.full_like(floor, 255), 0.5, 0)
+    for view in plan.views:
+        outline = np.rint(zoom * on_plan(plan, view.footprint())).astype(np.int32)
+        cv2.polylines(picture, [outline], True, NODE, 2, cv2.LINE_AA)
+
+    # Links, then cameras and labels.
+    place = {view.camera: zoom * on_plan(plan, np.array(view.target)) for view in plan.views}
     labels = []
-    for pair in sorted({(min(key), max(key)) for key in times}):
-        a, b = sorted(pair, key=lambda name: place[name])
+    for pair in sorted({(min(ends), max(ends)) for ends in times}):
+        a, b = sorted(pair, key=lambda name: tuple(place[name]))
         ways = [times.get((a, b)), times.get((b, a))]
-        overlapped = any(way[0] for way in ways if way)
-        line = _curve(place[a], place[b], [at for name, at in place.items() if name not in (a, b)])
-        dots = [np.round(line * 16).astype(np.int32)]
+        line = _curve(place[a], place[b])
+        dots = [np.rint(line * 16).astype(np.int32)]
+        colour = INK if any(way[0] for way in ways if way) else GREY
         cv2.polylines(picture, dots, False, PAPER, 9, cv2.LINE_AA, 4)
-        cv2.polylines(picture, dots, False, BLACK if overlapped else GREY, 5, cv2.LINE_AA, 4)
-        text = " / ".join("-" if way is None else f"{way[1]:.1f}" for way in ways)
-        wrong = (a, b) not in true_times and (b, a) not in true_times
-        lift = 10 if place[b][0] - place[a][0] > 120 else 20  # above near cameras
-        labels.append((line[len(line) // 2] - (0, lift), text, FALSE if wrong else INK))
-    for name, (x, y) in place.items():
-        cv2.circle(picture, (round(x), round(y)), 13, PAPER, -1, cv2.LINE_AA)
-        cv2.circle(picture, (round(x), round(y)), 11, NODE, -1, cv2.LINE_AA)
-        _text(picture, name, (x, y + 32), 0.5, centred=True, halo=True)
-    for (x, y), text, colour in labels:
-        _text(picture, text, (float(x), float(y)), 0.45, colour, centred=True, halo=True)
+        cv2.polylines(picture, dots, False, colour, 5, cv2.LINE_AA, 4)
+        text = " / ".join(f"{way[1]:.1f}" if way else "-" for way in ways)
+        is_true = (a, b) in true_times or (b, a) in true_times
+        labels.append((line[len(line) // 2] - np.array((0, 10)), text, INK if is_true else FALSE))
+    for name, at in place.items():
+        cv2.circle(picture, np.rint(at).astype(int).tolist(), 11, NODE, -1, cv2.LINE_AA)
+        labels.append((at + np.array((0, 32)), name, INK))
+    for at, text, colour in labels:
+        _text(picture, text, at, colour, centred=True)
+    return picture
 
 
-def _curve(a: Point, b: Point, others: list[Point]) -> Floats:
-    """Return a line from a to b, (n, 2), bent if it would run through another camera."""
-    start = np.array(a)
-    end = np.array(b)
-    along = end - start
-    length = float(np.linalg.norm(along))
-    normal = np.array((along[1], -along[0])) / length
-    bend = 0.0
-    for other in others:
-        share = float((np.array(other) - start) @ along) / length**2
-        if 0.02 < share < 0.98 and abs(float((np.array(other) - start) @ normal)) < 40:
-            bend = 0.4 * length
-    middle = (start + end) / 2 + bend * normal
+def _curve(a: Floats, b: Floats) -> Floats:
+    """Return a line from a to b, (n, 2), bent upwards where it runs from left to right."""
+    middle = (a + b) / 2 - np.array((0.0, 2 * BEND * abs(b[0] - a[0])))
     s = np.linspace(0, 1, 41)[:, None]
-    result: Floats = (1 - s) ** 2 * start + 2 * s * (1 - s) * middle + s**2 * end
+    result: Floats = (1 - s) ** 2 * a + 2 * s * (1 - s) * middle + s**2 * b
     return result
 
 
 def _zones(
-    picture: NDArray[Any], camera: str, topology: Topology, truth: Truth, matched: set[str]
+    picture: Picture, camera: str, topology: Topology, truth: Truth, found: set[str]
 ) -> None:
-    """Draw learned zones as ellipses (two standard deviations), green if true; true centres as
-    diamonds.
-    """
-    height, width = picture.shape[0] - 2 * FRAME, picture.shape[1] - 2 * FRAME
+    """Draw learned zones as ellipses, green if true, and true centres as diamonds."""
+    size = np.array((picture.shape[1], picture.shape[0])) - 2 * GAP
     for true in truth.zones:
-        if true.camera == camera and true.x is not None and true.y is not None:
-            at = FRAME + round(true.x * width), FRAME + round(true.y * height)
+        if true.camera == camera:
+            at = np.rint(GAP + np.array((true.x, true.y), float) * size).astype(int).tolist()
             cv2.drawMarker(picture, at, INK, cv2.MARKER_DIAMOND, 9, 1, cv2.LINE_AA)
     for zone in topology.zones:
-        if zone.camera != camera or zone.x is None or zone.y is None or zone.cov is None:
-            continue
-        scale = np.diag((width, height))
-        values, axes = np.linalg.eigh(scale @ np.array(zone.cov) @ scale)
-        radii = np.maximum(2 * np.sqrt(np.maximum(values, 0)), 6)
-        angle = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
-        centre = FRAME + zone.x * width, FRAME + zone.y * height
-        colour = FOUND if zone.id in matched else FALSE
-        cv2.ellipse(picture, (centre, (2 * radii[1], 2 * radii[0]), angle), colour, 2, cv2.LINE_AA)
-        inwards = np.array((FRAME + width / 2, FRAME + height / 2)) - centre
-        x, y = centre + inwards / max(float(np.linalg.norm(inwards)), 1.0) * 24
-        number = zone.id.rpartition("/")[2]
-        _text(picture, number, (float(x), float(y) + 6), 0.55, colour, centred=True, halo=True)
+        if zone.camera == camera:
+            centre = GAP + np.array((zone.x, zone.y), float) * size
+            values, axes = np.linalg.eigh(np.diag(size) @ np.array(zone.cov) @ np.diag(size))
+            axis_lengths = np.maximum(4 * np.sqrt(np.maximum(values, 0)), 12)[::-1]
+            angle = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
+            colour = FOUND if zone.id in found else FALSE
+            cv2.ellipse(
+                picture, (centre.tolist(), axis_lengths.tolist(), angle), colour, 2, cv2.LINE_AA
+            )
+            inwards = GAP + size / 2 - centre
+            number = centre + 24 * inwards / max(float(np.linalg.norm(inwards)), 1.0)
+            _text(picture, zone.id.rpartition("/")[2], number + np.array((0, 6)), colour, True)
 
 
-def _text(
-    picture: NDArray[Any],
-    text: str,
-    at: Point,
-    size: float,
-    colour: Colour = INK,
-    centred: bool = False,
-    halo: bool = False,
-) -> None:
-    """Write ``text``; ``at`` is its left end, or its middle if ``centred``."""
-    (width, _), _ = cv2.getTextSize(text, FONT, size, 1)
-    origin = round(at[0] - (width / 2 if centred else 0)), round(at[1])
-    for dx, dy in (
-        ((-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (1, 1), (-1, 1), (1, -1)) if halo else ()
-    ):
-        cv2.putText(
-            picture, text, (origin[0] + dx, origin[1] + dy), FONT, size, PAPER, 1, cv2.LINE_AA
-        )
-    cv2.putText(picture, text, origin, FONT, size, colour, 1, cv2.LINE_AA)
+def _text(picture: Picture, text: str, at: Floats, colour: Colour, centred: bool = False) -> None:
+    """Write ``text`` on a light ground; ``at`` is its left end, or its middle if ``centred``."""
+    size, _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_DUPLEX, 0.5, 1)
+    x, y = np.rint(at - np.array((size[0] / 2 * centred, 0.0))).astype(int).tolist()
+    cv2.rectangle(picture, (x - 2, y - size[1] - 2), (x + size[0] + 2, y + 4), PAPER, -1)
+    cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_DUPLEX, 0.5, colour, 1, cv2.LINE_AA)

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.sim.floor import FPS, HEIGHT, PERSON_METRES, WIDTH, Area, Floor, Plan, View, Walk
+from camtopod.sim.floor import FPS, HEIGHT, PERSON_METRES, WIDTH, Floor, Plan, View, Walk
 
-Picture = NDArray[np.uint8]
-"""Picture (height, width, 3), BGR."""
+Picture = NDArray[Any]
+"""Picture (height, width, 3), BGR, 0 to 255."""
 Colour = tuple[int, int, int]
 """Blue, green, red."""
 
@@ -57,32 +57,48 @@ class _Figure(NamedTuple):
     walker: int
 
 
-def plan_corner(plan: Plan) -> tuple[float, float, float, float]:
+def on_plan(plan: Plan, places: Floats) -> Floats:
+    """Return the pixels (..., 2) of places (..., 2), in metres, in the floor's picture."""
+    west, _, _, north = _edges(plan)
+    return (places - (west, north)) * (PIXELS_PER_METRE, -PIXELS_PER_METRE)
+
+
+def _edges(plan: Plan) -> tuple[float, float, float, float]:
     """Return west, south, east and north ends of the floor's picture, metres."""
-    x, y = np.array(list(plan.places.values())).T
-    return (
-        float(x.min()) - MARGIN_METRES,
-        float(y.min()) - MARGIN_METRES,
-        float(x.max()) + MARGIN_METRES,
-        float(y.max()) + MARGIN_METRES,
-    )
+    at = np.array(list(plan.places.values()))
+    west, south = at.min(0) - MARGIN_METRES
+    east, north = at.max(0) + MARGIN_METRES
+    return float(west), float(south), float(east), float(north)
 
 
 def floor_picture(plan: Plan) -> Picture:
     """Return the floor from above, north up: slabs, stains and lighter paths."""
-    west, south, east, north = plan_corner(plan)
-    corner = west, north
-    shape = round((north - south) * PIXELS_PER_METRE), round((east - west) * PIXELS_PER_METRE), 3
-    picture: Picture = np.zeros(shape, dtype=np.uint8)
+    west, south, east, north = _edges(plan)
+    shape = round((north - south) * PIXELS_PER_METRE), round((east - west) * PIXELS_PER_METRE)
+    picture: Picture = np.zeros((*shape, 3), dtype=np.uint8)
+
+    def pixels(x: float, y: float) -> list[int]:
+        found: list[int] = np.rint(on_plan(plan, np.array((x, y)))).astype(int).tolist()
+        return found
+
+    # Slabs with seams, every other row shifted by half a slab.
     for area in plan.areas:
-        _pave(picture, corner, area)
-    ways = picture.copy()
+        left, bottom, right, top = area.box
+        colour, seam, (length, depth) = _FLOORS[area.floor]
+        cv2.rectangle(picture, pixels(left, top), pixels(right, bottom), colour, -1)
+        for row, y in enumerate(np.arange(bottom, top, depth)):
+            cv2.line(picture, pixels(left, y), pixels(right, y), seam, 1)
+            for x in np.arange(left + length * (1.0 - row % 2 / 2), right, length):
+                cv2.line(picture, pixels(x, y), pixels(x, min(y + depth, top)), seam, 1)
+
+    # Lighter paths, and stains.
+    paths = picture.copy()
     for a, b in plan.ways:
-        begin, end = (_on_plan(corner, plan.places[name]) for name in (a, b))
-        cv2.line(ways, begin, end, (214, 220, 224), round(2.6 * PIXELS_PER_METRE), cv2.LINE_AA)
-    mixed = cv2.addWeighted(picture, 0.55, ways, 0.45, 0)
+        begin, end = (pixels(*plan.places[name]) for name in (a, b))
+        cv2.line(paths, begin, end, (214, 220, 224), round(2.6 * PIXELS_PER_METRE), cv2.LINE_AA)
+    mixed = cv2.addWeighted(picture, 0.55, paths, 0.45, 0)
     coarse = np.random.default_rng(7).normal(0, 7, (shape[0] // 30 + 1, shape[1] // 30 + 1))
-    stains = cv2.resize(coarse, shape[1::-1], interpolation=cv2.INTER_CUBIC)[..., None]
+    stains = cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)[..., None]
     return _grey_levels(mixed + stains)
 
 
@@ -92,49 +108,13 @@ def _grey_levels(values: NDArray[Any]) -> Picture:
     return result
 
 
-def _pave(picture: Picture, corner: tuple[float, float], area: Area) -> None:
-    """Draw slabs with seams, every other row shifted by half a slab."""
-    west, south, east, north = area.box
-    colour, seam, (length, depth) = _FLOORS[area.floor]
-    cv2.rectangle(
-        picture, _on_plan(corner, (west, north)), _on_plan(corner, (east, south)), colour, -1
-    )
-    for row, y in enumerate(np.arange(south, north, depth)):
-        top = float(min(y + depth, north))
-        cv2.line(
-            picture, _on_plan(corner, (west, float(y))), _on_plan(corner, (east, float(y))), seam, 1
-        )
-        for x in np.arange(west + length * (0.5 if row % 2 else 1.0), east, length):
-            cv2.line(
-                picture,
-                _on_plan(corner, (float(x), float(y))),
-                _on_plan(corner, (float(x), top)),
-                seam,
-                1,
-            )
-
-
-def _on_plan(corner: tuple[float, float], place: tuple[float, float]) -> tuple[int, int]:
-    """Return the pixels of a place in metres; ``corner``: west and north end of the picture."""
-    return round((place[0] - corner[0]) * PIXELS_PER_METRE), round(
-        (corner[1] - place[1]) * PIXELS_PER_METRE
-    )
-
-
 def scene(plan: Plan, view: View) -> Picture:
     """Return a camera's picture without people, (HEIGHT, WIDTH, 3) BGR."""
-
-    # The homography from the floor's picture to the view at twice the size.
-    west, _, _, north = plan_corner(plan)
-    corners = np.array(view.target) + np.array([(-3, -3), (3, -3), (3, 3), (-3, 3)], dtype=float)
-    there = np.array(
-        [_on_plan((west, north), (float(x), float(y))) for x, y in corners], dtype=np.float32
-    )
-    here = (view.feet(corners)[:, :2] * (2 * WIDTH, 2 * HEIGHT)).astype(np.float32)
-    homography = cv2.getPerspectiveTransform(there, here)
+    # Warp the floor's picture to the view at twice the size, then shade and shrink it.
     size = 2 * WIDTH, 2 * HEIGHT
-
-    # Warp, shade and shrink.
+    corners = np.array(((0, 0), (1, 0), (1, 1), (0, 1)), np.float32) * np.array(size, np.float32)
+    there = on_plan(plan, view.footprint()).astype(np.float32)
+    homography = cv2.getPerspectiveTransform(there, corners)
     large = cv2.warpPerspective(
         floor_picture(plan), homography, size, borderMode=cv2.BORDER_REFLECT
     )
@@ -150,7 +130,7 @@ def render(
     """
 
     # Prepare noisy pictures of the empty scene.
-    frames = _figures(view, walks, round(seconds * FPS))
+    frames = _figures(view, walks)
     empty = scene(plan, view)
     rng = np.random.default_rng(seed)
     noise = [
@@ -163,34 +143,27 @@ def render(
         raise OSError(f"cannot write the video {path}")
 
     # Draw the people of each frame.
-    order = rng.integers(0, NOISE_PICTURES, len(frames))
-    for figures, k in zip(frames, order, strict=True):
-        picture = grain[k]
-        if figures:
-            picture = picture.copy()
-            for figure in sorted(figures, reverse=True):
-                _draw(picture, figure)
+    for number, k in enumerate(rng.integers(0, NOISE_PICTURES, round(seconds * FPS))):
+        picture = grain[k].copy()
+        for figure in sorted(frames.get(number, []), reverse=True):
+            _draw(picture, figure)
         writer.write(picture)
     writer.release()
 
 
 def busy_scene(plan: Plan, view: View, walks: list[Walk]) -> Picture:
-    """Return a camera's picture at a moment when most people are well inside it."""
-    end = max((float(walk.t[-1]) for walk in walks if len(walk.t)), default=0.0)
-    frames = _figures(view, walks, round(end * FPS) + 1)
-    inside = [
-        sum(0.1 < f.foot[0] / WIDTH < 0.9 and 0.3 < f.foot[1] / HEIGHT < 0.9 for f in frame)
-        for frame in frames
-    ]
+    """Return a camera's picture at the moment when most people are in or near it."""
     picture = scene(plan, view)
-    for figure in sorted(frames[int(np.argmax(inside))], reverse=True):
+    frames = _figures(view, walks)
+    busiest = max(frames, key=lambda number: len(frames[number]))
+    for figure in sorted(frames[busiest], reverse=True):
         _draw(picture, figure)
     return picture
 
 
-def _figures(view: View, walks: list[Walk], frames: int) -> list[list[_Figure]]:
-    """Return the people of each frame; people near its edge are included."""
-    result: list[list[_Figure]] = [[] for _ in range(frames)]
+def _figures(view: View, walks: list[Walk]) -> dict[int, list[_Figure]]:
+    """Return the people of each frame that has any; people near its edge are included."""
+    result: dict[int, list[_Figure]] = {}
     scale = np.array((WIDTH, HEIGHT))
     for walker, walk in enumerate(walks):
         feet = view.feet(walk.floor)
@@ -199,19 +172,13 @@ def _figures(view: View, walks: list[Walk], frames: int) -> list[list[_Figure]]:
         steps = np.linalg.norm(np.diff(walk.floor, axis=0, prepend=walk.floor[:1]), axis=1)
         swing = np.sin(2 * np.pi * np.cumsum(steps) / (2 * 0.75))  # steps of 0.75 m
         for i in np.flatnonzero(near):
-            frame = round(float(walk.t[i]) * FPS)
-            if frame < frames:
-                foot = _pair(feet[i, :2] * scale)
-                head = _pair(heads[i, :2] * scale)
-                result[frame].append(
-                    _Figure(float(feet[i, 2]), foot, head, float(swing[i]), walker)
-                )
+            foot_x, foot_y = (feet[i, :2] * scale).tolist()
+            head_x, head_y = (heads[i, :2] * scale).tolist()
+            figure = _Figure(
+                float(feet[i, 2]), (foot_x, foot_y), (head_x, head_y), float(swing[i]), walker
+            )
+            result.setdefault(round(float(walk.t[i]) * FPS), []).append(figure)
     return result
-
-
-def _pair(point: Floats) -> tuple[float, float]:
-    """Return a point (2,) as a tuple."""
-    return float(point[0]), float(point[1])
 
 
 def _draw(picture: Picture, figure: _Figure) -> None:

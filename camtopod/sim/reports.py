@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 
 from camtopod.arrays import Bools, Floats, Longs
-from camtopod.records import Event, Transit
+from camtopod.records import Event, Relation, Transit
 from camtopod.sim.layout import Layout
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.truth import (
@@ -15,6 +17,7 @@ from camtopod.sim.truth import (
     TrueZone,
     Truth,
     pairs_of,
+    relation_of,
     transit_of,
 )
 from camtopod.sim.walkers import Passages, jitter, seconds_per_metre
@@ -96,21 +99,26 @@ def _links(
     metre = {True: transit_of(forward), False: transit_of(-forward)}
     walked = _walked(recorded)
     half_way = settings.start + settings.half_way
+    closed_at = dict.fromkeys(layout.closing, half_way)
+    opened_at = dict.fromkeys(layout.opening, half_way)
     links = []
     for inside, choices in ((True, layout.through), (False, layout.onward)):
         for u, k in np.argwhere(choices.probability > 0):
             metres = float(choices.metres[u, k])
             way = int(u), int(choices.target[u, k])
+            relation: Relation = "visible"
+            if not inside:
+                relation = relation_of(metres)
             links.append(
                 TrueLink(
                     from_=ids[way[0]],
                     to=ids[way[1]],
-                    relation="visible" if inside else "unseen" if metres > 0 else "overlapped",
+                    relation=relation,
                     probability=round(float(choices.probability[u, k]), 6),
                     transitions=walked.get((inside, *way), 0),
                     transit=_times(metre[metres > 0], abs(metres)),
-                    closed_at=half_way if not inside and way in layout.closing else None,
-                    opened_at=half_way if not inside and way in layout.opening else None,
+                    closed_at=closed_at.get(way),
+                    opened_at=opened_at.get(way),
                 )
             )
     return links
@@ -156,32 +164,25 @@ def events_of(
     at (n, 2): position in the image, or nan.
     track (n,): track number, or -1.
     """
-    names = _track_names(camera, track, order)
-    xy = np.round(at, 4)
-    when = np.round(t, 6)
-    placed = np.isfinite(at[:, 0])
+    kinds = np.where(entry, "entry", "exit")[order].tolist()
+    times = np.round(t, 6)[order].tolist()
+    places = np.where(np.isfinite(at), np.round(at, 4), None)[order].tolist()  # type: ignore[call-overload]
+    names = [cameras[k] for k in camera[order]]
+    tracks = _track_names(names, track[order].tolist())
     return [
-        Event(
-            camera=cameras[camera[i]],
-            kind="entry" if entry[i] else "exit",
-            t=float(when[i]),
-            x=float(xy[i, 0]) if placed[i] else None,
-            y=float(xy[i, 1]) if placed[i] else None,
-            track=name,
+        Event(name, kind, when, x, y, number)
+        for name, kind, when, (x, y), number in zip(
+            names, kinds, times, places, tracks, strict=True
         )
-        for i, name in zip(order, names, strict=True)
     ]
 
 
-def _track_names(camera: Longs, track: Longs, order: Longs) -> list[str | None]:
+def _track_names(cameras: list[str], tracks: list[int]) -> list[str | None]:
     """Number the tracks of each camera in the order they first appear, as a tracker would."""
-    names: dict[int, str] = {}
-    counts: dict[int, int] = {}
-    result: list[str | None] = []
-    for i in order:
-        key = int(track[i])
-        if key >= 0 and key not in names:
-            counts[camera[i]] = counts.get(camera[i], 0) + 1
-            names[key] = str(counts[camera[i]])
-        result.append(names[key] if key >= 0 else None)
-    return result
+    names: dict[int, str | None] = {-1: None}
+    counts: Counter[str] = Counter()
+    for camera, track in zip(cameras, tracks, strict=True):
+        if track not in names:
+            counts[camera] += 1
+            names[track] = str(counts[camera])
+    return [names[track] for track in tracks]

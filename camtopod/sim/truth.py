@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import msgspec
 import numpy as np
 from msgspec import Struct
 
 from camtopod.arrays import Floats
-from camtopod.records import Pair, Relation, Transit
+from camtopod.records import Pair, PairRelation, Relation, Transit
 
 TRUTH_SCHEMA = "camtopod/truth/1"
 """Name and version of the file format."""
@@ -97,16 +99,52 @@ def mode_of(values: Floats) -> float:
     return float(grid[int(np.argmax(density))])
 
 
+def relation_of(lag: float) -> Relation:
+    """Return the relation of a link between views with a usual lag, seconds."""
+    return "overlapped" if lag < 0 else "unseen"
+
+
 def pairs_of(links: list[TrueLink], camera_of: dict[str, str]) -> list[Pair]:
     """Return the related pairs of cameras: overlapped if any of their links is, else unseen
     path.
     """
-    overlapped: dict[tuple[str, str], bool] = {}
+    pairs: dict[tuple[str, str], PairRelation] = {}
     for link in links:
         a, b = sorted((camera_of[link.from_], camera_of[link.to]))
-        if a != b:
-            overlapped[a, b] = overlapped.get((a, b), False) or link.relation == "overlapped"
+        if link.relation == "overlapped":
+            pairs[a, b] = "overlapped"
+        elif a != b:
+            pairs.setdefault((a, b), "unseen_path")
+    return [Pair(cameras, relation) for cameras, relation in sorted(pairs.items())]
+
+
+def zone_at(name: str, camera: str, at: Floats) -> TrueZone:
+    """Return a zone with the mean and covariance of its positions (n, 2)."""
+    x, y = np.round(at.mean(0), 4).tolist()
+    centred = at - at.mean(0)
+    cov = centred.T @ centred / max(len(at) - 1, 1)
+    return TrueZone(name, camera, x, y, np.round(cov, 7).tolist())
+
+
+def walked_links(
+    lags: Mapping[tuple[str, str], Sequence[float]],
+    exits: Mapping[str, int],
+    transitions: Mapping[tuple[str, str], int],
+) -> list[TrueLink]:
+    """Return the links that were walked, sorted by zones.
+
+    lags (seconds): of the walks from one zone to another.
+    exits: number of walks that leave at a zone.
+    transitions: number of walks with both ends recorded.
+    """
     return [
-        Pair(cameras, "overlapped" if over else "unseen_path")
-        for cameras, over in sorted(overlapped.items())
+        TrueLink(
+            from_=ends[0],
+            to=ends[1],
+            relation=relation_of(float(np.median(seconds))),
+            probability=round(len(seconds) / exits[ends[0]], 6),
+            transitions=transitions.get(ends, 0),
+            transit=transit_of(np.array(seconds)),
+        )
+        for ends, seconds in sorted(lags.items())
     ]
