@@ -9,10 +9,9 @@ I/O, clock, or threads.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable
-from typing import Protocol
 
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.requests import ANSWER_SECONDS_MAX, Answer, Batch, Hello
 
 RETRY_SECONDS = 2.0
@@ -24,54 +23,27 @@ SLOW_SECONDS = 5.0
 
 The daemon waits for a camera's next request that long before it goes on without the camera.
 """
-
-
 UNANSWERED_MAX = 3
 """Requests in a row without an answer, after which a visible daemon is not expected to answer."""
 
 
-class Queue(Protocol):
-    """The waiting events of cameras: the part of `Spool` that deliveries use."""
-
-    def boot(self, camera: str) -> str:
-        """Return the boot in which this process numbers the events of ``camera``."""
-
-    def boots(self, camera: str) -> list[str]:
-        """Return the boots of ``camera``, oldest first."""
-
-    def mark(self, camera: str, boot: str) -> int:
-        """Return the number up to which the daemon has stored a boot."""
-
-    def waiting(self, camera: str) -> int:
-        """Return the number of events above the marks."""
-
-    def next_batch(self, camera: str, most: int) -> tuple[str, list[tuple[int, bytes]]] | None:
-        """Return the boot and the (seq, bytes) of the events to be sent next; None if none wait."""
-
-    def have(self, camera: str, boot: str, seq: int) -> None:
-        """Set the mark of a boot."""
-
-    def begin_boot(self, camera: str) -> None:
-        """Begin another boot, and number what waits of the present one within it."""
-
-
 class Delivery:
-    """The requests for the events of ``camera`` in ``queue``; times are monotonic seconds.
+    """The requests for the events of ``camera`` in ``spool``; times are monotonic seconds.
 
     draw_number: returns a random text for a hello (`camtopod.serve.requests.Number`).
     """
 
-    def __init__(self, camera: str, queue: Queue, draw_number: Callable[[], str]) -> None:
+    def __init__(self, camera: str, spool: Spool, draw_number: Callable[[], str]) -> None:
         self.camera = camera
-        self.late: Counter[str] = Counter()
-        """Boot -> number of events that came too late to be learned."""
-        self.refused: Counter[str] = Counter()
-        """Boot -> number of events that the daemon has refused."""
+        self.late = 0
+        """Number of this process's events that came too late to be learned."""
+        self.refused = 0
+        """Number of this process's events that the daemon has refused."""
         self.no_room = ""
         """Why the daemon does not take this camera, which is one too many; "" if it does."""
         self.unanswered = 0
         """Number of requests in a row that ended without an answer."""
-        self._queue = queue
+        self._spool = spool
         self._draw_number = draw_number
         self._number = ""
         self._greeted = False
@@ -81,8 +53,8 @@ class Delivery:
         self._retry_seconds = RETRY_SECONDS
         self._batch_max = 1
         self._sent: tuple[str, int] = ("", 0)
-        self._held: tuple[str, int] | None = None
-        self._slow_boot = ""
+        # Boot and number of an empty batch to be sent next.
+        self._empty: tuple[str, int] | None = None
 
     def next_request(self, now: float) -> Hello | Batch | None:
         """Return the request to send now; None if there is none. Its answer is `on_answer`'s."""
@@ -94,7 +66,7 @@ class Delivery:
             self._request = self._next_batch()
         else:
             self._number = self._draw_number()
-            self._request = Hello(self._number, self._queue.boots(self.camera))
+            self._request = Hello(self._number, self._spool.boots(self.camera))
         self._sent_at = now
         return self._request
 
@@ -102,11 +74,8 @@ class Delivery:
         """Take the answer to a request; None if it ended without one. A late one is ignored."""
         if request is not self._request:
             return
-        was_held = self._held is not None
         slow = now - self._sent_at > SLOW_SECONDS
         self._request = None
-        self._held = None
-        self._slow_boot = ""
         if answer is None:
             self.unanswered += 1
             self._greeted = False
@@ -116,36 +85,37 @@ class Delivery:
 
         # Apply the answer.
         self._batch_max = answer.batch
-        if isinstance(request, Batch):  # before who waits for the marks looks at it
-            self.late[request.boot] += answer.late
-            self.refused[request.boot] += answer.refused
+        if isinstance(request, Batch) and self._spool.is_own(self.camera, request.boot):
+            # Before who waits for the marks looks at it.
+            self.late += answer.late
+            self.refused += answer.refused
         moved = self._note_marks(request, answer)
-
-        # Choose the next request and its time.
+        if moved:
+            self._retry_seconds = RETRY_SECONDS
         self.no_room = ""
         if answer.reason == "cameras":
             self.no_room = answer.detail or "the daemon has as many cameras as cameras_max allows"
-        if moved:
-            self._retry_seconds = RETRY_SECONDS
+
+        # Choose the next request and its time.
+        self._empty = None
         if isinstance(request, Hello):
             self._greeted = not answer.reason
             useful = self._greeted
         elif answer.reason == "held":
-            self._held = request.boot, _last(request)
+            self._empty = request.boot, max([request.after, *(seq for seq, _ in request.events)])
             useful = slow
         else:
             self._greeted = answer.reason not in ("hello", "cameras")
-            useful = not answer.reason and (moved or not (request.events or was_held))
+            useful = not answer.reason and (moved or not request.events)
             if useful and slow:
-                self._slow_boot = request.boot
+                self._empty = request.boot, self._spool.mark(self.camera, request.boot)
         if not useful:
             self._wait(now)
 
     def on_daemon(self, now: float) -> None:
         """A daemon has appeared: end the request under way and the waiting."""
         self._request = None
-        self._held = None
-        self._slow_boot = ""
+        self._empty = None
         self._greeted = False
         self.unanswered = 0
         self._retry_at = now
@@ -156,41 +126,34 @@ class Delivery:
         """When to call `next_request` though nothing happens; infinite if not at all."""
         if self._request is not None:
             return self._sent_at + ANSWER_SECONDS_MAX
-        due = not self._greeted or self._held or self._slow_boot or self._queue.waiting(self.camera)
-        return self._retry_at if due else math.inf
+        if not self._greeted or self._empty or self._spool.waiting(self.camera):
+            return self._retry_at
+        return math.inf
 
     def _next_batch(self) -> Batch | None:
-        """Return the batch to send: a repetition without bytes, the next events, or an empty one.
-
-        None if there is nothing to send.
-        """
-        if self._held is not None:
-            boot, after = self._held
-            return Batch(self._number, boot, after, [], self._queue.waiting(self.camera))
-        found = self._queue.next_batch(self.camera, self._batch_max)
+        """Return the batch to send: the next events, or an empty one; None if none is due."""
+        if self._empty is not None:
+            return Batch(self._number, *self._empty, [], self._spool.waiting(self.camera))
+        found = self._spool.next_batch(self.camera, self._batch_max)
         if found is None:
-            if not self._slow_boot:
-                return None
-            after = self._queue.mark(self.camera, self._slow_boot)
-            return Batch(self._number, self._slow_boot, after, [])
+            return None
         boot, events = found
-        last = events[-1][0]
-        if boot == self._queue.boot(self.camera):
-            self._sent = boot, max(last, self._sent_of(boot))
-        after = min(self._queue.mark(self.camera, boot), events[0][0] - 1)
-        more = max(0, self._queue.waiting(self.camera) - len(events))
-        return Batch(self._number, boot, after, events, more)
+        if boot == self._spool.boot(self.camera):
+            self._sent = boot, max(events[-1][0], self._sent_of(boot))
+        after = min(self._spool.mark(self.camera, boot), events[0][0] - 1)
+        more = self._spool.waiting(self.camera) - len(events)
+        return Batch(self._number, boot, after, events, max(0, more))
 
     def _note_marks(self, request: Hello | Batch, answer: Answer) -> bool:
         """Move the marks to where the answer says; return True if that of the request has moved."""
-        boot = request.boot if isinstance(request, Batch) else self._queue.boot(self.camera)
-        before = self._queue.boot(self.camera), self._queue.mark(self.camera, boot)
+        boot = request.boot if isinstance(request, Batch) else self._spool.boot(self.camera)
+        before = self._spool.boot(self.camera), self._spool.mark(self.camera, boot)
         for name, have in answer.have.items():
-            if name == self._queue.boot(self.camera) and have > self._sent_of(name):
+            if name == self._spool.boot(self.camera) and have > self._sent_of(name):
                 # A machine that was set back has given these numbers before.
-                self._queue.begin_boot(self.camera)
-            self._queue.have(self.camera, name, have)
-        return before != (self._queue.boot(self.camera), self._queue.mark(self.camera, boot))
+                self._spool.begin_boot(self.camera)
+            self._spool.have(self.camera, name, have)
+        return before != (self._spool.boot(self.camera), self._spool.mark(self.camera, boot))
 
     def _sent_of(self, boot: str) -> int:
         """Return the highest number that was sent of the boot that this process numbers."""
@@ -201,8 +164,3 @@ class Delivery:
         seconds = RETRY_SECONDS_MAX if self.no_room else self._retry_seconds
         self._retry_at = now + seconds
         self._retry_seconds = min(RETRY_SECONDS_MAX, 2 * self._retry_seconds)
-
-
-def _last(batch: Batch) -> int:
-    """Return the number of the last event that a batch is about."""
-    return batch.events[-1][0] if batch.events else batch.after
