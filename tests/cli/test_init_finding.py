@@ -61,11 +61,6 @@ def test_what_is_no_camera_is_said() -> None:
         onvif.streams("onvif://[:1")
     with onvif_camera([], {}) as camera, pytest.raises(onvif.OnvifError, match="offers no video"):
         onvif.streams(f"onvif://{LOGIN}@{camera.address}")
-    with (
-        onvif_camera(PROFILES[:1], {"main": "http://127.0.0.1/film"}) as camera,
-        pytest.raises(onvif.OnvifError, match="a stream that is not RTSP"),
-    ):
-        onvif.streams(f"onvif://{LOGIN}@{camera.address}")
 
 
 def test_documents_that_could_do_harm_are_refused() -> None:

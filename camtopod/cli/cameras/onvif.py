@@ -97,6 +97,7 @@ class _Camera:
         except ValueError:
             raise OnvifError("write it like onvif://USER:PASSWORD@HOST") from None
         self._device = self._base + (parts.path.rstrip("/") or DEVICE_PATH)
+        self._ahead: float | None = None
         self._ahead = self._clock_ahead()
 
     def media_service(self) -> str:
@@ -112,20 +113,17 @@ class _Camera:
 
     def with_login(self, url: str) -> str:
         """Return a URL of a stream with user name and password."""
-        scheme, separator, rest = url.partition("://")
-        if scheme.lower() not in ("rtsp", "rtsps") or not separator:
-            raise OnvifError(f"the camera names a stream that is not RTSP: {url[:100]!r}")
+        scheme, _, rest = url.partition("://")
         if not self._user or "@" in rest.partition("/")[0]:
             return url
         return f"{scheme}://{quote(self._user, safe='')}:{quote(self._password, safe='')}@{rest}"
 
-    def ask(self, url: str, body: str, token: bool = True) -> Element:
+    def ask(self, url: str, body: str) -> Element:
         """Send a request and return the answer's document. Raises `OnvifError`."""
-        header = self._token() if self._user and token else ""
         envelope = (
             '<?xml version="1.0" encoding="UTF-8"?>'
             '<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope">'
-            f"<s:Header>{header}</s:Header><s:Body>{body}</s:Body></s:Envelope>"
+            f"<s:Header>{self._token()}</s:Header><s:Body>{body}</s:Body></s:Envelope>"
         )
         request = urllib.request.Request(
             url, envelope.encode(), {"Content-Type": "application/soap+xml; charset=utf-8"}
@@ -137,18 +135,16 @@ class _Camera:
         except HTTPError as error:
             with error:
                 fault = error.read(DOCUMENT_BYTES_MAX)
+            reason = str(error)
             if error.code in (401, 403) or b"NotAuthorized" in fault or b"FailedAuth" in fault:
                 raise OnvifError("the camera refuses the user name or password") from None
-            raise OnvifError(f"the camera answers ONVIF with the status {error.code}") from None
-        except (OSError, http.client.HTTPException) as error:
-            reason = getattr(error, "reason", error)
-            raise OnvifError(f"no answer by ONVIF at {url}: {reason}") from None
-        except Rejected as error:
-            raise OnvifError(f"not understood at {url}: {error}") from None
+        except (OSError, http.client.HTTPException, Rejected) as error:
+            reason = str(error)
+        raise OnvifError(f"no answer by ONVIF at {url}: {reason}")
 
     def _clock_ahead(self) -> float:
         """Return by how many seconds the camera's clock is ahead; it refuses other times."""
-        body = self.ask(self._device, f'<GetSystemDateAndTime xmlns="{_DEVICE}"/>', token=False)
+        body = self.ask(self._device, f'<GetSystemDateAndTime xmlns="{_DEVICE}"/>')
         names = ("Year", "Month", "Day", "Hour", "Minute", "Second")
         for utc in all_of(body, "UTCDateTime"):
             with contextlib.suppress(ValueError):
@@ -156,7 +152,12 @@ class _Camera:
         return 0.0
 
     def _token(self) -> str:
-        """Return the header with the username token (WS-Security UsernameToken Profile 1.0)."""
+        """Return the header with the username token (WS-Security UsernameToken Profile 1.0).
+
+        Empty without a user, and as long as the camera's time is unknown.
+        """
+        if not self._user or self._ahead is None:
+            return ""
         nonce = secrets.token_bytes(16)
         created = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(wall() + self._ahead))
         digest = hashlib.sha1(nonce + created.encode() + self._password.encode()).digest()

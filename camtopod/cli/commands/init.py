@@ -31,7 +31,6 @@ _HEAD = """\
 # Made by `camtopod init`. `camtopod check FILE` checks it, with --probe also its cameras;
 # `camtopod check --example` shows every other setting.
 """
-_OF_A_FILE = "# a file is read once, as fast as possible; with realtime = true in real time"
 
 
 def add_parser(subparsers: Any) -> None:
@@ -41,7 +40,7 @@ def add_parser(subparsers: Any) -> None:
         help="probe cameras and write a configuration",
         description="Probes each camera and writes a commented configuration with all of them, or "
         "adds them at the end of one that exists, whose text stays as it is. A "
-        "camera is named after its host or path, or as given: lobby=rtsp://... A URL with a "
+        "camera is named after its host or file, or as given: lobby=rtsp://... A URL with a "
         f"password or a token goes into a file of its own in the folder {SECRETS} beside the "
         "configuration, which only you can read.",
         epilog="example: camtopod init lobby=rtsp://192.0.2.10/stream1 hall=rtsp://192.0.2.11/",
@@ -89,13 +88,16 @@ def run(args: argparse.Namespace) -> int:
     A camera that cannot be opened at the moment is in the configuration, too.
     """
     from camtopod.cli.cameras.finding import streams_by_onvif
-    from camtopod.cli.cameras.naming import named_sources, with_names
+    from camtopod.cli.cameras.naming import named_sources
 
     # Read the configuration to add to, if there is one, and find the cameras' streams.
-    before = _existing(args)
-    settings = configuration(args) if before is None else _unchanged(args, before)
-    given = with_names(named_sources(args.sources))
-    if before is not None and (twice := given.keys() & settings.cameras.keys()):
+    adding = args.out.exists() and not args.force
+    if adding:
+        args.config = args.out
+        args.config_found = False  # it is needed
+    settings = configuration(args)
+    given = named_sources(args.sources)
+    if adding and (twice := given.keys() & settings.cameras.keys()):
         raise CommandError(
             f"{args.out} has cameras.{', cameras.'.join(sorted(twice))} already: give another name "
             f"(NAME=SOURCE) or edit that table; --force writes the whole file anew"
@@ -105,55 +107,12 @@ def run(args: argparse.Namespace) -> int:
         _say(f"  {name}  left out: {visible(reason)}")
     if not cameras:
         raise InputError("no camera says where its stream is, see above")
-    folder = args.out.parent / SECRETS
     secrets = {
-        name: folder / name
+        name: args.out.parent / SECRETS / name
         for name, source in cameras.items()
         if args.credentials or redact(source) != source
     }
-    _refuse_to_overwrite(args, before, cameras, list(secrets.values()))
-
-    # Probe the cameras, then write the configuration and the secrets.
-    cameras, probes, words = _probed(args, cameras, settings)
-    tables = camera_tables(cameras, words, secrets.keys(), args.credentials)
-    if before is None:
-        text = configuration_text(settings, tables, args.credentials)
-        done = f"{args.out} is written"
-    else:
-        text = with_cameras(before, args.out, tables)
-        done = f"{args.out} has {', '.join(cameras)} now, after what it had"
-    with writing(args.out):
-        _write(args.out, text, {path: _located(cameras[name]) for name, path in secrets.items()})
-        if args.credentials and before is None:
-            # The services' users have to read it; it contains no password.
-            args.out.chmod(0o644)
-
-    # Say what comes next.
-    if secrets:
-        done += f"; sources with secrets are in {folder}, readable only by you"
-    _say(done)
-    if all(probe.problem for probe in probes.values()):
-        _say(
-            f"no camera could be opened: correct that first, and try camtopod check {args.out}"
-            " --probe"
-        )
-    if args.credentials:
-        _say(_next_services(args.out, settings, cameras))
-    else:
-        _say(_next(args.out, settings))
-    if refusals or any(probe.problem for probe in probes.values()):
-        return exits.INPUT
-    return exits.DONE
-
-
-def _refuse_to_overwrite(
-    args: argparse.Namespace, before: str | None, cameras: Collection[str], written: list[Path]
-) -> None:
-    """Raise `CommandError` if a file exists that would be written, unless --force is given."""
-    if not args.out.parent.is_dir():
-        raise CommandError(f"cannot write {args.out}: {args.out.parent} is no directory")
-    if before is None:
-        written = [args.out, *written]
+    written = [*secrets.values()]
     if args.pictures is not None:
         written += [pictures.stored_path(args.pictures, name) for name in cameras]
     existing = [str(path) for path in written if path.exists()]
@@ -163,11 +122,36 @@ def _refuse_to_overwrite(
             f"with --out"
         )
 
+    # Probe the cameras, then write the configuration and the secrets.
+    cameras, probes = _probed(args, cameras, settings)
+    tables = camera_tables(cameras, probes, secrets.keys(), args.credentials)
+    mode = 0o644  # the services' users have to read it; it contains no password
+    if adding:
+        mode = args.out.stat().st_mode & 0o777
+        text = with_cameras(args.out, tables)
+    else:
+        text = configuration_text(settings, tables, args.credentials)
+    with writing(args.out):
+        for name, path in secrets.items():
+            path.parent.mkdir(mode=0o700, exist_ok=True)
+            secret_files.write(path, _located(cameras[name]).encode() + b"\n")
+        secret_files.write(args.out.resolve(), text.encode(), mode)
+        args.out.chmod(mode)
+
+    # Say what comes next.
+    _say(f"{args.out} has {', '.join(cameras)}")
+    if secrets:
+        _say(f"sources with secrets are in {args.out.parent / SECRETS}, readable only by you")
+    _say(_next(args, settings, cameras))
+    if refusals or any(probe.problem for probe in probes.values()):
+        return exits.INPUT
+    return exits.DONE
+
 
 def _probed(
     args: argparse.Namespace, given: Mapping[str, str], settings: Config
-) -> tuple[dict[str, str], dict[str, Probe], dict[str, list[str]]]:
-    """Return sources, probe results and descriptions of the cameras, by camera id.
+) -> tuple[dict[str, str], dict[str, Probe]]:
+    """Return sources and probe results of the cameras, by camera id.
 
     given: sources as given; others are returned where a camera's stream is found elsewhere.
     """
@@ -178,13 +162,10 @@ def _probed(
         return {name: replace(settings.new_camera, source=url) for name, url in urls.items()}
 
     def tell(name: str, probe: Probe) -> None:
-        words[name] = [visible(line) for line in probe.lines]
-        _say(f"  {name:<{width}}  {'; '.join(words[name])}")
+        _say(f"  {name}  {'; '.join(_words(probe))}")
 
     # Probe the streams as they are given.
     cameras = dict(given)
-    words: dict[str, list[str]] = {}
-    width = max(map(len, cameras))
     _say(f"probing {counted(len(cameras), 'camera')} ...")
     if args.pictures is not None:
         _say(f"a picture takes up to {SETTLE_SECONDS_MAX:.0f} s")
@@ -195,11 +176,15 @@ def _probed(
         cameras, probes, lambda urls: probe_all(described(urls), lambda name, probe: None)
     )
     for name, (url, maker, probe) in found.items():
-        cameras[name] = url
-        probes[name] = probe
         probe.remarks.append(f"found as by {maker}")
         tell(name, probe)
-    return cameras, probes, words
+        cameras[name] = url
+        probes[name] = probe
+    return cameras, probes
+
+
+def _words(probe: Probe) -> list[str]:
+    return [visible(line) for line in probe.lines]
 
 
 def configuration_text(settings: Config, tables: Sequence[str], credentials: bool = False) -> str:
@@ -208,7 +193,9 @@ def configuration_text(settings: Config, tables: Sequence[str], credentials: boo
     tables: those of the cameras.
     credentials: systemd passes the cameras' sources to the services.
     """
-    bus = {"connect": settings.bus.connect} if settings.bus.connect else {}
+    bus = {}
+    if settings.bus.connect:
+        bus["connect"] = settings.bus.connect
     parts = [
         _HEAD,
         table("site", TABLES["site"], {"name": settings.site.name}),
@@ -224,18 +211,20 @@ def configuration_text(settings: Config, tables: Sequence[str], credentials: boo
 
 def camera_tables(
     cameras: Mapping[str, str],
-    words: Mapping[str, Sequence[str]],
+    probes: Mapping[str, Probe],
     secret: Collection[str],
     credentials: bool = False,
 ) -> list[str]:
     """Return the table of each camera.
 
     cameras: source by camera id.
-    words: comments on each camera.
+    probes: what is said of each camera in comments.
     secret: cameras whose source is in a file of its own, which the configuration names.
     credentials: systemd passes these files to the services.
     """
-    folder = CREDENTIALS if credentials else SECRETS
+    folder = SECRETS
+    if credentials:
+        folder = CREDENTIALS
     parts = []
     for name, source in cameras.items():
         key = name
@@ -246,73 +235,27 @@ def camera_tables(
         if name in secret:
             setting = "source_file"
             value = f"{folder}/{name}"
-        lines = [f"[cameras.{key}]", *(f"# {word}" for word in words[name])]
-        if kind_of(source) == "file":
-            lines.append(_OF_A_FILE)
+        lines = [f"[cameras.{key}]", *(f"# {word}" for word in _words(probes[name]))]
         lines.append(f"{setting} = {json.dumps(value, ensure_ascii=False)}")
         parts.append("\n".join(lines))
     return parts
 
 
-def with_cameras(before: str, out: Path, tables: Sequence[str]) -> str:
-    """Return the text of a configuration with further tables at its end.
+def with_cameras(out: Path, tables: Sequence[str]) -> str:
+    """Return the text of the configuration ``out`` with further tables at its end.
 
-    Raises `CommandError` if that is not the same configuration with these cameras.
-
-    before: the text of the file ``out``.
+    Raises `CommandError` if that is no configuration.
     """
-    added = "".join(f"\n{table}\n" for table in tables)
-    if before and not before.endswith("\n"):
-        added = f"\n{added}"
-    if "\r\n" in before:
-        added = added.replace("\n", "\r\n")
-    text = before + added
-    old = configurations.parse(before)
+    text = "\n\n".join([out.read_bytes().decode(), *tables, ""])
     try:
-        new = configurations.parse(text)
+        configurations.parse(text)
     except configurations.ConfigError as error:
         raise CommandError(
             f"{out}: tables cannot be added at its end ({str(error).splitlines()[0]}); write "
             f"cameras as tables [cameras.NAME], or use another --out",
             exits.CONFIG,
         ) from None
-    kept = {name: camera for name, camera in new.cameras.items() if name in old.cameras}
-    assert replace(new, cameras=kept) == old, "the other settings are as they were"
     return text
-
-
-def _existing(args: argparse.Namespace) -> str | None:
-    """Return the text of the configuration to add to; None if there is none, and with --force.
-
-    Raises `CommandError` if it cannot be read.
-    """
-    out: Path = args.out
-    if args.force:
-        return None
-    try:
-        return out.read_bytes().decode("utf-8")
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except UnicodeDecodeError:
-        raise CommandError(f"{out}: the file is not UTF-8", exits.CONFIG) from None
-    except OSError as error:
-        raise InputError(f"cannot read {out}: {error.strerror}") from None
-
-
-def _unchanged(args: argparse.Namespace, before: str) -> Config:
-    """Return the configuration that cameras are added to. Raises `CommandError`."""
-    if args.site is not None or args.connect:
-        raise CommandError(
-            f"{args.out} exists, so --site and --connect would not be written: leave them out to "
-            f"add cameras; --force writes the whole file anew",
-            exits.USAGE,
-        )
-    try:
-        return configurations.parse(before, str(args.out))
-    except configurations.ConfigError as error:
-        raise CommandError(
-            f"nothing is added, as the configuration has mistakes:\n{error}", exits.CONFIG
-        ) from None
 
 
 def _located(source: str) -> str:
@@ -322,35 +265,20 @@ def _located(source: str) -> str:
     return str(Path(source.removeprefix("file://")).absolute())
 
 
-def _write(out: Path, text: str, secrets: Mapping[Path, str]) -> None:
-    """Write the secrets, readable by this user only, and the configuration."""
-    for path, source in secrets.items():
-        path.parent.mkdir(mode=0o700, exist_ok=True)
-        secret_files.write(path, source.encode() + b"\n")
-    if out.exists():  # the old one stays whole if the disk is full
-        secret_files.write(out.resolve(), text.encode(), out.stat().st_mode & 0o777)
-    else:
-        out.write_text(text, encoding="utf-8")
-
-
-def _next(out: Path, settings: Config) -> str:
-    """Return the next commands; a daemon on another machine is checked first."""
-    if settings.bus.connect:
-        return f"next:\n    camtopod check {out} --probe\n    camtopod --config {out} grab"
-    return (
-        f"next, each in a terminal of its own:\n    camtopod --config {out} run\n"
-        f"    camtopod --config {out} grab\n    camtopod --config {out} watch"
-    )
-
-
-def _next_services(out: Path, settings: Config, cameras: Collection[str]) -> str:
-    """Return the next commands for an installation with systemd."""
-    daemon = "" if settings.bus.connect else "camtopod camtopod-web "
-    services = daemon + " ".join(f"camtopod-grab@{name}" for name in cameras)
+def _next(args: argparse.Namespace, settings: Config, cameras: Collection[str]) -> str:
+    """Return the next commands; a daemon on another machine runs already."""
+    elsewhere = bool(settings.bus.connect)
+    if not args.credentials:
+        commands = ["run", "grab", "watch"][elsewhere:]
+        lines = [f"\n    camtopod --config {args.out} {command}" for command in commands]
+        return f"next, each in a terminal of its own:{''.join(lines)}"
+    services = [f"camtopod-grab@{name}" for name in cameras]
+    services = ["camtopod", "camtopod-web"] * (not elsewhere) + services
+    folder = (args.out.parent / SECRETS).absolute()
     return (
         f"next, with the units of deploy/ installed as described in deploy/README.md:\n"
-        f"    systemctl enable --now {services}\n"
-        f"    {CREDENTIALS[1:]}={(out.parent / SECRETS).absolute()} camtopod check {out} --probe"
+        f"    systemctl enable --now {' '.join(services)}\n"
+        f"    {CREDENTIALS[1:]}={folder} camtopod check {args.out} --probe"
     )
 
 
