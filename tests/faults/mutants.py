@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
 
 from camtopod.codec import to_json, to_msgpack
 from camtopod.records import Event
@@ -54,45 +53,23 @@ def mutant(chance: random.Random, good: list[bytes]) -> bytes:
     """Return one of ``good`` with one to four changes."""
     raw = bytearray(chance.choice(good))
     for _ in range(chance.randint(1, 4)):
-        chance.choice(_CHANGES)(chance, raw, good)
+        change = chance.choice(
+            ["flip", "set", "insert", "flip", "set", "insert", "cut", "repeat", "splice"]
+        )
+        at = chance.randint(0, len(raw))
+        if change == "flip" and at < len(raw):
+            raw[at] ^= 1 << chance.randrange(8)
+        elif change == "set" and at < len(raw):
+            raw[at] = chance.randrange(256)
+        elif change == "insert":
+            rubbish = chance.randbytes(chance.randrange(9))
+            raw[at:at] = chance.choice(WILD) if chance.random() < 0.7 else rubbish
+        elif change == "cut":
+            del raw[at : at + chance.choice((1, 2, 5, 1000))]
+        elif change == "repeat":
+            times = chance.randrange(1, 300 if chance.random() < 0.01 else 4)
+            raw[at:at] = raw[at : at + chance.randrange(20)] * times
+        elif change == "splice":
+            other = chance.choice(good)
+            raw[at:] = other[chance.randint(0, len(other)) :]
     return bytes(raw)
-
-
-def _flip(chance: random.Random, raw: bytearray, good: list[bytes]) -> None:
-    if raw:
-        raw[chance.randrange(len(raw))] ^= 1 << chance.randrange(8)
-
-
-def _set(chance: random.Random, raw: bytearray, good: list[bytes]) -> None:
-    if raw:
-        raw[chance.randrange(len(raw))] = chance.randrange(256)
-
-
-def _cut(chance: random.Random, raw: bytearray, good: list[bytes]) -> None:
-    start = chance.randint(0, len(raw))
-    del raw[start : start + chance.choice((1, 2, 5, 1000))]
-
-
-def _insert(chance: random.Random, raw: bytearray, good: list[bytes]) -> None:
-    at = chance.randint(0, len(raw))
-    raw[at:at] = (
-        chance.choice(WILD) if chance.random() < 0.7 else chance.randbytes(chance.randrange(9))
-    )
-
-
-def _repeat(chance: random.Random, raw: bytearray, good: list[bytes]) -> None:
-    start = chance.randint(0, len(raw))
-    raw[start:start] = raw[start : start + chance.randrange(20)] * chance.randrange(
-        1, 300 if chance.random() < 0.01 else 4
-    )
-
-
-def _splice(chance: random.Random, raw: bytearray, good: list[bytes]) -> None:
-    other = chance.choice(good)
-    raw[chance.randint(0, len(raw)) :] = other[chance.randint(0, len(other)) :]
-
-
-_CHANGES: tuple[Callable[[random.Random, bytearray, list[bytes]], None], ...] = (
-    *(_flip, _flip, _set, _set, _insert, _insert),  # frequent ones several times
-    *(_cut, _repeat, _splice),
-)

@@ -23,7 +23,6 @@ from camtopod.serve.storage.journal_writer import SLOW_SECONDS
 BEFORE, AFTER = 100, 20
 """Events that are stored before, and that come after it."""
 FILES = ("journal.db", "journal.db-wal")
-Harm = Callable[[Path], None]
 
 
 @pytest.fixture
@@ -32,19 +31,7 @@ def grabber(tmp_path: Path) -> Iterator[Grabber]:
         yield one
 
 
-def seqs(state: Path) -> list[int | None]:
-    return [seq for seq, _ in stored(state)]
-
-
 # --- under the running daemon ---------------------------------------------------------------------
-
-
-def removed(state: Path) -> None:
-    (state / "journal.db").unlink()
-
-
-def moved(state: Path) -> None:
-    (state / "journal.db").rename(state / "elsewhere.db")
 
 
 def replaced_by_a_copy(state: Path) -> None:
@@ -52,24 +39,23 @@ def replaced_by_a_copy(state: Path) -> None:
     (state / "copy.db").rename(state / "journal.db")
 
 
-def directory_moved(state: Path) -> None:
-    state.rename(state.with_name("elsewhere"))
+LOSSES: dict[str, Callable[[Path], object]] = {
+    "removed": lambda state: (state / "journal.db").unlink(),
+    "replaced by a copy": replaced_by_a_copy,
+    "directory removed": shutil.rmtree,
+}
 
 
-def directory_removed(state: Path) -> None:
-    shutil.rmtree(state)
-
-
-@pytest.mark.parametrize("harm", [removed, replaced_by_a_copy, directory_removed])
+@pytest.mark.parametrize("loss", LOSSES)
 def test_nothing_is_acknowledged_from_then_on_and_what_the_spools_have_comes_back(
-    harm: Harm, grabber: Grabber, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    loss: str, grabber: Grabber, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     state = tmp_path / "state"
     with grabber.daemon() as daemon:
         grabber.attach()
         grabber.publish(BEFORE)
         grabber.await_stored()
-        harm(state)
+        LOSSES[loss](state)
         wait_for(lambda: daemon.status().state == "degraded", "it to notice")
         received = daemon.status().events["received"]
         grabber.publish(AFTER)
@@ -86,31 +72,28 @@ def test_nothing_is_acknowledged_from_then_on_and_what_the_spools_have_comes_bac
         grabber.await_stored()
         wait_for(lambda: daemon.status().journal.entries == grabber.made, "all events")
         assert daemon.status().state == "running"
-    assert seqs(state) == list(range(1, grabber.made + 1))
+    assert [seq for seq, _ in stored(state)] == list(range(1, grabber.made + 1))
 
 
-@pytest.mark.parametrize("harm", [moved, directory_moved])
+@pytest.mark.parametrize("name", ["state", "state/journal.db"])
 def test_it_goes_on_by_itself_when_the_file_is_back(
-    harm: Harm, grabber: Grabber, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    name: str, grabber: Grabber, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     state = tmp_path / "state"
     with caplog.at_level(logging.INFO), grabber.daemon() as daemon:
         grabber.attach()
         grabber.publish(BEFORE)
         grabber.await_stored()
-        harm(state)
+        (tmp_path / name).rename(tmp_path / f"{name}-elsewhere")
         wait_for(lambda: daemon.status().state == "degraded", "it to notice")
         grabber.publish(AFTER)
 
-        if harm is moved:
-            (state / "elsewhere.db").rename(state / "journal.db")
-        else:
-            (tmp_path / "elsewhere").rename(state)
+        (tmp_path / f"{name}-elsewhere").rename(tmp_path / name)
 
         grabber.await_stored()
         assert daemon.status().state == "running"
     assert "the journal can be written again" in caplog.text
-    assert seqs(state) == list(range(1, grabber.made + 1))
+    assert [seq for seq, _ in stored(state)] == list(range(1, grabber.made + 1))
 
 
 class Hanging:
@@ -156,15 +139,14 @@ def test_the_status_is_answered_while_the_disk_hangs(
 # --- between two daemons --------------------------------------------------------------------------
 
 
-def taken_back(state: Path, earlier: Path) -> None:
-    everything_lost(state, earlier)
-    for path in earlier.iterdir():
-        shutil.copyfile(path, state / path.name)
-
-
 def everything_lost(state: Path, earlier: Path) -> None:
     for name in FILES:
         (state / name).unlink(missing_ok=True)
+
+
+def taken_back(state: Path, earlier: Path) -> None:
+    everything_lost(state, earlier)
+    shutil.copytree(earlier, state, dirs_exist_ok=True)
 
 
 def rubbish(state: Path, earlier: Path) -> None:
