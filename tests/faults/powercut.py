@@ -1,8 +1,9 @@
 """Possible contents of the disk after a power cut, from a record of SQLite's operations.
 
-Synced data is certain; of the rest any operations may be there, in any order. Directory entries
-(files made or deleted) are certain once the directory is synced. Data of a failed sync is not
-written by a later one (Linux regards it as written), so it counts as never written.
+Synced data is certain; of the rest any operations may be there, in any order, or all of them, as
+when the process alone is killed. Directory entries (files made or deleted) are certain once the
+directory is synced. Data of a failed sync is not written by a later one (Linux regards it as
+written), so it counts as never written.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ class Disk:
 
     def content(self, chance: random.Random | None = None) -> Content:
         """Return a possible content after a power cut; without ``chance`` what is certain."""
-        share = 0.0 if chance is None else chance.choice((0.1, 0.5, 0.9))
+        share = 0.0 if chance is None else chance.choice((0.1, 0.5, 0.9, 1.0))
         chance = chance or random.Random(0)
         entries = dict(self._certain)
         for name, file in self._since:
@@ -92,7 +93,7 @@ class Disk:
         for name, file in entries.items():
             content = bytearray(file.certain)
             kept = [op for op in file.since if chance.random() < share]
-            if chance.random() < 0.5:
+            if share < 1.0 and chance.random() < 0.5:
                 chance.shuffle(kept)
             for op in kept:
                 _do(content, op)

@@ -1,4 +1,4 @@
-"""Power cuts between any two operations on the disk: data reported durable survives."""
+"""Power cuts and kills between any two operations on the disk: what was durable survives."""
 
 from __future__ import annotations
 

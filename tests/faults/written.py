@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import random
 import time
-from collections import defaultdict
 from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import Protocol
 
-from camtopod import codec
 from camtopod.config.settings import KeepSettings
 from camtopod.records import Event
 from camtopod.serve.outbox.spool import Spool
@@ -40,9 +38,6 @@ class Written(Protocol):
     def state(self) -> State:
         """Return the content, as far as it must survive."""
 
-    def whole_steps(self) -> set[int]:
-        """Return the numbers of the steps that are there; none may be there in part."""
-
     def close(self) -> None: ...
 
 
@@ -53,8 +48,8 @@ Open = Callable[[Path], Written]
 class WrittenJournal:
     """A journal of entries, with versions, snapshots and retention now and then."""
 
-    def __init__(self, directory: Path, keep: KeepSettings = KEEP) -> None:
-        self.journal = Journal(directory, keep)
+    def __init__(self, directory: Path) -> None:
+        self.journal = Journal(directory, KEEP)
         self.damaged = self.journal.set_aside is not None or self.journal.missing > 0
 
     def step(self, number: int) -> None:
@@ -71,18 +66,6 @@ class WrittenJournal:
         numbers = self.journal.numbers()
         snapshots = tuple(self.journal.snapshots())
         return entries, contents, snapshots, tuple(sorted(numbers.items())), len(self.journal)
-
-    def whole_steps(self) -> set[int]:
-        entries = defaultdict(list)
-        for _, entry in self.journal.entries():
-            assert entry is not None
-            entries[(entry.seq or 0) // 10].append(entry)
-        versions = self.journal.versions(EPOCH)
-        for number, found in entries.items():
-            expected, wanted, _ = step_of(number, 0)
-            assert [entry.raw for entry in found] == [entry.raw for entry in expected]
-            assert all(version.version in versions for version in wanted)
-        return set(entries)
 
     def close(self) -> None:
         self.journal.close()
@@ -105,9 +88,9 @@ def step_of(number: int, last: int) -> tuple[list[Entry], list[StoredVersion], S
 class WrittenSpool:
     """A spool with events of some cameras, of which the daemon has most at once."""
 
-    def __init__(self, directory: Path, events_max: int = 150, kept_max: int = 40) -> None:
+    def __init__(self, directory: Path) -> None:
         boot = f"boot-{time.monotonic_ns()}" if (directory / "spool.db").exists() else "boot-0"
-        self.spool = Spool(directory / "spool.db", boot, events_max, kept_max=kept_max)
+        self.spool = Spool(directory / "spool.db", boot, 150, kept_max=40)
         self.damaged = bool(self.spool.statistics()["damaged_files"])
         self._have: dict[tuple[str, str], int] = {}
 
@@ -120,15 +103,6 @@ class WrittenSpool:
 
     def state(self) -> State:
         return tuple(self.spool._db.execute("SELECT * FROM event ORDER BY id"))
-
-    def whole_steps(self) -> set[int]:
-        times = defaultdict(list)
-        for (raw,) in self.spool._db.execute("SELECT raw FROM event ORDER BY id"):
-            event = codec.event_from_msgpack(raw)
-            times[int(event.t) // 10].append(event.t)
-        for number, found in times.items():
-            assert found == [event.t for event in events_of(number)]
-        return set(times)
 
     def close(self) -> None:
         self.spool.close()
