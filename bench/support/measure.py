@@ -274,7 +274,10 @@ def serve(events: Sequence[Event], settings: Settings) -> tuple[Topology, Predic
         # Learn; follow new versions.
         learner.receive(event)
         for version in learner.updates():
-            predictor = predictor.follow(version) if predictor else Predictor(version)
+            newer = Predictor(version)
+            if predictor is not None:
+                newer.take_over(predictor)
+            predictor = newer
     seconds = time.process_time() - started - observing - predicting
     assert learner.topology is not None
     assert head is not None

@@ -120,11 +120,9 @@ def link_records(
 
 def _lacks(passages: float, seconds: float) -> Lacks | None:
     """Return the record of a weak link's shortfall; None if it is unknown (nan)."""
-    return (
-        None
-        if np.isnan(passages)
-        else Lacks(round_significant(passages), round_significant(seconds))
-    )
+    if np.isnan(passages):
+        return None
+    return Lacks(round_significant(passages), round_significant(seconds))
 
 
 def with_clock_offsets(links: list[Link], zones: list[Zone], ahead: dict[str, float]) -> list[Link]:

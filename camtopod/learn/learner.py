@@ -106,9 +106,9 @@ class Learner:
         )
         self._intake.load(state.intake)
         self._window = Window(
-            settings.window_events_max,
             settings.window_events,
             settings.window_camera_events,
+            settings.window_events_max,
             state.window,
         )
         self._clock_tracker = ClockTracker(state.clocks)
@@ -278,7 +278,7 @@ class Learner:
             "window": len(self._window),
             "cameras": len(self._window.cameras),
             "watermark": 0.0 if watermark is None else watermark / MICROSECONDS,
-            "version": 0 if self.topology is None else self.topology.version,
+            "version": self._next_version - 1,
         }
 
     def _process_ticks(self) -> None:
@@ -509,7 +509,9 @@ class Learner:
             for camera, known in enumerate(self.state.cameras)
             if window.seen[camera] - known.tested_at >= MOVE_EVENTS
         ]
-        rows_of_camera = window.rows_of_cameras() if to_test else []
+        if not to_test:
+            return
+        rows_of_camera = window.rows_of_cameras()
         for camera in to_test:
             # Test the grid cells of the camera's events.
             known = self.state.cameras[camera]

@@ -6,10 +6,7 @@ from typing import TypeVar
 
 from msgspec.structs import replace
 
-from camtopod.learn.changes import AlarmState
-from camtopod.learn.self_score import ScoredPrediction, ScorerState
 from camtopod.learn.snapshot import LearnerState
-from camtopod.learn.window import ReorderBufferState
 from camtopod.topology import renamed
 
 _Value = TypeVar("_Value")
@@ -18,75 +15,62 @@ _Value = TypeVar("_Value")
 def rename(state: LearnerState, old: str, new: str) -> LearnerState:
     """Return the state with the camera ``old`` under the name ``new``, which must not be in it.
 
-    The newest version keeps the old name: make another with `Learner.make_version`.
+    The newest version keeps the old name: make another with `Learner.make_version`. Until then the
+    scorer has no predictor.
     """
-    window = replace(
-        state.window, cameras=[new if name == old else name for name in state.window.cameras]
-    )
-    return replace(
-        state,
-        intake=_intake(state.intake, old, new),
-        window=window,
-        alarms=_alarms(state.alarms, old, new),
-        scorer=_scorer(state.scorer, old, new),
-        publishers=_with_new_key(state.publishers, old, new),
-        doubled=[new if name == old else name for name in state.doubled],
-        retired=_with_new_key(state.retired, old, new),
-    )
+    names = {old: new}
 
+    def name(camera: str) -> str:
+        return names.get(camera, camera)
 
-def _with_new_key(known: dict[str, _Value], old: str, new: str) -> dict[str, _Value]:
-    """Return a dictionary with a camera renamed; the order stays."""
-    return {new if name == old else name: value for name, value in known.items()}
+    def keys(known: dict[str, _Value]) -> dict[str, _Value]:
+        """Return a dictionary with the camera renamed; the order stays."""
+        return {name(camera): value for camera, value in known.items()}
 
-
-def _intake(state: ReorderBufferState, old: str, new: str) -> ReorderBufferState:
-    """Return the state of the reorder buffer with a camera renamed."""
-    time = replace(
-        state.time,
-        leader=new if state.time.leader == old else state.time.leader,
-        behind=_with_new_key(state.time.behind, old, new),
-    )
-    return replace(
-        state,
-        time=time,
-        held=[replace(event, camera=new) if event.camera == old else event for event in state.held],
-        newest=_with_new_key(state.newest, old, new),
+    # Events.
+    time = state.intake.time
+    leader = None if time.leader is None else name(time.leader)
+    intake = replace(
+        state.intake,
+        time=replace(time, leader=leader, behind=keys(time.behind)),
+        held=[replace(event, camera=name(event.camera)) for event in state.intake.held],
+        newest=keys(state.intake.newest),
     )
 
-
-def _alarms(state: AlarmState, old: str, new: str) -> AlarmState:
-    """Return the state of the alarms with a camera renamed, in those raised before, too."""
-    return replace(
-        state,
-        newest=[replace(alarm, subject=renamed(alarm.subject, old, new)) for alarm in state.newest],
-        reported={renamed(subject, old, new): t for subject, t in state.reported.items()},
-        joined={renamed(link, old, new) for link in state.joined},
-        silent={new if name == old else name for name in state.silent},
-        clock=_with_new_key(state.clock, old, new),
+    # Alarms, with those raised before.
+    alarms = replace(
+        state.alarms,
+        newest=[
+            replace(alarm, subject=renamed(alarm.subject, old, new))
+            for alarm in state.alarms.newest
+        ],
+        reported={renamed(one, old, new): t for one, t in state.alarms.reported.items()},
+        joined={renamed(link, old, new) for link in state.alarms.joined},
+        silent={name(camera) for camera in state.alarms.silent},
+        clock=keys(state.alarms.clock),
     )
 
-
-def _scorer(state: ScorerState, old: str, new: str) -> ScorerState:
-    """Return the state of the scorer with a camera renamed.
-
-    It is without its predictor, which is of the version with the old name; the next version brings
-    another.
-    """
-
-    def prediction(one: ScoredPrediction) -> ScoredPrediction:
-        return one._replace(
-            camera=new if one.camera == old else one.camera,
-            predicted=_with_new_key(one.predicted, old, new),
-            baseline=_with_new_key(one.baseline, old, new),
-        )
-
-    return replace(
-        state,
+    # Predictions.
+    scorer = replace(
+        state.scorer,
         predictor=None,
-        baseline={
-            name: _with_new_key(shares, old, new)
-            for name, shares in _with_new_key(state.baseline, old, new).items()
-        },
-        waiting=[prediction(one) for one in state.waiting],
+        baseline={camera: keys(shares) for camera, shares in keys(state.scorer.baseline).items()},
+        waiting=[
+            one._replace(
+                camera=name(one.camera),
+                predicted=keys(one.predicted),
+                baseline=keys(one.baseline),
+            )
+            for one in state.scorer.waiting
+        ],
+    )
+    return replace(
+        state,
+        intake=intake,
+        window=replace(state.window, cameras=[name(camera) for camera in state.window.cameras]),
+        alarms=alarms,
+        scorer=scorer,
+        publishers=keys(state.publishers),
+        doubled=[name(camera) for camera in state.doubled],
+        retired=keys(state.retired),
     )

@@ -68,7 +68,7 @@ def camera_to_replace(reorder_buffer: ReorderBuffer, window: Window) -> str | No
         for name, t_us in newest.items()
         if t_us < silent_us and name not in held
     ]
-    return min(silent)[-1] if silent else None
+    return min(silent, default=(0, 0, None))[-1]
 
 
 def renumber_followed(

@@ -138,9 +138,10 @@ class Scorer:
 
         events_due: number of events expected until the next version.
         """
-        self._predictor = (
-            Predictor(topology) if self._predictor is None else self._predictor.follow(topology)
-        )
+        newer = Predictor(topology)
+        if self._predictor is not None:
+            newer.take_over(self._predictor)
+        self._predictor = newer
         self.state.stride = max(1, math.ceil(events_due / 2 / EXITS_PER_VERSION))
         baseline: dict[str, dict[str, float]] = {}
         for edge in topology.chain or []:

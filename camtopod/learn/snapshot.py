@@ -123,14 +123,16 @@ def unpack(blob: bytes) -> LearnerState:
         if not inflater.eof:
             raise SnapshotError("the snapshot is cut short or too large")
         outer = msgspec.msgpack.decode(plain, type=_Snapshot)
-        if outer.format != FORMAT:
-            newer = outer.format > FORMAT
-            raise (NewerSnapshot if newer else SnapshotError)(
-                f"its format is {outer.format}, this program's {FORMAT}"
-            )
+        formats = f"its format is {outer.format}, this program's {FORMAT}"
+        if outer.format > FORMAT:
+            raise NewerSnapshot(formats)
+        if outer.format < FORMAT:
+            raise SnapshotError(formats)
         state: LearnerState = _decoder.decode(outer.state)
+    except SnapshotError:
+        raise
     except (zlib.error, msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise error if isinstance(error, SnapshotError) else SnapshotError(str(error)) from None
+        raise SnapshotError(str(error)) from None
     return state
 
 

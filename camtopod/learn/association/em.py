@@ -150,8 +150,8 @@ class EmModel(NamedTuple):
     """(n,) probability that the object of each departure leaves the site; None to compute it from
     the hazards.
     """
-    near: Bools | None = None
-    """(n,) mask of departures that the null model of the first hazards counts; None for all."""
+    near: Bools | slice = slice(None)
+    """(n,) mask of departures that the null model of the first hazards counts."""
 
 
 NO_ADDITIONS = EmModel()
@@ -250,7 +250,7 @@ class Em:
         if len(c.lag) == 0:
             return np.zeros((self.pairs, bins.size), np.float32)
         histograms = self._count(np.ones(len(c.lag), np.float32))
-        near = slice(None) if self.model.near is None else self.model.near
+        near = self.model.near
         null_model = NullRates(
             departures.t[near], departures.zone[near], arrivals.t, arrivals.zone, zones
         )

@@ -254,7 +254,7 @@ def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
 
     # Test each zone's share of its camera's events, unless it has all of them.
     for index, ref in enumerate(scene.zones):
-        side = 0 if scene.exits[index] > scene.entries[index] else 1
+        side = int(scene.exits[index] <= scene.entries[index])
         camera_times, zone_times = (
             ends[side].t[rows] for rows in (of_camera[side][ref.camera], of_zone[side][index])
         )

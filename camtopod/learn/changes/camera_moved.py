@@ -176,9 +176,9 @@ def _foretold(cell: NDArray[np.int64], earlier: bool) -> Floats:
     """
     row, column = np.divmod(cell, GRID_COLUMNS)
     near = _ROWS[np.ix_(row, row)] * _COLUMNS[np.ix_(column, column)]
-    near, events = (
-        (np.tril(near, -1), np.arange(len(cell)))
-        if earlier
-        else (near - np.diag(near.diagonal()), len(cell) - 1)
-    )
+    events = np.full(len(cell), len(cell) - 1)
+    np.fill_diagonal(near, 0.0)
+    if earlier:
+        near = np.tril(near, -1)
+        events = np.arange(len(cell))
     return np.asarray(np.log((near.sum(axis=1) + _EVENTS_EVEN / _CELLS) / (events + _EVENTS_EVEN)))

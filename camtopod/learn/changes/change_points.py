@@ -293,7 +293,9 @@ class _Table:
         if gain.max() <= threshold:
             return None, 0.0
         nats = float(gain.max()) / self.overdispersion(begin, split, end)
-        return (split, nats) if nats > threshold else (None, 0.0)
+        if nats <= threshold:
+            return None, 0.0
+        return split, nats
 
     def _gain(self, begin: int, splits: Longs, end: int) -> Floats:
         """Return by how many nats two factors explain a stretch better than one, by split, (S,).

@@ -138,7 +138,7 @@ class WindowParts:
         return Em(
             self.problem._replace(arrivals=self.problem.arrivals.take(arrives)),
             candidates,
-            EmModel(near=departs if departs.any() else None),
+            EmModel(near=departs if departs.any() else slice(None)),
             self._exposure[numbers].sum(axis=0),
             self._adjusted.take(kept),
         )

@@ -177,7 +177,7 @@ def tabulate(
     bins: LagBins,
     zones: int,
     pace: TransitionSlowness | None = None,
-    delay: Floats | None = None,
+    delay: Floats | float = 0.0,
 ) -> LinkTable:
     """Return the figures of every pair of zones that occurs among possible transitions.
 
@@ -185,8 +185,7 @@ def tabulate(
         (`exposed_departures`); (zones, 1) if it does not depend on the lag.
     zones: number of zones.
     pace: slowness of the objects of the transitions; None if it does not affect lags.
-    delay (zones, seconds): by how much transit times from each zone are longer than lags; None for
-        zero.
+    delay (zones, seconds): by how much transit times from each zone are longer than lags.
     """
     # Number the pairs of zones that occur.
     key = transitions.source.astype(np.int64) * zones + transitions.target
@@ -214,7 +213,7 @@ def tabulate(
         if pace is None
         else (pace.slow, 0.5 * np.hypot(pace.left[source], pace.came[target]))
     )
-    later = np.zeros(pairs) if delay is None else delay[source]
+    later = np.broadcast_to(delay, zones)[source]
     transit = transit_figures(
         pair, transitions.lag + later[pair], transitions.weight, density, bins, slow, error
     )
@@ -293,6 +292,6 @@ def select_weak_links(likely: LinkTable, published: LinkTable, zones: int) -> Li
     rows = np.flatnonzero(~known & (likely.transit.total >= WEAK_TRANSITIONS_MIN))
     rows = rows[np.lexsort((likely.target[rows], -likely.probability[rows], likely.source[rows]))]
     source = likely.source[rows]
-    starts = np.concatenate(([True], source[1:] != source[:-1])) if len(rows) else np.zeros(0, bool)
+    starts = np.diff(source, prepend=-1) != 0
     rank = np.arange(len(rows)) - np.maximum.accumulate(np.where(starts, np.arange(len(rows)), 0))
     return likely.rows(rows[rank < WEAK_LINKS_PER_ZONE_MAX])

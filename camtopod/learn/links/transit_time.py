@@ -219,7 +219,7 @@ def peak(density: Floats, bins: LagBins) -> Floats:
     """
     # The highest bin and its neighbours.
     rows = np.arange(len(density))
-    top = np.argmax(density, axis=1) if density.size else np.zeros(0, int)
+    top = np.argmax(density, axis=1)
     last = density.shape[1] - 1
     at_peak = density[rows, top]
     before = np.where(top > 0, density[rows, np.maximum(top - 1, 0)], 0.0)

@@ -39,12 +39,8 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
     """
     # Cameras with tracks: count the passages.
     camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
-    tracked = (
-        scene.tracked[camera_of[scene.passages.source]]
-        if len(scene.passages.source)
-        else np.zeros(0, bool)
-    )
     p = scene.passages
+    tracked = scene.tracked[camera_of[p.source]]
     n = int(tracked.sum())
     parts = [
         Transitions(

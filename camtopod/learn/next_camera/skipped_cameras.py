@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Indices, Ints, Longs
+from camtopod.arrays import Floats, Indices, Ints, Longs, find_rows
 from camtopod.learn.association import Candidates
 from camtopod.learn.links import match_rows
 from camtopod.learn.traffic import Departures
@@ -170,7 +170,7 @@ def skip_hazards(
     every second passage is missed).
     """
     paths = _ways(legs, through)
-    pair, known = _rows(
+    pair, known = find_rows(
         candidates.source.astype(np.int64) * zones + candidates.target, paths.key(legs, zones)
     )
     present, number = np.unique(pair[known], return_inverse=True)
@@ -188,7 +188,7 @@ def skip_hazards_elsewhere(
     """
     paths = _ways(legs, through)
     key = paths.key(legs, zones)
-    _, known = _rows(candidates.source.astype(np.int64) * zones + candidates.target, key)
+    _, known = find_rows(candidates.source.astype(np.int64) * zones + candidates.target, key)
     present, number = np.unique(key[~known], return_inverse=True)
     hazard = _along(paths.take(~known), number, len(present), legs, through, bins)
     return (
@@ -261,13 +261,3 @@ def _along(
         / bins.widths
     )
     return hazard
-
-
-def _rows(pairs: Longs, wanted: Longs) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the row in ``pairs`` of each ``wanted`` key, and a mask of the keys that are there.
-
-    pairs (n,): keys, ascending.
-    wanted (m,): keys to look up; the row of a key that is not there is arbitrary.
-    """
-    at = np.minimum(np.searchsorted(pairs, wanted), max(len(pairs) - 1, 0))
-    return at, pairs[at] == wanted if len(pairs) else np.zeros(len(wanted), bool)

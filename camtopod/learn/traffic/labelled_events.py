@@ -93,12 +93,13 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
             table[-1] = len(zones)
             zones.append(ZoneRef(camera, 1, None))
         tables.append(table)
-    size = len(tables[0]) if tables else 1
-    return zones, np.stack(tables).astype(np.int32) if tables else np.zeros((0, size), np.int32)
+    return zones, np.array(tables, np.int32)
 
 
 def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = None) -> Scene:
-    """Label the window's events with zones, and sort them into departures, arrivals and passages.
+    """Label a window's events with zones, and sort them into departures, arrivals and passages.
+
+    The window must not be empty.
 
     maps: zone map of each camera.
     ahead (cameras, seconds): clock offset of each camera (positive if the clock is fast), which is
@@ -108,7 +109,7 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
     zones, tables = number_zones(window, maps)
     camera = window.column("camera").astype(np.int32)
     t = window.column("t") / MICROSECONDS
-    last = float(t[-1]) if len(t) else 0.0
+    last = float(t[-1])
     if ahead is not None:
         t = t - ahead[camera]
         # The events of a camera with a fast clock are known only up to this corrected time.
@@ -166,6 +167,6 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
         np.bincount(zone[entry_rows], minlength=n),
         np.bincount(zone[exit_rows], minlength=n),
         2 * tied_of > exits_of,
-        float(t.min()) if len(t) else 0.0,
+        float(t.min()),
         last,
     )

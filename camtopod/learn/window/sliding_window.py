@@ -12,6 +12,7 @@ Positions are integers (fixed point), so that sums of them are exact in any orde
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Set
 from itertools import takewhile
 from typing import Any
@@ -75,21 +76,21 @@ class Window:
     """The events that are learned from, by column.
 
     The window holds ``events`` events, or ``camera_events`` for each camera if that is more, but
-    never more than ``events_max``. With ``events`` None it holds ``events_max``.
+    never more than ``events_max``.
 
     state: state to continue from; None for an empty window.
     """
 
     def __init__(
         self,
-        events_max: int,
-        events: int | None = None,
+        events: int,
         camera_events: int = 0,
+        events_max: int = sys.maxsize,
         state: WindowState | None = None,
     ) -> None:
-        self._events_max = events_max
+        self._events = events
         self._camera_events = camera_events
-        self._events = events_max if events is None else events
+        self._events_max = events_max
         self.state = state or WindowState()
         self._index = {name: camera for camera, name in enumerate(self.state.cameras)}
 

@@ -134,19 +134,21 @@ def partition(
     held (m,): an earlier partition, which is changed only where the evidence is clear (`HOLD`);
         None to start from nothing.
     """
-    # Improve the held partition.
     one_zone = np.zeros(len(cells.index), dtype=np.intp)
-    if held is not None and held.max() >= 0 and count.sum() >= EVENTS_MIN:
-        labels = _Partition(cells, held, rates, held=True).improve()
-        return labels if labels.max() >= 0 else one_zone
     if count.sum() < EVENTS_MIN:
         return one_zone
 
-    # Start from nothing: density floor, DaSpec, moves.
-    dense = dense_cells(count, rates, FLOOR_PROBABILITY)
-    groups = daspec_groups(dense if dense.any() else count.astype(np.float64))
-    labels = _Partition(cells, groups[cells.index], rates).improve()
-    return labels if labels.max() >= 0 else one_zone
+    # Improve the held partition, or start from nothing: density floor, DaSpec.
+    if held is not None and held.max() >= 0:
+        labels = _Partition(cells, held, rates, held=True).improve()
+    else:
+        dense = dense_cells(count, rates, FLOOR_PROBABILITY)
+        if not dense.any():
+            dense = count.astype(np.float64)
+        labels = _Partition(cells, daspec_groups(dense)[cells.index], rates).improve()
+    if labels.max() < 0:
+        return one_zone
+    return labels
 
 
 class _Partition:

@@ -158,14 +158,6 @@ def test_zones_are_numbered_through() -> None:
             assert tables[zone.camera, -1] == -1
 
 
-def test_nothing_to_see() -> None:
-    scene = label_events(Window(10), [])
-    assert scene.zones == []
-    assert len(scene.departures.t) == len(scene.arrivals.t) == 0
-    assert (scene.first, scene.last) == (0.0, 0.0)
-    assert len(visible_transitions(scene, STAYS, 1000).lag) == 0
-
-
 def test_passages_are_counted_where_tracks_tie_them() -> None:
     _, _, scene = seen(made(4, 60, 1.0))
     found = visible_transitions(scene, STAYS, 10**6)
@@ -185,8 +177,3 @@ def test_passages_are_joined_where_they_do_not() -> None:
             here = (found.source == u) & (found.target == v)
             assert found.weight[here].sum() == pytest.approx(true.sum(), abs=0.12 * true.sum() + 8)
     assert np.average(found.lag, weights=found.weight) == pytest.approx(4.0, abs=0.5)
-
-
-def test_a_camera_of_exits_only_has_no_passages() -> None:
-    _, _, scene = seen([e for e in made(5, 40, 0.0) if e.kind == "exit"])
-    assert len(visible_transitions(scene, STAYS, 10**6).lag) == 0

@@ -120,7 +120,7 @@ def test_at_most_so_many_events() -> None:
 
 
 def test_at_most_so_many_of_each_camera_if_that_is_more() -> None:
-    window, now = Window(1000, 7, 3), 0
+    window, now = Window(7, 3, 1000), 0
     for cameras, held in ((1, 7), (2, 7), (3, 9), (6, 18)):
         for k in range(10):
             now += 1
@@ -130,7 +130,7 @@ def test_at_most_so_many_of_each_camera_if_that_is_more() -> None:
             window.forget_old(0)
         assert window.events_max == len(window) == held
     for most, held in ((1000, 18), (10, 10)):
-        again = Window(most, 7, 3, window.state)
+        again = Window(7, 3, most, window.state)
         assert again.events_max == held
 
 
