@@ -15,7 +15,7 @@ from array import array
 import numpy as np
 
 from camtopod.arrays import Floats, Longs
-from camtopod.predict.hazards import Outcomes
+from camtopod.predict.hazards import Outcomes, model_of
 from camtopod.records import Context, Topology
 from camtopod.topology import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 
@@ -31,7 +31,7 @@ class ContextMultipliers:
 
     def __init__(self, topology: Topology) -> None:
         index = {zone.id: k for k, zone in enumerate(topology.zones)}
-        rows: list[Context] = (topology.model.contexts if topology.model else None) or []
+        rows: list[Context] = model_of(topology).contexts or []
 
         # Columns with one element for each context.
         self._departures = array("d", [row.departures for row in rows])
@@ -49,9 +49,8 @@ class ContextMultipliers:
         # Numbers of the contexts of each zone.
         self._numbers: dict[int, dict[Key, int]] = {}
         for number, row in enumerate(rows):
-            entry = index[row.entry] if row.entry is not None else None
             numbers = self._numbers.setdefault(index[row.zone], {})
-            numbers[entry, row.block, row.previous] = number
+            numbers[index.get(row.entry or ""), row.block, row.previous] = number
 
     def multipliers(
         self,
@@ -79,21 +78,19 @@ class ContextMultipliers:
             return np.ones(len(outcomes.targets)), outcomes.leave
 
         # Contexts that apply, from coarse to fine, each with the probability that it does.
-        keys: list[tuple[Key, float]] = []
-        if entry is not None:
-            keys.append(((entry, None, None), 1.0))
-        if block is not None:
-            keys.append(((None, block, None), 1.0))
-        if entry is not None and block is not None:
-            keys.append(((entry, block, None), 1.0))
-        if previous is not None:
-            keys.append(((None, None, previous), min(sure, 1.0)))
+        # What is unknown makes a key that no context has, or one that is there already.
+        keys: dict[Key, float] = {
+            (entry, None, None): 1.0,
+            (None, block, None): 1.0,
+            (entry, block, None): 1.0,
+            (None, None, previous): min(sure, 1.0),
+        }
 
         # Each context backs off to the coarser ones before it; unknown contexts change nothing.
         targets = np.array(outcomes.targets)
         share = outcomes.share
         leave = outcomes.leave
-        for key, probability in keys:
+        for key, probability in keys.items():
             number = numbers.get(key)
             if number is None:
                 continue

@@ -15,9 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from camtopod.predict.hazards import model_of
 from camtopod.predict.open_passages import OpenPassages, Passage
 from camtopod.records import InView, Look, NextCamera, Topology
-from camtopod.topology import LAG_SCALE_SECONDS, LAG_STEP, STEPS, masses_on_bins, offset_bins
+from camtopod.topology import STEPS, masses_on_bins, offset_bins
 
 PROBABILITY_MIN = 1e-3
 """Least probability of passages and cameras that are reported."""
@@ -41,11 +42,10 @@ class HandOver:
     """The overlapping views of a topology version."""
 
     def __init__(self, topology: Topology) -> None:
-        model = topology.model
-        scale, step = (model.lag_scale, model.lag_step) if model else (LAG_SCALE_SECONDS, LAG_STEP)
-        self._bins = offset_bins(scale, step)
+        model = model_of(topology)
+        self._bins = offset_bins(model.lag_scale, model.lag_step)
         self._from: dict[str, list[_Overlap]] = {}
-        for row in (model.overlaps if model else None) or []:
+        for row in model.overlaps or []:
             same = masses_on_bins(row.same, self._bins)
             others = masses_on_bins(row.others, self._bins)
 

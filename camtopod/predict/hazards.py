@@ -11,13 +11,12 @@ their entry, and `rate_before_exit`, the mean over the passage).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Set
 from typing import NamedTuple
 
 import numpy as np
 
 from camtopod.arrays import Bools, Floats, Ints, Rows, Singles
-from camtopod.records import Link, Onward, Topology
+from camtopod.records import Link, Model, Onward, Topology
 from camtopod.topology import (
     LAG_SCALE_SECONDS,
     LAG_STEP,
@@ -72,14 +71,9 @@ class Hazards:
     """
 
     def __init__(self, topology: Topology) -> None:
-        model = topology.model
+        model = model_of(topology)
         index = {zone.id: k for k, zone in enumerate(topology.zones)}
-
-        # Lag bins.
-        if model is None:
-            self.bins = LagBins(*_lag_range(topology), LAG_SCALE_SECONDS, LAG_STEP)
-        else:
-            self.bins = LagBins(model.lag_min, model.lag_max, model.lag_scale, model.lag_step)
+        self.bins = LagBins(model.lag_min, model.lag_max, model.lag_scale, model.lag_step)
         self.bin_of = self.bins.bin_of
         """See `LagBins.bin_of`."""
         self.past = self.bins.edges[1:] <= 0
@@ -94,13 +88,13 @@ class Hazards:
         """
         self.departures = [0] * len(index)
         """(zones,) number of exits at each zone from which the hazards were learned."""
-        for known in model.zones if model else []:
+        for known in model.zones:
             self.departures[index[known.zone]] = known.departures
             self.arrival_rate[index[known.zone]] += known.arrival_rate
             self.stay[index[known.zone]] = known.stay
 
         # Hazards from zone to zone.
-        if model is None or model.onward is None:
+        if model.onward is None:
             links = [*topology.links, *(topology.weak_links or [])]
             self.outcomes = self._from_links(links, index)
         else:
@@ -111,7 +105,7 @@ class Hazards:
 
         # Entry kernels, and mean rates before the exit.
         self._entered: dict[int, dict[int, list[float]]] = {}
-        for kernel in (model.entered if model else None) or []:
+        for kernel in model.entered or []:
             hazard = masses_on_bins(kernel.hazard, self.bins) / self.bins.widths
             self._entered.setdefault(index[kernel.zone], {})[index[kernel.to]] = hazard.tolist()
         self._rate_before_exit = self._mean_rates_before_exit(topology)
@@ -152,23 +146,19 @@ class Hazards:
         pairs = zip(targets.tolist(), elapsed.tolist(), strict=True)
         return np.array([self.rate_entered(entry, target, seconds) for target, seconds in pairs])
 
-    def rate_entered(self, entry: int | None, target: int, elapsed: float) -> float:
+    def rate_entered(self, entry: int, target: int, elapsed: float) -> float:
         """Return the rate (1/s) at which an object that is still in a view appears at a zone.
 
-        entry: zone where the object entered the view, ``elapsed`` seconds ago; None if unknown.
+        entry: zone where the object entered the view, ``elapsed`` seconds ago.
         target: zone of another view.
 
         It is the entry kernel of the two zones at ``elapsed``.
         """
-        row = self._entered.get(entry, {}).get(target) if entry is not None else None
-        if row is None or elapsed < 0.0:
-            return 0.0
+        row = self._entered.get(entry, {}).get(target)
         at = self.bin_of(elapsed)
-        return row[at] if at >= 0 else 0.0
-
-    def entries_before(self, target: int) -> Set[int]:
-        """Return the zones of entry from which `rate_entered` for a target may be above 0."""
-        return self._entries_before.get(target, frozenset())
+        if row is None or elapsed < 0.0 or at < 0:
+            return 0.0
+        return row[at]
 
     def rates_before_exit(self, camera: str, targets: Ints) -> Floats:
         """Return `rate_before_exit` (n, 1/s) for several targets (n,)."""
@@ -355,13 +345,7 @@ class Hazards:
         return rates
 
     def _index_overlaps(self, topology: Topology) -> None:
-        """Compute the tables behind `entries_before`, `cameras_before` and `seen_before`."""
-        # Zones of entry by target.
-        self._entries_before: dict[int, set[int]] = {}
-        for entry, targets in self._entered.items():
-            for target in targets:
-                self._entries_before.setdefault(target, set()).add(entry)
-
+        """Compute the tables behind `cameras_before` and `seen_before`."""
         # Targets by camera, and cameras by target.
         reached: dict[str, set[int]] = {}
         for (camera, target), rate in self._rate_before_exit.items():
@@ -401,11 +385,13 @@ class Hazards:
         return possible
 
 
-def _lag_range(topology: Topology) -> tuple[float, float]:
-    """Return the range of lags (seconds) that the links of a topology without a model need."""
+def model_of(topology: Topology) -> Model:
+    """Return the model of a topology; if it has none, an empty one for the lags of its links."""
+    if topology.model is not None:
+        return topology.model
     low = min((link.transit.q10 for link in topology.links), default=0.0)
     high = max((link.transit.q90 for link in topology.links), default=60.0)
-    return min(2.0 * low, 0.0), max(2.0 * high, 1.0)
+    return Model(LAG_SCALE_SECONDS, LAG_STEP, min(2.0 * low, 0.0), max(2.0 * high, 1.0), [], [])
 
 
 def _counts(link: Link, bins: LagBins) -> Floats:

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Bools, Floats, Ints, Rows
-from camtopod.predict.hazards import Hazards, Outcomes
+from camtopod.predict.hazards import Hazards, Outcomes, model_of
 from camtopod.predict.open_passages import Passage
 from camtopod.predict.time_windows import scale_lags, unknown_share
 from camtopod.records import Topology, Zone
@@ -131,13 +131,13 @@ class Site:
     """
 
     def __init__(self, topology: Topology, hazards: Hazards) -> None:
-        model = topology.model
+        model = model_of(topology)
         self.zones: list[Zone] = topology.zones
         self.hazards = hazards
         self._tables: dict[int, ExitTable] = {}
 
         # Clocks.
-        self.is_corrected = model is not None and model.clocks_corrected
+        self.is_corrected = model.clocks_corrected
         """True if published lags are between corrected times."""
         self.clock_offset = {camera.id: camera.clock_offset for camera in topology.cameras}
         """Clock offset of each camera, seconds."""
@@ -152,7 +152,7 @@ class Site:
         number = {camera: k for k, camera in enumerate(self.cameras)}
         self.camera_of = np.array([number[zone.camera] for zone in self.zones], np.intp)
         """(zones,) number of each zone's camera."""
-        share = {row.camera: row.share for row in (model.cameras if model else [])}
+        share = {row.camera: row.share for row in model.cameras}
         self.event_share = np.array([share.get(camera, 0.0) for camera in self.cameras])
         """(cameras,) share of each camera in all events of the site."""
 

@@ -30,7 +30,6 @@ import math
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Rows
 from camtopod.predict.contexts import ContextMultipliers
@@ -38,7 +37,7 @@ from camtopod.predict.hand_over import HandOver, cameras_to_watch
 from camtopod.predict.hazards import Hazards
 from camtopod.predict.odds import ExitTable, Odds, Query, SeenArrivals, Site, find_odds
 from camtopod.predict.open_passages import OpenPassages, Passage
-from camtopod.predict.recent_events import Arrival, RecentEvents, moved_zones
+from camtopod.predict.recent_events import RecentEvents, RecentState, moved_zones
 from camtopod.predict.speed import Pace, PaceModel, windows_at_pace
 from camtopod.predict.time_windows import quantiles
 from camtopod.predict.zone_lookup import ZoneLookup
@@ -56,8 +55,7 @@ NEXT_PROBABILITY_MIN = 1e-4
 class PredictorState(Struct):
     """The saved state of a `Predictor`: the observed events; the rest follows from its topology.
 
-    arrivals: the newest arrivals, oldest first.
-    exit_times, exit_zones (n,): corrected times (seconds) and zones of the newest exits.
+    arrivals, exits: the newest arrivals and exits.
     under_way: open passages, as (camera, track, passage).
     events: number of observed events.
     last_event: number of each camera's last event in the order of all events.
@@ -65,9 +63,8 @@ class PredictorState(Struct):
     Ended passages are left out: they only matter if a prediction is asked for again.
     """
 
-    arrivals: list[Arrival]
-    exit_times: Floats
-    exit_zones: NDArray[np.int32]
+    arrivals: RecentState
+    exits: RecentState
     under_way: list[tuple[str, str, Passage]]
     events: int
     last_event: dict[str, int]
@@ -109,12 +106,6 @@ class Predictor:
         self._last_event = np.zeros(len(self._site.cameras), np.int64)
         """Number of each camera's last event in the order of all events."""
 
-    def follow(self, topology: Topology) -> Predictor:
-        """Return a predictor by a newer version that has observed the same events as this one."""
-        newer = Predictor(topology)
-        newer.take_over(self)
-        return newer
-
     def take_over(self, older: Predictor) -> None:
         """Take over the observed events from a predictor by an older version; this must be new."""
         moved = moved_zones(older.zones, self.zones)
@@ -127,9 +118,8 @@ class Predictor:
     def save(self) -> PredictorState:
         """Return the state from which `load` continues, given the same topology."""
         return PredictorState(
-            arrivals=self._arrivals.arrivals(),
-            exit_times=self._exits.t.copy(),
-            exit_zones=self._exits.zone.copy(),
+            arrivals=self._arrivals.save(),
+            exits=self._exits.save(),
             under_way=self._open_passages.passages(),
             events=self._events,
             last_event=self._last_events(),
@@ -137,9 +127,8 @@ class Predictor:
 
     def load(self, state: PredictorState) -> None:
         """Continue from a state saved with the same topology; this predictor must be new."""
-        for arrival in state.arrivals:
-            self._arrivals.append(arrival.t, arrival.zone, arrival.rate)
-        self._exits.load(state.exit_times, state.exit_zones)
+        self._arrivals.load(state.arrivals)
+        self._exits.load(state.exits)
         for camera, track, passage in state.under_way:
             self._open_passages.begin(camera, track, passage)
         self._events = state.events
@@ -463,23 +452,20 @@ class Predictor:
 
         # Objects in other views that may appear at the zone before they leave.
         here = self.zones[zone].camera
-        entries = hazards.entries_before(zone)
         in_views = []
         for camera in hazards.cameras_before(zone):
             if camera == here:
                 continue
             before_exit = hazards.rate_before_exit(camera, zone)
             rate = causes.get(camera, 0.0)
-            first = None
+            numbers = []
             for number, passage in self._open_passages.in_view(camera):
-                passage_rate = before_exit
-                if passage.entry in entries:
-                    passage_rate += hazards.rate_entered(passage.entry, zone, t - passage.t)
-                if passage_rate:
-                    rate += passage_rate
-                    first = number if first is None else first
-            if first is not None:
-                in_views.append((first, camera, rate))
+                entered = hazards.rate_entered(passage.entry, zone, t - passage.t)
+                if before_exit + entered:
+                    rate += before_exit + entered
+                    numbers.append(number)
+            if numbers:
+                in_views.append((numbers[0], camera, rate))
 
         # In the order in which passages began, as sums of floats depend on the order.
         causes.update((camera, rate) for _, camera, rate in sorted(in_views))

@@ -17,15 +17,12 @@ RECENT_MAX = 2000
 """Number of the newest exits, and of the newest arrivals, that are remembered."""
 
 
-class Arrival(Struct):
-    """An arrival: the entry of an object into a view."""
+class RecentState(Struct):
+    """The saved state of `RecentEvents`, its columns."""
 
-    t: float
-    """Corrected time, seconds."""
-    zone: int
-    """Index of the zone."""
-    rate: float
-    """Rate (1/s) of all causes of the arrival that are known so far."""
+    t: Floats
+    zone: Ints
+    rate: Floats
 
 
 class RecentEvents:
@@ -63,18 +60,22 @@ class RecentEvents:
     def append(self, t: float, zone: int, rate: float = 0.0) -> None:
         """Add an event at corrected time ``t``, with its rate if it is an arrival."""
         if self._stop == len(self._t):
-            self.load(self.t, self.zone, self.rate)
+            self.load(self.save())
         self._t[self._stop] = t
         self._zone[self._stop] = zone
         self._rate[self._stop] = rate
         self._stop += 1
 
-    def load(self, t: Floats, zone: Ints, rate: Floats | float = 0.0) -> None:
-        """Replace all events by the given ones (n,), oldest first."""
-        self._stop = len(t)
-        self._t[: self._stop] = t
-        self._zone[: self._stop] = zone
-        self._rate[: self._stop] = rate
+    def save(self) -> RecentState:
+        """Return a copy of the columns."""
+        return RecentState(self.t.copy(), self.zone.copy(), self.rate.copy())
+
+    def load(self, state: RecentState) -> None:
+        """Replace all events by the given ones, oldest first."""
+        self._stop = len(state.t)
+        self._t[: self._stop] = state.t
+        self._zone[: self._stop] = state.zone
+        self._rate[: self._stop] = state.rate
 
     def after(self, t: float) -> tuple[Floats, Ints]:
         """Return times and zones (n,) of the events from ``t`` on.
@@ -83,11 +84,6 @@ class RecentEvents:
         """
         first = max(int(self._t[: self._stop].searchsorted(t)), self._first)
         return self._t[first : self._stop], self._zone[first : self._stop]
-
-    def arrivals(self) -> list[Arrival]:
-        """Return all events as records of arrivals, oldest first."""
-        columns = (column.tolist() for column in (self.t, self.zone, self.rate))
-        return [Arrival(*one) for one in zip(*columns, strict=True)]
 
     def take_over(self, older: RecentEvents, moved: dict[int, int]) -> None:
         """Replace all events by those of an older version, except at zones that are gone.
@@ -102,7 +98,7 @@ class RecentEvents:
 
         zone = number[older.zone]
         kept = zone >= 0
-        self.load(older.t[kept], zone[kept], older.rate[kept])
+        self.load(RecentState(older.t[kept], zone[kept], older.rate[kept]))
 
     @property
     def _first(self) -> int:

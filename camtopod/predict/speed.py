@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Floats
-from camtopod.predict.hazards import NORMAL_Q90
+from camtopod.predict.hazards import NORMAL_Q90, model_of
 from camtopod.records import Topology
 from camtopod.topology import (
     DWELL_SECONDS_MIN,
@@ -47,11 +47,11 @@ class PaceModel:
 
     def __init__(self, topology: Topology) -> None:
         index = {zone.id: k for k, zone in enumerate(topology.zones)}
-        self._pace = topology.model.pace if topology.model else None
-        self._usual_dwell = {
-            (index[route.entry], index[route.exit]): route.stay
-            for route in (self._pace.ways if self._pace else [])
-        }
+        self._pace = model_of(topology).pace
+        self._usual_dwell: dict[tuple[int | None, int], float] = {}
+        if self._pace is not None:
+            for route in self._pace.ways:
+                self._usual_dwell[index[route.entry], index[route.exit]] = route.stay
 
     def of_passage(self, entry: int | None, exit_: int, dwell: float | None) -> Pace | None:
         """Return the expected pace of an object after a passage; None if the version has none.
@@ -65,7 +65,7 @@ class PaceModel:
         """
         if self._pace is None:
             return None
-        usual = self._usual_dwell.get((entry, exit_)) if entry is not None else None
+        usual = self._usual_dwell.get((entry, exit_))
         correlation = self._pace.correlation
         sd = self._pace.sd
 

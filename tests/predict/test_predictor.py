@@ -266,7 +266,7 @@ def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         == sizes["in view"]
         == sizes["_ended"]
         == len(state.under_way)
-        == len(state.arrivals)
+        == len(state.arrivals.t)
         == 7
     )
     assert len(predictor._exits.after(-math.inf)[0]) == 7
@@ -284,14 +284,17 @@ def test_a_newer_version_remembers_what_has_been_seen() -> None:
     for event in events:
         predictor.observe(event)
     reordered = replace(OVERLAP, version=8, zones=OVERLAP.zones[::-1])
-    followed = predictor.follow(reordered)
+    followed = Predictor(reordered)
+    followed.take_over(predictor)
 
     assert replace(followed.predict(EXIT), version=7) == predictor.predict(EXIT)
     gone = replace(OVERLAP, version=8, zones=[z for z in OVERLAP.zones if z.camera != "d"])
     gone = replace(
         gone, model=replace(gone.model, zones=[z for z in gone.model.zones if z.zone != "d/1"])
     )
-    prediction = predictor.follow(gone).predict(EXIT)
+    followed = Predictor(gone)
+    followed.take_over(predictor)
+    prediction = followed.predict(EXIT)
     sound(prediction)
     assert list(chances(prediction)) == ["b/1"]
 
