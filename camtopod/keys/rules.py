@@ -14,6 +14,8 @@ from typing import Any, Literal
 import msgspec
 from msgspec import Struct
 
+DAEMON = "daemon"
+"""Name of the daemon's certificate, and of its folder."""
 PREFIX = "camtopo"
 """First part of every key on the bus."""
 FORMAT = "camtopod/access/1"

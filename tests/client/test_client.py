@@ -173,7 +173,7 @@ def test_nobody_there_is_said(tmp_path: Path) -> None:
 
 
 def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
-    authority = Authority.create(tmp_path / "keys", "hq", time.time(), 7300, replace=False)
+    authority = Authority.create(tmp_path / "keys", "hq", time.time())
     for role, name in (("daemon", "daemon"), ("reader", "wall")):
         authority.issue(role, name, 100)
     access = tmp_path / "access.json"

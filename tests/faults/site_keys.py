@@ -22,16 +22,16 @@ class Keys:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         now = time.time()
-        self.authority = Authority.create(folder, "hq", now, 7300, replace=False)
+        self.authority = Authority.create(folder, "hq", now)
         self.authority.issue("daemon", "daemon", 100)
         self.authority.issue("reader", "wall", 100)
         for camera in ("cam1", "cam2", "gone"):
             self.authority.issue("camera", camera, 100)
         self.authority.revoke("camera", "gone")
         self.allow(folder / "daemon" / "access.json")
-        other = Authority.create(folder / "other", "hq", now, 7300, replace=False)
+        other = Authority.create(folder / "other", "hq", now)
         other.issue("camera", "cam1", 100)
-        Authority.create(folder / "old", "hq", now, 7300, replace=False)
+        Authority.create(folder / "old", "hq", now)
         for name in ("ca.key", "ca.pem"):
             old = folder / "old/authority" / name
             old.write_bytes((folder / "authority" / name).read_bytes())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,34 +11,24 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from camtopod.cli import exits
-from camtopod.cli.common import configuration
+from camtopod.cli.common import camera_id, configuration
 from camtopod.cli.exits import CommandError
-from camtopod.config import Config
+from camtopod.config import Config, secret_files
 from camtopod.keys import rules
+from camtopod.keys.rules import DAEMON
 from camtopod.serve.runtime import clock
 
 if TYPE_CHECKING:
     from camtopod.keys.authority import Authority
 
-DEFAULT_FOLDER = Path("camtopod-keys")
-"""Folder of the authority and the certificates."""
 DAYS = 5 * 365
 """Default validity of a certificate."""
-AUTHORITY_DAYS = 20 * 365
-"""Default validity of the authority."""
-_DAYS_MAX = 100 * 365
-"""Longest validity."""
-_INSTALLED = "keys"
-"""Directory beside the configuration to which certificate folders are copied."""
-
-_ROLES: dict[str, rules.Role] = {
-    "init": "daemon",
-    "daemon": "daemon",
-    "camera": "camera",
-    "reader": "reader",
-}
-"""Subcommand -> role of the certificate that it issues."""
-
+ACCESS = "access.json"
+"""File name of the access list."""
+_HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(\.[A-Za-z0-9-]{1,63})*|[0-9A-Fa-f:.]+:[0-9A-Fa-f:.]+")
+"""A host name, or an address."""
+_FILES = {"ca": "ca.pem", "certificate": "certificate.pem", "private_key": "private.key"}
+"""Setting of [bus.tls] -> file."""
 
 SUBCOMMANDS = {
     "init": (
@@ -70,66 +61,53 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
         "daemon after every change.",
         epilog="example: camtopod keys camera lobby hall",
     )
+    parser.add_argument(
+        "--keys",
+        type=Path,
+        default=Path("camtopod-keys"),
+        metavar="FOLDER",
+        help="folder of the authority and the certificates (default: %(default)s)",
+    )
+    parser.set_defaults(names=[DAEMON], role="daemon", host=[], cameras=[])
     commands = parser.add_subparsers(dest="keys_command", metavar="WHAT", required=True)
     inner = {
         name: commands.add_parser(name, help=text, epilog=f"example: {example}")
         for name, (text, example) in SUBCOMMANDS.items()
     }
-    _add_own_options(inner)
-    _add_shared_options(inner)
 
-    # The folder may be given before or after the subcommand.
-    for its, folder in [
-        (parser, DEFAULT_FOLDER),
-        *((x, argparse.SUPPRESS) for x in inner.values()),
-    ]:
-        its.add_argument(
-            "--keys",
-            type=Path,
-            default=folder,
-            metavar="FOLDER",
-            help=f"folder of the authority and the certificates (default: {DEFAULT_FOLDER})",
-        )
-    return [*inner.values()]
-
-
-def _add_own_options(inner: dict[str, argparse.ArgumentParser]) -> None:
-    """Add the options of single subcommands."""
-    inner["init"].add_argument(
-        "--authority-days",
-        type=_days,
-        default=AUTHORITY_DAYS,
-        metavar="N",
-        help="validity of the authority, days (default: %(default)s)",
+    # The options of each.
+    inner["revoke"].add_argument(
+        "role", choices=("camera", "reader"), help="role of the certificate"
     )
+    for name in ("camera", "reader", "revoke"):
+        inner[name].add_argument(
+            "names",
+            nargs="+",
+            metavar="NAME",
+            type=camera_id,
+            help="the camera's id, or any name for a reader",
+        )
+    for name in ("camera", "reader"):
+        inner[name].set_defaults(role=name)
     inner["camera"].add_argument(
         "--for",
         dest="cameras",
         action="append",
         default=[],
         metavar="CAMERA",
+        type=camera_id,
         help="NAME is a program that publishes events of several cameras (`camtopod ingest`), and "
         "CAMERA is one of them; may be repeated",
     )
-    inner["revoke"].add_argument(
-        "role", choices=("camera", "reader"), help="role of the certificate"
-    )
-
-
-def _add_shared_options(inner: dict[str, argparse.ArgumentParser]) -> None:
-    """Add the options that several subcommands have."""
-    for name in ("camera", "reader", "revoke"):
-        inner[name].add_argument(
-            "names", nargs="+", metavar="NAME", help="the camera's id, or any name for a reader"
-        )
-    for name, default in (("init", ""), ("daemon", " (default: as before)")):
+    for name in ("init", "daemon"):
         inner[name].add_argument(
             "--host",
             action="append",
             default=[],
             metavar="NAME",
-            help="host name or address at which others connect to the daemon; may be "
-            f"repeated{default}",
+            type=_host,
+            help="host name or address at which others connect to the daemon; may be repeated "
+            "(default: as before)",
         )
     for name in ("init", "daemon", "camera", "reader"):
         inner[name].add_argument(
@@ -144,17 +122,28 @@ def _add_shared_options(inner: dict[str, argparse.ArgumentParser]) -> None:
             action="store_true",
             help="replace the existing one, which loses its rights",
         )
+    return [*inner.values()]
+
+
+def _host(text: str) -> str:
+    """Parse a host name or an address."""
+    if not _HOST.fullmatch(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a host name nor an address")
+    return text
+
+
+def _days(text: str) -> int:
+    """Parse a number of days."""
+    if not re.fullmatch("[1-9][0-9]{0,4}", text):
+        raise argparse.ArgumentTypeError("must be a whole number of days from 1 to 99999")
+    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run a subcommand; messages go to standard error, the list to standard output."""
+    from camtopod.keys.authority import KeysError  # the help works without cryptography
+
     config = configuration(args)
-    try:
-        from camtopod.keys.authority import KeysError
-    except ModuleNotFoundError as error:  # the help works without it
-        raise CommandError(
-            f"keys needs the package {error.name!r}, which is not installed; see README, 'Packages'"
-        ) from None
     try:
         return _run(args, config)
     except KeysError as error:
@@ -165,183 +154,128 @@ def run(args: argparse.Namespace) -> int:
 
 def _run(args: argparse.Namespace, config: Config) -> int:
     """Open or create the authority, then issue, revoke or list certificates."""
-    from camtopod.keys.authority import (
-        ACCESS,
-        DAEMON,
-        Authority,
-        KeysError,
-        check_cameras,
-        check_hosts,
-    )
+    from camtopod.keys.authority import Authority
 
     what = args.keys_command
-    folder = args.keys
     now = clock.wall()
     if what == "init":
-        check_hosts(args.host)
-        if args.days > args.authority_days:
-            raise KeysError(
-                "the daemon's certificate cannot outlive the authority: give fewer --days"
-            )
-        authority = Authority.create(
-            folder, config.site.name, now, args.authority_days, args.replace
-        )
+        authority = Authority.create(args.keys, config.site.name, now, args.replace)
         _say(
-            f"created an authority for site {authority.site} in {folder / 'authority'}: "
+            f"created an authority for site {authority.site} in {args.keys / 'authority'}: "
             f"its private key need never leave this folder"
         )
     else:
-        authority = Authority(folder, now)
-        if args.site is not None and args.site != authority.site:
-            raise KeysError(
-                f"{folder} is the authority of site {authority.site}, not of {args.site}"
-            )
-
-    # Check all names before the first certificate is issued or revoked.
+        authority = Authority(args.keys, now)
+    if args.site not in (None, authority.site):
+        raise CommandError(
+            f"{args.keys} is the authority of site {authority.site}, not of {args.site}"
+        )
     if what == "list":
         return _list(authority, now)
-    names = [DAEMON] if what in ("init", "daemon") else args.names
-    if len(set(names)) < len(names):
-        raise KeysError("the same name is given twice")
-    if what == "camera" and args.cameras:
-        check_cameras(args.cameras)
-        if len(names) > 1:
-            raise KeysError("--for needs exactly one NAME: the program that publishes the events")
-    for name in names:
-        if what == "revoke":
-            authority.require_certificate(args.role, name)
-        else:
-            authority.next_name(_ROLES[what], name, args.days, args.replace)
+    if args.cameras and len(args.names) > 1:
+        raise CommandError("--for needs exactly one NAME: the program that publishes the events")
 
     # Issue or revoke; the access list is written even if this fails half-way.
     try:
-        for name in names:
+        for name in args.names:
             if what == "revoke":
                 authority.revoke(args.role, name)
             else:
-                _give(authority, args, config, _ROLES[what], name)
+                _issue(authority, args, config, name)
     finally:
         _write_access(authority, config)
-    if what not in ("init", "daemon"):
-        _say(f"now copy {folder / DAEMON / ACCESS} to the daemon and restart it")
+    if args.role != "daemon":
+        _say(f"now copy {args.keys / DAEMON / ACCESS} to the daemon and restart it")
     return exits.DONE
 
 
-def _give(
-    authority: Authority, args: argparse.Namespace, config: Config, role: rules.Role, name: str
-) -> None:
+def _issue(authority: Authority, args: argparse.Namespace, config: Config, name: str) -> None:
     """Issue one certificate, with an example configuration in its folder."""
-    from camtopod.keys.authority import LOCAL_HOSTS, date_text, write_public
+    from camtopod.keys.authority import LOCAL_HOSTS, date_text
 
-    hosts = getattr(args, "host", [])
-    cameras = getattr(args, "cameras", [])
-    folder = authority.issue(role, name, args.days, args.replace, hosts, cameras)
-    several = bool(authority.issued[-1].certificate.cameras)
-    write_public(folder / "camtopod.toml", _example(authority.site, config, role, name, several))
-    who = name if role == "daemon" else f"{role} {name}"
-    expires = date_text(authority.issued[-1].certificate.expires)
+    folder = authority.issue(args.role, name, args.days, args.replace, args.host, args.cameras)
+    certificate = authority.issued[-1].certificate
+    example = _example(authority.site, config, certificate, folder.name)
+    secret_files.write(folder / "camtopod.toml", example.encode())
     _say(
-        f"{who}: {folder}, valid until {expires}; copy this folder to the machine that "
-        f"uses it (camtopod.toml in it is an example)"
+        f"{args.role} {name}: {folder}, valid until {date_text(certificate.expires)}; copy this "
+        f"folder to the machine that uses it (camtopod.toml in it is an example)"
     )
-    if role == "daemon":
-        where = ", ".join(host for host in authority.hosts if host not in LOCAL_HOSTS)
-        if where:
-            _say(f"valid for connections to {where}")
+    if args.role == "daemon":
+        hosts = [host for host in authority.hosts if host not in LOCAL_HOSTS]
+        if hosts:
+            _say(f"valid for connections to {', '.join(hosts)}")
         else:
             _say("valid on this machine only: add host names or addresses with --host")
 
 
 def _write_access(authority: Authority, config: Config) -> None:
     """Write the access list, for the daemon and for a separate zenoh router."""
-    from camtopod.keys.authority import ACCESS, DAEMON, write_public
-
     folder = authority.folder / DAEMON
-    write_public(
-        folder / ACCESS,
-        msgspec.json.format(msgspec.json.encode(authority.access), indent=1).decode(),
+    access = msgspec.json.format(msgspec.json.encode(authority.access), indent=1)
+    secret_files.write(folder / ACCESS, access)
+    listen = [endpoint for endpoint in config.bus.listen if endpoint.startswith("tls/")]
+    text = rules.router_json5(
+        authority.access, listen or ["tls/[::]:7447"], config.bus.message_bytes_max
     )
-    listen = [endpoint for endpoint in config.bus.listen if endpoint.startswith("tls/")] or [
-        "tls/[::]:7447"
-    ]
-    text = rules.router_json5(authority.access, listen, config.bus.message_bytes_max)
-    write_public(folder / "router.json5", text)
+    secret_files.write(folder / "router.json5", text.encode())
 
 
-def _example(site: str, config: Config, role: rules.Role, name: str, several: bool) -> str:
+def _example(site: str, config: Config, certificate: rules.Certificate, folder: str) -> str:
     """Return an example configuration for the machine that a certificate folder is copied to.
 
-    several: the certificate is for a program with events of several cameras.
+    folder: name of the certificate's folder.
     """
-    from camtopod.keys.authority import ACCESS, DAEMON
-
-    own = {"daemon": DAEMON, "camera": name if several else "{camera}", "reader": name}[role]
-    lines = [f'[site]\nname = "{site}"\n', "[bus]"]
-    if role == "daemon":
-        lines.append('listen = ["tls/0.0.0.0:7447"]   # or the address of one interface')
-    else:
-        endpoints = [
-            f'"{endpoint}"' for endpoint in config.bus.connect if endpoint.startswith("tls/")
+    camera = certificate.camera
+    own = f"keys/{'{camera}' if camera else folder}"
+    connect = [endpoint for endpoint in config.bus.connect if endpoint.startswith("tls/")]
+    bus = f"connect = {msgspec.json.encode(connect or ['tls/DAEMON:7447']).decode()}"
+    tls = [f'{key} = "{own}/{file}"' for key, file in _FILES.items()]
+    cameras = []
+    if certificate.role == "daemon":
+        bus = 'listen = ["tls/0.0.0.0:7447"]   # or the address of one interface'
+        tls.append(f'access = "{own}/{ACCESS}"')
+    if camera:
+        cameras = [
+            f'\n[cameras."{camera}"]',
+            f'source_file = "secrets/{camera}"   # contains the rtsp:// URL; mode 600',
         ]
-        lines.append(f"connect = [{', '.join(endpoints) or chr(34) + 'tls/DAEMON:7447' + chr(34)}]")
-    lines += [
-        f"\n# The folders of `camtopod keys` are copied to {_INSTALLED}/ beside this file.",
+    lines = [
+        f'[site]\nname = "{site}"\n\n[bus]\n{bus}\n',
+        "# The folders of `camtopod keys` are copied to keys/ beside this file.",
         "[bus.tls]",
-        *(f'{key} = "{_INSTALLED}/{own}/{file}"' for key, file in _FILES.items()),
+        *tls,
+        *cameras,
     ]
-    if role == "daemon":
-        lines.append(f'access = "{_INSTALLED}/{own}/{ACCESS}"')
-    if role == "camera" and not several:
-        lines.append(
-            f"\n[cameras.{_toml_key(name)}]\n"
-            f'source_file = "secrets/{name}"   # contains the rtsp:// URL; mode 600'
-        )
     return "\n".join(lines) + "\n"
-
-
-_FILES = {"ca": "ca.pem", "certificate": "certificate.pem", "private_key": "private.key"}
-
-
-def _toml_key(name: str) -> str:
-    """Return a camera's id as a TOML key."""
-    return f'"{name}"' if "." in name else name
 
 
 def _list(authority: Authority, now: float) -> int:
     """Print all certificates, with a warning for those that expire soon."""
     from camtopod.keys.authority import date_text
 
-    ending = {
-        certificate.name for certificate, _ in rules.expiring_certificates(authority.access, now)
-    }
+    ending = [one.name for one, _ in rules.expiring_certificates(authority.access, now)]
     print(f"{'name':<20} {'role':<7} {'certificate':<24} {'until':<10} {'days':>6}")
     for issued in authority.issued:
         certificate = issued.certificate
         days = (certificate.expires - now) / 86400.0
+        until = date_text(certificate.expires)
         remark = ""
-        if not issued.valid:
-            remark = "revoked"
-        elif certificate.name in ending:
-            remark = "EXPIRED" if days < 0 else "EXPIRES SOON"
-            _say(
-                f"warning: {certificate.role} {issued.of}: {remark.lower()}, "
-                f"{date_text(certificate.expires)}; renew it with --replace"
-            )
-        line = (
-            f"{issued.of:<20} {certificate.role:<7} {certificate.name:<24} "
-            f"{date_text(certificate.expires):<10} {days:>6.0f}"
-        )
         if certificate.cameras:
-            line += f" for {', '.join(certificate.cameras)}"
-        print(f"{line} {remark}".rstrip())
+            remark = f" for {', '.join(certificate.cameras)}"
+        if not issued.valid:
+            remark += " revoked"
+        elif certificate.name in ending:
+            remark += " EXPIRES SOON"
+            _say(
+                f"warning: {certificate.role} {issued.of} expires on {until}; "
+                f"renew it with --replace"
+            )
+        print(
+            f"{issued.of:<20} {certificate.role:<7} {certificate.name:<24} {until:<10} "
+            f"{days:>6.0f}{remark}"
+        )
     return exits.DONE
-
-
-def _days(text: str) -> int:
-    """Parse a number of days."""
-    if not text.isdigit() or not 1 <= int(text) <= _DAYS_MAX:
-        raise argparse.ArgumentTypeError(f"must be a whole number of days from 1 to {_DAYS_MAX}")
-    return int(text)
 
 
 def _say(message: str) -> None:

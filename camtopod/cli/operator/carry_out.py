@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 
 from camtopod import codec
 from camtopod.admin import Command
@@ -12,20 +11,11 @@ from camtopod.cli.common import configuration, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.cli.site_choice import right_site
 from camtopod.config import Config
-from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.admin_queries import Done, parameters_of
 from camtopod.serve.bus import Bus, QueryError, dial
 
 ANSWER_SECONDS = 30.0
 """Longest wait for the daemon's answer; it answers when the command is on its disk."""
-CAMERA_NAME = "1 to 64 of the characters A-Z a-z 0-9 _ . -"
-
-
-def camera(name: str) -> str:
-    """Return a camera's name from the command line; for argparse."""
-    if not re.match(CAMERA_PATTERN, name):
-        raise argparse.ArgumentTypeError(f"{name!r} is no camera id: use {CAMERA_NAME}")
-    return name
 
 
 def carry_out(args: argparse.Namespace, command: Command) -> int:

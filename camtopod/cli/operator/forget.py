@@ -6,7 +6,8 @@ import argparse
 from typing import Any
 
 from camtopod.admin import Forget, TakeBack
-from camtopod.cli.operator.carry_out import camera, carry_out
+from camtopod.cli.common import camera_id
+from camtopod.cli.operator.carry_out import carry_out
 
 
 def add_parser(subparsers: Any) -> None:
@@ -20,7 +21,7 @@ def add_parser(subparsers: Any) -> None:
         "rename.",
         epilog="example: camtopod --site hq forget lobby",
     )
-    parser.add_argument("camera", type=camera, metavar="CAMERA", help="the camera")
+    parser.add_argument("camera", type=camera_id, metavar="CAMERA", help="the camera")
     parser.add_argument(
         "--take-back",
         action="store_true",

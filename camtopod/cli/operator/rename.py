@@ -6,7 +6,8 @@ import argparse
 from typing import Any
 
 from camtopod.admin import Rename
-from camtopod.cli.operator.carry_out import camera, carry_out
+from camtopod.cli.common import camera_id
+from camtopod.cli.operator.carry_out import carry_out
 
 
 def add_parser(subparsers: Any) -> None:
@@ -19,8 +20,10 @@ def add_parser(subparsers: Any) -> None:
         "first comes under the new name; from then on the old name is refused, as after forget.",
         epilog="example: camtopod --site hq rename lobby entrance",
     )
-    parser.add_argument("old", type=camera, metavar="OLD", help="the camera's name so far")
-    parser.add_argument("new", type=camera, metavar="NEW", help="its new name, which no other has")
+    parser.add_argument("old", type=camera_id, metavar="OLD", help="the camera's name so far")
+    parser.add_argument(
+        "new", type=camera_id, metavar="NEW", help="its new name, which no other has"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
