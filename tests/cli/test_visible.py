@@ -17,7 +17,7 @@ from hypothesis import given, strategies as st
 from serving import free_endpoint, small_config, wait_for
 
 from camtopod import codec
-from camtopod.cli.commands.watch import lines
+from camtopod.cli.commands.watch import parts
 from camtopod.cli.common import _Formatter
 from camtopod.cli.terminal.site_state import SiteState
 from camtopod.records import (
@@ -96,7 +96,7 @@ def full_of_it() -> tuple[SiteState, Topology]:
 
 def test_watch_shows_it_and_does_not_obey_it() -> None:
     site, topology = full_of_it()
-    text = lines(site, topology, 2.0, None)
+    text = "\n".join(parts(site, topology, 2.0)).split("\n")
     assert sum("OWNED" in line for line in text) >= 5
     assert [line for line in text if ACTING.search(line)] == []
     assert sum("FORGED" in line and line.startswith("error") for line in text) == 0

@@ -8,7 +8,6 @@ from camtopod.cli.terminal.site_state import (
     SiteState as SiteState,
     alarm_lines as alarm_lines,
     busiest_links as busiest_links,
-    prediction_line as prediction_line,
     topology_lines as topology_lines,
     transit as transit,
 )

@@ -28,18 +28,12 @@ class Progress:
             self._every = SHOW_SECONDS
         elif piped:
             self._every = PIPED_SECONDS
-        self._began = time.monotonic()
-        self._next = self._began + self._every
+        self._next = time.monotonic() + self._every
 
     @property
     def due(self) -> bool:
         """Return True if `show` would print now."""
         return time.monotonic() >= self._next
-
-    @property
-    def seconds(self) -> float:
-        """Seconds since the work began."""
-        return time.monotonic() - self._began
 
     def show(self, form: str, *values: object) -> None:
         """Print ``form % values`` unless the last line is too recent; may be called often."""

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import re
-import threading
+import contextlib
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
 
 from camtopod import codec
 from camtopod.predict import seen_now
 from camtopod.publishers import is_gone
 from camtopod.records import (
-    CAMERA_PATTERN,
     CameraFigures,
     DaemonStatus,
     Link,
@@ -38,23 +35,8 @@ _FINE = ("running", "ended", "no grabber", "unknown", "gone")
 """
 
 
-class CameraLine(NamedTuple):
-    """One camera; ``last``: seconds since its newest event, None if there is none."""
-
-    name: str
-    state: str
-    reason: str
-    events: int
-    last: float | None
-
-    @property
-    def wrong(self) -> bool:
-        """Return True if the camera needs attention."""
-        return self.state not in _FINE
-
-
 class SiteState:
-    """Collects statuses and predictions as they arrive; thread-safe.
+    """Collects statuses and predictions as they arrive; each is replaced as a whole.
 
     site: its name.
     steady: monotonic clock in seconds, to notice senders that are silent.
@@ -63,59 +45,41 @@ class SiteState:
     def __init__(self, site: str, steady: Callable[[], float] = time.monotonic) -> None:
         self._site = site
         self._steady = steady
-        self._mutex = threading.Lock()
-        self._daemon: tuple[float, DaemonStatus] | None = None
-        self._cameras: dict[str, tuple[float, Status]] = {}
-        """Camera -> (time of arrival, status)."""
+        self._daemon = DaemonStatus()
+        self._cameras: dict[str, Status] = {}
+        self._heard: dict[str, float] = {}
+        """Camera, or "daemon" -> time of arrival of its status."""
         self._predictions: deque[Prediction] = deque(maxlen=8)
 
     def on_status(self, key: str, payload: bytes) -> None:
         """Store a status published on ``status/...``; a malformed one is ignored."""
         name = key.removeprefix("status/")
-        if not re.match(CAMERA_PATTERN, name):
-            return
-        try:
+        with contextlib.suppress(codec.Rejected):
             if name == "daemon":
-                daemon = codec.read(DaemonStatus, payload, pack=True)
-                with self._mutex:
-                    self._daemon = self._steady(), daemon
+                self._daemon = codec.read(DaemonStatus, payload, pack=True)
             else:
-                camera = codec.read(Status, payload, pack=True)
-                with self._mutex:
-                    self._cameras[name] = self._steady(), camera
-        except codec.Rejected:
-            return
+                self._cameras[name] = codec.read(Status, payload, pack=True)
+            self._heard[name] = self._steady()
 
     def on_prediction(self, key: str, payload: bytes) -> None:
         """Store a prediction published on ``prediction/{camera}``; a malformed one is ignored."""
-        try:
-            prediction = codec.read(Prediction, payload, pack=True)
-        except codec.Rejected:
-            return
-        with self._mutex:
-            self._predictions.append(prediction)
-
-    @property
-    def empty(self) -> bool:
-        """Return True if no status has arrived yet."""
-        with self._mutex:
-            return self._daemon is None and not self._cameras
+        with contextlib.suppress(codec.Rejected):
+            self._predictions.append(codec.read(Prediction, payload, pack=True))
 
     def daemon_line(self) -> str:
         """Return one line with site, state and counters of the daemon."""
-        with self._mutex:
-            heard, daemon = self._daemon or (0.0, None)
-        if daemon is None:
+        if "daemon" not in self._heard:
             return f"site {self._site}: no status of a daemon received yet"
-        state = daemon.state
-        reason = daemon.reason
-        if (silence := self._steady() - heard) > SILENT_SECONDS:
-            state = "silent"
-            reason = f"no status for {silence:.0f} s; what is shown below may be outdated"
-
-        words = f"site {self._site}: daemon {state}"
-        if reason:
-            words += f" ({reason})"
+        daemon = self._daemon
+        words = f"site {self._site}: daemon {daemon.state}"
+        silence = self._steady() - self._heard["daemon"]
+        if silence > SILENT_SECONDS:
+            words = (
+                f"site {self._site}: daemon silent (no status for {silence:.0f} s; what is shown "
+                f"below may be outdated)"
+            )
+        elif daemon.reason:
+            words += f" ({daemon.reason})"
         if behind := daemon.catching_up:
             minutes = behind.seconds / 60
             words += f", catching up, {behind.share:.0%} ({minutes:.0f} minutes behind)"
@@ -123,58 +87,55 @@ class SiteState:
         stored = daemon.events.get("stored", 0)
         return f"{words}, {stored} events stored, {rejected} rejected since its start"
 
-    def cameras(self, topology: Topology | None, now: float) -> list[CameraLine]:
-        """Return the cameras at ``now`` (Unix seconds): those with problems first, then by name.
+    def camera_lines(self, topology: Topology | None, now: float) -> list[str]:
+        """Return a line for each camera at ``now`` (Unix seconds).
 
-        They are those learned of, those with a status and those that the daemon counts.
+        They are those learned of, those with a status and those that the daemon counts. Those with
+        problems come first, with an exclamation mark.
         """
-        with self._mutex:
-            statuses = dict(self._cameras)
-            daemon = self._daemon[1] if self._daemon else DaemonStatus()
-        known = {**_learned(topology), **daemon.cameras}
+        known = {**_learned(topology), **self._daemon.cameras}
         newest = max((one.newest or 0.0 for one in known.values()), default=0.0)
+        names = self._daemon.names
         lines = []
-        for name in {*statuses, *known}:
-            counters = known.get(name, CameraFigures())
-            state, reason = self._camera_state(statuses.get(name), counters)
-            if is_gone(state, counters.newest, newest):
+        for name in {*self._cameras, *known}:
+            figures = known.get(name, CameraFigures())
+            state, reason = self._camera_state(name, figures)
+            if is_gone(state, figures.newest, newest):
                 state = "gone"
                 reason = ""
-            if name in daemon.names.forgotten:
+            elif name in names.forgotten:
                 state = "forgotten"
                 reason = f"its events are refused until camtopod forget --take-back {name}"
-            elif name in daemon.names.renamed and state in _FINE:
-                reason = f"counts as {daemon.names.renamed[name]}"
-            last = None
-            if counters.newest is not None and 0 <= now - counters.newest < 1e6:
-                last = now - counters.newest
-            lines.append(CameraLine(name, state, reason, counters.events, last))
-        return sorted(lines, key=lambda line: (not line.wrong, line.name))
+            elif name in names.renamed:
+                reason = reason or f"counts as {names.renamed[name]}"
+            last = ""
+            if figures.newest is not None and 0 <= now - figures.newest < 1e6:
+                last = f"{now - figures.newest:.0f} s"
+            mark = "!" if state not in _FINE else " "
+            line = f"{mark} {name:<20} {state:<11} {figures.events:>8} {last:>9}  {reason}"
+            lines.append((mark != "!", name, line))
+        return [line for *_, line in sorted(lines)]
 
-    def _camera_state(
-        self, status: tuple[float, Status] | None, counters: CameraFigures
-    ) -> tuple[str, str]:
-        """Return (state, reason) of a camera by its status and the daemon's counters."""
-        if status is None or not status[1].state:
-            return "unknown" if counters.alive else "no grabber", ""
-        silence = self._steady() - status[0]
-        if silence > SILENT_SECONDS and status[1].state != "ended":
+    def _camera_state(self, name: str, figures: CameraFigures) -> tuple[str, str]:
+        """Return (state, reason) of a camera by its status and the daemon's figures."""
+        status = self._cameras.get(name, Status())
+        if not status.state:
+            return "unknown" if figures.alive else "no grabber", ""
+        silence = self._steady() - self._heard[name]
+        if silence > SILENT_SECONDS and status.state != "ended":
             return "silent", f"no status for {silence:.0f} s"
-        return status[1].state, status[1].reason
+        return status.state, status.reason
 
     def prediction_lines(self) -> list[str]:
         """Return the predictions in words, newest first."""
-        with self._mutex:
-            predictions = list(self._predictions)
-        return [prediction_line(prediction) for prediction in reversed(predictions)]
+        return [prediction_line(prediction) for prediction in reversed([*self._predictions])]
 
 
 def _learned(topology: Topology | None) -> dict[str, CameraFigures]:
     """Return the time of the last event of each camera of a topology."""
-    if topology is None:
+    if topology is None or topology.model is None:
         return {}
-    models = [] if topology.model is None else topology.model.cameras
-    last = {model.camera: model.last_event for model in models}
+    last = {model.camera: model.last_event for model in topology.model.cameras}
     return {camera.id: CameraFigures(newest=last.get(camera.id)) for camera in topology.cameras}
 
 
@@ -211,10 +172,8 @@ def alarm_lines(topology: Topology | None, now: float) -> list[str]:
     ]
 
 
-def busiest_links(topology: Topology | None) -> list[Link]:
+def busiest_links(topology: Topology) -> list[Link]:
     """Return the links between views, busiest first."""
-    if topology is None:
-        return []
     return sorted(links_between_views(topology), key=lambda link: -link.transitions)
 
 
@@ -236,28 +195,22 @@ def prediction_line(prediction: Prediction) -> str:
         f"now in view of {view.camera} {view.probability:.2f}"
         for view in seen_now(prediction.in_view or [])
     ]
-    if prediction.next_:
-        places.append(
-            ", ".join(
-                f"{_place(prediction, following)} {following.probability:.2f} {_when(following)}"
-                for following in prediction.next_[:3]
-            )
-        )
+    if following := prediction.next_[:3]:
+        places.append(", ".join(_onward(prediction, one) for one in following))
     left = prediction.zone or prediction.camera
     return f"{left} -> {'; '.join(places) or 'next camera unknown'}"
 
 
-def _when(following: NextCamera) -> str:
-    """Return when an object is expected; where views overlap it may have appeared already."""
-    if following.q90 < 0.5:
-        return "already in view"
-    if following.q10 < 0:
-        return f"within {following.q90:.0f} s"
-    return f"in {following.q10:.0f} to {following.q90:.0f} s"
-
-
-def _place(prediction: Prediction, following: NextCamera) -> str:
-    """Return where an object is expected: a zone, or that it comes back to the view it left."""
+def _onward(prediction: Prediction, following: NextCamera) -> str:
+    """Return where and when an object is expected: it may come back to the view it left, and where
+    views overlap it may have appeared already.
+    """
+    zone = following.zone
     if following.camera == prediction.camera:
-        return f"back to {following.zone}"
-    return following.zone
+        zone = f"back to {zone}"
+    when = f"in {following.q10:.0f} to {following.q90:.0f} s"
+    if following.q90 < 0.5:
+        when = "already in view"
+    elif following.q10 < 0:
+        when = f"within {following.q90:.0f} s"
+    return f"{zone} {following.probability:.2f} {when}"
