@@ -18,7 +18,7 @@ from typing import BinaryIO, NamedTuple
 
 from msgspec.structs import replace
 
-from camtopod.cli import exits, implicit_config
+from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import DEFAULT_ENDPOINT, RESERVED, Config, is_endpoint, secret_files, settings
 from camtopod.records import CAMERA_PATTERN
@@ -34,12 +34,10 @@ def configuration(args: argparse.Namespace) -> Config:
 
     Raises `CommandError`.
     """
-    loaded = Config()
-    if args.config is not None:
-        loaded = _loaded(args)
+    loaded = _load(args.config)
     if args.config is not None:
         if getattr(args, "config_found", False):
-            _say(args, logging.INFO, f"configuration: {implicit_config.shown(args.config)}")
+            _say(args, f"configuration: {args.config}")
         if getattr(args, "with_parent", None) is None:  # otherwise the supervisor warns
             for sentence in secret_files.find_exposed(loaded.secrets(args.config)):
                 log.warning("%s", sentence)
@@ -57,32 +55,24 @@ def configuration(args: argparse.Namespace) -> Config:
     return loaded
 
 
-def _loaded(args: argparse.Namespace) -> Config:
-    """Return the content of the configuration file.
-
-    Without --config a file that cannot be used is left out with a warning, unless the command needs
-    it. Raises `CommandError`.
-    """
+def _load(path: Path | None) -> Config:
+    """Return the content of the configuration file, if there is one. Raises `CommandError`."""
+    if path is None:
+        return Config()
     try:
-        return settings.load(args.config)
+        return settings.load(path)
     except settings.ConfigError as error:
-        why = f"has mistakes (`camtopod check {args.config}` lists them)"
-        failure = CommandError(f"the configuration has mistakes:\n{error}", exits.CONFIG)
+        raise CommandError(f"the configuration has mistakes:\n{error}", exits.CONFIG) from None
     except OSError as error:
-        why = f"cannot be read ({error.strerror})"
-        failure = InputError(f"cannot read {args.config}: {error.strerror}")
-    if not implicit_config.may_skip(args):
-        raise failure
-    where = implicit_config.shown(args.config)
-    _say(args, logging.WARNING, f"{where} {why}: it is not used, every setting has its default")
-    args.config = None
-    return Config()
+        raise InputError(
+            f"cannot read {path}: {error.strerror}; --config none does without it"
+        ) from None
 
 
-def _say(args: argparse.Namespace, level: int, message: str) -> None:
+def _say(args: argparse.Namespace, message: str) -> None:
     """Log a message, or print it if the command does not log."""
     if getattr(args, "logs", False):
-        log.log(level, "%s", message)
+        log.info("%s", message)
     else:
         print(visible(f"camtopod: {redact(message)}"), file=sys.stderr)
 
@@ -111,6 +101,15 @@ def with_options(args: argparse.Namespace, loaded: Config) -> Config:
 def counted(number: int, thing: str) -> str:
     """Return "1 camera", "2 cameras" and so on."""
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def camera_id(text: str) -> str:
+    """Parse a camera's id; for argparse."""
+    if not re.match(CAMERA_PATTERN, text) or text in (*RESERVED, ".", ".."):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no camera id: use 1 to 64 of the characters A-Z a-z 0-9 _ . -"
+        )
+    return text
 
 
 def check_name(option: str, name: str) -> None:

@@ -7,10 +7,9 @@ own arguments; it returns the parsers of its own subcommands, if it has any. ``r
 does the work and returns the exit status.
 
 The common options are added here, before and after the command's name, and arrive as
-``args.config`` (path or None; without --config that of a file that is found, see
-`camtopod.cli.implicit_config`), ``args.site`` (str or None), ``args.connect`` (list of endpoints,
-maybe empty), ``args.log_format`` and ``args.log_level``. `camtopod.cli.common` has functions that
-several commands share.
+``args.config`` (path or None; without --config the first of `PLACES`), ``args.site`` (str or
+None), ``args.connect`` (list of endpoints, maybe empty), ``args.log_format`` and
+``args.log_level``. `camtopod.cli.common` has functions that several commands share.
 """
 
 from __future__ import annotations
@@ -28,10 +27,11 @@ import threading
 import traceback
 import types
 from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from camtopod import __version__
-from camtopod.cli import completion, exits, implicit_config
+from camtopod.cli import completion, exits
 from camtopod.redact import redact
 from camtopod.visible import visible, visible_lines
 
@@ -101,6 +101,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 """Command -> (module, one-line summary for --help)."""
 
+PLACES = (Path("camtopod.toml"), Path("/etc/camtopod/camtopod.toml"))
+"""Files that are read without --config; the first one that exists."""
 LOG_FORMATS = ("text", "logfmt", "json")
 """Values of --log-format."""
 LOG_LEVELS = ("debug", "info", "warning", "error")
@@ -114,15 +116,33 @@ _KEEP_ON = ("grab",)
 """Commands that reload their configuration on SIGHUP and never end by it."""
 _STATUS_OF_ERROR = {"SourceError": exits.INPUT, "BusError": exits.BUS, "StateError": exits.STATE}
 """Class of an OSError of camtopod -> exit status; the classes' own modules take long to import."""
-_WITH_VALUE = (
-    "--config",
-    "--site",
-    "--connect",
-    "--log-format",
-    "--log-level",
-    "--print-completion",
-)
-"""Common options that take a value."""
+_COMMON: dict[str, dict[str, Any]] = {
+    "--config": {
+        "metavar": "FILE",
+        "help": "configuration, a TOML file; none: read no file (default: ./camtopod.toml, else "
+        "/etc/camtopod/camtopod.toml, if there is one)",
+    },
+    "--site": {
+        "metavar": "NAME",
+        "help": "name of the site, the second part of every key on the bus",
+    },
+    "--connect": {
+        "metavar": "ENDPOINT",
+        "action": "append",
+        "help": "zenoh endpoint to connect to, for example tcp/192.168.1.5:7447; may be repeated",
+    },
+    "--log-format": {
+        "choices": LOG_FORMATS,
+        "default": "text",
+        "help": "format of the messages on standard error (default: text)",
+    },
+    "--log-level": {
+        "choices": LOG_LEVELS,
+        "default": "info",
+        "help": "least important messages to show (default: info)",
+    },
+}
+"""The common options; all have a value."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -151,10 +171,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail("interrupted", exits.FAILED, form)
     except exits.CommandError as error:
         return _fail(str(error), error.status, form)
+    except ModuleNotFoundError as error:
+        name = _command_in(arguments) or "this"
+        what = f"{name} needs the package {error.name!r}, which is not installed"
+        return _fail(f"{what}; see README, 'Packages'", exits.FAILED, form)
     except OSError as error:
         return _fail(*_os_error(error), form)
-    except MemoryError:
-        return _fail("not enough memory", exits.FAILED, form)
     return int(status)
 
 
@@ -237,7 +259,13 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
         args.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
     del args.parser
     args.connect = args.connect or []
-    implicit_config.find(args)
+    args.config_found = args.config is None
+    if args.config is None:
+        args.config = next(filter(Path.exists, PLACES), None)
+    elif args.config == "none":
+        args.config = None
+    else:
+        args.config = Path(args.config)
     return args, modules[args.command].run
 
 
@@ -263,7 +291,7 @@ def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str
     modules = {}
     for command, (path, summary) in COMMANDS.items():
         if command in whole:
-            modules[command] = _import(path, command)
+            modules[command] = importlib.import_module(path)
             inner = modules[command].add_parser(subparsers) or []
             for its in (subparsers.choices[command], *inner):
                 _add_common(its, top=False)
@@ -275,68 +303,20 @@ def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str
 
 def _command_in(arguments: list[str]) -> str | None:
     """Return the first argument that is neither an option nor the value of a common option."""
-    skip = False
-    for argument in arguments:
-        if skip:
-            skip = False
-        elif argument in _WITH_VALUE:
-            skip = True
+    rest = iter(arguments)
+    for argument in rest:
+        if argument in _COMMON or argument == "--print-completion":
+            next(rest, None)
         elif not argument.startswith("-"):
             return argument
     return None
 
 
-def _import(path: str, command: str) -> Any:
-    """Import a command's module. Raises `CommandError` that names a missing package."""
-    try:
-        return importlib.import_module(path)
-    except ModuleNotFoundError as error:
-        if error.name == path:
-            raise exits.CommandError(f"{command}: not in this version of camtopod") from None
-        raise exits.CommandError(
-            f"{command} needs the package {error.name!r}, which is not installed; "
-            "see README, 'Packages'"
-        ) from None
-
-
 def _add_common(parser: argparse.ArgumentParser, top: bool) -> None:
     """Add the common options; after the command's name they default to the values before it."""
     group = parser.add_argument_group("common options")
-    defaults: dict[str, Any] = {"value": None, "format": "text", "level": "info"}
-    if not top:
-        defaults = dict.fromkeys(defaults, argparse.SUPPRESS)
-    group.add_argument(
-        "--config",
-        metavar="FILE",
-        default=defaults["value"],
-        help="configuration, a TOML file; none: read no file (default: ./camtopod.toml, else "
-        "/etc/camtopod/camtopod.toml, if there is one)",
-    )
-    group.add_argument(
-        "--site",
-        metavar="NAME",
-        default=defaults["value"],
-        help="name of the site, the second part of every key on the bus",
-    )
-    group.add_argument(
-        "--connect",
-        metavar="ENDPOINT",
-        action="append",
-        default=defaults["value"],
-        help="zenoh endpoint to connect to, for example tcp/192.168.1.5:7447; may be repeated",
-    )
-    group.add_argument(
-        "--log-format",
-        choices=LOG_FORMATS,
-        default=defaults["format"],
-        help="format of the messages on standard error (default: text)",
-    )
-    group.add_argument(
-        "--log-level",
-        choices=LOG_LEVELS,
-        default=defaults["level"],
-        help="least important messages to show (default: info)",
-    )
+    for option, its in _COMMON.items():
+        group.add_argument(option, **(its if top else {**its, "default": argparse.SUPPRESS}))
 
 
 def _os_error(error: OSError) -> tuple[str, int]:
@@ -352,13 +332,13 @@ def _os_error(error: OSError) -> tuple[str, int]:
 def _fail(message: str, status: int, form: str) -> int:
     """Print an error in the chosen log format and return ``status``."""
     message = redact(message)
-    if form == "json":
-        line = visible(json.dumps({"level": "error", "message": message}, ensure_ascii=False))
-    elif form == "logfmt":
-        line = visible(f"level=error message={json.dumps(message, ensure_ascii=False)}")
-    else:
-        line = visible_lines(f"camtopod: {message}")
-    print(line, file=sys.stderr)
+    quoted = json.dumps(message, ensure_ascii=False)
+    lines = {
+        "json": visible(f'{{"level": "error", "message": {quoted}}}'),
+        "logfmt": visible(f"level=error message={quoted}"),
+        "text": visible_lines(f"camtopod: {message}"),
+    }
+    print(lines[form], file=sys.stderr)
     return status
 
 

@@ -209,7 +209,13 @@ class WebSettings(Struct, frozen=True, forbid_unknown_fields=True):
 class MapSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """``[map]``: the map of the page."""
 
-    plan: str = ""
+    plan: Annotated[
+        str,
+        Meta(
+            pattern=r"^$|\.(png|jpg|jpeg|svg)$",
+            description="a file that ends in .png, .jpg or .svg",
+        ),
+    ] = ""
     """A picture (png, jpg or svg) of the floor plan to show beneath the map; a path as in
     [bus.tls]. Cameras with `at` are placed on it, the others below it.
     """

@@ -185,25 +185,17 @@ def test_later_lines_change_no_answer(run: Run, topology: Path) -> None:
     assert set(part.splitlines()) <= set(more.splitlines())
 
 
-@pytest.mark.parametrize("most", [2, 1000])
-def test_the_likeliest_and_the_sum_of_the_others(
-    most: int, run: Run, topology: Path, recording: Path
-) -> None:
+def test_the_likeliest_and_the_sum_of_the_others(run: Run, topology: Path, recording: Path) -> None:
     _, printed, _ = run("predict", topology, recording)
-    _, short, _ = run("predict", topology, recording, "--top", str(most))
-    whole = predictions(printed)
-    assert {p.others for p in whole} == {None}
-    for all_, few in zip(whole, predictions(short), strict=True):
-        kept = all_.next_[:most]
-        assert [one.zone for one in few.next_] == [one.zone for one in kept]
-        assert (few.others is None) == (len(all_.next_) <= most)
+    _, short, _ = run("predict", topology, recording, "--top", "2")
+
+    for all_, few in zip(predictions(printed), predictions(short), strict=True):
+        assert few.next_ == all_.next_[:2]
+        assert all_.others is None
+        assert (few.others is None) == (len(all_.next_) <= 2)
         shown = [few.leave, *(one.probability for one in few.next_), few.others or 0.0]
-        assert sum(shown) == pytest.approx(1.0, abs=1e-12)
-        assert all(share == round(share, 4) for share in shown)
-        for one, before in zip(few.next_, kept, strict=True):
-            assert one.probability == pytest.approx(before.probability, abs=1e-4)
-            assert one.q50 == pytest.approx(before.q50, abs=0.0051)
-    assert any(p.others for p in predictions(short)) == (most < 1000)
+        assert sum(shown) == pytest.approx(1.0, abs=1e-9)
+    assert any(prediction.others for prediction in predictions(short))
 
 
 def test_predict_needs_a_topology(run: Run, tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def test_a_terminated_demo_leaves_nothing_behind(tmp_path: Path) -> None:
 
 
 def test_a_grabber_that_fails_ends_the_demo_with_its_words(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     broken = tmp_path / "python"
     grabber = 'case "$*" in *" grab "*) echo it is broken >&2; exit 3;; esac'
@@ -89,7 +89,7 @@ def test_a_grabber_that_fails_ends_the_demo_with_its_words(
     monkeypatch.setattr(demo, "_record", lambda *_: recording)
     monkeypatch.setattr(demo.sys, "executable", str(broken))
     assert main(["demo", "--out", str(tmp_path / "out")]) == 1
-    said = capsys.readouterr().err
+    said = capfd.readouterr().err
     assert "grabber of hall ended with status 3" in said
     assert "it is broken" in said
 

@@ -42,7 +42,7 @@ def test_learn_and_predict(
     lines.write_bytes(b"".join(to_json(event) + b"\n" for event in events))
     assert main(["learn", str(lines), "--topology", str(tmp_path / "t.json")]) == 0
     said = capfdbinary.readouterr().err.decode()
-    assert f"\r\x1b[K{len(events)} lines, 100 %, 0 s left\r" in said
+    assert f"\r\x1b[K{len(events)} lines, 100 %\r" in said
     assert re.findall(r"step (\d) of 8", said) == list("12345678"), "and how far the fit has come"
     assert main(["predict", str(tmp_path / "t.json"), str(lines)]) == 0
     out, err = capfdbinary.readouterr()

@@ -176,4 +176,4 @@ def test_without_its_packages_it_names_the_extra(
     monkeypatch.delitem(sys.modules, "camtopod.web.app", raising=False)
     monkeypatch.delattr("camtopod.web.app", raising=False)
     assert main.main(["web"]) == exits.FAILED
-    assert "pip install 'camtopod[web]'" in capsys.readouterr().err
+    assert "web needs the package 'uvicorn'" in capsys.readouterr().err

@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import faulthandler
 import re
-import threading
 from typing import Any
 
 from camtopod import codec, mqtt
@@ -54,7 +53,6 @@ class HomeAssistantState:
     def __init__(self, bus: Bus, topics: homeassistant.Topics, cameras_max: int) -> None:
         self._topics = topics
         self._cameras_max = cameras_max
-        self._mutex = threading.Lock()
         self._daemons: set[str] = set()
         self._site = DaemonStatus()
         self._grabbers: dict[str, Status] = {}
@@ -72,17 +70,13 @@ class HomeAssistantState:
     def messages(self) -> homeassistant.Messages:
         """Return the payload of every MQTT topic."""
         self._subscriber.update()
-
-        # Take a consistent copy of the state.
         topics = self._topics
         topology = self._subscriber.topology
-        known = [] if topology is None else topology.cameras
-        zones = {camera.id: len(camera.zones) for camera in known}
-        with self._mutex:
-            grabbers = dict(self._grabbers)
-            predictions = dict(self._predictions)
-            alive = bool(self._daemons)
-            site = self._site
+        zones = {}
+        if topology is not None:
+            zones = {camera.id: len(camera.zones) for camera in topology.cameras}
+        grabbers = dict(self._grabbers)  # the bus's threads change it
+        site = self._site
 
         # Cameras, from any source, in a stable order; a new set needs new discovery messages.
         names = {*grabbers, *site.cameras, *zones}
@@ -93,19 +87,22 @@ class HomeAssistantState:
             self._discovery = homeassistant.discovery(topics, cameras)
 
         # Messages of the site, then of each camera.
+        alive = bool(self._daemons)
         messages = self._discovery | homeassistant.site_state(topics, alive, site, topology)
         for camera in cameras:
             counted = site.cameras.get(camera, CameraFigures())
             messages |= homeassistant.camera_state(
                 topics, camera, counted, grabbers.get(camera), zones.get(camera, 0)
             )
-            if camera in predictions:
-                messages |= homeassistant.prediction_state(topics, predictions[camera])
+            if (prediction := self._predictions.get(camera)) is not None:
+                messages |= homeassistant.prediction_state(topics, prediction)
         return messages
 
     def _on_daemon(self, name: str, alive: bool) -> None:
-        with self._mutex:
-            (self._daemons.add if alive else self._daemons.discard)(name)
+        if alive:
+            self._daemons.add(name)
+        else:
+            self._daemons.discard(name)
 
     def _on_status(self, key: str, payload: bytes) -> None:
         camera = key.removeprefix("status/")
@@ -124,9 +121,8 @@ class HomeAssistantState:
 
     def _keep(self, where: dict[str, Any], camera: str, record: Any) -> None:
         """Store the newest ``record`` of a camera, unless there are too many cameras."""
-        with self._mutex:
-            if camera in where or len(where) < self._cameras_max:
-                where[camera] = record
+        if camera in where or len(where) < self._cameras_max:
+            where[camera] = record
 
 
 def run(args: argparse.Namespace) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import multiprocessing
 import os
 import signal
@@ -123,8 +124,8 @@ def run(args: argparse.Namespace) -> int:
     begin = time.monotonic()
     with writing(args.out):
         args.out.mkdir(parents=True, exist_ok=True)
-    work_directory = tempfile.TemporaryDirectory(prefix="camtopod-demo-")
-    with _terminated_as_interrupted(), work_directory as work:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that nothing is left behind
+    with tempfile.TemporaryDirectory(prefix="camtopod-demo-") as work:
         recording = _record(Path(work), 60.0 * args.minutes, args.seed)
         topology = _watch(recording, Path(work))
     result = score(topology, recording.truth)
@@ -133,30 +134,12 @@ def run(args: argparse.Namespace) -> int:
     (args.out / "topology.json").write_bytes(to_json(topology) + b"\n")
     (args.out / "truth.json").write_bytes(to_json(recording.truth) + b"\n")
     picture = args.out / "map.png"
-    write_map(
-        picture,
-        recording.plan,
-        recording.walks,
-        recording.truth,
-        topology,
-        result.text().splitlines(),
-    )
+    notes = result.text().splitlines()
+    write_map(picture, recording.plan, recording.walks, recording.truth, topology, notes)
     print(result.text())
-    _say(
-        f"picture in {picture}, topology in {args.out / 'topology.json'}; "
-        f"{time.monotonic() - begin:.0f} s"
-    )
+    taken = time.monotonic() - begin
+    _say(f"picture in {picture}, topology in {args.out / 'topology.json'}; {taken:.0f} s")
     return exits.DONE
-
-
-@contextlib.contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """Let SIGTERM end the block as Ctrl-C does, so that no process or directory is left behind."""
-    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)
 
 
 def _record(work: Path, seconds: float, seed: int) -> Recording:
@@ -170,7 +153,8 @@ def _record(work: Path, seconds: float, seed: int) -> Recording:
     _say(f"rendering {len(videos)} cameras, {seconds / 60:g} minutes, {len(walks)} people")
     context = multiprocessing.get_context("spawn")
     workers = min(len(videos), os.cpu_count() or 1)
-    with ProcessPoolExecutor(workers, context, initializer=_leave_interrupts_to_the_parent) as pool:
+    alone = (signal.SIGINT, signal.SIG_IGN)  # the parent ends them
+    with ProcessPoolExecutor(workers, context, signal.signal, alone) as pool:
         tasks = [
             pool.submit(render, plan, view, walks, seconds, videos[view.camera], seed)
             for view in plan.views
@@ -183,12 +167,6 @@ def _record(work: Path, seconds: float, seed: int) -> Recording:
         finally:
             pool.shutdown(cancel_futures=True)
     return Recording(plan, walks, truth, seconds, videos)
-
-
-def _leave_interrupts_to_the_parent() -> None:
-    """Ignore SIGINT in a rendering process: the parent ends it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _watch(recording: Recording, work: Path) -> Topology:
@@ -212,9 +190,9 @@ def _watch(recording: Recording, work: Path) -> Topology:
         _grabbers(recording, start, daemon.endpoint, work) as grabbers,
     ):
         _say(f"playing the videos at up to {SPEED:g} times real time")
-        _until(daemon, lambda: _have_ended(grabbers, work))
+        _until(daemon, lambda _: _have_ended(grabbers))
         clock.skip(AFTERWARDS_SECONDS + recording.seconds)
-        _until(daemon, _Learning(daemon).done)
+        _until(daemon, functools.partial(_has_learned, daemon))
         topology = daemon.topology
         late = daemon.status().learner["late"]
         if late:
@@ -229,25 +207,14 @@ def _grabbers(
     recording: Recording, start: float, endpoint: str, work: Path
 ) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
     """Run one `camtopod grab` process per camera; they end with the block, whatever happens."""
-    environment = {
-        **os.environ,
-        "XDG_STATE_HOME": str(work),
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-    }
-    environment.pop("STATE_DIRECTORY", None)
-
-    # Start them, each with a log file.
     running: dict[str, subprocess.Popen[bytes]] = {}
     try:
         for camera, video in recording.videos.items():
             command = [sys.executable, "-m", "camtopod", "grab", "--camera", camera, str(video)]
             command += ["--start", repr(start), "--realtime", "--speed", repr(SPEED)]
-            command += ["--site", SITE, "--connect", endpoint]
-            with (work / f"{camera}.log").open("wb") as log:
-                running[camera] = subprocess.Popen(
-                    command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log
-                )
+            command += ["--site", SITE, "--connect", endpoint, "--state", str(work / "spools")]
+            command += ["--config", "none", "--log-level", "error"]
+            running[camera] = subprocess.Popen(command, stdin=subprocess.DEVNULL)
         yield running
     finally:
         for grabber in running.values():
@@ -255,50 +222,36 @@ def _grabbers(
             grabber.wait()
 
 
-def _have_ended(grabbers: dict[str, subprocess.Popen[bytes]], work: Path) -> bool:
-    """Return True once all grabbers have ended.
-
-    Raises `exits.CommandError` for one that failed, with its last lines of output.
-    """
+def _have_ended(grabbers: dict[str, subprocess.Popen[bytes]]) -> bool:
+    """Return True once all grabbers have ended. Raises `exits.CommandError` for one that failed."""
     for camera, grabber in grabbers.items():
         if grabber.poll() not in (0, None):
-            log = (work / f"{camera}.log").read_text("utf-8", "replace").strip().splitlines()
             raise exits.CommandError(
-                f"demo: the grabber of {camera} ended with status {grabber.returncode}: "
-                + " | ".join(log[-3:])
+                f"demo: the grabber of {camera} ended with status {grabber.returncode}, see above"
             )
     return all(grabber.returncode == 0 for grabber in grabbers.values())
 
 
-class _Learning:
-    """Notices that all events are learned and published and none comes any more."""
+def _has_learned(daemon: Daemon, quiet: float) -> bool:
+    """Return True once all events are learned and published, and nothing comes any more.
 
-    def __init__(self, daemon: Daemon) -> None:
-        self._daemon = daemon
-        self._stored = -1
-        self._changed_at = time.monotonic()
-
-    def done(self) -> bool:
-        """Return True once nothing has happened for `QUIET_SECONDS`."""
-        status = self._daemon.status()
-        events = status.events
-        learner = status.learner
-        busy = events["waiting"] or learner["held"] or learner["version"] != status.version
-        if busy or events["stored"] != self._stored:
-            self._stored = events["stored"]
-            self._changed_at = time.monotonic()
-        return time.monotonic() - self._changed_at >= QUIET_SECONDS
+    quiet: seconds since the last change.
+    """
+    status = daemon.status()
+    busy = status.events["waiting"] or status.learner["held"]
+    published = status.learner["version"] == status.version
+    return quiet >= QUIET_SECONDS and published and not busy
 
 
-def _until(daemon: Daemon, done: Callable[[], bool]) -> None:
-    """Show progress until ``done()`` returns True.
+def _until(daemon: Daemon, done: Callable[[float], bool]) -> None:
+    """Show progress until ``done(seconds since the last change)`` returns True.
 
     Raises `exits.CommandError` if there is no progress for `PATIENCE_SECONDS` or the daemon fails.
     """
     line = ""
     moved_at = time.monotonic()
     with Progress(piped=True) as progress:
-        while not done():
+        while not done(time.monotonic() - moved_at):
             if daemon.wait(0.1):
                 raise exits.CommandError("demo: the daemon has failed")
             before = line

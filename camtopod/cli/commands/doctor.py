@@ -74,12 +74,14 @@ def run(args: argparse.Namespace) -> int:
         with contextlib.suppress(CommandError):
             config = with_options(args, config)
 
+    from camtopod.vision.source import decoders
+
     # Collect the parts of the report.
     _remember_secrets(config)
     parts: dict[str, Callable[[], Iterable[str]]] = {
         "versions": _versions,
         "machine": _machine,
-        "video": _video,
+        "video": decoders,
         "configuration": lambda: mistakes.splitlines() or _configuration(config, args.config),
         "state": lambda: _state(config),
         "bus": lambda: _bus(config),
@@ -102,22 +104,18 @@ def run(args: argparse.Namespace) -> int:
 def _remember_secrets(config: Config) -> None:
     """Remember every secret in reach, so that `redact` hides it wherever it appears."""
     for camera in config.cameras:
-        try:
+        with contextlib.suppress(OSError):
             config.for_camera(camera)
-        except OSError:
-            continue
     for name, value in os.environ.items():
         remember(value)
         if _SECRET_NAME.search(name) and len(value) >= 6 and not Path(value).is_absolute():
             remember(f"secret://:{value}@")
-    folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
-    for path in Path(folder).iterdir() if folder and Path(folder).is_dir() else ():
-        try:
+    folder = os.environ.get("CREDENTIALS_DIRECTORY", "/nonexistent")
+    for path in Path(folder).glob("*"):
+        with contextlib.suppress(OSError):
             secret = secret_files.read(path)
-        except OSError:
-            continue
-        remember(secret)
-        remember(f"secret://:{secret}@")
+            remember(secret)
+            remember(f"secret://:{secret}@")
 
 
 def _versions() -> Iterator[str]:
@@ -144,12 +142,6 @@ def _machine() -> Iterator[str]:
     yield f"environment variables that are set: {', '.join(names) or 'none'}"
 
 
-def _video() -> list[str]:
-    from camtopod.vision.source import decoders
-
-    return decoders()
-
-
 def _configuration(config: Config, path: Path | None) -> Iterator[str]:
     """Yield settings other than the defaults, and warnings of files or a bus open to others."""
     yield f"file: {path} ({_mode(path)})" if path else "no configuration file"
@@ -160,9 +152,6 @@ def _configuration(config: Config, path: Path | None) -> Iterator[str]:
             value = getattr(table, field.name)
             if value not in ("", field.default) and not isinstance(value, msgspec.Struct):
                 yield f"{name}.{field.name} = {json.dumps(_clean(value))}"
-    for camera in config.cameras:
-        for key, value in config.own_vision(camera).items():
-            yield f"cameras.{camera}.{key} = {json.dumps(value)}"
     for file in config.secrets(path or Path()):
         yield f"holds a secret: {file} ({_mode(file)})"
     yield from secret_files.find_exposed(config.secrets(path or Path()))
@@ -181,10 +170,8 @@ def _state(config: Config) -> Iterator[str]:
         yield f"cannot be read: {error.strerror}"
         return
     yield f"disk: {disk.free / 2**20:.0f} MiB free of {disk.total / 2**20:.0f}"
-    for path in files[:200]:
+    for path in files:
         yield f"{path.relative_to(directory)}: {_mode(path)}"
-    if len(files) > 200:
-        yield f"and {len(files) - 200} more files"
 
 
 def _mode(path: Path) -> str:
@@ -233,7 +220,7 @@ def _status(raw: bytes) -> dict[str, Any]:
     """Return a decoded status, or the reason why it cannot be read."""
     try:
         return msgspec.msgpack.decode(raw, type=dict[str, Any])
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+    except ValueError as error:
         return {"unreadable": str(error)}
 
 

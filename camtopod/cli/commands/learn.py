@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,7 +20,7 @@ from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal import Progress, busiest_links, transit
 from camtopod.codec import to_json
 from camtopod.learn.learner import STEPS, Learner
-from camtopod.records import TOPOLOGY_SCHEMA, Topology
+from camtopod.records import Topology
 from camtopod.serve.recorded_state import RecordedState
 from camtopod.serve.runtime import wall
 from camtopod.topology import links_between_views, links_in_words
@@ -100,9 +100,7 @@ def run(args: argparse.Namespace) -> int:
 
     # Write the topology.
     if topology is None:
-        raise InputError(
-            f"no event lines in {', '.join(args.events)}: nothing to learn{_instead(args.events)}"
-        )
+        raise InputError(f"no event lines in {', '.join(args.events)}: nothing to learn")
     if args.topology or not (args.updates or args.state or sys.stdout.isatty()):
         with open_output(args.topology or "-") as out:
             out.write(to_json(topology) + b"\n")
@@ -139,7 +137,7 @@ def _feed(
             elif state is not None:
                 state.add(line.event)
             if progress.due:
-                progress.show("%d lines%s", reader.read, _left(reader.share(), progress.seconds))
+                progress.show("%d lines, %.0f %%", reader.read, 100 * (reader.share() or 0.0))
             _write(learner, updates)
         if state is None:
             learner.flush()
@@ -147,13 +145,6 @@ def _feed(
             learner.refresh()
             state.finish(learner)
         _write(learner, updates)
-
-
-def _left(share: float | None, seconds: float) -> str:
-    """Return the share of the input read in ``seconds`` and the time left, in words."""
-    if not share:
-        return ""
-    return f", {100 * share:.0f} %, {seconds * (1 / share - 1):.0f} s left"
 
 
 _WHY = {
@@ -180,15 +171,6 @@ def describe(topology: Topology) -> str:
         f"{links_in_words(between)}, "
         f"{len(topology.pairs)} related pairs of cameras"
     )
-
-
-def _instead(paths: list[str]) -> str:
-    """Return advice if a file is a topology, as the end of a sentence; "" if none is."""
-    for path in paths:
-        with suppress(OSError), open(path, "rb") as file:
-            if TOPOLOGY_SCHEMA.encode() in file.read(200):
-                return f"; {path} is a topology, which `predict`, `report` and `export` read"
-    return ""
 
 
 def link_lines(topology: Topology) -> list[str]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
-from typing import Any, TypeVar
+from typing import Any
 
 from msgspec.structs import replace
 
@@ -15,12 +14,7 @@ from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.predict import Predictor
-from camtopod.records import InView, Look, Prediction
-
-_QUANTILES = ("q10", "q50", "q90")
-_PROBABILITY_DIGITS = 4
-"""Decimal places of probabilities with --top."""
-_T = TypeVar("_T", Look, InView)
+from camtopod.records import Prediction
 
 
 def add_parser(subparsers: Any) -> None:
@@ -43,8 +37,7 @@ def add_parser(subparsers: Any) -> None:
         metavar="N",
         type=_count,
         help="print only the N likeliest next appearances; the probabilities of the rest are "
-        "summed in the field others. Probabilities have 4 digits and still add up to 1, seconds "
-        "have 2",
+        "summed in the field others",
     )
 
 
@@ -74,7 +67,9 @@ def run(args: argparse.Namespace) -> int:
                 _observe(predictor, lines, waiting)
             if lines[k].event.kind == "exit":
                 answer = predictor.predict(lines[k].event)
-                answers[k] = to_json(answer if args.top is None else shortened(answer, args.top))
+                if args.top is not None:
+                    answer = shortened(answer, args.top)
+                answers[k] = to_json(answer)
             waiting.append(k)
             progress.show("%d exits predicted of %d lines", len(answers), len(lines))
 
@@ -88,51 +83,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def shortened(prediction: Prediction, most: int) -> Prediction:
-    """Return the ``most`` likeliest next appearances, in rounded figures that add up to 1.
-
-    The probabilities of those that are left out are in ``others``.
-    """
-    kept = prediction.next_[:most]
-    rest = prediction.next_[most:]
-    shares = [prediction.leave, *(one.probability for one in kept)]
-    shares += [sum(one.probability for one in rest)] if rest else []
-    leave, *probabilities = _rounded_shares(shares)
+    """Return the ``most`` likeliest next appearances; the sum of the others is in ``others``."""
+    others = [one.probability for one in prediction.next_[most:]]
     return replace(
         prediction,
-        leave=leave,
-        others=probabilities.pop() if rest else None,
-        next_=[
-            replace(
-                one,
-                probability=probability,
-                **{name: round(getattr(one, name), 2) for name in _QUANTILES},
-            )
-            for one, probability in zip(kept, probabilities, strict=True)
-        ],
-        look=_rounded(prediction.look, most),
-        in_view=_rounded(prediction.in_view, most),
+        next_=prediction.next_[:most],
+        others=sum(others) if others else None,
+        look=prediction.look and prediction.look[:most],
+        in_view=prediction.in_view and prediction.in_view[:most],
     )
-
-
-def _rounded_shares(shares: list[float]) -> list[float]:
-    """Round shares that sum to 1 so that they still do: the largest remainders are rounded up."""
-    scaled = [share * 10**_PROBABILITY_DIGITS for share in shares]
-    units = [math.floor(one) for one in scaled]
-    missing = 10**_PROBABILITY_DIGITS - sum(units)
-    order = sorted(range(len(shares)), key=lambda k: units[k] - scaled[k])
-    for k in order[: max(missing, 0)]:
-        units[k] += 1
-    return [unit / 10**_PROBABILITY_DIGITS for unit in units]
-
-
-def _rounded(listed: list[_T] | None, most: int) -> list[_T] | None:
-    """Return the first ``most`` of a list of `Look` or `InView`, with rounded probabilities."""
-    if listed is None:
-        return None
-    return [
-        replace(one, probability=round(one.probability, _PROBABILITY_DIGITS))
-        for one in listed[:most]
-    ]
 
 
 def _observe(predictor: Predictor, lines: list[Line], waiting: list[int]) -> None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
+from collections import deque
 from pathlib import Path
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.cli.commands.export import TOO_LONG, TOPOLOGY_BYTES_MAX, load
-from camtopod.cli.common import writing
-from camtopod.cli.events.event_lines import numbered
+from camtopod.cli.commands.export import load
+from camtopod.cli.common import open_output
 from camtopod.cli.exits import InputError
 from camtopod.codec import Rejected, decode_topology
 from camtopod.records import Topology
@@ -57,29 +56,22 @@ def run(args: argparse.Namespace) -> int:
     topology = load(args.topology)
     if args.pictures is not None and not args.pictures.is_dir():
         raise InputError(f"--pictures {args.pictures}: no such directory")
-    older = [] if args.updates is None else _older(args.updates, topology)
+    older = _older(args.updates, topology) if args.updates else []
     text = single_file.page(report.gather(topology, older, args.pictures))
-    if args.out == "-":
-        sys.stdout.write(text)
-        return exits.DONE
-    with writing(args.out):
-        Path(args.out).write_text(text, encoding="utf-8")
+    with open_output(args.out) as file:
+        file.write(text.encode())
     return exits.DONE
 
 
 def _older(path: Path, topology: Topology) -> list[Topology]:
     """Return the earlier versions of the topology's epoch, the newest `OLDER_MAX`."""
-    found: dict[int, Topology] = {}
+    found: deque[Topology] = deque(maxlen=OLDER_MAX)
     with path.open("rb") as file:  # `main` reports an OSError
-        for number, line in numbered(file, TOPOLOGY_BYTES_MAX):
+        for number, line in enumerate(file, 1):
             try:
-                if len(line) > TOPOLOGY_BYTES_MAX:
-                    raise Rejected("too-long", TOO_LONG)
                 one = decode_topology(line)
             except Rejected as error:
                 raise InputError(f"{path}, line {number} is not a topology: {error}") from None
             if one.epoch == topology.epoch and one.version < topology.version:
-                found[one.version] = one
-                if len(found) > OLDER_MAX:
-                    del found[min(found)]
-    return [found[version] for version in sorted(found)]
+                found.append(one)
+    return [*found]

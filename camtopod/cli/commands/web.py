@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import faulthandler
-import ipaddress
 import logging
 import os
 import re
@@ -25,6 +24,7 @@ from camtopod.cli.common import (
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.site_choice import dial_as_reader
 from camtopod.config import Config, secret_files
+from camtopod.serve.bus import access
 from camtopod.serve.runtime import Progress, clock
 
 if TYPE_CHECKING:
@@ -34,8 +34,6 @@ log = logging.getLogger(__name__)
 
 LISTEN = "127.0.0.1:8780"
 """Default address."""
-PLAN_ENDINGS = (".png", ".jpg", ".jpeg", ".svg")
-"""Endings of a floor plan's file."""
 LEAVE_SECONDS = 5.0
 """Time that a blocking part may delay the end after a signal."""
 
@@ -77,31 +75,19 @@ def run(args: argparse.Namespace) -> int:
     start_logging(args)
     faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
     descriptors.raise_limit()
-    try:
-        from camtopod.web import app
-    except ModuleNotFoundError as error:
-        if error.name not in ("starlette", "uvicorn"):
-            raise
-        raise CommandError(
-            "the web page needs starlette and uvicorn: pip install 'camtopod[web]'"
-        ) from None
+    from camtopod.web import app  # needs starlette and uvicorn
 
     # Check the options.
     config = configuration(args)
     host, port = address(args.listen)
+    is_public = not access.is_local(f"tcp/{args.listen}")
     if args.pictures is not None and not os.access(args.pictures, os.R_OK | os.X_OK):
         why = "no permission to read it" if args.pictures.exists() else "no such directory"
         log.warning("--pictures %s: %s; cameras are shown without pictures", args.pictures, why)
 
     login = _login(config)
-    if plan := config.map.plan:
-        if not plan.endswith(PLAN_ENDINGS):
-            raise CommandError(
-                f"[map] plan {plan}: write a file that ends in {', '.join(PLAN_ENDINGS)}",
-                exits.CONFIG,
-            )
-        if not os.access(plan, os.R_OK):
-            raise InputError(f"cannot read [map] plan {plan}: no such file, or no permission")
+    if (plan := config.map.plan) and not os.access(plan, os.R_OK):
+        raise InputError(f"cannot read [map] plan {plan}: no such file, or no permission")
 
     # Listen, connect to the bus and serve.
     with until_signal() as stop, ends_within(stop, LEAVE_SECONDS), contextlib.ExitStack() as stack:
@@ -117,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
                 args.pictures,
                 clock.wall,
                 config,
-                not is_loopback(host),
+                is_public,
                 progress,
                 login,
             )
@@ -126,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
             reporting_to_systemd(progress, f"the page is at http://{_shown(listener)}/")
         )
         log.info("the page is at http://%s/", _shown(listener))
-        if not is_loopback(host):
+        if is_public:
             warning = "the password crosses the network unencrypted without a proxy with https"
             if login is None:
                 warning = "there is no password ([web] password_file): anyone can read the page"
@@ -174,14 +160,6 @@ def names(host: str, further: Sequence[str] = ()) -> list[str]:
     """
     own = socket.gethostname()
     return ["localhost", own, f"{own}.local", host, *further]
-
-
-def is_loopback(host: str) -> bool:
-    """Return True if only this machine can reach ``host``."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def listening(host: str, port: int) -> socket.socket:
