@@ -47,10 +47,6 @@ MINUTES = 18.0
 """Default length of the recording."""
 SITE = "demo"
 """Name of the site."""
-SPEED = 60.0
-"""Factor on the pace of the videos, if the machine is fast enough."""
-LATENESS_SECONDS = 300.0
-"""Event time by which the grabbers may be apart: on a busy machine some start or fall behind."""
 AFTERWARDS_SECONDS = 3600.0
 """Jump of the demo's clock at the end of the recording, so that no more events are waited for."""
 QUIET_SECONDS = 1.0
@@ -70,17 +66,13 @@ class Recording(Struct):
 
 
 class DemoClock:
-    """Clock of the demo's daemon: seconds since the epoch, from ``start`` on, ``speed`` times as
-    fast.
-    """
+    """Clock of the demo's daemon: seconds since the epoch, from ``start`` on."""
 
-    def __init__(self, start: float, speed: float) -> None:
-        self._start = start
-        self._speed = speed
-        self._began_at = time.monotonic()
+    def __init__(self, start: float) -> None:
+        self._start = start - time.monotonic()
 
     def __call__(self) -> float:
-        return self._start + self._speed * (time.monotonic() - self._began_at)
+        return self._start + time.monotonic()
 
     def skip(self, seconds: float) -> None:
         """Advance the clock by ``seconds`` at once."""
@@ -171,17 +163,17 @@ def _record(work: Path, seconds: float, seed: int) -> Recording:
 
 def _watch(recording: Recording, work: Path) -> Topology:
     """Play the videos to the grabbers while the daemon learns; return the topology."""
-    # Start the demo's clock early enough that no event lies in the future.
+    # The recording has just ended on the demo's clock, which is never ahead of this machine's.
     start = clocks.wall() - 2 * (recording.seconds + AFTERWARDS_SECONDS)
-    clock = DemoClock(start, SPEED)
+    clock = DemoClock(start + recording.seconds)
 
-    # The daemon's settings: a free port, and state in the work directory.
+    # A free port, and state in the work directory. The grabbers may be as far apart as they like.
     config = Config(
         site=SiteSettings(SITE),
         bus=BusSettings(listen=("tcp/127.0.0.1:0",)),
         state=StateSettings(str(work / "state")),
-        learn=Settings(lateness_seconds=LATENESS_SECONDS, refit_share=0.03),
-        limits=Limits(future_seconds_max=AFTERWARDS_SECONDS, settle_seconds=recording.seconds),
+        learn=Settings(lateness_seconds=recording.seconds, refit_share=0.03),
+        limits=Limits(settle_seconds=AFTERWARDS_SECONDS),
     )
 
     # Play the videos to their end, then let the daemon learn the last events.
@@ -189,7 +181,7 @@ def _watch(recording: Recording, work: Path) -> Topology:
         Daemon(config, clock=clock) as daemon,
         _grabbers(recording, start, daemon.endpoint, work) as grabbers,
     ):
-        _say(f"playing the videos at up to {SPEED:g} times real time")
+        _say("playing the videos as fast as the grabbers read them")
         _until(daemon, lambda _: _have_ended(grabbers))
         clock.skip(AFTERWARDS_SECONDS + recording.seconds)
         _until(daemon, functools.partial(_has_learned, daemon))
@@ -211,7 +203,7 @@ def _grabbers(
     try:
         for camera, video in recording.videos.items():
             command = [sys.executable, "-m", "camtopod", "grab", "--camera", camera, str(video)]
-            command += ["--start", repr(start), "--realtime", "--speed", repr(SPEED)]
+            command += ["--start", repr(start)]
             command += ["--site", SITE, "--connect", endpoint, "--state", str(work / "spools")]
             command += ["--config", "none", "--log-level", "error"]
             running[camera] = subprocess.Popen(command, stdin=subprocess.DEVNULL)
