@@ -21,7 +21,7 @@ import numpy as np
 
 from bench.scenes.drawn_plan import drawn_plan
 from bench.support.measure import harmonic_mean
-from camtopod.cli.commands.demo import LATENESS_SECONDS, MINUTES, WALKERS_PER_SECOND
+from camtopod.cli.commands.demo import MINUTES, WALKERS_PER_SECOND
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology, Zone
@@ -92,7 +92,7 @@ def recorded(plan: Plan, seconds: float, seed: int, films: Path) -> tuple[Truth,
 
 def learned(events: list[Event]) -> Topology:
     """Return the topology that the demo's daemon would learn."""
-    settings = Settings(lateness_seconds=LATENESS_SECONDS, refit_share=0.03)
+    settings = Settings(lateness_seconds=60.0 * MINUTES, refit_share=0.03)
     learner = Learner(settings, site="demo", epoch="demo")
     for event in events:
         learner.receive(event)

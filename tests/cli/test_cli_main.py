@@ -71,14 +71,14 @@ def test_completion_by_shtab(
         main.main(["--print-completion", "bash"])
     assert caught.value.code == 0
     script = capsys.readouterr().out
-    complete = "COMP_WORDS=(camtopod grab --sp); COMP_CWORD=2; _shtab_camtopod camtopod --sp grab"
+    complete = "COMP_WORDS=(camtopod grab --rea); COMP_CWORD=2; _shtab_camtopod camtopod --rea grab"
     offered = subprocess.run(
         ["bash", "-c", f'{script}\n{complete}; echo "${{COMPREPLY[@]}}"'],
         check=True,
         capture_output=True,
         text=True,
     )
-    assert offered.stdout.split() == ["--speed"]
+    assert offered.stdout.split() == ["--realtime"]
 
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main.main(["--print-completion", "zsh"]) == exits.FAILED
@@ -401,7 +401,7 @@ def test_a_low_limit_of_open_files_is_raised(monkeypatch: pytest.MonkeyPatch) ->
         ["grab", "rtsp://u:hunter2@h/x", "rtsp://u:hunter2@h/y"],
         ["rtsp://u:hunter2@h"],
         ["ingest", "rtsp://u:hunter2@h"],
-        ["grab", "--speed", "rtsp://u:hunter2@h"],
+        ["grab", "--start", "rtsp://u:hunter2@h"],
     ],
 )
 def test_a_command_line_that_is_wrong_keeps_its_password(
