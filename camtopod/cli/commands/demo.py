@@ -185,6 +185,7 @@ def _watch(recording: Recording, work: Path) -> Topology:
         _until(daemon, lambda _: _have_ended(grabbers))
         clock.skip(AFTERWARDS_SECONDS + recording.seconds)
         _until(daemon, functools.partial(_has_learned, daemon))
+        _say(_progress(daemon))
         topology = daemon.topology
         late = daemon.status().learner["late"]
         if late:
