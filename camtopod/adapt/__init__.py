@@ -3,7 +3,6 @@
 Read `formats` first, the table of all formats, and `adapter`, the interface that they implement.
 `tracks.TrackEvents` turns the tracks of any tracker into events; it is public, through
 `camtopod.client`. `axis`, `onvif`, `deepstream` and `scenescape` share `camera_streams`.
-`box_linking` makes tracks of boxes without identity.
 """
 
 from camtopod.adapt.adapter import (

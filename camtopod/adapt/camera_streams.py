@@ -68,7 +68,8 @@ class CameraStream:
 
         Raises `Rejected` if a later frame came before, or the frame has too many boxes.
         """
-        self.require_newer(t)
+        if self._tracks.is_late(t):
+            raise Rejected("out-of-order", "a later frame of this camera came before")
         if len(seen) > TRACKS_MAX:
             raise Rejected("too-many", f"more than {TRACKS_MAX} objects in a frame")
         for one in seen:
@@ -76,19 +77,16 @@ class CameraStream:
                 remember(self._kinds, one.name, one.kind)
 
         # Boxes of the wanted kinds, or of all that are no part of another object.
-        wanted = [
-            one for one in seen if counts(one.kind or self._kinds.get(one.name, ""), self._labels)
-        ]
+        wanted = []
+        for one in seen:
+            kind = (one.kind or self._kinds.get(one.name, "")).lower()
+            if kind in self._labels or (not self._labels and kind not in PARTS):
+                wanted.append(one)
         events = self._tracks.update([one.name for one in wanted], [one.box for one in wanted], t)
         for name in ended:
             self._kinds.pop(name, None)
             events += self._tracks.end(name)
         return checked(events)
-
-    def require_newer(self, t: float) -> None:
-        """Raise `Rejected` if a frame at ``t`` comes after a later one."""
-        if self._tracks.is_late(t):
-            raise Rejected("out-of-order", "a later frame of this camera came before")
 
     def close(self) -> list[Event]:
         """Return the exits of objects out of sight in the last frame."""
@@ -152,16 +150,6 @@ class StreamAdapter(Adapter):
             self._streams[camera, module] = stream
         stream.arrived = self._now
         return stream
-
-
-def counts(kind: str, labels: Collection[str]) -> bool:
-    """Return True if an object of this kind counts.
-
-    labels: the kinds that count, in lower case; empty for all that are no part of another object.
-    """
-    if labels:
-        return kind.lower() in labels
-    return kind.lower() not in PARTS
 
 
 def seconds_of(value: str | float) -> float:

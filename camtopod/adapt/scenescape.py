@@ -1,10 +1,9 @@
 """Events from SceneScape's ``scenescape/data/camera/{id}``: one message per frame of detections.
 
-By SceneScape's schema a detection's ``id`` need not be the same in the next frame, and often it is
-only a counter. Boxes are therefore linked here (`box_linking`), unless the caller declares that the
-pipeline tracks objects (DL Streamer's gvatrack). Only boxes in pixels can be placed:
-``bounding_box`` is in units of the lens, whose parameters are not in the message. Attributes (age,
-licence plates, embeddings) are not read.
+By SceneScape's schema a detection's ``id`` need not be the same in the next frame: the pipeline has
+to track objects (DL Streamer's gvatrack). Only boxes in pixels can be placed: ``bounding_box`` is
+in units of the lens, whose parameters are not in the message. Attributes (age, licence plates,
+embeddings) are not read.
 """
 
 from __future__ import annotations
@@ -16,8 +15,7 @@ from msgspec import Meta, Struct
 
 from camtopod import codec
 from camtopod.adapt.adapter import Sizes, size_of, split_topic
-from camtopod.adapt.box_linking import BoxLinker
-from camtopod.adapt.camera_streams import Box, Name, StreamAdapter, TrackedBox, counts, seconds_of
+from camtopod.adapt.camera_streams import Name, StreamAdapter, TrackedBox, seconds_of
 from camtopod.codec import Rejected
 from camtopod.records import CameraId, Event
 
@@ -28,12 +26,9 @@ class _Pixels(Struct, frozen=True):
     width: Annotated[float, Meta(ge=0)]
     height: Annotated[float, Meta(ge=0)]
 
-    def corners(self) -> Box:
-        return self.x, self.y, self.x + self.width, self.y + self.height
-
 
 class _Detection(Struct, frozen=True):
-    id: int | str | None = None
+    id: Name = None
     bounding_box_px: _Pixels | None = None
 
 
@@ -48,44 +43,24 @@ class SceneScape(StreamAdapter):
 
     sizes: sizes of the cameras' pictures.
     labels: kinds of objects (``person``) that count; empty for all.
-    tracked: ids come from a tracker, so an object has the same id in each frame.
     """
 
     topic = "data/camera/+"
 
-    def __init__(self, sizes: Sizes, labels: Collection[str] = (), tracked: bool = False) -> None:
+    def __init__(self, sizes: Sizes, labels: Collection[str] = ()) -> None:
         super().__init__(None, labels)
         self._sizes = sizes
-        self._tracked = tracked
-        self._linkers: dict[str, BoxLinker] = {}
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a frame makes certain. Raises `Rejected`."""
         message = codec.read(_Message, split_topic(line, "*/data/camera/*")[1])
-        t = seconds_of(message.timestamp)
-        camera = message.id
-        stream = self._stream(camera, size_of(camera, self._sizes))
-        stream.require_newer(t)  # before its boxes are linked to those of later frames
-
-        # Boxes in pixels, of the kinds that count.
-        found = [
-            (kind, one)
-            for kind, detections in message.objects.items()
-            for one in detections
-            if counts(kind, self._labels)
-        ]
-        kinds = [kind for kind, one in found if one.bounding_box_px]
-        boxes = [one.bounding_box_px.corners() for _, one in found if one.bounding_box_px]
-        names: list[Name] = [one.id for _, one in found if one.bounding_box_px]
-        if found and not boxes:
-            raise Rejected("no-pixels", "no object has a bounding_box_px")
-
-        # Names by the tracker's ids, or by linking.
-        if not self._tracked:
-            names = list(self._linkers.setdefault(camera, BoxLinker()).link(kinds, boxes, t))
-        seen = [
-            TrackedBox(f"{kind}-{name}", box, kind)
-            for name, box, kind in zip(names, boxes, kinds, strict=True)
-            if name is not None
-        ]
-        return stream.update(seen, [], t)
+        found = [(kind, one) for kind, these in message.objects.items() for one in these]
+        seen = []
+        for kind, one in found:
+            if (box := one.bounding_box_px) is not None and one.id is not None:
+                sides = (box.x, box.y, box.x + box.width, box.y + box.height)
+                seen.append(TrackedBox(f"{kind}-{one.id}", sides, kind))
+        if found and not seen:
+            raise Rejected("no-pixels", "no object has an id and a bounding_box_px")
+        stream = self._stream(message.id, size_of(message.id, self._sizes))
+        return stream.update(seen, [], seconds_of(message.timestamp))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Sequence
@@ -128,10 +129,10 @@ class TrackEvents:
         `ValueError` if ids and boxes do not match or ``t`` is not finite.
         """
         # Check and normalise the arguments.
-        labels = _labels(ids)
         corners = np.asarray(boxes, dtype=float)
         if ids is None:
-            labels = [None] * (corners.size // 4)
+            ids = [None] * (corners.size // 4)
+        labels = [_label(name) for name in np.asarray(ids, dtype=object).tolist()]
         if corners.size != 4 * len(labels) or (labels and len(corners) != len(labels)):
             raise ValueError(
                 f"{len(labels)} ids, but boxes of shape {corners.shape}: n ids need boxes (n, 4)"
@@ -150,25 +151,22 @@ class TrackEvents:
             self._start = t
         self._t = t
 
-        # Tracks that have ended, then those of this frame.
-        events = self._ended(t)
+        # Tracks that have ended, then those of this frame. They are in order of the last sighting.
+        lost = itertools.takewhile(
+            lambda item: t - item[1].last.t > self._lost, self._tracks.items()
+        )
+        events = self._exits([label for label, _ in lost])
         for label, corner in zip(labels, corners.reshape(-1, 4).tolist(), strict=True):
             events += self._seen(label, corner, t)
         return events
 
     def end(self, name: Any) -> list[Event]:
         """End the track of an id that the tracker declares ended; return its exit, if any."""
-        label = _label(name)
-        track = None if label is None else self._tracks.pop(label, None)
-        if label is None or track is None or not track.lived:
-            return []
-        return [self._event("exit", label, track.last)]
+        return self._exits([label for label in [_label(name)] if label in self._tracks])
 
     def lose(self) -> list[Event]:
         """End all tracks, as no frame has come for too long; return their exits."""
-        lived = {label: track for label, track in self._tracks.items() if track.lived}
-        self._tracks = {}
-        return [self._event("exit", label, track.last) for label, track in lived.items()]
+        return self._exits(list(self._tracks))
 
     def is_late(self, t: float) -> bool:
         """Return True if `update` would ignore a frame of this time as out of order."""
@@ -179,12 +177,8 @@ class TrackEvents:
 
         The others are still in view.
         """
-        left = [
-            label
-            for label, track in self._tracks.items()
-            if track.lived and track.last.t != self._t
-        ]
-        events = [self._event("exit", label, self._tracks[label].last) for label in left]
+        gone = [label for label, track in self._tracks.items() if track.last.t != self._t]
+        events = self._exits(gone)
         self._begin_anew()
         return events
 
@@ -204,20 +198,10 @@ class TrackEvents:
         self._tracks = {}
         self._t = -math.inf
 
-    def _ended(self, t: float) -> list[Event]:
-        """Remove tracks not seen for too long; return their exits.
-
-        Tracks are in the order of their latest sighting.
-        """
-        events = []
-        while self._tracks:
-            label, track = next(iter(self._tracks.items()))
-            if t - track.last.t <= self._lost:
-                break
-            del self._tracks[label]
-            if track.lived:
-                events.append(self._event("exit", label, track.last))
-        return events
+    def _exits(self, labels: Sequence[str]) -> list[Event]:
+        """Remove tracks; return the exits of those that count as objects."""
+        gone = [(label, self._tracks.pop(label)) for label in labels]
+        return [self._event("exit", label, track.last) for label, track in gone if track.lived]
 
     def _seen(self, label: str | None, corners: list[float], t: float) -> list[Event]:
         """Record a box; return the entry if its track now counts as an object."""
@@ -263,15 +247,12 @@ class TrackEvents:
         return Event(self.camera, kind, at.t, at.x, at.y, label, self._boot, seq)
 
 
-def _labels(ids: Any) -> list[str | None]:
-    """Return the ids as strings; None for boxes that are not tracked."""
-    if ids is None:
-        return []
-    values = ids.tolist() if hasattr(ids, "tolist") else ids
-    return [_label(value) for value in values]
-
-
 def _label(value: Any) -> str | None:
+    """Return an id as a string; None for a box that is not tracked."""
     if isinstance(value, int | float | np.number):  # some trackers return ids as floats
-        value = int(value) if 0 <= value < math.inf else None
-    return None if value is None else str(value)[:TRACK_CHARACTERS_MAX]
+        if not 0 <= value < math.inf:
+            return None
+        value = int(value)
+    if value is None:
+        return None
+    return str(value)[:TRACK_CHARACTERS_MAX]

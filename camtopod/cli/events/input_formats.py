@@ -28,7 +28,6 @@ _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
         "only objects of this kind (person, car, ...); may be repeated",
         {"metavar": "NAME", "action": "append", "default": []},
     ),
-    "tracked": ("ids come from a tracker (gvatrack in the pipeline)", {"action": "store_true"}),
     "camera": (
         "the id of the one camera (default: as the topic or the message names it)",
         {"metavar": "ID"},
@@ -91,7 +90,7 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
     chosen = FORMATS[args.format]
     values = {option: getattr(args, option) for option in _OPTIONS}
     for option in values.keys() - {*chosen.options}:
-        if values[option] not in (None, [], False):
+        if values[option]:
             raise CommandError(
                 f"--{option} is for {_formats(option)}, not {args.format}", exits.USAGE
             )
