@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import importlib.metadata
-import os
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 import cv2
@@ -41,82 +41,19 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("package", ["supervision", "norfair"])
 def test_the_example_sees_who_comes_and_goes(package: str, film: Path) -> None:
-    pytest.importorskip(
-        package, reason=f"needs {package}, see tests/examples/README.md", exc_type=ImportError
-    )
+    reason = f"needs {package}, see tests/examples/README.md"
+    pytest.importorskip(package, reason=reason, exc_type=ImportError)
     command = [sys.executable, str(EXAMPLES / f"with_{package}.py"), str(film)]
+
     done = subprocess.run(command, capture_output=True, timeout=100, check=True)
+
     events = [event_from_json(text) for text in done.stdout.splitlines()]
     assert_near(events, "entry", [(3.75, 0.0, 0.5), (9.75, 1.0, 0.9)])
     assert_near(events, "exit", [(11.25, 1.0, 0.5), (17.25, 0.0, 0.9)])
-    passages = {
-        tuple(e.kind for e in events if e.track == track) for track in {e.track for e in events}
-    }
-
-    assert passages == {("entry", "exit")}
-
-
-STAND_INS = {
-    "trackers": """
-import numpy as np
-class ByteTrackTracker:
-    def __init__(self, frame_rate=30.0, minimum_consecutive_frames=2): pass
-    def update(self, detections):
-        detections.tracker_id = np.where(detections.xyxy[:, 3] > 0.7 * {height}, 2, 1)
-        return detections
-""",
-    "supervision": """
-class Detections:
-    def __init__(self, xyxy, confidence, class_id): self.xyxy = xyxy
-""",
-    "boxmot": """
-import numpy as np
-class ByteTrack:
-    def update(self, dets, img):
-        ids = np.where(dets[:, 3] > 0.7 * img.shape[0], 2.0, 1.0)
-        index = np.arange(len(dets))
-        rows = np.column_stack([dets[:, :4], ids, dets[:, 4:], index])
-        return rows if len(rows) else np.array([])
-""",
-    "ultralytics": """
-import numpy as np
-from types import SimpleNamespace
-from moving import Moving
-class Boxes:
-    def __init__(self, boxes):
-        self.xyxy = boxes
-        self.id = np.where(boxes[:, 3] > 0.7 * {height}, 2.0, 1.0) if len(boxes) else None
-    def cpu(self): return self
-    def numpy(self): return self
-class YOLO:
-    def __init__(self, model): pass
-    def track(self, source, stream, persist, classes):
-        for _ in range(8): yield SimpleNamespace(boxes=Boxes(np.zeros((0, 4))))
-        for _, boxes in Moving(source): yield SimpleNamespace(boxes=Boxes(boxes))
-""",
-}
-"""Stand-ins for packages that are not installed, with output of the documented form.
-
-They tell the film's two people apart by the height of their feet.
-"""
-
-
-@pytest.mark.parametrize("package", ["trackers", "boxmot", "ultralytics"])
-def test_the_example_reads_the_documented_output(package: str, film: Path, tmp_path: Path) -> None:
-    for name, text in STAND_INS.items():
-        (tmp_path / f"{name}.py").write_text(text.replace("{height}", str(SCALE * HEIGHT)))
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / f"with_{package}.py"), str(film)],
-        capture_output=True,
-        timeout=100,
-        check=True,
-        env={**os.environ, "PYTHONPATH": str(tmp_path)},
-    )
-    events = [event_from_json(text) for text in done.stdout.splitlines()]
-
-    assert [event.track for event in events] == ["1", "2", "1", "2"]
-    assert_near(events, "entry", [(3.75, 0.0, 0.5), (9.75, 1.0, 0.9)])
-    assert_near(events, "exit", [(11.25, 1.0, 0.5), (17.25, 0.0, 0.9)])
+    kinds = defaultdict(list)
+    for event in events:
+        kinds[event.track].append(event.kind)
+    assert all(passage == ["entry", "exit"] for passage in kinds.values())
 
 
 def assert_near(events: list[Event], kind: str, truth: list[tuple[float, float, float]]) -> None:
@@ -131,6 +68,8 @@ def assert_near(events: list[Event], kind: str, truth: list[tuple[float, float, 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("with_*.py")), ids=lambda path: path.stem)
 def test_a_tracker_plugs_in_within_ten_lines(path: Path) -> None:
     text = path.read_text()
+    compile(text, path, "exec")
+
     lines = [row for row in text[text.index("video = ") :].splitlines() if row.strip()]
     assert len(lines) <= LONGEST_LINES
 

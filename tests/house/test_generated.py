@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import runpy
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
-from generated_files import DEPLOY, generator
+from paths import DEPLOY
 
 from camtopod.cli.main import COMMANDS, parser_of
 
-FILES = generator().files()
+FILES = runpy.run_path(str(DEPLOY / "generate.py"))["files"]()
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)

@@ -1,4 +1,4 @@
-"""Imports go one way, and from outside only to the names that packages export.
+"""Imports go one way, and only to the names that packages export; what is public is documented.
 
 `FLOORS` lists the packages from the lowest up: a module imports from its own package and from lower
 ones. From outside, a package is used through the names that its head re-exports, or through its
@@ -68,17 +68,10 @@ PURE = ("topology", "predict", "learn", "adapt")
 matters.
 """
 NOT_PURE = {
-    "logging",
-    "threading",
-    "socket",
-    "time",
-    "random",
-    "sqlite3",
+    *("cv2", "logging", "os", "random", "socket", "sqlite3", "subprocess", "threading", "time"),
     "zenoh",
-    "cv2",
-    "subprocess",
-    "os",
 }
+WALL_CLOCKS = ("time.time", "time.time_ns", "datetime.now", "datetime.utcnow", "date.today")
 HOMES = {
     "zenoh": ("serve.bus.session",),
     "paho": ("mqtt",),
@@ -142,14 +135,12 @@ def problems(module: str, source: str) -> list[str]:
     """Return the forbidden imports of ``module`` (its dotted name)."""
     wrong = []
     here = package_of(module)
+    is_pure = any(below(module, f"camtopod.{package}") for package in PURE)
     for target, name in imports(source):
-        known_in = HOMES.get(target.partition(".")[0])
-        if known_in and not any(below(module, f"camtopod.{home}") for home in known_in):
+        root = target.partition(".")[0]
+        if root in HOMES and not any(below(module, f"camtopod.{home}") for home in HOMES[root]):
             wrong.append(target)
-        if (
-            any(below(module, f"camtopod.{package}") for package in PURE)
-            and target.partition(".")[0] in NOT_PURE
-        ):
+        if is_pure and root in NOT_PURE:
             wrong.append(target)
         if not below(target, "camtopod"):
             continue
@@ -179,25 +170,19 @@ def wall_clock_reads(source: str) -> list[int]:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
             name = f"{node.value.id}.{node.attr}"
-            if name in (
-                "time.time",
-                "time.time_ns",
-                "datetime.now",
-                "datetime.utcnow",
-                "date.today",
-            ):
+            if name in WALL_CLOCKS:
                 lines.append(node.lineno)
         if isinstance(node, ast.ImportFrom) and node.module == "time":
             lines += [node.lineno for alias in node.names if alias.name in ("time", "time_ns")]
     return lines
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_imports_go_one_way_and_through_doors(module: str) -> None:
-    source = (ROOT / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
-    assert problems(module, source) == []
-    if module != "camtopod.serve.runtime.clock":
-        assert wall_clock_reads(source) == []
+def test_imports_go_one_way_and_through_doors() -> None:
+    for module in MODULES:
+        source = (ROOT / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
+        assert problems(module, source) == [], module
+        if module != "camtopod.serve.runtime.clock":
+            assert wall_clock_reads(source) == [], module
 
 
 @pytest.mark.parametrize(
@@ -227,15 +212,36 @@ def test_the_guard_sees_the_wall_clock() -> None:
     assert wall_clock_reads("from time import time") == [1]
 
 
-@pytest.mark.parametrize("package", [name for name in PACKAGES if name.count(".")])
-def test_a_package_is_small_and_has_a_door(package: str) -> None:
-    folder = ROOT / package.replace(".", "/")
+def test_a_package_is_small_and_has_a_door() -> None:
+    for package in PACKAGES:
+        folder = ROOT / package.replace(".", "/")
+        door = importlib.import_module(package)
+        assert len(list(folder.glob("*.py"))) <= 21, package
+        assert door.__doc__, package
+        assert [name for name in door_of(package) if not hasattr(door, name)] == [], package
 
-    assert len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) <= 20
-    door = importlib.import_module(package)
-    assert door.__doc__
-    for name in door_of(package):
-        assert hasattr(door, name), name
+
+Documented = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def unsaid(node: ast.Module | Documented, name: str) -> list[str]:
+    """Return the names of public objects without a docstring, wherever they are defined."""
+    found = [] if ast.get_docstring(node) else [name]
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+        return found  # what is inside belongs to nobody else
+    waiting = list[ast.AST](node.body)
+    while waiting:
+        one = waiting.pop(0)
+        if not isinstance(one, Documented):
+            waiting += ast.iter_child_nodes(one)  # behind an `if` or `try`
+        elif not one.name.startswith("_"):
+            found += unsaid(one, f"{name}:{one.lineno} {one.name}")
+    return found
+
+
+def test_everything_public_has_a_docstring() -> None:
+    for path in PACKAGE.rglob("*.py"):
+        assert unsaid(ast.parse(path.read_text()), str(path)) == []
 
 
 @pytest.mark.parametrize("module", ["camtopod.predict", "camtopod.client", "camtopod.serve.daemon"])
