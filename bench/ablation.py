@@ -162,7 +162,7 @@ MECHANISMS = [
     ),
     Mechanism(
         "silent cameras",
-        {"predict.predictor:Predictor._is_alive": lambda self: np.ones(len(self._site.cameras))},
+        {"predict.predictor:Predictor._is_alive": lambda self: np.ones(len(self.site.cameras))},
     ),
     Mechanism(
         "seen before the exit",

@@ -27,8 +27,6 @@ Bools = NDArray[np.bool_]
 
 ALL_KEYS_MAX = 1000
 """Up to this many keys, `table_rows` gives every key a row, whether it occurs or not."""
-SHORT_MAX = np.iinfo(np.int16).max
-"""Largest index that is sorted as 16 bits: NumPy's radix sort makes that ten times as fast."""
 
 
 def rows_by_group(label: Indices, groups: int) -> list[NDArray[np.intp]]:
@@ -36,8 +34,9 @@ def rows_by_group(label: Indices, groups: int) -> list[NDArray[np.intp]]:
 
     label (n,): group of each row, from 0 to ``groups`` - 1.
     """
-    order = np.argsort(label.astype(np.int16) if groups <= SHORT_MAX else label, kind="stable")
-    return np.split(order, np.cumsum(np.bincount(label, minlength=groups))[:-1]) if groups else []
+    order = np.argsort(label, kind="stable")
+    ends = np.cumsum(np.bincount(label, minlength=groups))
+    return np.split(order, ends[:-1])[:groups]
 
 
 def table_rows(key: Indices, keys: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -54,22 +53,11 @@ def table_rows(key: Indices, keys: int) -> tuple[NDArray[np.int64], NDArray[np.i
 
 def sum_by_group(rows: Floats, group: Indices, groups: int) -> Floats:
     """Return the sums (groups, columns) of the rows of each group."""
-    # Sort the rows by group.
     result = np.zeros((groups, rows.shape[1]))
     order = np.argsort(group, kind="stable")
-    present, first, number = np.unique(group[order], return_index=True, return_counts=True)
-
-    # Most groups have one or two rows, for which plain indexing is much faster than reduceat.
-    one = number == 1
-    two = number == 2
-    more = number > 2
-    result[present[one]] = rows[order[first[one]]]
-    result[present[two]] = rows[order[first[two]]] + rows[order[first[two] + 1]]
-
-    # Sum the larger groups.
-    if more.any():
-        begin = np.cumsum(number[more]) - number[more]
-        result[present[more]] = np.add.reduceat(rows[order[np.repeat(more, number)]], begin, axis=0)
+    present, first = np.unique(group[order], return_index=True)
+    if len(present):
+        result[present] = np.add.reduceat(rows[order], first, axis=0)
     return result
 
 
@@ -96,6 +84,7 @@ def row_slices(rows: int) -> Iterator[slice]:
     BLAS rounds a matrix product of few rows differently in the last bit, so the last slice takes
     the remainder instead of leaving a short one.
     """
-    parts = max(rows // ROWS_AT_ONCE, 1)
-    for k in range(parts):
-        yield slice(k * ROWS_AT_ONCE, rows if k + 1 == parts else (k + 1) * ROWS_AT_ONCE)
+    last = (max(rows // ROWS_AT_ONCE, 1) - 1) * ROWS_AT_ONCE
+    for first in range(0, last, ROWS_AT_ONCE):
+        yield slice(first, first + ROWS_AT_ONCE)
+    yield slice(last, rows)

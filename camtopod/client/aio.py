@@ -20,7 +20,6 @@ from camtopod.client.prediction_queue import WAITING_MAX, PredictionQueue
 from camtopod.client.site_view import Settings, SiteView
 from camtopod.client.wakeup import ChangeSignal
 from camtopod.records import Prediction, Topology as Version
-from camtopod.serve.bus import BusError
 
 T = TypeVar("T")
 
@@ -37,30 +36,23 @@ class Topology(SiteView):
 
         Arguments and errors are those of `camtopod.client.Topology.connect`.
         """
+        opened: list[Topology] = []
         given_up = threading.Event()
 
-        def open_here() -> Topology:
-            one = cls(site, connect, config)
+        def open_here() -> None:
+            opened.append(cls(site, connect, config))
             if given_up.is_set():
-                one.close()
-                raise BusError("given up while connecting")
-            return one
+                opened[0].close()
 
-        # Connecting blocks, so it runs in a thread.
-        opening = asyncio.ensure_future(asyncio.to_thread(open_here))
+        # Connecting blocks, so it runs in a thread, which cannot be stopped: it closes the
+        # connection itself if this is cancelled meanwhile.
         try:
-            opened = await asyncio.shield(opening)
-        except asyncio.CancelledError:
-            # The thread cannot be stopped: wait until it has connected or failed, then close.
-            given_up.set()  # the thread closes the connection itself if this wait is cancelled, too
-            await asyncio.wait([opening])
-            if not opening.cancelled() and opening.exception() is None:
-                await asyncio.to_thread(opening.result().close)
-            raise
-        try:
-            yield opened
+            await asyncio.to_thread(open_here)
+            yield opened[0]
         finally:
-            await asyncio.to_thread(opened.close)
+            given_up.set()
+            for one in opened:
+                await asyncio.to_thread(one.close)
 
     async def wait_for(self, version: int, seconds: float) -> Version:
         """Return the newest version as soon as its number is at least ``version``.

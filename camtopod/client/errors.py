@@ -9,9 +9,6 @@ import difflib
 
 from camtopod.records import Topology
 
-NAMED_MAX = 20
-"""Number of existing cameras or zones that an error message lists; the most similar are chosen."""
-
 
 class NothingLearned(LookupError):
     """No version of the topology has been received yet."""
@@ -25,16 +22,12 @@ class NothingLearned(LookupError):
 class UnknownPlace(KeyError):
     """A camera or zone that this version of the topology does not have.
 
-    ``str()`` lists existing names, the most similar first.
+    ``str()`` lists up to 20 existing names, the most similar first.
     """
 
     def __init__(self, what: str, name: str, version: int, known: list[str]) -> None:
-        alike = difflib.get_close_matches(name, known, NAMED_MAX, cutoff=0.0)
-        more = f" and {len(known) - len(alike)} more" if len(known) > len(alike) else ""
-        super().__init__(
-            f"version {version} has no {what} {name!r}; "
-            f"there are {', '.join(alike) or 'none'}{more}"
-        )
+        alike = ", ".join(difflib.get_close_matches(name, known, 20, cutoff=0.0)) or "none"
+        super().__init__(f"version {version} has no {what} {name!r}; there are {alike}")
 
     def __str__(self) -> str:
         return str(self.args[0])  # KeyError itself adds quotation marks
@@ -54,13 +47,12 @@ def zone_at(topology: Topology, zone: str, camera: str | None = None) -> int:
 
     Raises `UnknownPlace`.
     """
-    what = "zone"
-    among = list(range(len(topology.zones)))
-    if camera is not None:
-        what = f"zone of {camera} called"
-        among = zones_of(topology, camera)
-    for k in among:
+    there = [k for k, one in enumerate(topology.zones) if camera in (None, one.camera)]
+    for k in there:
         if topology.zones[k].id == zone:
             return k
-    known = [topology.zones[k].id for k in among]
+    if camera is not None:
+        zones_of(topology, camera)  # raises for an unknown camera
+    known = [topology.zones[k].id for k in there]
+    what = "zone" if camera is None else f"zone of {camera} called"
     raise UnknownPlace(what, zone, topology.version, known)

@@ -18,6 +18,7 @@ most likely of all matchings.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -26,8 +27,9 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
 from camtopod.client.errors import zone_at, zones_of
-from camtopod.predict import ContextMultipliers, Hazards, Predictor
-from camtopod.records import Event, Kind, Topology
+from camtopod.predict import Predictor
+from camtopod.predict.odds import ExitTable
+from camtopod.records import Event, Topology
 from camtopod.topology import block_of
 
 OUTSIDE_SHARE_MIN = 0.05
@@ -37,28 +39,27 @@ The duration is that of the window that the version was learned from.
 """
 
 
-class _Onward(NamedTuple):
-    """Where an object that left a zone appears next; all probabilities sum to 1."""
-
-    targets: list[int]
-    """Zones (indices) where it may appear."""
-    chance: Floats
-    """(targets, bins) probability of appearing there in each lag bin."""
-    delay: Floats
-    """(targets,) seconds to add to the lags of the bins, for long paths."""
-    gone: float
-    """Probability of not being seen again."""
-    early: NDArray[np.float64]
-    """(targets,) factor of the rates before the exit that follow from the entry."""
-    began: _Began | None
-    """How the passage that ended with the exit began; None if unknown."""
-
-
 class _Began(NamedTuple):
     """How a passage began: zone of entry and dwell time (seconds)."""
 
     zone: int
     stay: float
+
+
+class _Onward(NamedTuple):
+    """Where an object that left a zone appears next; all probabilities sum to 1.
+
+    table: of the zone; None if nobody who leaves there is seen again.
+    chance (targets, bins): probability of appearing at each target in each lag bin.
+    gone: probability of not being seen again.
+    early (targets,): factor of the rates before the exit that follow from the entry.
+    """
+
+    table: ExitTable | None
+    chance: Floats
+    gone: float
+    early: Floats
+    began: _Began | None
 
 
 class Gate:
@@ -73,10 +74,9 @@ class Gate:
     def __init__(self, topology: Topology, predictor: Predictor | None = None) -> None:
         """Prepare the tables; ``predictor`` is one over the same topology, if there is one."""
         self.topology = topology
-        self._predictor = predictor or Predictor(topology)
-        self._hazards = Hazards(topology)
-        self._surroundings = ContextMultipliers(topology)
-        self._ahead = {camera.id: camera.clock_offset for camera in topology.cameras}
+        self.predictor = predictor or Predictor(topology)
+        self._hazards = self.predictor.site.hazards
+        self._ahead = self.predictor.site.clock_offset
         self._new = self._rates_from_outside()
 
     def gate(
@@ -106,21 +106,13 @@ class Gate:
         `affinity`, which finds zones by position.
         """
         source = zone_at(self.topology, from_zone)
-        to = self._zones(to_camera, to_zone)
-        onward = self._onward(source)
-
-        # Lag between the corrected times.
-        lag = (t_entry - self._ahead[to_camera]) - (
-            t_exit - self._ahead[self.topology.zones[source].camera]
-        )
+        zones = np.array(self._zones(to_camera, to_zone), np.intp)
+        left = t_exit - self._ahead[self.topology.zones[source].camera]
+        lag = t_entry - self._ahead[to_camera] - left
         if not math.isfinite(lag):
             raise ValueError(f"t_exit {t_exit} and t_entry {t_entry}: finite numbers of seconds")
-
-        # Sum over the zones of the camera.
-        zones = np.array(to, np.intp)
-        return float(
-            np.logaddexp.reduce(self._log_density(onward, zones, np.full(len(zones), lag)))
-        )
+        log_density = self._log_density(self._onward(source), zones, np.full(len(zones), lag))
+        return float(np.logaddexp.reduce(log_density))
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
         """Return ln of the rate (1/s) at which objects from outside appear at a camera or zone.
@@ -168,53 +160,53 @@ class Gate:
         """
         if now is not None and math.isnan(now):
             raise ValueError("now is not a number")
-        _check(exits, "exit")
-        _check(entries, "entry")
+        for kind, events in (("exit", exits), ("entry", entries)):
+            for one in events:
+                if one.kind != kind or not math.isfinite(one.t):
+                    what = f"an {one.kind} of {one.camera} at {one.t}"
+                    raise ValueError(f"{what} among what should be {kind} events with times")
 
         # Zones and corrected times of the events.
         odds = np.zeros((len(exits), len(entries)))
-        zones = [self._predictor.zone_of(entry) for entry in entries]
+        zones = [self.predictor.zone_of(entry) for entry in entries]
         known = np.array([k for k, zone in enumerate(zones) if zone is not None], np.intp)
         if not len(known):
             return odds
         to = np.array([zone for zone in zones if zone is not None], np.intp)
-        came = np.array([self._right(entries[k]) for k in known])
-        left = [self._right(event) if event.camera in self._ahead else -math.inf for event in exits]
+        came = np.array([self._corrected(entries[k]) for k in known])
+        left = [self._corrected(event) for event in exits]
         until = max([*left, *came.tolist()]) if now is None else now
 
         # Row of each exit: the transition against leaving the site and an arrival from outside.
         new = np.log(self._new)[to]
-        began = self._passages(exits, entries)
+        by_track = defaultdict(list)
+        for entry in entries:
+            if entry.track is not None:
+                by_track[entry.camera, str(entry.track)].append(entry)
         for row, event in enumerate(exits):
-            zone = self._predictor.zone_of(event)
+            zone = self.predictor.zone_of(event)
             if zone is not None:
-                onward = self._onward(zone, block_of(event.x, event.y), began[row])
+                began = self._began(event, by_track[event.camera, str(event.track)])
+                onward = self._onward(zone, block_of(event.x, event.y), began)
                 gone = math.log(self._gone(onward, until - left[row]))
                 odds[row, known] = self._log_density(onward, to, came - left[row]) - new - gone
         return odds
 
-    def _passages(self, exits: Sequence[Event], entries: Sequence[Event]) -> list[_Began | None]:
-        """Return how the passage of each exit began; None if its entry is not among ``entries``."""
-        by_track: dict[tuple[str, str], list[Event]] = {}
-        for entry in entries:
-            if entry.track is not None:
-                by_track.setdefault((entry.camera, str(entry.track)), []).append(entry)
+    def _corrected(self, event: Event) -> float:
+        """Return the corrected time of an event; minus infinity for an unknown camera."""
+        return event.t - self._ahead.get(event.camera, math.inf)
 
-        # The latest entry of the same track before the exit is the passage's.
-        began: list[_Began | None] = []
-        for event in exits:
-            own = [
-                entry
-                for entry in by_track.get((event.camera, str(event.track)), [])
-                if entry.t <= event.t
-            ]
-            began.append(None)
-            if own:
-                newest = max(own, key=lambda entry: entry.t)
-                zone = self._predictor.zone_of(newest)
-                if zone is not None:
-                    began[-1] = _Began(zone, event.t - newest.t)
-        return began
+    def _began(self, event: Event, entries: Sequence[Event]) -> _Began | None:
+        """Return how the passage of an exit began: with the latest entry before it, if any.
+
+        entries: those of its track.
+        """
+        before = [entry for entry in entries if entry.t <= event.t]
+        newest = max(before, key=lambda entry: entry.t, default=event)
+        zone = self.predictor.zone_of(newest)
+        if newest is event or zone is None:
+            return None
+        return _Began(zone, event.t - newest.t)
 
     def _rates_from_outside(self) -> Floats:
         """Return the rate (zones,) of objects from outside, per second.
@@ -248,22 +240,17 @@ class Gate:
             return [zone_at(self.topology, zone, camera)]
         return zones_of(self.topology, camera)
 
-    def _right(self, event: Event) -> float:
-        """Return the corrected time of an event."""
-        return event.t - self._ahead[event.camera]
-
     def _onward(self, zone: int, block: int | None = None, began: _Began | None = None) -> _Onward:
         """Return what is expected right after an exit of which only zone and passage are known.
 
         Equals the predictor's answer before anything has been seen since the exit.
         """
-        bins = self._hazards.bins
-        outcomes = self._hazards.outcomes.get(zone)
-        if outcomes is None:
-            nothing = np.zeros(0)
-            return _Onward([], np.zeros((0, bins.size)), nothing, 1.0, nothing, None)
+        table = self.predictor.site.table(zone)
+        if table is None:
+            return _Onward(None, np.zeros((0, 0)), 1.0, np.zeros(0), None)
 
         # Exposure, and arrivals before the exit; a known entry says more about both.
+        outcomes = table.outcomes
         entry = None
         exposure = outcomes.exposure
         early = np.zeros(len(outcomes.targets))
@@ -273,9 +260,11 @@ class Gate:
             early = self._expected_early(outcomes.targets, began)
 
         # Odds against leaving the site.
-        multipliers, leave = self._surroundings.multipliers(zone, outcomes, block, entry, None, 0.0)
+        multipliers, leave = self.predictor.surroundings.multipliers(
+            zone, outcomes, block, entry, None, 0.0
+        )
         likelier = np.array(multipliers)
-        odds = outcomes.hazard * bins.widths * outcomes.exposure_by_target(exposure)
+        odds = outcomes.hazard * self._hazards.bins.widths * outcomes.exposure_by_target(exposure)
         odds *= likelier[:, None]
 
         # Spurious mass counts as "left the site".
@@ -283,14 +272,8 @@ class Gate:
         every = odds.sum(axis=1) + early * likelier
         leave += float(outcomes.doubt @ every)
         total = leave + float(sure @ every)
-        return _Onward(
-            targets=outcomes.targets,
-            chance=odds * sure[:, None] / total,
-            delay=outcomes.delay,
-            gone=leave / total,
-            early=likelier * sure / total,
-            began=began,
-        )
+        chance = odds * sure[:, None] / total
+        return _Onward(table, chance, leave / total, likelier * sure / total, began)
 
     def _expected_early(self, targets: list[int], began: _Began) -> Floats:
         """Return the arrivals (targets,) expected before the exit, given the entry alone."""
@@ -308,39 +291,31 @@ class Gate:
 
     def _gone(self, onward: _Onward, seconds: float) -> float:
         """Return the probability of not having been seen ``seconds`` after the exit."""
+        if onward.table is None:
+            return onward.gone
         bins = self._hazards.bins
-        still = bins.edges[1:] + onward.delay[:, None] - seconds
+        still = bins.edges[1:] + onward.table.outcomes.delay[:, None] - seconds
         return onward.gone + float((onward.chance * np.clip(still / bins.widths, 0.0, 1.0)).sum())
 
     def _log_density(self, onward: _Onward, zones: NDArray[np.intp], lag: Floats) -> Floats:
         """Return ln of the density (1/s) of appearing at zones (m,) with lags (m,) in seconds."""
         # Density by lag bin.
-        row_of = np.full(len(self.topology.zones), -1)
-        row_of[onward.targets] = np.arange(len(onward.targets))
-        row = row_of[zones]
-        at = self._hazards.bins.index(lag - np.append(onward.delay, 0.0)[row])
-        some = np.flatnonzero((row >= 0) & (at >= 0))
         density = np.zeros(len(zones))
-        density[some] = onward.chance[row[some], at[some]] / self._hazards.bins.widths[at[some]]
+        if onward.table is not None:
+            bins = self._hazards.bins
+            row = onward.table.row_of[zones]
+            at = bins.index(lag - np.append(onward.table.outcomes.delay, 0.0)[row])
+            some = np.flatnonzero((row >= 0) & (at >= 0))
+            density[some] = onward.chance[row[some], at[some]] / bins.widths[at[some]]
 
-        # Before the exit, the rates that follow from the entry are added.
-        if onward.began is not None:
-            before = some[lag[some] <= 0]
-            entered = self._hazards.rates_entered(
-                onward.began.zone, zones[before].astype(np.int32), onward.began.stay + lag[before]
-            )
-            density[before] += onward.early[row[before]] * entered
+            # Before the exit, the rates that follow from the entry are added.
+            if onward.began is not None:
+                before = some[lag[some] <= 0]
+                entered = self._hazards.rates_entered(
+                    onward.began.zone,
+                    zones[before].astype(np.int32),
+                    onward.began.stay + lag[before],
+                )
+                density[before] += onward.early[row[before]] * entered
         with np.errstate(divide="ignore"):
             return np.log(density)
-
-
-def _check(events: Sequence[Event], kind: Kind) -> None:
-    for event in events:
-        if event.kind != kind:
-            raise ValueError(
-                f"an {event.kind} of {event.camera} at {event.t} among what should be {kind} events"
-            )
-        if not math.isfinite(event.t):
-            raise ValueError(
-                f"an {event.kind} of {event.camera} at {event.t}: not a finite number of seconds"
-            )

@@ -14,7 +14,7 @@ import re
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from msgspec.structs import replace
@@ -48,12 +48,6 @@ Settings = configs.Config | str | Path | None
 PredictionQueueT = TypeVar("PredictionQueueT", bound=PredictionQueue)
 
 
-class _Held(NamedTuple):
-    version: Version
-    predictor: Predictor
-    gate: Gate
-
-
 class SiteView:
     """Current state of a site: common part of both `Topology` classes.
 
@@ -68,7 +62,8 @@ class SiteView:
         self._bus = dial(settings)
         self._news = ChangeSignal()
         self._mutex = threading.Lock()  # predictors are not thread-safe
-        self._held: _Held | None = None
+        self._gate: Gate | None = None
+        """Of the newest version, with its predictor."""
         self._opening = threading.Lock()  # no subscription is opened once closing has begun
         self._prediction_queues: list[PredictionQueue] = []
         self._daemons: set[str] = set()
@@ -101,12 +96,12 @@ class SiteView:
 
         None if nothing has been learned yet, or if the daemon has never been reached.
         """
-        return None if self._held is None else self._held.version
+        return None if self._gate is None else self._gate.topology
 
     @property
     def version(self) -> int:
         """Number of `current`, 0 for none; grows by one within an epoch (``current.epoch``)."""
-        return 0 if self._held is None else self._held.version.version
+        return 0 if self._gate is None else self._gate.topology.version
 
     @property
     def stale_since(self) -> float | None:
@@ -167,13 +162,12 @@ class SiteView:
 
         # Query the predictor by zone or by position.
         with self._mutex:
-            version, predictor, _ = self._now()
-            if zone is not None:
-                return predictor.predict_from(
-                    zone_at(version, zone, camera), event.t, track=track, now=now
-                )
-            zones_of(version, camera)
-            return predictor.predict(event, now)
+            gate = self._now()
+            if zone is None:
+                zones_of(gate.topology, camera)
+                return gate.predictor.predict(event, now)
+            place = zone_at(gate.topology, zone, camera)
+            return gate.predictor.predict_from(place, event.t, track=track, now=now)
 
     def observe(self, event: Event) -> None:
         """Record an event for later predictions; an exit only after it was first predicted.
@@ -183,8 +177,8 @@ class SiteView:
         ignored.
         """
         with self._mutex:
-            if self._held is not None:
-                self._held.predictor.observe(event)
+            if self._gate is not None:
+                self._gate.predictor.observe(event)
 
     def gate(
         self,
@@ -199,21 +193,21 @@ class SiteView:
         The transition ends at ``to_camera`` (or its zone ``to_zone``) at ``t_entry``: see
         `Gate.gate`. Raises `NothingLearned`, `UnknownPlace` (a KeyError).
         """
-        return self._now().gate.gate(from_zone, t_exit, to_camera, t_entry, to_zone)
+        return self._now().gate(from_zone, t_exit, to_camera, t_entry, to_zone)
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
         """Return ln of the rate (1/s) of objects from outside: see `Gate.gate_new`.
 
         Raises `NothingLearned`, `UnknownPlace` (a KeyError).
         """
-        return self._now().gate.gate_new(to_camera, to_zone)
+        return self._now().gate_new(to_camera, to_zone)
 
     def gate_gone(self, from_zone: str, seconds: float = math.inf) -> float:
         """Return ln of the probability that an object is unseen ``seconds`` after its exit.
 
         See `Gate.gate_gone`. Raises `NothingLearned`, `UnknownPlace` (a KeyError).
         """
-        return self._now().gate.gate_gone(from_zone, seconds)
+        return self._now().gate_gone(from_zone, seconds)
 
     def affinity(
         self, exits: Sequence[Event], entries: Sequence[Event], now: float | None = None
@@ -222,7 +216,7 @@ class SiteView:
 
         See `Gate.affinity`. Raises `NothingLearned`, ValueError.
         """
-        return self._now().gate.affinity(exits, entries, now)
+        return self._now().affinity(exits, entries, now)
 
     def close(self) -> None:
         """Leave the bus and release all waiters. May be called repeatedly.
@@ -251,20 +245,18 @@ class SiteView:
             self._prediction_queues = [*still_open, prediction_queue]
         return prediction_queue
 
-    def _now(self) -> _Held:
-        if self._held is None:
+    def _now(self) -> Gate:
+        if self._gate is None:
             raise NothingLearned
-        return self._held
+        return self._gate
 
     def _at_least(self, version: int) -> Version | None:
         return self.current if self.version >= version else None
 
     def _not_there(self, version: int, seconds: float) -> str:
-        if self._news.closed:
-            return f"closed while (or before) waiting for version {version} of site {self.site}"
-        there = "no daemon is there: is `camtopod run` running?"
-        if self.stale_since is None:
-            there = "the daemon is there"
+        there = "the daemon is there"
+        if self.stale_since is not None:
+            there = "no daemon is there: is `camtopod run` running?"
         return (
             f"no version {version} of site {self.site} within {seconds:g} s, "
             f"the newest is {self.version}; {there}"
@@ -285,27 +277,21 @@ class SiteView:
     def _refresh(self) -> None:
         version = self._view.update()
         if version is not None:
-            predictor = Predictor(_with_all_alive(version))
-            gate = Gate(version, predictor)
+            gate = Gate(version, Predictor(_with_all_alive(version)))
             with self._mutex:
-                if self._held is not None:
-                    predictor.take_over(self._held.predictor)
-                self._held = _Held(version, predictor, gate)
+                if self._gate is not None:
+                    gate.predictor.take_over(self._gate.predictor)
+                self._gate = gate
             self._news.notify()
         self._say_there(self._bus.connected and bool(self._daemons))
 
     def _say_there(self, there: bool) -> None:
-        if there == (self._stale_since is None):
-            return
-        self._stale_since = None
-        if not there:
-            self._stale_since = clock.wall()
-        self._news.notify()
+        if there != (self._stale_since is None):
+            self._stale_since = None if there else clock.wall()
+            self._news.notify()
 
     def _on_daemon(self, name: str, alive: bool) -> None:
-        self._daemons.discard(name)
-        if alive:
-            self._daemons.add(name)
+        (self._daemons.add if alive else self._daemons.discard)(name)
         self._wake.set()
 
 

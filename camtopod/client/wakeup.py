@@ -1,9 +1,11 @@
-"""Wake waiting threads (by a condition) and event loops (by a callback) when data arrives."""
+"""Wake waiting threads and event loops when data arrives."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import TypeVar
 
@@ -14,15 +16,14 @@ class ChangeSignal:
     """Change notification: call `notify` after each change; waiters check their condition again."""
 
     def __init__(self) -> None:
-        self._condition = threading.Condition()
+        self._mutex = threading.Lock()
         self._listeners: list[Callable[[], None]] = []
         self.closed = False
         """True once no further changes will be announced."""
 
     def notify(self) -> None:
         """Announce a change. Callable from any thread."""
-        with self._condition:
-            self._condition.notify_all()
+        with self._mutex:
             listeners = list(self._listeners)
         for listener in listeners:
             listener()
@@ -37,18 +38,17 @@ class ChangeSignal:
 
         Returns None when closed or after ``seconds``.
         """
-        value: T | None = None
-
-        def over() -> bool:
-            nonlocal value
-            value = None if self.closed else found()
-            return self.closed or value is not None
-
-        if seconds is not None and seconds > threading.TIMEOUT_MAX:  # infinity, for one
-            seconds = None
-        with self._condition:
-            self._condition.wait_for(over, seconds)
-        return value
+        deadline = time.monotonic() + (math.inf if seconds is None else seconds)
+        changed = threading.Event()
+        with self.listener_added(changed.set):
+            while not self.closed:
+                changed.clear()
+                if (value := found()) is not None:
+                    return value
+                left = deadline - time.monotonic()
+                if not changed.wait(min(max(left, 0.0), threading.TIMEOUT_MAX)):
+                    break
+        return None
 
     @contextlib.contextmanager
     def listener_added(self, listener: Callable[[], None]) -> Iterator[None]:
@@ -56,10 +56,10 @@ class ChangeSignal:
 
         The call comes from the thread that announces the change and must not block.
         """
-        with self._condition:
+        with self._mutex:
             self._listeners.append(listener)
         try:
             yield
         finally:
-            with self._condition:
+            with self._mutex:
                 self._listeners.remove(listener)

@@ -84,11 +84,11 @@ class Predictor:
 
         # Figures of the version, in a form for prediction.
         self._hazards = Hazards(topology)
-        self._surroundings = ContextMultipliers(topology)
+        self.surroundings = ContextMultipliers(topology)
         self._paces = PaceModel(topology)
         self._hand_over = HandOver(topology)
         self._lookup = ZoneLookup(self.zones)
-        self._site = Site(topology, self._hazards)
+        self.site = Site(topology, self._hazards)
         longest = {
             camera: self._hazards.longest_dwell(zones)
             for camera, zones in self._lookup.of_camera.items()
@@ -103,7 +103,7 @@ class Predictor:
         self._open_passages = OpenPassages(self._longest_stay)
         self._arrivals, self._exits = RecentEvents(), RecentEvents()
         self._events = 0
-        self._last_event = np.zeros(len(self._site.cameras), np.int64)
+        self._last_event = np.zeros(len(self.site.cameras), np.int64)
         """Number of each camera's last event in the order of all events."""
 
     def take_over(self, older: Predictor) -> None:
@@ -140,8 +140,8 @@ class Predictor:
         zone = self.zone_of(event)
         if zone is None:
             return
-        self._last_event[self._site.camera_of[zone]] = self._events
-        t = event.t - self._site.clock_offset[event.camera]
+        self._last_event[self.site.camera_of[zone]] = self._events
+        t = event.t - self.site.clock_offset[event.camera]
         if event.kind == "entry":
             self._observe_entry(event, zone, t)
         else:
@@ -195,12 +195,12 @@ class Predictor:
         """
         _check(t, now)
         here = self.zones[zone]
-        table = self._site.table(zone)
+        table = self.site.table(zone)
         if table is None:
             return self._prediction(here, t, track, 1.0, [], passage)
 
         # Odds at the exit.
-        corrected = t - self._site.clock_offset[here.camera]
+        corrected = t - self.site.clock_offset[here.camera]
         is_observed = now is not None and self._has_left(zone, corrected)
         query = Query(zone, corrected, passage, is_observed)
         odds = self._odds(query, table)
@@ -258,7 +258,7 @@ class Predictor:
         """
         if passage is None or not self._hand_over.overlaps(here.camera):
             return Prediction(here.camera, here.id, t, track, self.version, leave, next_)
-        offsets = self._site.clock_offset
+        offsets = self.site.clock_offset
         corrected = t - offsets[here.camera]
         in_view = self._hand_over.in_view(passage, corrected, self._open_passages, offsets)
         looks = cameras_to_watch(in_view, next_)
@@ -271,7 +271,7 @@ class Predictor:
     def _odds(self, query: Query, table: ExitTable) -> Odds:
         """Return the odds of where and when the object of a query appears next."""
         is_alive = self._is_alive()[table.target_cameras]
-        return find_odds(query, self._site, table, is_alive, self._seen_arrivals(query))
+        return find_odds(query, self.site, table, is_alive, self._seen_arrivals(query))
 
     def _multipliers(
         self, query: Query, table: ExitTable, block: int | None
@@ -288,7 +288,7 @@ class Predictor:
             entry = passage.entry
             previous = passage.previous
             sure = passage.sure
-        return self._surroundings.multipliers(
+        return self.surroundings.multipliers(
             query.zone, table.outcomes, block, entry, previous, sure
         )
 
@@ -317,7 +317,7 @@ class Predictor:
 
         # Since the exit, as far as they are reported by the moment of the question.
         if query.elapsed:
-            offsets = self._site.offset_of
+            offsets = self.site.offset_of
             reported = arrivals.t + (offsets[arrivals.zone] - offsets[query.zone])
             since = (reported >= query.t) & (reported <= query.t + query.elapsed)
             rows = np.concatenate((rows, np.flatnonzero(since)))
@@ -347,7 +347,7 @@ class Predictor:
 
         # At zones where objects may appear before they leave at ``zone``, and reported before the
         # exit.
-        offsets = self._site.offset_of
+        offsets = self.site.offset_of
         arrival_zones = zones[rows]
         fits = self._hazards.seen_before(zone)[arrival_zones]
         fits &= times[rows] + (offsets[arrival_zones] - offsets[zone]) < t
@@ -366,7 +366,7 @@ class Predictor:
         zone = int(self._arrivals.zone[row])
         began = float(self._arrivals.t[row])
         camera = self.zones[zone].camera
-        by_clock = t + self._site.clock_offset[camera]
+        by_clock = t + self.site.clock_offset[camera]
         return self._open_passages.was_in_view(camera, zone, began, by_clock)
 
     def _has_left(self, zone: int, t: float) -> bool:
@@ -378,7 +378,7 @@ class Predictor:
 
         It is computed from the number of other cameras' events since the camera's last event.
         """
-        nats = (self._events - self._last_event) * self._site.event_share
+        nats = (self._events - self._last_event) * self.site.event_share
         is_alive: Floats = 1.0 / (1.0 + DEAD_PRIOR * np.exp(np.minimum(nats, SILENCE_NATS_MAX)))
         return is_alive
 
@@ -443,7 +443,7 @@ class Predictor:
         """
         # Objects that have left.
         hazards = self._hazards
-        site = self._site
+        site = self.site
         oldest = t - hazards.lag_max - site.offset_range
         exit_times, zones = self._exits.after(oldest)
         sources, rates = hazards.rates(zones, zone, t - exit_times)
@@ -473,11 +473,11 @@ class Predictor:
 
     def _last_events(self) -> dict[str, int]:
         """Return the number of each camera's last event in the order of all events."""
-        return dict(zip(self._site.cameras, self._last_event.tolist(), strict=True))
+        return dict(zip(self.site.cameras, self._last_event.tolist(), strict=True))
 
     def _set_last_events(self, known: dict[str, int]) -> None:
         """Set the number of each camera's last event; a new camera counts as if it just had one."""
-        numbers = [known.get(camera, self._events) for camera in self._site.cameras]
+        numbers = [known.get(camera, self._events) for camera in self.site.cameras]
         self._last_event = np.array(numbers, np.int64)
 
 

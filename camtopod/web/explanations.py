@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,11 +11,9 @@ from numpy.typing import NDArray
 from camtopod.export import seconds
 from camtopod.learn.links import MONTE_CARLO_SEED, mahalanobis, monte_carlo
 from camtopod.learn.settings import Settings
-from camtopod.records import CameraModel, Link, Model, Pair, Topology, Zone, ZoneModel
-from camtopod.topology import LagBins, lacks_in_words, smooth
+from camtopod.records import CameraModel, Link, Model, Pair, Topology, ZoneModel
+from camtopod.topology import LagBins, lacks_in_words, link_key, smooth
 from camtopod.web.map_data import nearness, why_provisional
-
-_Item = TypeVar("_Item")
 
 
 class Explanations:
@@ -24,17 +21,20 @@ class Explanations:
 
     def __init__(self, topology: Topology) -> None:
         self.topology = topology
-        self._cameras = {camera.id: camera for camera in topology.cameras}
-        self._camera_of = {zone.id: zone.camera for zone in topology.zones}
-        self._zones = _grouped(topology.zones, lambda zone: {zone.camera})
-        self._links = _grouped(topology.links, self._ends)
-        self._weak = _grouped(topology.weak_links or [], self._ends)
-        self._pairs = {pair.cameras: pair for pair in topology.pairs}
+        model = topology.model
         self._zone_models: dict[str, ZoneModel] = {}
         self._camera_models: dict[str, CameraModel] = {}
-        if topology.model is not None:
-            self._zone_models = {one.zone: one for one in topology.model.zones}
-            self._camera_models = {one.camera: one for one in topology.model.cameras}
+        if model is not None:
+            self._zone_models = {one.zone: one for one in model.zones}
+            self._camera_models = {one.camera: one for one in model.cameras}
+        self._camera_of = {zone.id: zone.camera for zone in topology.zones}
+        self._pairs = {pair.cameras: pair for pair in topology.pairs}
+
+        # Links by key, and by their cameras.
+        self._links = {link_key(link): link for link in topology.links}
+        self._weak = {link_key(link): link for link in topology.weak_links or []}
+        self._between = self._by_cameras(topology.links)
+        self._weak_between = self._by_cameras(topology.weak_links or [])
 
     @property
     def last_events(self) -> dict[str, float]:
@@ -43,22 +43,24 @@ class Explanations:
 
     def camera(self, camera: str) -> dict[str, Any] | None:
         """Return a camera's zones, figures and links; None for an unknown camera."""
-        found = self._cameras.get(camera)
-        if found is None:
+        found = [one for one in self.topology.cameras if one.id == camera]
+        if not found:
             return None
         known = self._camera_models.get(camera)
+        zones = [zone for zone in self.topology.zones if zone.camera == camera]
+        rates = {name: model.arrival_rate for name, model in self._zone_models.items()}
+        links = [link for ends, some in self._between.items() if camera in ends for link in some]
         return {
             "id": camera,
             "version": self.topology.version,
-            "clock_offset": found.clock_offset,
-            "clock_offset_sd": found.clock_offset_sd,
+            "clock_offset": found[0].clock_offset,
+            "clock_offset_sd": found[0].clock_offset_sd,
             "share": known and known.share,
             "last_event": known and known.last_event,
             "zones": [
-                {**msgspec.to_builtins(zone), "arrival_rate": self._arrival_rate(zone)}
-                for zone in self._zones.get(camera, [])
+                {**msgspec.to_builtins(zone), "arrival_rate": rates.get(zone.id)} for zone in zones
             ],
-            "links": [brief(link) for link in self._links.get(camera, [])],
+            "links": [brief(link) for link in links],
             "alarms": [
                 alarm for alarm in self.topology.alarms or [] if _is_about(alarm.subject, camera)
             ],
@@ -67,8 +69,8 @@ class Explanations:
     def pair(self, a: str, b: str) -> dict[str, Any] | None:
         """Return the links between two cameras, both ways and weak ones included; None if none."""
         first, second = sorted((a, b))
-        links = self._between(self._links, first, second)
-        weak = self._between(self._weak, first, second)
+        links = self._between.get(frozenset((a, b)), [])
+        weak = self._weak_between.get(frozenset((a, b)), [])
         shown = links or weak
         pair = self._pairs.get((first, second))
         if (pair is None and not shown) or first == second:
@@ -92,43 +94,34 @@ class Explanations:
         on, whose edges are ``scale * sinh(step * k)`` seconds. ``background``: unrelated arrivals
         that follow all departures together, per second of lag.
         """
-        for weak, held in ((False, self._links), (True, self._weak)):
-            for link in held.get(self._camera_of.get(from_, ""), []):
-                if (link.from_, link.to, link.relation) == (from_, to, relation):
-                    return self._details(link, weak)
-        return None
-
-    def _between(self, links: Mapping[str, list[Link]], a: str, b: str) -> list[Link]:
-        """Return those of the links by camera that join two cameras, most transitions first."""
-        found = [link for link in links.get(a, []) if self._ends(link) == {a, b}]
-        return sorted(found, key=lambda link: -link.transitions)
-
-    def _details(self, link: Link, weak: bool) -> dict[str, Any]:
-        """Return the details of a link."""
-        source = self._zone_models.get(link.from_)
-        target = self._zone_models.get(link.to)
+        key = (from_, to, relation)
+        link = self._links.get(key) or self._weak.get(key)
+        if link is None:
+            return None
+        source = self._zone_models.get(from_)
+        target = self._zone_models.get(to)
         background = None
         if source is not None and target is not None:
             background = source.departures * target.arrival_rate
+        weak = key not in self._links
         return {
             **brief(link),
             "version": self.topology.version,
             "weak": weak,
-            "cameras": [self._camera_of[link.from_], self._camera_of[link.to]],
+            "cameras": [self._camera_of[from_], self._camera_of[to]],
             "departures": source and source.departures,
             "background": background,
             "chart": _chart(self.topology.model, link),
             "why": why(link, weak, source, background),
         }
 
-    def _ends(self, link: Link) -> set[str]:
-        """Return the cameras of a link's zones."""
-        return {self._camera_of[link.from_], self._camera_of[link.to]}
-
-    def _arrival_rate(self, zone: Zone) -> float | None:
-        """Return the rate (1/s) of arrivals at a zone that no departure explains, if known."""
-        model = self._zone_models.get(zone.id)
-        return None if model is None else model.arrival_rate
+    def _by_cameras(self, links: list[Link]) -> dict[frozenset[str], list[Link]]:
+        """Return the links by the cameras of their zones, most transitions first."""
+        result: dict[frozenset[str], list[Link]] = {}
+        for link in sorted(links, key=lambda link: -link.transitions):
+            ends = frozenset((self._camera_of[link.from_], self._camera_of[link.to]))
+            result.setdefault(ends, []).append(link)
+        return result
 
 
 def brief(link: Link) -> dict[str, Any]:
@@ -136,17 +129,6 @@ def brief(link: Link) -> dict[str, Any]:
     content: dict[str, Any] = msgspec.to_builtins(link)
     content.pop("histogram", None)
     return content
-
-
-def _grouped(
-    items: Iterable[_Item], cameras: Callable[[_Item], set[str]]
-) -> dict[str, list[_Item]]:
-    """Return the items by camera."""
-    result: dict[str, list[_Item]] = {}
-    for item in items:
-        for camera in cameras(item):
-            result.setdefault(camera, []).append(item)
-    return result
 
 
 def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
@@ -253,10 +235,8 @@ def why_pair(pair: Pair | None) -> list[str]:
     if pair.by_lags is not None and pair.by_lags == pair.by_sum_rule:
         said.append("Both tests agree: the times of their events, and their number.")
     elif pair.by_lags is not None:
+        counted = kinds.get(str(pair.by_sum_rule), "not decided, as it could not be tested")
         said.append(f"By the times of events: {kinds[pair.by_lags]}.")
-        counted = "not decided, as it could not be tested"
-        if pair.by_sum_rule is not None:
-            counted = kinds[pair.by_sum_rule]
         said.append(f"By the number of events (table 4.4 of the thesis): {counted}.")
     if pair.reason:
         said.append(f"Reason: {pair.reason}.")

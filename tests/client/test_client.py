@@ -84,9 +84,9 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
         assert site.wait_for(last.version, 10.0) == last, "delta by delta, the same as the daemon's"
         put(bus, *later(walkers(60, seed=2), 12), Event("late", "entry", T0 + 16 * SPAN_SECONDS))
         newer = site.wait_for(last.version + 1, 20.0)
-        assert site._held is not None
-        assert site._held.predictor.version >= newer.version
-        assert site._held.predictor.save().under_way[0][:2] == ("a", "7"), (
+        assert site._gate is not None
+        assert site._gate.topology.version >= newer.version
+        assert site._gate.predictor.save().under_way[0][:2] == ("a", "7"), (
             "what was observed outlives a version"
         )
 
