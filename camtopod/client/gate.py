@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
 from camtopod.client.errors import zone_at, zones_of
-from camtopod.predict import Predictor
-from camtopod.predict.odds import ExitTable
+from camtopod.predict import ExitTable, Predictor
 from camtopod.records import Event, Topology
 from camtopod.topology import block_of
 

@@ -10,7 +10,6 @@ cameras that see the object at the exit.
 
 from __future__ import annotations
 
-from camtopod.predict.contexts import ContextMultipliers as ContextMultipliers
 from camtopod.predict.hand_over import seen_now as seen_now
-from camtopod.predict.hazards import Hazards as Hazards
+from camtopod.predict.odds import ExitTable as ExitTable
 from camtopod.predict.predictor import Predictor as Predictor, PredictorState as PredictorState
