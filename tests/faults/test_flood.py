@@ -169,13 +169,13 @@ def test_a_flood_hurts_only_its_camera_and_invented_names_keep_no_camera_out(
 
     def is_refused() -> bool:
         flooded.bus.publish("event/gate", Event("gate", "entry", time.time(), 0.5, 0.5), "event")
-        return "cameras gate, " in flooded.status["reason"]
+        return "camera gate: refused" in flooded.status["reason"]
 
     wait_for(is_refused, "the status to name the camera that is refused")
     assert "limits.cameras_max (100) is reached" in flooded.status["reason"]
     status, [reason] = flooded.readiness()
     assert status == 503
-    assert "raise limits.cameras_max" in reason
+    assert "reached: raise it" in reason
 
     # One with a grabber is taken.
     with publisher_on(flooded.bus, tmp_path, ["lobby"]) as publisher:

@@ -17,7 +17,6 @@ from camtopod.records import CameraFigures, Event
 from camtopod.serve.admin_queries import Done, command_of, parameters_of
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.ingest import names as names_module
 
 
 @pytest.fixture
@@ -202,17 +201,6 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Daemon, B
     learned(daemon, bus)
     yield daemon, bus
     one.close()
-
-
-def test_the_number_of_names_is_limited(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(names_module, "NAMES_MAX", 1)
-    daemon = site.daemon()
-    bus = site.client(daemon)
-    learned(daemon, bus)
-    ask(bus, Forget("b"))
-    with pytest.raises(QueryError, match="take some back"):
-        ask(bus, Forget("c"))
-    assert daemon.status().names.forgotten == {"b": 0}
 
 
 # --- reset ----------------------------------------------------------------------------------------

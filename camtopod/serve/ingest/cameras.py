@@ -16,6 +16,7 @@ from collections.abc import Callable
 from msgspec import Struct, field
 
 from camtopod.records import CameraFigures, Event
+from camtopod.serve.ingest.names import listed
 from camtopod.serve.ingest.received import Received
 
 EVENTS_PER_SECOND_MAX = 200
@@ -26,10 +27,8 @@ IDLE_SECONDS = 3600.0
 """A camera that has been silent for longer can be replaced by another when there are too many."""
 SAID_SECONDS = 600.0
 """How long the status mentions a camera that two programs deliver, or that was refused."""
-REFUSED_MAX = 100
-"""Most refused cameras that are remembered, those refused last."""
-NAMED_MAX = 3
-"""Most cameras that a sentence names."""
+REFUSED_SECONDS = 1.0
+"""How long publications of new cameras are refused without a further look, after one was."""
 
 
 class Pending(Struct):
@@ -56,10 +55,7 @@ class CameraState(Struct):
     spooled: True if a grabber delivers it from a spool.
     hello: the number of the grabber's last hello.
     doubled: when a second grabber was last seen to deliver it.
-    events: number of its events.
-    newest (Unix seconds): event time of the newest one.
     ahead (seconds): by how much its last event was ahead of this machine's clock.
-    seconds: number of events by second of event time.
     waiting: events to be released (`merge`), each with the event time that the camera had reached.
     reached (Unix seconds): the newest event time that it has delivered.
     more: number of its events that wait in its spool.
@@ -74,10 +70,7 @@ class CameraState(Struct):
     spooled: bool = False
     hello: str = ""
     doubled: float = -math.inf
-    events: int = 0
-    newest: float = 0.0
     ahead: float | None = None
-    seconds: dict[int, int] = field(default_factory=dict)
     waiting: collections.deque[tuple[float, Received]] = field(default_factory=collections.deque)
     reached: float = -math.inf
     more: int = 0
@@ -87,14 +80,28 @@ class CameraState(Struct):
     pending: Pending | None = None
 
 
+class Counted(Struct):
+    """What was counted of a camera, under its present name.
+
+    events: number of its events.
+    newest (Unix seconds): event time of the newest one.
+    seconds: number of events by second of event time.
+    """
+
+    events: int = 0
+    newest: float = -math.inf
+    seconds: dict[int, int] = field(default_factory=dict)
+
+
 class Cameras:
     """All cameras. ``now`` is the time of a clock that never steps."""
 
     def __init__(self, cameras_max: int) -> None:
         self._cameras_max = cameras_max
         self._cameras: dict[str, CameraState] = {}
-        self._refused: dict[str, float] = {}  # when each was refused last
-        self._full_until = -math.inf  # until then no camera can be replaced for its silence
+        self._counted: dict[str, Counted] = {}
+        self._refused = ""  # the camera that was refused last
+        self._refused_at = -math.inf
 
     def __contains__(self, name: object) -> bool:
         return name in self._cameras
@@ -110,12 +117,10 @@ class Cameras:
         """
         camera = self._cameras.get(name)
         if camera is None:
-            if len(self._cameras) >= self._cameras_max:
-                other = self._replaceable(now, spooled)
-                if other is None:
-                    self._refuse(name, now)
-                    return None
-                del self._cameras[other]
+            if len(self._cameras) >= self._cameras_max and not self._make_room(now, spooled):
+                self._refused = name
+                self._refused_at = now
+                return None
             camera = self._cameras[name] = CameraState(name, now)
         camera.heard = now
         camera.spooled |= spooled
@@ -126,71 +131,56 @@ class Cameras:
 
         An event of a flood is not counted.
         """
-        camera = self._cameras.get(event.camera)
-        if camera is None:  # a renamed camera that has sent nothing under its new name
-            camera = self._cameras[event.camera] = CameraState(event.camera, -math.inf)
+        counted = self._counted.setdefault(event.camera, Counted())
         second = int(event.t)
-        count = camera.seconds.get(second, 0)
+        count = counted.seconds.get(second, 0)
         if count >= EVENTS_PER_SECOND_MAX:
             return False
-        camera.seconds[second] = count + 1
-        if len(camera.seconds) > FLOOD_SECONDS_KEPT:
-            del camera.seconds[next(iter(camera.seconds))]
-        if event.t > camera.newest or not camera.events:
-            camera.newest = event.t
-        camera.events += 1
+        counted.seconds[second] = count + 1
+        if len(counted.seconds) > FLOOD_SECONDS_KEPT:
+            del counted.seconds[next(iter(counted.seconds))]
+        counted.newest = max(counted.newest, event.t)
+        counted.events += 1
         return True
 
     def forget(self, name: str) -> None:
-        """Reset the counters of a camera."""
-        if (camera := self._cameras.get(name)) is not None:
-            camera.events = 0
-            camera.newest = 0.0
-            camera.seconds.clear()
+        """Forget what was counted of a camera."""
+        self._counted.pop(name, None)
 
     def forget_all(self) -> None:
-        """Reset the counters of all cameras."""
-        for name in self._cameras:
-            self.forget(name)
+        """Forget what was counted."""
+        self._counted.clear()
 
     def rename(self, old: str, new: str) -> None:
-        """Move the counters of the camera ``old`` to the name ``new``."""
-        if (known := self._cameras.get(old)) is None:
-            return
-        camera = self._cameras.setdefault(new, CameraState(new, known.heard))
-        camera.events = known.events
-        camera.newest = known.newest
-        camera.seconds = dict(known.seconds)
-        self.forget(old)
+        """Move what was counted of the camera ``old`` to the name ``new``."""
+        self._counted[new] = self._counted.pop(old, Counted())
 
     def all(self) -> list[CameraState]:
         """Return the states of all cameras. Any thread."""
         return list(self._cameras.copy().values())
 
     def refused_reason(self, now: float) -> str:
-        """Return which cameras are refused, as there are too many, and what to do; else "".
+        """Return which camera is refused, as there are too many, and what to do; else "".
 
         Any thread.
         """
-        recently = now - SAID_SECONDS
-        refused = [name for name, at in self._refused.copy().items() if at >= recently]
-        refused = [name for name in refused if name not in self._cameras]
-        if not refused:
+        if now - self._refused_at > SAID_SECONDS or self._refused in self._cameras:
             return ""
-        fewest = sorted(self.all(), key=lambda one: (one.spooled, one.events, one.name))
-        named = ", ".join(f"{one.name} ({one.events})" for one in fewest[:NAMED_MAX])
         return (
-            f"{in_words(refused[::-1])}: refused, as limits.cameras_max ({self._cameras_max}) is"
-            f" reached; the cameras with the fewest events are {named}: if they are not of this"
-            " site, stop the program that sends them, and they are replaced within an hour;"
-            " otherwise raise limits.cameras_max"
+            f"camera {self._refused}: refused, as limits.cameras_max ({self._cameras_max}) is"
+            " reached: raise it, or stop the programs that send cameras which are not of this site;"
+            " a camera that has been silent for an hour makes room"
         )
 
     def doubled_reason(self, now: float) -> str:
         """Return which cameras two grabbers deliver, and what to do; else "". Any thread."""
         names = [one.name for one in self.all() if now - one.doubled <= SAID_SECONDS]
-        what = "two programs at the same time publish"
-        return f"{what} {in_words(names)}: give one of the cameras another id" if names else ""
+        if not names:
+            return ""
+        return (
+            f"two programs at the same time publish camera {listed(names)}: give one of the"
+            " cameras another id"
+        )
 
     def fast_clocks_reason(self, seconds_max: float) -> str:
         """Return which cameras' clocks are too fast for their events to be learned; else "".
@@ -203,30 +193,30 @@ class Cameras:
         if not names:
             return ""
         return (
-            f"the clock of {in_words(names)} is more than {seconds_max:g} s ahead of this"
+            f"the clock of camera {listed(names)} is more than {seconds_max:g} s ahead of this"
             " machine's: events are stored but not learned; set that clock"
         )
 
     def status(self, alive: set[str]) -> dict[str, CameraFigures]:
         """Return each camera's entry in the status; ``alive``: those whose grabber is there."""
-        return {
-            one.name: CameraFigures(
-                one.events,
-                one.newest,
-                None if one.ahead is None else round(one.ahead, 3),
-                one.name in alive,
+        figures = {}
+        for name, counted in sorted(self._counted.copy().items()):
+            ahead = self._cameras[name].ahead if name in self._cameras else None
+            figures[name] = CameraFigures(
+                counted.events,
+                counted.newest,
+                None if ahead is None else round(ahead, 3),
+                name in alive,
             )
-            for one in sorted(self.all(), key=lambda one: one.name)
-            if one.events
-        }
+        return figures
 
-    def _replaceable(self, now: float, spooled: bool) -> str | None:
-        """Return the camera to be replaced by another; None if there is none.
+    def _make_room(self, now: float, spooled: bool) -> bool:
+        """Remove a camera for another; return False if none can go.
 
         spooled: the other camera has a grabber, so it may replace one without.
         """
-        if now < self._full_until and not spooled:
-            return None
+        if now - self._refused_at < REFUSED_SECONDS and not spooled:
+            return False
         others = [
             one
             for one in self._cameras.values()
@@ -235,22 +225,8 @@ class Cameras:
             and (now - one.heard >= IDLE_SECONDS or (spooled and not one.spooled))
         ]
         if not others:
-            self._full_until = min(one.heard for one in self._cameras.values()) + IDLE_SECONDS
-            return None
-        return min(others, key=lambda one: (one.spooled, one.events, one.heard, one.name)).name
-
-    def _refuse(self, name: str, now: float) -> None:
-        """Remember that a camera was refused."""
-        self._refused.pop(name, None)  # the one refused last comes last
-        self._refused[name] = now
-        if len(self._refused) > REFUSED_MAX:
-            del self._refused[next(iter(self._refused))]
-
-
-def in_words(names: list[str]) -> str:
-    """Return for example ``camera a``, or ``cameras a, b, c and 4 others``."""
-    if len(names) == 1:
-        return f"camera {names[0]}"
-    others = len(names) - NAMED_MAX
-    listed = ", ".join(names[:NAMED_MAX])
-    return f"cameras {listed} and {others} others" if others > 0 else f"cameras {listed}"
+            return False
+        gone = min(others, key=lambda one: (one.spooled, one.heard)).name
+        del self._cameras[gone]
+        self._counted.pop(gone, None)
+        return True

@@ -29,7 +29,6 @@ from collections.abc import Callable, Sequence
 from camtopod import codec
 from camtopod.admin import Rewind
 from camtopod.config import Limits
-from camtopod.serve.ingest import decode
 from camtopod.serve.ingest.answers import Answers
 from camtopod.serve.ingest.cameras import Cameras, Pending
 from camtopod.serve.ingest.event_clock import EventClock
@@ -37,7 +36,13 @@ from camtopod.serve.ingest.inbox import PUBLISHED_MAX, Inbox, Reply
 from camtopod.serve.ingest.merge import Merger
 from camtopod.serve.ingest.names import Names
 from camtopod.serve.ingest.numbers import Numbers
-from camtopod.serve.ingest.received import Received, command_received
+from camtopod.serve.ingest.received import (
+    Received,
+    command_received,
+    event_of,
+    request_of,
+    spooled_event,
+)
 from camtopod.serve.ingest.store_queue import StoreQueue
 from camtopod.serve.requests import Hello
 from camtopod.serve.runtime import Beat, Clock, Rejects, no_beat
@@ -197,7 +202,7 @@ class Intake:
         """Take a request's events; answer it at once if there is nothing to wait for."""
         answers = self._answers
         try:
-            request = decode.request(name, content)
+            request = request_of(name, content)
         except codec.Rejected as error:
             self.rejects.add(error.reason, f"store/{name}", str(error), content)
             reply(answers.encode({}, "malformed", str(error)))
@@ -211,10 +216,16 @@ class Intake:
             return
         if isinstance(request, Hello):
             self.merger.note_hello()
-            reply(answers.greet(camera, request))
+            camera.hello = request.number
+            reply(answers.encode({boot: self.numbers.stored(name, boot) for boot in request.boots}))
             return
-        if refusal := answers.refuse(camera, request, now):
-            reply(refusal)
+        if request.number != camera.hello:
+            if camera.hello:
+                camera.doubled = now
+            reply(answers.encode({}, "hello", "another hello has come since"))
+            return
+        if len(request.events) > self._room():
+            reply(answers.encode({}, "busy", "too many events wait to be stored"))
             return
 
         # Take the events, unless some before them were never taken.
@@ -226,15 +237,15 @@ class Intake:
         answers.wait_for_storage(camera, Pending(request.boot, up_to, reply, now))
         self.counts["received"] += len(request.events)
         self.counts["duplicate"] += len(request.events) - len(new)
-        entries = [decode.entry(name, request.boot, seq, raw, self.rejects) for seq, raw in new]
-        self.merger.add(camera, entries, wall)
+        events = [spooled_event(name, request.boot, seq, raw, self.rejects) for seq, raw in new]
+        self.merger.add(camera, events, wall)
         self.merger.note_request(camera, request.more, wall, now)
         answers.note_stored(name)
 
     def _take_published(self, name: str, content: bytes, wall: float, now: float) -> None:
         """Take a publication, unless a spool delivers it as well."""
         try:
-            event = decode.published(name, content)
+            event = event_of(name, content)
             if event.spooled:
                 return
             camera = self.cameras.register(name, now)
@@ -260,14 +271,11 @@ class Intake:
 
     def _cut_flood(self, received: Received) -> list[Received]:
         """Return the entry; if its camera sends too much, one with the number alone, if any."""
-        entry = received.entry
-        self.counts["future"] += entry.kind == "future"
+        self.counts["future"] += received.entry.kind == "future"
         if received.event is None or self.cameras.count(received.event):
             return [received]
         self.counts["flood"] += 1
-        if entry.seq is None:
-            return []
-        return [Received(Entry("refused", entry.camera, entry.boot, entry.seq, b""))]
+        return [] if received.entry.seq is None else [received.only_stored("refused")]
 
     def _rewind(self, wall: float) -> None:
         """Take event time back, as this machine's clock was set back to ``wall``."""

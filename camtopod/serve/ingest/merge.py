@@ -19,7 +19,6 @@ from collections.abc import Iterable
 
 from camtopod.serve.ingest.cameras import CameraState
 from camtopod.serve.ingest.received import Received
-from camtopod.serve.storage import Entry
 
 SETTLE_SECONDS = 5.0
 """Time that other cameras get to tell of their backlogs: after the start, and after the first.
@@ -72,7 +71,7 @@ class Merger:
             if event is not None:
                 camera.ahead = event.t - wall
                 if camera.ahead > self._ahead_max:
-                    received = too_far_ahead(received)
+                    received = received.only_stored("future")
                 else:
                     camera.reached = max(camera.reached, event.t)
             camera.waiting.append((camera.reached, received))
@@ -168,9 +167,3 @@ class Merger:
         elif not held:
             camera.stuck += seconds
         return camera.stuck <= STUCK_SECONDS_MAX
-
-
-def too_far_ahead(received: Received) -> Received:
-    """Return the entry by which an event is stored and not learned."""
-    entry = received.entry
-    return Received(Entry("future", entry.camera, entry.boot, entry.seq, entry.raw))

@@ -14,7 +14,6 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Set
 
-import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
@@ -22,12 +21,10 @@ from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, Rewind, TakeBack
 from camtopod.records import NamesStatus
 from camtopod.serve.ingest.received import Received, command_received
-from camtopod.serve.storage import NAMES_KEY, Entry
+from camtopod.serve.storage import NAMES_KEY
 
 log = logging.getLogger(__name__)
 
-NAMES_MAX = 1_000
-"""Most forgotten and old names of a site."""
 LISTED_MAX = 20
 """Most names that a sentence lists."""
 
@@ -91,74 +88,55 @@ def _forget(state: NamesState, camera: str, there: Set[str], now: float) -> tupl
     names = [camera, *(old for old, new in state.aliases.items() if new == camera)]
     forgotten = dict.fromkeys(names, now) | state.forgotten
     aliases = {old: new for old, new in state.aliases.items() if old not in names}
-    are = "is" if len(names) == 1 else "are"
     return (
-        _changed(state, forgotten, aliases),
-        f"{' and '.join(names)} {are} forgotten: the next version is"
-        " without it, and events under this name are refused until"
-        f" `camtopod forget --take-back {camera}`",
+        replace(state, forgotten=forgotten, aliases=aliases),
+        f"{camera} is forgotten: the next version is without it, and its events, also under an"
+        f" older name, are refused until `camtopod forget --take-back {camera}`",
     )
 
 
 def _take_back(state: NamesState, camera: str) -> tuple[NamesState, str]:
     if camera not in state.forgotten:
         raise CommandRefused(
-            f"{camera} is not forgotten; forgotten names: {_listed(state.forgotten)}"
+            f"{camera} is not forgotten; forgotten names: {listed(state.forgotten)}"
         )
     forgotten = {name: since for name, since in state.forgotten.items() if name != camera}
     return (
-        _changed(state, forgotten, state.aliases),
+        replace(state, forgotten=forgotten),
         f"events of {camera} are accepted again, as of a new camera",
     )
 
 
 def _rename(state: NamesState, old: str, new: str, there: Set[str]) -> tuple[NamesState, str]:
-    # The old name must be of a camera.
     if old == new:
         raise CommandRefused(f"{old} has this name already")
-    if old in state.aliases:
-        raise CommandRefused(f"{old} was renamed to {state.aliases[old]}: rename that one")
-    if old in state.forgotten:
-        raise CommandRefused(f"{old} is forgotten: nothing that was learned of it is left")
     _require(old, there)
 
     # The new name must be free; a camera may get back a name that it had.
-    if state.aliases.get(new, old) != old:
-        raise CommandRefused(f"{new} is the old name of {state.aliases[new]}: forget {new} first")
-    if new in there:
+    if new in there or state.aliases.get(new, old) != old:
         raise CommandRefused(
             f"there is a camera {new} already; if what was learned of it may go, `camtopod forget"
             f" {new}` first, and then rename"
         )
 
-    aliases = {name: now for name, now in state.aliases.items() if name != new}
-    aliases = {name: new if now == old else now for name, now in aliases.items()} | {old: new}
+    aliases = {name: new if now == old else now for name, now in state.aliases.items()} | {old: new}
+    aliases.pop(new, None)
     forgotten = {name: since for name, since in state.forgotten.items() if name != new}
     return (
-        _changed(state, forgotten, aliases),
+        replace(state, forgotten=forgotten, aliases=aliases),
         f"{old} goes on as {new}: events that still come as {old} count for {new} until {new} sends"
         f" its own; from then on {old} is refused",
     )
 
 
-def _changed(state: NamesState, forgotten: dict[str, float], aliases: dict[str, str]) -> NamesState:
-    """Return a state with these names. Raises `CommandRefused` if there are too many."""
-    if len(forgotten) + len(aliases) > NAMES_MAX:
-        raise CommandRefused(
-            f"{NAMES_MAX} names are forgotten or renamed, which is the most: take some back with"
-            " `camtopod forget --take-back`"
-        )
-    return replace(state, forgotten=forgotten, aliases=aliases)
-
-
 def _require(camera: str, there: Set[str]) -> None:
     """Raise `CommandRefused` if there is no such camera."""
     if camera not in there:
-        raise CommandRefused(f"there is no camera {camera}; there are: {_listed(there)}")
+        raise CommandRefused(f"there is no camera {camera}; there are: {listed(there)}")
 
 
-def _listed(names: Iterable[str]) -> str:
-    """Return the first names in words."""
+def listed(names: Iterable[str]) -> str:
+    """Return the first names, in words."""
     ordered = sorted(names)
     more = f" and {len(ordered) - LISTED_MAX} more" * (len(ordered) > LISTED_MAX)
     return ", ".join(ordered[:LISTED_MAX]) + more or "none"
@@ -202,7 +180,7 @@ class Names:
             return self._refuse(received, "")
         if (name := state.aliases.get(event.camera)) is not None:
             event = replace(event, camera=name)
-            entry = msgspec.structs.replace(received.entry, raw=codec.to_msgpack(event))
+            entry = replace(received.entry, raw=codec.to_msgpack(event))
             return [replace(received, entry=entry, event=event)]
         if event.camera in state.aliases.values():
             return [*self._end_aliases(event.camera), received]
@@ -226,10 +204,7 @@ class Names:
             if name:
                 what = f"of {name} are refused, as this name is forgotten"
             log.warning("events %s", what)
-        entry = received.entry
-        if entry.seq is None:
-            return []
-        return [Received(Entry("refused", entry.camera, entry.boot, entry.seq, b""))]
+        return [] if received.entry.seq is None else [received.only_stored("refused")]
 
     def _end_aliases(self, camera: str) -> list[Received]:
         """Forget the old names of a camera that sends under its new name now."""

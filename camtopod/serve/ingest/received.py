@@ -1,13 +1,22 @@
-"""What the daemon receives, on its way into the journal."""
+"""What the daemon receives, on its way into the journal.
+
+An invalid event from a spool is stored under its number, so that the spool can delete it, and is
+not learned. An invalid publication is dropped.
+"""
 
 from __future__ import annotations
 
+import re
 import threading
+from typing import Literal
 
 from msgspec import Struct
 
+from camtopod import codec
 from camtopod.admin import Command, Reset, Rewind
-from camtopod.records import Event
+from camtopod.records import CAMERA_PATTERN, Event
+from camtopod.serve.requests import Batch, Hello, read_request
+from camtopod.serve.runtime import Rejects
 from camtopod.serve.storage import Entry, command_entry
 
 
@@ -28,9 +37,39 @@ class Received(Struct, frozen=True, gc=False):
     meta: dict[str, str] = {}
     stored: threading.Event | None = None
 
+    def only_stored(self, kind: Literal["future", "refused"]) -> Received:
+        """Return the entry by which an event is stored and not learned; refused: its number."""
+        entry = self.entry
+        raw = entry.raw if kind == "future" else b""
+        return Received(Entry(kind, entry.camera, entry.boot, entry.seq, raw))
+
 
 def command_received(command: Command, meta: dict[str, str]) -> Received:
     """Return the entry of a command, with the epoch that it begins, if it does."""
     if isinstance(command, Reset | Rewind):
         meta = meta | {"epoch": command.epoch}
     return Received(command_entry(command), command=command, meta=meta)
+
+
+def request_of(camera: str, content: bytes) -> Hello | Batch:
+    """Return a request on ``store/{camera}``. Raises `codec.Rejected`."""
+    if not re.match(CAMERA_PATTERN, camera):
+        raise codec.Rejected("bad-value", "the key names no camera")
+    return read_request(content)
+
+
+def event_of(camera: str, content: bytes) -> Event:
+    """Return an event on a key of ``camera``. Raises `codec.Rejected`."""
+    event = codec.event_from_bytes(content)
+    if event.camera != camera:
+        raise codec.Rejected("wrong-camera", f"says camera {event.camera!r}")
+    return event
+
+
+def spooled_event(camera: str, boot: str, seq: int, raw: bytes, rejects: Rejects) -> Received:
+    """Return the entry of an event from a camera's spool; invalid ones are counted."""
+    try:
+        return Received(Entry("event", camera, boot, seq, raw), event_of(camera, raw))
+    except codec.Rejected as error:
+        rejects.add(error.reason, f"store/{camera}", str(error), raw)
+        return Received(Entry("refused", camera, boot, seq, raw[: codec.EVENT_BYTES_MAX]))
