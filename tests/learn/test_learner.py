@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from camtopod.codec import read, to_json
-from camtopod.learn.learner import GONE_ZONES_MAX, REFIT_EVENTS_MIN, STEPS, Learner
+from camtopod.learn.learner import REFIT_EVENTS_MIN, STEPS, Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Link, Topology
 from camtopod.sim.scoring import score
@@ -162,28 +162,6 @@ def test_the_steps_of_every_version_are_said_as_they_begin() -> None:
     assert learner.topology.epoch == "1"
 
 
-def test_a_restart_makes_the_same_versions() -> None:
-    events = walk(60)
-    one, other = learn(events, QUICK), learn(events, QUICK)
-    assert one.updates() == other.updates()
-
-
-def test_how_time_is_told_changes_nothing() -> None:
-    events = walk(60)
-    plain, told = Learner(QUICK), Learner(QUICK)
-    for event in events:
-        plain.receive(event)
-        told.advance(event.t - 0.25)
-        told.receive(event)
-        told.advance(event.t)
-    end = events[-1].t + 100.0
-    for t in np.arange(events[-1].t, end + 1):
-        told.advance(float(t))
-    plain.advance(end)
-    assert told.updates() == plain.updates()
-    assert told.statistics() == plain.statistics()
-
-
 def test_the_moment_of_the_recording_does_not_matter() -> None:
     """A recording from zero gives the same links as one of today, or from before 1970."""
     found = []
@@ -203,21 +181,6 @@ def test_the_moment_of_the_recording_does_not_matter() -> None:
 
 
 # --- verdicts, deadlines, sizes ---
-
-
-def test_verdicts() -> None:
-    learner = Learner(Settings(cameras_max=1))
-    assert learner.receive(Event("a", "entry", 100.0, boot="x", seq=1)) == "accepted"
-    assert learner.receive(Event("a", "entry", 100.0, boot="x", seq=1)) == "duplicate"
-    assert learner.receive(Event("a", "entry", 94.0)) == "late"
-    assert learner.receive(Event("b", "entry", 100.0)) == "refused"
-    counted = learner.statistics()
-    assert {k: counted[k] for k in ("accepted", "duplicate", "late", "refused")} == dict.fromkeys(
-        ("accepted", "duplicate", "late", "refused"), 1
-    )
-    learner.flush()
-    assert learner.topology is not None
-    assert learner.topology.events == 1
 
 
 def test_nothing() -> None:
@@ -259,23 +222,6 @@ def test_few_events_wait_but_not_for_ever() -> None:
     assert [v.as_of for v in learner.updates()] == [380.0]
 
 
-def test_sizes_are_bounded() -> None:
-    rules = Settings(version_seconds=10.0, window_events_max=50, refit_share=0.5)
-    learner = Learner(rules)
-    for event in walk(100):
-        learner.receive(event)
-        assert learner.statistics()["window"] <= 50
-    assert learner.topology is not None
-    assert sum(zone.entries + zone.exits for zone in learner.topology.zones) <= 50
-    assert learner.topology.events > 300
-
-
-def test_candidates_are_bounded() -> None:
-    topology = topology_of(walk(100), Settings(version_seconds=1e6, candidates_max=10))
-    assert sum(link.transitions for link in topology.links if link.relation != "visible") <= 400
-    assert len(topology.zones) == 4
-
-
 def places(topology: Topology) -> list[tuple[Any, ...]]:
     return sorted((z.camera, z.x, z.y, z.cov, z.entries, z.exits) for z in topology.zones)
 
@@ -297,43 +243,6 @@ def test_what_is_too_old_is_forgotten() -> None:
     assert not {z.id for z in both.topology.zones} & {
         z.id for z in fresh.topology.zones
     }  # other places, other numbers
-
-
-def test_a_camera_that_is_gone_has_no_zones() -> None:
-    events = [
-        *(Event("b", "entry", 10.0 * k, 0.5, 0.5) for k in range(30)),
-        *walk(100, start=100_000.0),
-    ]
-    events = [e for e in events if e.camera != "b" or e.t < 1000]
-    topology = topology_of(events, Settings(version_seconds=10.0, window_hours=2.0))
-    cameras = {camera.id: camera.zones for camera in topology.cameras}
-    assert cameras["b"] == []
-    assert len(cameras["a"]) == 2
-    assert [c.camera for c in topology.model.cameras] == ["a"]  # type: ignore[union-attr]
-
-
-def test_a_zone_that_returns_has_its_number_back() -> None:
-    day, night = walk(60, start=0.0), walk(60, start=200_000.0)
-    learner = learn(
-        [*day, *elsewhere(walk(60, start=100_000.0)), *night],
-        Settings(version_seconds=600.0, window_hours=2.0),
-    )
-    versions = learner.updates()
-    first = next(v for v in reversed(versions) if v.as_of < 50_000)
-    second = next(v for v in reversed(versions) if v.as_of < 150_000)
-    assert {z.id for z in first.zones} == {z.id for z in versions[-1].zones}
-    assert not {z.id for z in first.zones} & {z.id for z in second.zones}
-    assert GONE_ZONES_MAX >= 2
-
-
-def test_zones_keep_their_names() -> None:
-    versions = learn(walk(150), QUICK).updates()
-    last = {zone.id: zone for zone in versions[-1].zones}
-    assert len(last) == 4
-    for version in versions[len(versions) // 2 :]:
-        for zone in version.zones:
-            assert zone.x == pytest.approx(last[zone.id].x, abs=0.05)
-            assert zone.y == pytest.approx(last[zone.id].y, abs=0.05)
 
 
 def between(topology: Topology) -> list[Link]:
@@ -469,14 +378,6 @@ def test_passages_through_a_view_with_and_without_tracks(track: str | None) -> N
     assert all(
         v.transit.q50 == pytest.approx(4.5, abs=0.4) and v.probability > 0.9 for v in through
     )
-
-
-def test_without_tracks_nobody_is_there_before_coming() -> None:
-    """Objects that leave b came through a about 17 s before; that is no overlapped
-    link from b to a.
-    """
-    topology = topology_of([msgspec.structs.replace(e, track=None) for e in walk(300)])
-    assert [(link.from_[0], link.to[0]) for link in between(topology)] == [("a", "b")]
 
 
 # --- made-up networks ---

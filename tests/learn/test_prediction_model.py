@@ -123,40 +123,12 @@ def test_where_every_way_has_closed_no_context_has_fewer_departures_than_none(
     assert min(row.departures for row in rows) == 0.0
 
 
-@pytest.mark.parametrize("known", [False, True])
-def test_a_way_less_walked_is_expected_less(learned: tuple[Scene, Posterior], known: bool) -> None:
-    found = chances(made(learned, [Change(0, 1, 20_000.0, 0.9, 0.05, 50.0)]), known)
-    assert found["b"] == pytest.approx(0.05 / 0.45, abs=0.05)
-    assert found["c"] == pytest.approx(0.3 / 0.45, abs=0.07)
-
-
-@pytest.mark.parametrize("known", [False, True])
-def test_a_way_more_walked_is_expected_more(learned: tuple[Scene, Posterior], known: bool) -> None:
-    found = chances(made(learned, [Change(0, 2, 20_000.0, 0.0, 0.9, 50.0)]), known)
-    assert found["c"] == pytest.approx(0.9 / 1.6, abs=0.07)
-
-
 def test_without_a_posterior_only_the_zones(learned: tuple[Scene, Posterior]) -> None:
     model = made((learned[0], None))
     assert (model.onward, model.entered, model.contexts) == (None, None, None)
     assert model.zones[0].departures == 800
     assert model.zones[0].arrival_rate == pytest.approx(800 / learned[0].last, rel=1e-3)
     assert Hazards(topology_of(model)).outcomes == {}
-
-
-def test_contexts_that_are_not_known_are_no_contexts(learned: tuple[Scene, Posterior]) -> None:
-    """Half of the departures have neither entry nor block."""
-    scene, _ = learned
-    d, a = scene.departures, scene.arrivals
-    half = np.arange(len(d.t)) % 2 == 0
-    d = d._replace(
-        own=np.where(half, -1, d.own).astype(np.int32),
-        block=np.where(half, -1, d.block).astype(np.int32),
-    )
-    found = fit_posterior(Problem(d, a, BINS, 3, scene.last))
-    rows = made((scene, found)).contexts or []
-    assert all(row.entry or row.block is not None or row.previous for row in rows)
-    assert {row.block for row in rows if row.zone == "a/1"} == {None, 5}
 
 
 def test_only_so_many_outcomes_are_kept(

@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from camtopod.learn import learner as module
 from camtopod.learn.learner import Learner
 from camtopod.learn.retired_cameras import REPLACEABLE_AFTER_SECONDS
 from camtopod.learn.settings import Settings
@@ -105,20 +104,6 @@ def test_a_camera_without_events_stays_for_a_while(window_days: float, days: int
     assert [(c.id, len(c.zones)) for c in learner.topology.cameras] == [("hall", 1)]
 
 
-def test_one_whose_events_are_all_late_is_known_until_they_are_old() -> None:
-    """The offset of a clock that is behind is estimated from late events."""
-    learner = Learner(Settings(window_hours=24.0))
-    for minute in range(30):
-        t = T0 + 60.0 * minute
-        for camera in ("hall", "yard"):
-            learner.receive(entry(camera, t))
-        learner.receive(entry("slow", t - 30.0))
-    assert learner.receive(entry("slow", t - 29.0)) == "accepted"
-    assert "slow" in names_known(learner)
-    told(learner, [entry("hall", T0 + 8 * DAY), entry("hall", T0 + 8 * DAY + 600)])
-    assert names_known(learner) == {"hall"}
-
-
 def test_at_the_limit_the_camera_with_the_fewest_events_gives_its_place() -> None:
     learner = Learner(Settings(cameras_max=4, **RARE))
     told(learner, passages(T0))
@@ -135,13 +120,6 @@ def test_at_the_limit_the_camera_with_the_fewest_events_gives_its_place() -> Non
     told(learner, passages(start + 300, ["hall"]))
     assert learner.topology is not None
     assert len(zones_of(learner.topology, "yard")) == 3, "what was learned of the others stays"
-
-
-def test_one_of_which_something_is_held_keeps_its_place() -> None:
-    learner, start = Learner(Settings(cameras_max=2, version_seconds=DAY)), DAY * (T0 // DAY) + 1.0
-    for camera, seconds in (("a", 0.0), ("b", 3 * HOUR), ("b", 3 * HOUR + 120)):
-        learner.receive(entry(camera, start + seconds))
-    assert learner.receive(entry("c", start + 3 * HOUR + 120)) == "refused"
 
 
 # --- what stays ---
@@ -167,15 +145,6 @@ def test_a_camera_that_returns_has_its_zones_back(days: float) -> None:
             [msgspec.structs.replace(e, x=e.y, y=e.x) for e in passages(back + 20 * DAY, ["hall"])],
         )
         assert not before["hall"].keys() - {"hall/1", "hall/2"}
-
-
-def test_numbers_of_so_many_cameras_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those that left last are remembered."""
-    monkeypatch.setattr(module, "LEFT_CAMERAS_MAX", 3)
-    learner = Learner(Settings())
-    for k in range(6):
-        told(learner, [entry(f"name{k}", T0 + k * 20 * DAY)])
-    assert list(learner.save().retired) == ["name2", "name3", "name4"]
 
 
 def test_a_camera_that_fell_silent_is_said_to_be_so_and_to_be_back() -> None:

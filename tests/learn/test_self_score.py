@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 
 from bench.support.prediction_scores import next_entries
@@ -33,12 +32,6 @@ def test_a_plain_outcome_is_marked_as_it_is() -> None:
     assert (mark.followed, mark.top1, mark.top3, mark.baseline_top1) == (1.0, 1.0, 1.0, 0.0)
     assert mark.loss == pytest.approx(-math.log(0.5))
     assert mark.baseline_loss == pytest.approx(-math.log(PROBABILITY_FLOOR))
-
-
-def test_leaving_is_an_outcome() -> None:
-    mark = marks(GUESS, {})
-    assert (mark.followed, mark.top1, mark.top3) == (0.0, 0.0, 0.0)
-    assert mark.loss == pytest.approx(-math.log(0.2))
 
 
 def test_a_doubtful_outcome_counts_in_parts() -> None:
@@ -128,20 +121,3 @@ def test_a_version_publishes_the_score(marked: tuple[list[Event], Learner, Told]
     assert made[-1].score == told.score()
     assert made[-1].score is not None
     assert made[-1].score.exits <= EXITS_PER_VERSION * 2 * len(made)
-
-
-def test_it_is_the_same_from_any_order_of_arrival(
-    marked: tuple[list[Event], Learner, Told],
-) -> None:
-    events = marked[0][:400]
-    shuffled = sorted(events, key=lambda event: event.t + 2 * np.sin(event.t * 1e3))
-    one, other = Learner(Settings(refit_share=0.5)), Learner(Settings(refit_share=0.5))
-    for event in events:
-        one.receive(event)
-    for event in shuffled:
-        other.receive(event)
-    one.flush()
-    other.flush()
-    assert one.topology is not None
-    assert one.topology.score is not None
-    assert other.topology == one.topology

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from coloured_scenes import FACTOR, SETTINGS, ColouredScene
 from onnx_models import write_model
@@ -16,7 +15,7 @@ from camtopod.records import Event
 from camtopod.vision.boxes import Box
 from camtopod.vision.detect import Blob
 from camtopod.vision.detector.detector import Detector
-from camtopod.vision.detector.fusion import TrackedBox, fuse
+from camtopod.vision.detector.fusion import TrackedBox
 from camtopod.vision.detector.model import Detection, Image as Picture, Model
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import DetectorSettings
@@ -196,44 +195,3 @@ def test_inference_runs_only_when_something_moves_and_not_too_often() -> None:
 
 
 # --- fusion ---------------------------------------------------------------------------------------
-
-
-def blob(*box: float) -> Blob:
-    return Blob(*box, (box[0] + box[2]) / 2, (box[2] - box[0]) * (box[3] - box[1]))  # type: ignore[arg-type]
-
-
-def mask(*boxes: Box) -> Picture:
-    moving = np.zeros((100, 200), np.uint8)
-    for left, top, right, bottom in boxes:
-        moving[int(top) : int(bottom), int(left) : int(right)] = 255
-    return moving
-
-
-WHOLE = [(0.0, 0.0, 200.0, 100.0)]
-
-
-def test_a_blob_with_two_detections_is_split_and_remembers_it() -> None:
-    group = blob(50, 20, 80, 60)
-    found = fuse([group], [(50, 20, 64, 60), (66, 22, 80, 60)], WHOLE, [], mask(group.box))
-    assert [one.detected for one in found] == [True, True]
-    assert len({one.part_of for one in found}) == 1
-    assert found[0].part_of
-
-
-def test_a_detection_without_motion_counts_where_something_is_tracked() -> None:
-    box = (50.0, 20.0, 64.0, 60.0)
-    assert fuse([], [box], WHOLE, [], mask()) == []
-    [one] = fuse([], [box], WHOLE, [TrackedBox((51, 21, 63, 60), True, True)], mask())
-    assert one.box == box
-
-
-def test_a_tracked_neighbour_that_is_not_detected_is_kept_by_its_motion() -> None:
-    group, known = blob(50, 20, 80, 60), TrackedBox((66, 20, 80, 60), True, False)
-    found = fuse([group], [(50, 20, 64, 60)], WHOLE, [known], mask(group.box))
-
-    assert sorted((one.box, one.detected) for one in found) == [
-        ((50, 20, 64, 60), True),
-        ((66, 20, 80, 60), False),
-    ]
-    alone = mask((50, 20, 64, 60))
-    assert len(fuse([group], [(50, 20, 64, 60)], WHOLE, [known], alone)) == 1, "nothing moves there"

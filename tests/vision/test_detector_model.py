@@ -59,12 +59,6 @@ def test_a_layout_is_recognised_and_its_boxes_are_right(tmp_path: Path, layout: 
         assert_near(one.box, expected, 3.0)
 
 
-def test_a_part_of_the_picture_is_looked_at_in_pixels_of_the_whole(tmp_path: Path) -> None:
-    model = Model(settings(write_model(tmp_path / "m.onnx", "yolov8")))
-    [one] = model.infer(picture(), (140.0, 55.0, 260.0, 175.0))
-    assert_near(one.box, PEOPLE[1], 2.0)
-
-
 def test_positions_may_be_pixels_where_the_layout_is_named(tmp_path: Path) -> None:
     path = write_model(tmp_path / "m.onnx", "yolox", decoded=True)
     with pytest.raises(DetectorError, match='write layout = "yolox" or "yolov5"') as caught:
@@ -74,12 +68,6 @@ def test_positions_may_be_pixels_where_the_layout_is_named(tmp_path: Path) -> No
     people = found(Model(settings(path, layout="yolox")))
     assert len(people) == 2
     assert_near(people[0].box, PEOPLE[0], 3.0)
-
-
-def test_a_size_that_the_file_leaves_open_is_640(tmp_path: Path) -> None:
-    model = Model(settings(write_model(tmp_path / "m.onnx", "yolov8", (640, 640), open_size=True)))
-    assert model.size == (640, 640)
-    assert len(found(model)) == 2
 
 
 # --- labels ---------------------------------------------------------------------------------------
@@ -135,13 +123,6 @@ def test_a_model_that_ends_early_is_refused_wherever_it_ends(tmp_path: Path) -> 
         short.write_bytes(content[:length])
         with pytest.raises(DetectorError):
             Model(settings(short))
-
-
-def test_an_operation_that_opencv_does_not_have_is_named(tmp_path: Path) -> None:
-    path = write_model(tmp_path / "m.onnx", "yolov8")
-    path.write_bytes(path.read_bytes().replace(b"Conv", b"Konv"))
-    with pytest.raises(DetectorError, match=r'OpenCV cannot load it: .*"Konv"$'):
-        Model(settings(path))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ from hypothesis import given, settings, strategies as st
 from camtopod.learn.association import candidates as candidates_module, em
 from camtopod.learn.association.candidates import (
     Candidates,
-    excess_over_null,
     find_candidates,
     newest_within_limit,
 )
@@ -19,19 +18,16 @@ from camtopod.learn.association.em import Em, EmModel
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import Fit, fit_jointly
 from camtopod.learn.association.problem import Problem
-from camtopod.learn.association.speed_adjustment import adjust
 from camtopod.learn.links.cross_validation import cross_evidence
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.traffic.speed import (
     NO_PERSISTENCE,
-    SURE_TRANSITIONS_MIN,
     USUAL_PASSAGES_MIN,
     Persistence,
     adjusted_lag,
     agreement,
     estimate_persistence,
-    mean_slowness,
     slowness,
 )
 from camtopod.topology.lag_bins import SMOOTHING_SD_BINS, LagBins, smooth
@@ -121,18 +117,6 @@ def test_beyond_the_limit_only_the_newest_stretch_counts(seed: int, limit: int) 
         sum(-3.0 <= a - d <= 8.0 for a in arrivals.t if a >= older[-1] for d in departures.t)
         > limit
     )
-
-
-def test_excess_is_what_exceeds_chance() -> None:
-    chance = np.full((2, BINS.size), 10.0)
-    seen = chance.copy()
-    (at,) = BINS.index(np.array([8.0]))
-    seen[1, at - 1 : at + 2] += 40.0
-    found = excess_over_null(seen, chance, BINS, 2.0)
-    assert (found[0] == 0).all()
-    assert np.argmax(found[1]) == at
-    assert 20 < found[1].sum() < 200
-    assert (found >= 0).all()
 
 
 # --- exposure, smoothing ---
@@ -286,18 +270,6 @@ def test_finds_the_link_its_share_and_its_time() -> None:
     assert fit.outside[0] > 0.7
 
 
-def test_every_arrival_and_every_departure_counts_once() -> None:
-    departures, arrivals = (
-        Walks(2).go(300, 2000.0, (0, 0, 0, 1), (1, 8.0, 2.0, 0.8), (2, 5.0, 1.0, 0.8)).columns(3)
-    )
-    fit = fitted(departures, arrivals, 3)
-    came = np.bincount(fit.candidates.arrival, fit.responsibility, minlength=len(arrivals.t))
-    left = np.bincount(fit.candidates.departure, fit.responsibility, minlength=len(departures.t))
-    assert (came <= 1 + 1e-9).all()
-    assert (left <= 1.1).all()  # up to the last message
-    assert ((fit.responsibility >= 0) & (fit.responsibility <= 1)).all()
-
-
 def test_an_indirect_way_is_no_link() -> None:
     """0 -> 1 -> 2 makes a clear peak from 0 to 2, but the transitions belong to zone 1."""
     departures, arrivals = (
@@ -317,27 +289,6 @@ def test_overlapped_views_have_negative_lags() -> None:
     assert fit.counts[row][BINS.edges[1:] <= 0].sum() > 0.95 * fit.counts[row].sum()
 
 
-@pytest.mark.parametrize("gap", [500.0, -500.0])
-def test_without_a_candidate(gap: float) -> None:
-    """All arrivals are long before, or long after, all departures."""
-    departures, _ = made(1, 20, 0)
-    _, arrivals = made(2, 0, 20)
-    arrivals = arrivals._replace(t=arrivals.t + gap)
-    problem = Problem(departures, arrivals, BINS, 3, float(max(departures.t[-1], arrivals.t[-1])))
-    fit = fit_jointly(problem, find_candidates(problem))
-    assert (fit.outside == 1).all()
-    assert fit.counts.shape == (0, BINS.size)
-    first = min(departures.t[0], arrivals.t[0])
-    assert len(cross_evidence(problem, fit, float(first))) == 0
-
-
-def test_departures_of_one_zone_and_arrivals_of_one_camera_only() -> None:
-    departures, arrivals = made(3, 30, 30, zones=1)
-    fit = fitted(departures, arrivals, 1)
-    assert fit.counts.shape in ((0, BINS.size), (1, BINS.size))
-    assert (fit.candidates.lag > 0).all()
-
-
 # --- evidence of the other half ---
 
 
@@ -351,14 +302,6 @@ def test_evidence_of_chance_is_small_and_of_a_link_large() -> None:
     linked = (fit.candidates.source == 0) & (fit.candidates.target == 1)
     assert ratio[linked] > 100
     assert (ratio[~linked] < np.log(36 * 100)).all()
-
-
-@pytest.mark.parametrize("span", [0.0, 1e-3, 30.0, 1e7])
-def test_evidence_of_any_span(span: float) -> None:
-    departures, arrivals = made(4, 30, 30, span=span)
-    fit = fitted(departures, arrivals, 3)
-    problem = Problem(departures, arrivals, BINS, 3, span)
-    assert np.isfinite(cross_evidence(problem, fit, 0.0)).all()
 
 
 # --- slowness ---
@@ -401,42 +344,6 @@ def test_no_persistence_where_there_is_none() -> None:
     assert found.scaling == pytest.approx(0, abs=0.15)
 
 
-def test_persistence_needs_sure_transitions_of_known_slowness() -> None:
-    left, came, lag = walkers(0, 800, 0.3)
-    pair = np.zeros(800, np.int32)
-    assert estimate_persistence(left, came, lag, pair, np.full(800, 0.4)) == NO_PERSISTENCE
-    few = np.zeros(800)
-    few[: SURE_TRANSITIONS_MIN - 1] = 1.0
-    assert estimate_persistence(left, came, lag, pair, few) == NO_PERSISTENCE
-    assert (
-        estimate_persistence(np.full(800, np.nan), came, lag, pair, np.ones(800)) == NO_PERSISTENCE
-    )
-    assert (
-        estimate_persistence(left, came, np.full(800, 1.0), pair, np.ones(800)).scaling == 0
-    )  # too short to scale
-    assert (
-        estimate_persistence(left, came, lag, np.arange(800, dtype=np.int32), np.ones(800)).scaling
-        == 0
-    )  # nothing to compare
-
-
-@pytest.mark.parametrize("constant", ["left", "came", "both"])
-def test_persistence_of_machines(constant: str) -> None:
-    """Equal dwell times in a view carry no information."""
-    left, came, lag = walkers(0, 800, 0.3)
-    left = np.zeros(800) if constant != "came" else left
-    came = np.zeros(800) if constant != "left" else came
-    found = estimate_persistence(left, came, lag, np.zeros(800, np.int32), np.ones(800))
-    assert found.correlation == 0
-    assert np.isfinite(found).all()
-
-
-def test_combined() -> None:
-    nan = np.nan
-    found = mean_slowness(np.array([1.0, 1.0, nan, nan]), np.array([3.0, nan, 3.0, nan]))
-    assert found == pytest.approx([2.0, 1.0, 3.0, nan], nan_ok=True)
-
-
 def test_adjusted_lag() -> None:
     """An object e^0.5 times slower takes 20 s where others take 12; short and unknown lags stay."""
     lag = np.array([20.0, 20.0, 1.0, -5.0, 119.0])
@@ -457,22 +364,6 @@ def test_agreement_is_the_ratio_of_densities() -> None:
     assert agreement(left, came, p) == pytest.approx(ratio)
     assert agreement(np.array([np.nan, 1.0]), np.array([0.0, np.nan]), p).tolist() == [1.0, 1.0]
     assert agreement(left, came, NO_PERSISTENCE).tolist() == [1.0] * 50
-
-
-def test_agreement_stays_within_single_precision() -> None:
-    """Where passages hardly vary, two loiterers agree extremely well; the value must
-    stay finite.
-    """
-    departures, arrivals = made(3, 20, 20)
-    departures = departures._replace(slow=np.full(len(departures.t), 1.5))
-    arrivals = arrivals._replace(slow=np.full(len(arrivals.t), 1.5))
-    problem = Problem(departures, arrivals, SHORT, 3, 60.0)
-    found = find_candidates(problem)
-    adjusted = adjust(problem, found, Persistence(0.0, 0.95, 0.05))
-    fitter = Em(problem, found, adjusted=adjusted)
-    assert np.isfinite(fitter.run(fitter.start())).all()
-    assert np.isfinite(fitter.responsibility).all()
-    assert fitter.responsibility.any()
 
 
 def test_speed_tells_who_is_who() -> None:

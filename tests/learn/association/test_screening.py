@@ -13,13 +13,11 @@ from camtopod.learn.association.candidates import (
     Candidates,
     excess_over_null,
     find_candidates,
-    possible,
 )
 from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.association.screening import (
     CandidateScreen,
-    _joined,
     _likely,
     candidates_of_pairs,
     find_sources,
@@ -119,27 +117,6 @@ def in_reach(departures: Departures, arrivals: Arrivals) -> int:
 # --- what is found ---
 
 
-def test_while_they_are_few_all_are_found_and_nothing_is_followed() -> None:
-    ends = anything(1, 60, 60)
-    screen, number = CandidateScreen(), in_reach(*ends)
-    assert len(found_by(screen, ends, number - 1, 6).lag)
-    assert len(screen.followed) == 6
-    found, every = found_by(screen, ends, number, 6), find_candidates(problem_of(ends, 6))
-    assert screen.followed == {}
-    assert all((one == other).all() for one, other in zip(found, every, strict=True))
-
-
-def test_where_pairs_of_zones_are_many_they_are_screened_at_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    ends = anything(1, 60, 60)
-    for few, followed in ((36, 0), (35, 6)):
-        monkeypatch.setattr(module, "PAIRS_FEW", few)
-        screen = CandidateScreen()
-        assert (len(found_by(screen, ends, 10**6, 6).lag) < in_reach(*ends)) or not followed
-        assert len(screen.followed) == followed
-
-
 @settings(max_examples=60)
 @given(st.integers(0, 10**6), st.integers(1, 80), st.integers(1, 80), st.integers(1, 300))
 def test_what_is_kept_are_candidates(seed: int, left: int, came: int, most: int) -> None:
@@ -176,71 +153,7 @@ def test_the_true_ones_among_many_are_kept() -> None:
     assert sum(true_ones(found)) > 0.98 * sum(true_ones(every)) > 130
 
 
-def test_of_too_many_the_likeliest_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    ends = site(3)
-    most = in_reach(*ends) - 1
-    roomy = found_by(CandidateScreen(), ends, most, 40)
-    monkeypatch.setattr(module, "LIKELY_MAX", 5000)
-    monkeypatch.setattr(module, "LIKELY_PER_ARRIVAL", 1)
-    tight = found_by(CandidateScreen(), ends, most, 40)
-    assert len(tight.lag) == 5000
-    assert listed(tight).items() <= listed(roomy).items()
-    assert np.mean(true_ones(tight)) > 10 * np.mean(true_ones(roomy))
-    monkeypatch.setattr(module, "LIKELY_PER_ARRIVAL", 2)
-    assert len(found_by(CandidateScreen(), ends, most, 40).lag) == 2 * len(ends[1].t) > 5000
-
-
-@given(st.integers(0, 10**6), st.integers(0, 4), st.integers(1, 50))
-def test_parts_are_joined_by_arrival_and_the_likeliest_stay(
-    seed: int, parts: int, most: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    departures, arrivals = anything(seed, 20, 20)
-    made = []
-    for part in range(parts):  # each has arrivals of its own, by arrival, then departure
-        arrival, departure = np.divmod(
-            np.sort(rng.choice(20 * len(range(part, 20, parts)), 15, replace=False)), 20
-        )
-        made.append((departure, part + parts * arrival, rng.random(15), rng.random(15)))
-    with pytest.MonkeyPatch.context() as limits:
-        limits.setattr(module, "LIKELY_MAX", most)
-        limits.setattr(module, "LIKELY_PER_ARRIVAL", 0)
-        found = _joined(made, problem_of((departures, arrivals), 6))
-    rows = sorted(
-        ((s, a, d, lag) for part in made for d, a, lag, s in zip(*part, strict=True)), reverse=True
-    )[:most]
-    wanted = sorted(
-        (a, d, lag, int(departures.zone[d]), int(arrivals.zone[a])) for _, a, d, lag in rows
-    )
-    assert [(a, d, *rest) for (a, d), rest in listed(found).items()] == wanted
-
-
 # --- candidates of one zone ---
-
-
-@given(
-    st.integers(0, 10**6),
-    st.integers(0, 30),
-    st.integers(1, 30),
-    st.none() | st.floats(0, 1),
-    st.integers(1, 99),
-)
-def test_possible_ones_equal_a_double_loop(
-    seed: int, left: int, came: int, share: float | None, at_once: int
-) -> None:
-    """Arrivals before the exit count at other cameras only, and if the passage had begun there."""
-    rng = np.random.default_rng(seed)
-    departures, arrivals = anything(seed, left, came)
-    mine = np.flatnonzero(arrivals.zone == arrivals.zone[0])
-    among = None if share is None else np.flatnonzero(rng.random(left) < share)
-    problem = problem_of((departures, arrivals), 6, SHORT)
-    parts = list(possible(problem, mine, among, at_once))
-    departure, at, lag = (np.concatenate(column) for column in zip(*parts, strict=True))
-    assert all(len(np.unique(at)) == 1 or len(at) <= at_once for _, at, _ in parts if len(at))
-    slow = naive.candidates(departures, arrivals.take(mine), SHORT.lag_min, SHORT.lag_max)
-    slow = [(d, a) for d, a in slow if among is None or d in among]
-    assert list(zip(departure.tolist(), at.tolist(), strict=True)) == slow
-    assert lag.tolist() == [arrivals.t[mine[a]] - departures.t[d] for d, a in slow]
 
 
 @settings(max_examples=20)
@@ -272,10 +185,6 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
 
 
 # --- looks over all pairs ---
-
-
-def made_ready(departures: Departures, arrivals: Arrivals, zones: int) -> module.ScreenInput:
-    return module.screen_input(problem_of((departures, arrivals), zones))
 
 
 @settings(max_examples=20)
@@ -325,22 +234,6 @@ def test_what_stands_out_equals_its_slow_twin(
     assert counted == np.bincount(every.target, kept, minlength=6).tolist()
 
 
-def test_the_sources_of_a_link_stand_out() -> None:
-    for seed in range(4, 8):
-        ends = made_ready(*site(seed), 40)
-        sources = find_sources(ends, 0)
-        assert {3, 17} <= set(sources.tolist())
-        assert len(sources) <= module.SOURCES_PER_ZONE_MAX
-
-
-def test_at_most_so_many_stand_out_and_those_that_do_most(monkeypatch: pytest.MonkeyPatch) -> None:
-    ends = made_ready(*site(9), 40)
-    monkeypatch.setattr(module, "STANDS_OUT_SD", -np.inf)
-    assert len(find_sources(ends, 0)) == module.SOURCES_PER_ZONE_MAX < 40
-    monkeypatch.setattr(module, "SOURCES_PER_ZONE_MAX", 2)
-    assert find_sources(ends, 0).tolist() == [3, 17]
-
-
 def looked(screen: CandidateScreen, zones: int) -> list[int]:
     return [screen.followed[int(name)].looked for name in places_of(zones)]
 
@@ -366,17 +259,6 @@ def test_where_there_is_no_other_fit_every_zone_is_looked_at(
     ends, screen = anything(10, 200, 200), CandidateScreen()
     screen.find(problem_of(ends, 6), places_of(6), 1, 100, everywhere=True)
     assert looked(screen, 6) == [1] * 6
-
-
-def test_as_many_looks_as_the_events_allow(monkeypatch: pytest.MonkeyPatch) -> None:
-    ends = anything(11, 200, 200)
-    work = in_reach(*ends) + 6 * 6 * BINS.size
-    monkeypatch.setattr(module, "LOOKS_MIN", 1)
-    for share, least, most in ((0.25, 1, 3), (0.6, 3, 5), (1.01, 6, 6)):
-        monkeypatch.setattr(module, "LOOKS_PER_EVENT", share * work / 400)
-        screen = CandidateScreen()
-        found_by(screen, ends, 100, 6)
-        assert least <= 6 - looked(screen, 6).count(-1) <= most
 
 
 def test_a_zone_that_is_no_more_is_forgotten_and_a_new_one_looked_at_first(

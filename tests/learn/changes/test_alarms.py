@@ -88,13 +88,6 @@ def test_a_camera_that_stops_is_silent() -> None:
     assert second == CameraSilences([(lost[-1], np.inf)], True)
 
 
-def test_a_camera_that_was_away_has_a_silence_that_is_over() -> None:
-    busy = poisson(0.1, 0, 60_000, 1)
-    early, late = poisson(0.05, 0, 20_000, 2), poisson(0.05, 40_000, 60_000, 3)
-    _, second = heard(busy, np.concatenate((early, late)))
-    assert second == CameraSilences([(early[-1], late[0])], False)
-
-
 def test_nobody_is_silent_by_chance_or_at_night() -> None:
     for seed in range(30):
         rates = [0.001, 0.05, 0.001, 0.05]

@@ -107,19 +107,6 @@ def test_arrivals_that_come_from_elsewhere_do_not_keep_a_way_open() -> None:
     assert found[2] < 0.03
 
 
-def test_departures_nobody_could_see_arrive_do_not_count() -> None:
-    shares = two(0.5, 0.0, 400, 60)
-    blind = np.where(shares > 0, 1.0, 0.0)
-    assert latest_change(trials(shares, 7), THRESHOLD) is not None
-    assert latest_change(trials(shares, 7, weight=blind), THRESHOLD) is None
-
-
-def test_too_little_says_nothing() -> None:
-    assert latest_change(trials(np.zeros(50), 1), THRESHOLD) is None
-    assert latest_change(trials(np.ones(7), 1), THRESHOLD) is None
-    assert latest_change(trials(np.ones(50), 1, weight=np.zeros(50)), THRESHOLD) is None
-
-
 def slow_gain(given: Trials) -> float:
     """Return the best gain over every split, with factors by numerical search."""
 
@@ -161,11 +148,6 @@ def table(rows: list[tuple[int, int, int]], leaving: float = 100.0) -> LinkTable
     n = len(columns[0])
     moved = Transitions(columns[0], columns[1], np.full(n, 9.0), np.ones(n), np.zeros(n))
     return tabulate(moved, np.full((4, 1), leaving), BINS, 4)
-
-
-def test_without_changes_the_table_is_as_it_was() -> None:
-    links = table([(0, 1, 50)])
-    assert present(links, [], 4, 0.03) is links
 
 
 def test_a_closed_link_is_left_out_and_others_stay() -> None:

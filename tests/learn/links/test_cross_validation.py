@@ -9,8 +9,7 @@ from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import fit_jointly
 from camtopod.learn.association.problem import Problem
-from camtopod.learn.links import cross_validation
-from camtopod.learn.links.cross_validation import BETS, PARTS, WindowParts, cross_evidence
+from camtopod.learn.links.cross_validation import PARTS, WindowParts, cross_evidence
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
@@ -30,10 +29,6 @@ def crowd(seed: int, zones: int, each: int, seconds: float) -> tuple[Departures,
         left, zone, zone, left - rng.exponential(5.0, n), unknown
     )
     return departures, Arrivals(came, other, other, np.full(n, each / seconds), unknown)
-
-
-def test_every_part_but_the_first_is_bet_on_once() -> None:
-    assert [part for known, upto in BETS for part in range(known, upto)] == list(range(1, PARTS))
 
 
 @pytest.mark.parametrize("seconds", [300.0, 20_000.0])
@@ -63,17 +58,3 @@ def test_chance_rarely_wins_where_it_is_dense_and_short() -> None:
         won, pairs = won + int((ratio > 4.0).sum()), pairs + 64
         assert ratio.max(initial=0.0) < 7.0
     assert won <= pairs * np.exp(-4.0)
-
-
-def test_bets_that_are_spread_over_all_lags_are_averaged_with_those_that_are_not() -> None:
-    crowded = crowd(2, 3, 80, 2_000.0)
-    problem = Problem(*crowded, BINS, 3, 2_000.0)
-    fit = fit_jointly(problem, find_candidates(problem))
-    each = []
-    for shares in ((0.0,), (0.3,), (0.0, 0.3)):
-        with pytest.MonkeyPatch.context() as chosen:
-            chosen.setattr(cross_validation, "EVEN_SHARES", shares)
-            each.append(cross_evidence(problem, fit, 0.0))
-    alone, spread, both = each
-    assert (alone != spread).any()
-    assert both == pytest.approx(np.logaddexp(alone, spread) - np.log(2.0))

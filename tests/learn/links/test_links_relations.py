@@ -14,16 +14,14 @@ from camtopod.learn.links.link_table import (
     WEAK_TRANSITIONS_MIN,
     LinkTable,
     Transitions,
-    concatenate_transitions,
     exposed_departures,
     select_weak_links,
     significant,
     tabulate,
-    with_monte_carlo_variance,
 )
 from camtopod.learn.settings import Settings
-from camtopod.records import ChainEdge, Link, Transit, Zone
-from camtopod.topology.camera_pairs import find_camera_pairs, relation_of, sum_rule
+from camtopod.records import Link, Transit, Zone
+from camtopod.topology.camera_pairs import find_camera_pairs, sum_rule
 from camtopod.topology.lag_bins import LagBins
 from camtopod.topology.markov_chain import estimate_markov_chain
 
@@ -80,21 +78,6 @@ def test_table_has_every_pair_once_with_its_figures(seed: int, n: int, zones: in
     assert (back.counts == table.counts[::-1]).all()
 
 
-def test_no_transitions_no_rows() -> None:
-    table = tabulate(concatenate_transitions([]), np.zeros((3, 1)), BINS, 3)
-    assert len(table.source) == 0
-    assert table.counts.shape == (0, BINS.size)
-    assert not significant(table, SETTINGS).any()
-    assert len(tabulate(concatenate_transitions([]), np.zeros((0, 1)), BINS, 0).source) == 0
-
-
-def test_join_keeps_all_in_order() -> None:
-    one, two = transitions((0, 1, 5.0, 1.0)), transitions((1, 2, 6.0, 0.5), (2, 0, 7.0, 0.25))
-    both = concatenate_transitions([one, two])
-    assert both.lag.tolist() == [5.0, 6.0, 7.0]
-    assert both.weight.tolist() == [1.0, 0.5, 0.25]
-
-
 def test_who_may_still_be_on_the_way_does_not_lower_the_share() -> None:
     """Everybody takes 60 s to the next view; half have left in the last minute."""
     views = Views([0, 1])
@@ -108,19 +91,6 @@ def test_who_may_still_be_on_the_way_does_not_lower_the_share() -> None:
     assert ahead.probability[0] == pytest.approx(
         0.5, abs=0.01
     )  # what comes before the exit is over by then
-
-
-def test_evidence_from_elsewhere_replaces_that_of_the_table() -> None:
-    table = tabulate(
-        transitions(*repeated(0, 1, 5.0, 20), *repeated(1, 0, 5.0, 20)),
-        np.full((2, 1), 20.0),
-        BINS,
-        2,
-    )
-    told = table.with_evidence(np.array([2.0, 9.0]), 4)
-    assert told.q == pytest.approx([np.exp(-2) * 2, np.exp(-9) * 4])
-    assert told.ratio.tolist() == [2.0, 9.0]
-    assert told.source.tolist() == [0, 1]
 
 
 # --- what is published ---
@@ -152,16 +122,6 @@ def test_the_thesiss_variance_counts_too() -> None:
     )
     assert table.variance[0] > 1
     assert not significant(table, SETTINGS).any()
-
-
-def test_monte_carlo_variance_is_near_that_of_the_transitions() -> None:
-    """It is slightly larger, as the observations are drawn from the smoothed histogram."""
-    rows = [(0, 1, float(lag), 0.9) for lag in np.random.default_rng(0).normal(30, 5, 400)]
-    table = tabulate(transitions(*rows), np.full((2, 1), 500.0), BINS, 2)
-    refreshed = with_monte_carlo_variance(table, BINS)
-    assert table.variance[0] == pytest.approx(25 / (140**2 / 12), rel=0.1)
-    assert table.variance[0] < refreshed.variance[0] < 2 * table.variance[0]
-    assert refreshed.counts is table.counts
 
 
 # --- weak links ---
@@ -210,21 +170,7 @@ def test_weak_links_share_what_the_published_leave_over(seed: int) -> None:
     assert taken + weak.probability[weak.source == 0].sum() <= 1.0 + 1e-9
 
 
-def test_no_weak_links() -> None:
-    none = tabulate(concatenate_transitions([]), np.zeros((3, 1)), BINS, 3)
-    assert len(select_weak_links(none, none, 3).source) == 0
-
-
 # --- relations ---
-
-
-def test_relation_from_where_the_lags_lie() -> None:
-    assert [relation_of(ahead) for ahead in (0.0, 0.5, 0.51, 1.0)] == [
-        "unseen",
-        "unseen",
-        "overlapped",
-        "overlapped",
-    ]
 
 
 @pytest.mark.parametrize(
@@ -278,12 +224,6 @@ def test_pairs_of_cameras_once_each_sorted() -> None:
     assert find_camera_pairs(ZONES, [link("a/1", "a/2", "visible", 5.0)], 0.2) == []
 
 
-def test_one_overlapped_link_makes_the_pair_overlapped() -> None:
-    links = [link("a/1", "b/1", "unseen", 8.0), link("b/2", "a/2", "overlapped", -1.0)]
-    for order in (links, links[::-1]):
-        assert related(order) == [("ab", "overlapped", "overlapped", "")]
-
-
 def test_both_verdicts_and_why_they_differ() -> None:
     """Half of the lags of the first are negative, so the lags alone say unseen; the passage of 6 s
     decides.
@@ -328,13 +268,3 @@ def test_chain_equals_its_slow_twin(links: list[Link], exits: list[int]) -> None
     assert {(e.from_, e.to): e.probability for e in found if e.probability} == pytest.approx(
         slow, abs=1e-6
     )
-
-
-def test_chain_by_hand() -> None:
-    zones = [zone("a/1", 30), zone("a/2", 10), zone("b/1", 5)]
-    links = [link("a/1", "b/1", "unseen", 5.0, 0.5), link("a/2", "b/1", "overlapped", -1.0, 1.0)]
-    links += [link("b/1", "b/1", "unseen", 9.0, 0.2), link("a/1", "a/2", "visible", 5.0, 1.0)]
-    assert estimate_markov_chain(zones, links, 6) == [
-        ChainEdge("a", "b", 0.625),
-        ChainEdge("b", "b", 0.2),
-    ]

@@ -13,11 +13,7 @@ from camtopod.learn.links.link_table import (
     tabulate,
 )
 from camtopod.learn.links.missed_detections import (
-    UNCERTAINTY,
-    MissedOdds,
-    SkippedPaths,
     find_skipped_paths,
-    unexplained,
     without_missed_detections,
 )
 from camtopod.learn.settings import Settings
@@ -104,34 +100,6 @@ def test_no_more_than_the_setting_says() -> None:
     assert len(kept(*rows, settings=Settings(missed_share_max=0.0))) == 7
 
 
-def test_without_ways_nothing_is_explained() -> None:
-    rows = (*CHAIN, (0, 3, 25.0, 33))
-    assert kept(*rows, through=table()) == {*LINKS, (0, 3)}
-    assert kept((0, 3, 25.0, 33)) == {(0, 3)}
-    assert kept() == set()
-
-
-def test_only_what_was_found_is_a_way() -> None:
-    between = table(*CHAIN, (0, 3, 25.0, 33))
-    found = ~((between.source == 0) & (between.target == 1))
-    assert (
-        without_missed_detections(between, THROUGH, found, CAMERA, SETTINGS).tolist()
-        == found.tolist()
-    )
-
-
-def test_what_is_left_over() -> None:
-    between = table(*CHAIN, (0, 3, 25.0, 150), (2, 5, 25.0, 30), (4, 7, 25.0, 30))
-    own = unexplained(between, THROUGH, np.ones(len(between.source), bool), CAMERA, SETTINGS)
-    left = {
-        (int(u), int(v)): rest
-        for u, v, rest in zip(between.source, between.target, own, strict=True)
-    }
-    assert left[0, 1] == pytest.approx(between.transit.total[0])
-    assert left[2, 5] == pytest.approx(0.0, abs=0.5)
-    assert 150 - UNCERTAINTY * 100 <= left[0, 3] < 110
-
-
 @example(183, 39, 20)
 @given(st.integers(0, 10**6), st.integers(0, 40), st.integers(0, 20))
 def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
@@ -177,32 +145,3 @@ def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
             for ways in (actual, expected)
         ]
         assert np.array(rounded[0]) == pytest.approx(np.array(rounded[1]))
-
-
-def test_odds_of_one_camera_and_of_its_neighbours() -> None:
-    """Cameras 1 and 3 have fifty pairs each, camera 2 none: it gets the odds of the others."""
-    n = 100
-    camera, level = np.where(np.arange(n) < 50, 1, 3), np.ones(n)
-    ways = SkippedPaths(np.arange(n), camera, 20.0 * level, 9.0 * level, level)
-    seen = np.where(camera == 1, 3.0, 6.0)
-    odds = MissedOdds(ways, np.arange(n), seen, 0.5)
-    assert [odds.of(k, 0) for k in (1, 3)] == pytest.approx([0.15, 0.3])
-    assert odds.of(2, 0) in (pytest.approx(0.15), pytest.approx(0.3))
-    assert odds.expected(0) == pytest.approx(3.0)
-    assert MissedOdds(ways, np.arange(n), seen, 0.2).of(3, 0) == pytest.approx(0.25)
-    assert MissedOdds(ways._replace(expected=level), np.arange(n), seen, 0.2).of(3, 0) == 0.25
-
-
-def test_a_pair_does_not_tell_of_itself() -> None:
-    ways = SkippedPaths(
-        np.arange(4), np.array([1, 2, 2, 2]), np.full(4, 30.0), np.ones(4), np.ones(4)
-    )
-    odds = MissedOdds(ways, np.arange(4), np.array([30.0, 6.0, 6.0, 6.0]), 0.5)
-    assert odds.of(1, 0) == pytest.approx(0.2)
-    assert odds.of(1, 1) == pytest.approx(1.0)
-
-
-def test_no_camera_sees_everything() -> None:
-    ways = SkippedPaths(np.arange(4), np.ones(4, np.intp), np.full(4, 90.0), np.ones(4), np.ones(4))
-    assert MissedOdds(ways, np.arange(4), np.zeros(4), 0.5).of(1, 0) == pytest.approx(1 / 9)
-    assert MissedOdds(ways, np.arange(4), np.zeros(4), 0.0).of(1, 0) == 0.0

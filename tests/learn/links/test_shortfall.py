@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from camtopod.learn.learner import Learner
-from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
-from camtopod.learn.links.shortfall import PASSAGES_MIN, LinkShortfall, shortfall_of
+from camtopod.learn.links.link_table import LinkTable
+from camtopod.learn.links.shortfall import LinkShortfall, shortfall_of
 from camtopod.learn.links.significance import q_values, ratio_needed
 from camtopod.learn.links.transit_time import TransitFigures
 from camtopod.learn.settings import Settings
@@ -63,30 +63,6 @@ def test_a_passage_brings_as_much_as_those_so_far() -> None:
     found = of((0, 1, 10.0, 20.0, 0.5), held_out=3.0)
     assert found.passages == pytest.approx([(np.log(100 / 0.01) - 3.0) / 2.0])
     assert found.seconds == pytest.approx(found.passages * HOUR / 10.0)
-
-
-def test_without_held_out_evidence_all_of_it_is_to_come() -> None:
-    assert of((0, 1, 10.0, 20.0, 0.5)).passages == pytest.approx([np.log(100 / 0.01) / 2.0])
-    assert shortfall_of(
-        table((0, 1, 10.0, 20.0, 0.5)),
-        table((0, 1, 1.0, 0.0, 1.0)).rows(np.zeros(0, np.intp)),
-        0,
-        10,
-        HOUR,
-        SETTINGS,
-    ).passages == pytest.approx([np.log(100 / 0.01) / 2.0])
-
-
-def test_the_more_links_are_published_the_less_one_more_needs() -> None:
-    first, tenth = of((0, 1, 10.0, 20.0, 0.5)), of((0, 1, 10.0, 20.0, 0.5), published=9)
-    assert tenth.passages == pytest.approx(first.passages - np.log(10.0) / 2.0)
-
-
-def test_what_has_enough_evidence_lacks_a_passage_or_what_makes_two() -> None:
-    assert of((0, 1, 10.0, 20.0, 0.5), held_out=30.0).passages == pytest.approx([PASSAGES_MIN])
-    assert of((0, 1, 0.5, 20.0, 0.5), held_out=30.0).passages == pytest.approx(
-        [TRANSITIONS_MIN - 0.5]
-    )
 
 
 @pytest.mark.parametrize(

@@ -34,19 +34,6 @@ def telling(weight: np.ndarray) -> np.ndarray:
 # --- figures ---
 
 
-@pytest.mark.parametrize(
-    ("weights", "expected"), [([5e-4, 8e-4, 9e-4], 30.0), ([5e-4, 8e-4, 0.5], 40.0)]
-)
-def test_unlikely_transitions_count_where_there_are_no_others(
-    weights: list[float], expected: float
-) -> None:
-    pair, lag = np.array([1, 1, 1], np.int32), np.array([20.0, 30.0, 40.0])
-    found = transit_figures(pair, lag, np.array(weights), np.zeros((2, BINS.size)), BINS)
-    assert found.quantiles[1, 1] == expected
-    assert np.isfinite([found.mean[1], found.sd[1], found.median_error[1]]).all()
-    assert np.isnan(found.quantiles[0]).all(), "nothing is known where there is nothing"
-
-
 @given(st.integers(0, 10**6), st.integers(0, 60), st.integers(1, 5))
 def test_quantiles_equal_those_of_one_pair_at_a_time(seed: int, n: int, pairs: int) -> None:
     pair, lag, weight = lags(seed, n, pairs)
@@ -116,34 +103,6 @@ def test_the_median_is_as_sure_as_it_says(slow_known: bool) -> None:
     assert np.sqrt(np.mean(away**2)) < (0.65 if slow_known else 1.1) * plain
 
 
-def test_what_is_far_off_is_chance() -> None:
-    pair, lag, _ = walks(2, 50, 100)
-    rng = np.random.default_rng(2)
-    stray = rng.integers(0, 50, 500).astype(np.int32)
-    pair, lag = np.concatenate((pair, stray)), np.concatenate((lag, rng.uniform(40, 120, 500)))
-    found = transit_figures(pair, lag, np.ones(len(lag)), np.zeros((50, BINS.size)), BINS)
-    assert np.median(found.mean) == pytest.approx(10.5, rel=0.05)
-    assert np.average(lag) > 15
-
-
-def test_unknown_slowness_changes_nothing() -> None:
-    pair, lag, slow = walks(3, 3, 40)
-    slow[pair == 1] = np.nan
-    density = np.zeros((3, BINS.size))
-    plain = transit_figures(pair, lag, np.ones(len(lag)), density, BINS)
-    found = transit_figures(pair, lag, np.ones(len(lag)), density, BINS, slow, np.full(3, 0.01))
-    assert found.quantiles[1].tolist() == plain.quantiles[1].tolist()
-    assert found.median_error[1] == plain.median_error[1]
-    assert found.quantiles[0, 1] != plain.quantiles[0, 1]
-    assert np.diff(found.quantiles[0]) == pytest.approx(np.diff(plain.quantiles[0]))
-
-
-def test_figures_of_no_pair() -> None:
-    none = np.zeros(0)
-    found = transit_figures(np.zeros(0, np.int32), none, none, np.zeros((0, BINS.size)), BINS)
-    assert all(len(column) == 0 for column in found)
-
-
 @pytest.mark.parametrize("at", [-8.0, -1.0, 0.0, 0.3, 7.8102, 25.0, 90.0])
 def test_peak_lies_between_the_bins(at: float) -> None:
     """The peak of a bell three bins wide is found within a fifth of a bin."""
@@ -152,17 +111,6 @@ def test_peak_lies_between_the_bins(at: float) -> None:
     middle = np.arcsinh(at / BINS.scale) / BINS.step - BINS.first
     bell = np.exp(-0.5 * ((position[:-1] + 0.5 - middle) / 1.5) ** 2)
     assert peak(bell[None, :], BINS)[0] == pytest.approx(at, abs=0.2 * BINS.widths[k])
-
-
-def test_peak_at_the_ends_of_a_plateau_and_of_nothing() -> None:
-    density = np.zeros((4, BINS.size))
-    density[0, 0] = density[1, -1] = 1.0
-    density[2, 10:12] = 3.0
-    found = peak(density, BINS)
-    assert BINS.edges[0] <= found[0] <= BINS.edges[1]
-    assert BINS.edges[-2] <= found[1] <= BINS.edges[-1]
-    assert found[2] == pytest.approx(BINS.edges[11])
-    assert np.isnan(found[3])
 
 
 # --- Monte Carlo ---
@@ -200,17 +148,6 @@ def test_observations_keep_the_density_they_come_from() -> None:
     )
 
 
-def test_observations_move_and_stay_inside() -> None:
-    """Observations move, but never to where the density is zero."""
-    density = np.where((BINS.centres > 3) & (BINS.centres < 8), 1.0, 0.0)[None, :]
-    still = monte_carlo.observe(density, np.zeros(1), BINS, 1)
-    moved = monte_carlo.observe(density, np.ones(1), BINS, 1)
-    for found in (still, moved):
-        assert (density[0, BINS.index(found.ravel())] == 1).all()
-    assert (np.diff(still) > -1.0).all()  # evenly spread, bin by bin
-    assert (np.diff(moved) < -1.0).any()
-
-
 def test_observations_are_repeatable_and_of_nothing_none() -> None:
     density = a_density()[None, :]
     one, again, other = (monte_carlo.observe(density, np.ones(1), BINS, seed) for seed in (1, 1, 2))
@@ -221,11 +158,6 @@ def test_observations_are_repeatable_and_of_nothing_none() -> None:
 
 
 # --- Mahalanobis ---
-
-
-def test_distance_by_its_definition() -> None:
-    left, came = np.array([0.0, 2.0]), np.array([6.0, -1.0])
-    assert mahalanobis.distance(left, came, 9.0).tolist() == [2.0, -1.0]
 
 
 def test_unrelated_zones_are_at_one_and_a_link_far_below() -> None:

@@ -11,7 +11,7 @@ from synthetic_events import Views
 from camtopod.learn.association.candidates import Candidates, find_candidates
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.next_camera import contexts as module
-from camtopod.learn.next_camera.contexts import LEVELS, ContextLevel, Contexts, multipliers
+from camtopod.learn.next_camera.contexts import LEVELS, ContextLevel, Contexts
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
@@ -98,14 +98,6 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
         assert level.transitions.sum() == pytest.approx(sum(moved_of.values()))
 
 
-@given(st.lists(st.tuples(*[st.just(0.0) | st.floats(1e-9, 1)] * 2), min_size=1, max_size=10))
-def test_multipliers_are_bounded_ratios(pairs: list[tuple[float, float]]) -> None:
-    before, after = (np.array(column) for column in zip(*pairs, strict=True))
-    assert multipliers(before, after).tolist() == [
-        pytest.approx(naive.multiplier(b, a, module.MULTIPLIER_MAX)) for b, a in pairs
-    ]
-
-
 def told(
     views: Views, true: dict[float, float]
 ) -> tuple[list[ContextLevel], Candidates, Departures, np.ndarray]:
@@ -164,24 +156,6 @@ def test_where_they_came_in_and_where_they_left_says_where_they_go(known: str) -
     to_three, share = found.target[found.pair[candidate]] == 3, after[candidate]
     assert (share[is_first & to_three] > 0.95).all()
     assert (share[~is_first & to_three] < 0.05).all()
-
-
-def test_a_context_seen_once_hardly_counts() -> None:
-    views, true = Views([0, 0, 1, 2]), {}
-    for k in range(40):
-        views.through(100.0 * k, 100.0 * k + 5, 0, 0)
-        views.through(100.0 * k + 15, 100.0 * k + 16, 2, 2)
-        true[100.0 * k + 5] = 100.0 * k + 15
-    views.through(5000.0, 5005.0, 1, 0)
-    views.through(5015.0, 5016.0, 3, 3)
-    true[5005.0] = 5015.0
-    _, found, departures, after = told(views, true)
-    (rare,) = np.flatnonzero(
-        (departures.t[found.departure] == 5005.0) & (found.target[found.pair] == 3)
-    )
-    assert after[rare] == pytest.approx(
-        1 / 41
-    )  # left out itself, there is nothing: as without the context
 
 
 def test_the_camera_before() -> None:

@@ -8,13 +8,12 @@ import naive
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from numpy.typing import NDArray
 from synthetic_events import learned_from, passage
 
 from camtopod.codec import decode_topology, to_json
 from camtopod.learn.next_camera import overlapping_views
 from camtopod.learn.next_camera.overlapping_views import Views, find_overlapping
-from camtopod.predict.hand_over import HandOver, cameras_to_watch
+from camtopod.predict.hand_over import cameras_to_watch
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, InView, NextCamera, Prediction, Topology
 from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, offset_bins
@@ -43,17 +42,6 @@ def test_open_passages_equal_a_double_loop(seed: int, n: int, shift: float) -> N
         ]
     assert len(found) == len(set(found))
     assert set(found) == naive.coexisting(*views, shift)
-
-
-@given(st.integers(0, 10**6), st.integers(1, 200), st.integers(0, 300))
-def test_the_newest_exits_count_beyond_the_limit(seed: int, n: int, most: int) -> None:
-    views = made(seed, n)
-    first = overlapping_views._newest(views, most)
-    pairs = [  # those of the same camera are counted, too, but for the passage itself
-        sum(views.entered[k] <= views.left[i] < views.left[k] for k in range(n)) for i in range(n)
-    ]
-    assert sum(pairs[first:]) <= most
-    assert first == 0 or sum(pairs[first - 1 :]) > most
 
 
 def walkers(seed: int, objects: int, share: float = 1.0, seconds: float = 30.0) -> list[Event]:
@@ -112,11 +100,6 @@ def test_views_with_nothing_to_do_with_each_other_do_not_overlap(seed: int) -> N
     assert find_overlapping(views, 6, BINS) == []
 
 
-def test_without_passages_nothing_overlaps() -> None:
-    nothing: NDArray[np.float64] = np.zeros(0)
-    assert find_overlapping(Views(np.zeros(0, np.int64), nothing, nothing), 3, BINS) == []
-
-
 def test_who_leaves_a_view_is_looked_for_where_another_sees_it() -> None:
     topology, right, sure = learned_from(walkers(1, 200)), [], []
     for exit_, told in predictions(decode_topology(to_json(topology)), walkers(2, 100)):
@@ -155,12 +138,6 @@ def test_passages_in_view_do_not_depend_on_the_order_of_lines_of_one_instant(whe
     assert told.in_view[0].probability > 0.5
 
 
-def test_an_exit_without_a_track_has_nobody_in_view() -> None:
-    topology = learned_from(walkers(1, 200))
-    untold = Event("a", "exit", 1e6)
-    assert Predictor(topology).predict(untold).in_view is None
-
-
 def test_where_nobody_sees_an_object_the_next_camera_counts() -> None:
     following = [
         NextCamera("c", "c/1", 0.6, 1.0, 2.0, 3.0),
@@ -170,8 +147,3 @@ def test_where_nobody_sees_an_object_the_next_camera_counts() -> None:
     said = {one.camera: one.probability for one in cameras_to_watch(in_view, following)}
     assert said == pytest.approx({"b": 0.5 + 0.4 * 0.2, "c": 0.4 * 0.6, "d": 0.2})
     assert [one.camera for one in cameras_to_watch([], following)] == ["c", "b"]
-
-
-def test_a_topology_without_overlaps_says_nothing() -> None:
-    topology = learned_from(walkers(1, 30, 0.0))
-    assert not HandOver(topology).overlaps("a")

@@ -10,8 +10,6 @@ from synthetic_events import Views, fit_posterior
 
 from camtopod.learn.association.candidates import Candidates, find_candidates
 from camtopod.learn.association.joint_fit import fit_jointly
-from camtopod.learn.association.problem import Problem
-from camtopod.learn.next_camera import fit as module
 from camtopod.learn.next_camera.fit import Posterior, PosteriorFitter
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
@@ -38,12 +36,6 @@ def one_way(seed: int, objects: int, span: float, goes: float = 0.6, clutter: in
     return views
 
 
-def scout_of(problem: Problem) -> PosteriorFitter:
-    scout = PosteriorFitter(problem, find_candidates(problem))
-    scout.scout()
-    return scout
-
-
 UNRELATED = [(0, 0), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)]
 
 # --- what it finds ---
@@ -59,21 +51,6 @@ def test_finds_the_share_the_time_and_who_leaves() -> None:
     assert found.leave == pytest.approx(np.array([0.4, 1.0, 1.0]), abs=0.1)
 
 
-def test_few_events_leave_much_open() -> None:
-    """Weak evidence of nothing fades as events come."""
-    few, many = (
-        [
-            fit_posterior(one_way(seed, 100 * n, 2000.0 * n, clutter=50 * n).problem(BINS))
-            for seed in range(4)
-        ]
-        for n in (1, 16)
-    )
-    false = [
-        sum(share(found, *pair) for found in fits for pair in UNRELATED) for fits in (few, many)
-    ]
-    assert false[0] > 2 * false[1]
-
-
 def test_what_comes_at_any_lag_is_doubted() -> None:
     found = fit_posterior(one_way(1, 400, 2000.0, clutter=300).problem(BINS))
     c = found.fit.candidates
@@ -87,14 +64,6 @@ def test_what_comes_at_any_lag_is_doubted() -> None:
     assert doubt[0, 1] < 0.25
     assert min(doubt[pair] for pair in UNRELATED if pair in doubt) > 2 * doubt[0, 1]
     assert all(0 <= share <= 1 for share in doubt.values())
-
-
-def test_what_becomes_of_the_departures_adds_up() -> None:
-    found = fit_posterior(one_way(2, 200, 1500.0, clutter=100).problem(BINS))
-    came = np.bincount(found.fit.candidates.arrival, found.fit.responsibility)
-    assert (came <= 1 + 1e-9).all()
-    seen_again = np.bincount(found.fit.candidates.source, found.share, minlength=3)
-    assert seen_again + found.leave == pytest.approx(np.ones(3), abs=0.05)
 
 
 def under_one_roof(seed: int, objects: int, span: float) -> tuple[Views, dict[float, float]]:
@@ -157,78 +126,7 @@ def test_views_that_do_not_overlap_take_nothing_ahead_of_the_exit() -> None:
     assert (together.fit.candidates.lag < 0).any()
 
 
-@pytest.mark.parametrize("known", [(0, 1), (1, 0)])
-def test_views_that_are_known_to_overlap_are_not_asked_again(known: tuple[int, int]) -> None:
-    scout = scout_of(one_way(4, 300, 4000.0, clutter=300).problem(BINS))
-    overlapping = np.zeros((scout.contexts.cameras, scout.contexts.cameras), np.bool_)
-    ahead = (scout.em.candidates.lag < 0) & (scout.em.responsibility > module.NEGLIGIBLE)
-    assert not scout.worth_following(overlapping)[ahead].any()
-    overlapping[known] = True
-    c, d, a = scout.em.candidates, scout.problem.departures, scout.problem.arrivals
-    between = {0, 1} == set(known) and (d.camera[c.departure] + a.camera[c.arrival] == 1)
-    assert scout.worth_following(overlapping)[ahead & between].all()
-    assert (ahead & between).any()
-
-
-def test_the_same_every_time() -> None:
-    asked = one_way(7, 100, 600.0, clutter=50).problem(BINS)
-    one, again = fit_posterior(asked), fit_posterior(asked)
-    assert (one.share == again.share).all()
-    assert (one.fit.responsibility == again.fit.responsibility).all()
-
-
 # --- candidates that are left out ---
-
-
-def test_only_what_is_negligible_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = one_way(8, 400, 8000.0, clutter=100).problem(BINS)
-    found = fit_posterior(asked)
-    scout = scout_of(asked)
-    apart = np.zeros((scout.contexts.cameras, scout.contexts.cameras), np.bool_)
-    kept = scout.em.candidates.take(scout.worth_following(apart))
-    ahead = scout.em.candidates.lag < 0
-    left_out = (
-        scout.em.responsibility[~ahead].sum()
-        - scout.em.responsibility[~ahead & (scout.em.responsibility > module.NEGLIGIBLE)].sum()
-    )
-    assert len(kept.lag) < 0.9 * (~ahead).sum()
-    assert left_out < 0.05 * scout.em.responsibility.sum()
-    assert set(zip(kept.departure.tolist(), kept.arrival.tolist(), strict=True)) == {
-        pair
-        for pair, r, before in zip(
-            zip(
-                scout.em.candidates.departure.tolist(),
-                scout.em.candidates.arrival.tolist(),
-                strict=True,
-            ),
-            scout.em.responsibility.tolist(),
-            ahead.tolist(),
-            strict=True,
-        )
-        if r > module.NEGLIGIBLE and not before
-    }
-    assert kept.source[kept.pair].tolist() == asked.departures.zone[kept.departure].tolist()
-    assert kept.target[kept.pair].tolist() == asked.arrivals.zone[kept.arrival].tolist()
-    monkeypatch.setattr(module, "NEGLIGIBLE", 0.0)
-    everything = fit_posterior(asked)
-    assert len(everything.fit.candidates.lag) > len(found.fit.candidates.lag)
-    for pair in ((0, 1), (0, 2), (2, 1), (1, 2)):
-        assert share(found, *pair) == pytest.approx(share(everything, *pair), abs=0.02)
-
-
-@pytest.mark.parametrize("gap", [500.0, -500.0])
-def test_without_a_candidate(gap: float) -> None:
-    problem = one_way(9, 20, 200.0).problem(BINS)
-    departures, arrivals, *_ = problem
-    apart = problem._replace(
-        departures=departures._replace(own=np.full_like(departures.own, -1)),
-        arrivals=arrivals._replace(t=arrivals.t + gap),
-        until=problem.until + 500.0,
-    )
-    found = fit_posterior(apart)
-    assert found.share.shape == (0,)
-    assert found.fit.hazard.shape == (0, BINS.size)
-    assert (found.leave == 1)[:2].all()
 
 
 # --- entry kernels, against their slow twins ---

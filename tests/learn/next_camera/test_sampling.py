@@ -37,16 +37,6 @@ def test_as_often_as_likely() -> None:
     assert mean[3] == 0.0
 
 
-def test_the_same_seed_draws_the_same() -> None:
-    arrival, responsibility = np.repeat(np.arange(50, dtype=np.int32), 2), np.full(100, 0.45)
-    first, second = Sources(arrival, 50, 1), Sources(arrival, 50, 1)
-    for _ in range(3):
-        assert first.draw(responsibility).tolist() == second.draw(responsibility).tolist()
-    assert (
-        first.draw(responsibility).tolist() != Sources(arrival, 50, 1).draw(responsibility).tolist()
-    )
-
-
 def test_faint_transitions_are_spread_over_later_lags() -> None:
     source = np.array([0, 0, 1], np.int32)
     hazard, exposed = np.full((3, BINS.size), 0.02, np.float32), np.full((2, BINS.size), 40.0)

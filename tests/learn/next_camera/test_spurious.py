@@ -62,24 +62,6 @@ def test_what_is_usual_is_not_doubted_and_what_is_out_of_character_is() -> None:
     assert real[4] < 0.02
 
 
-def test_little_evidence_is_in_character_where_all_have_little() -> None:
-    each, many = np.array([4.0, 5.0, 6.0, 0.5]), np.full(4, 1e6)
-    assert real_probability(0.01 * each, many) == pytest.approx(
-        real_probability(each, many), abs=1e-3
-    )
-    apart = real_probability(np.array([0.5, 5.0, 50.0, 500.0]), many)
-    assert (
-        apart[0] > real_probability(each, many)[3] + 0.1
-    )  # where pairs differ as widely, ten times less is nothing odd
-
-
-def test_a_few_transitions_tell_only_where_each_tells_much() -> None:
-    for usual, tells in ((5.0, True), (0.05, False)):
-        real = real_probability(usual * np.array([1.0, 1.0, 0.02]), np.array([100.0, 100.0, 4.0]))
-        assert (real[2] < 0.1) == tells
-        assert (real[2] > 0.6) != tells
-
-
 def test_whether_anything_is_linked_takes_evidence_or_departures_to_tell() -> None:
     few, many = np.zeros(10), np.full(10, 500.0)
     assert any_link_probability(np.zeros(0), few) == pytest.approx(0.5)
@@ -122,13 +104,6 @@ def test_who_always_comes_is_foretold_as_surely_as_is_published(seconds: float) 
     assert np.mean([p.next_[0].probability for p in predictions]) == pytest.approx(
         link.probability, abs=0.1
     )
-
-
-def test_before_anything_can_be_known_much_is_open() -> None:
-    """A few minutes after the start neither leaving nor any destination is predicted surely."""
-    events, _ = simulate(SimSettings(seed=100, objects_per_second=0.108, hours=0.2))
-    _, predictions = said(events[:120])
-    assert 0.5 < np.mean([prediction.leave for prediction in predictions]) < 0.9
 
 
 def test_where_nothing_is_linked_objects_are_foretold_to_leave() -> None:

@@ -53,11 +53,6 @@ def test_bins_cover_their_range(
     assert bins.edges[-1] >= low + length - 1e-9 * abs(low + length)
 
 
-def test_zero_is_an_edge() -> None:
-    """A bin is either before the exit or after it."""
-    assert 0.0 in BINS.edges
-
-
 @pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (2.0, 1.0), (float("nan"), 1.0)])
 def test_an_empty_range_is_refused(low: float, high: float) -> None:
     with pytest.raises(ValueError, match="lag range is empty"):
@@ -89,18 +84,6 @@ def test_local_rates_equal_their_slow_twin(seed: int, n: int, zones: int, span: 
     assert (local_rates(t, zone, zones) > 0).all()
 
 
-def test_local_rates_of_nothing_and_of_one() -> None:
-    assert len(local_rates(np.zeros(0), np.zeros(0, np.int32), 3)) == 0
-    assert local_rates(np.array([5.0]), np.array([2], np.int32), 3).tolist() == [1.0]
-
-
-def test_local_rates_follow_the_rhythm() -> None:
-    t = np.concatenate([np.arange(0, 3600, 100.0), np.arange(3600, 7200, 5.0)])
-    rates = local_rates(t, np.zeros(len(t), np.int32), 1)
-    assert rates[10] == pytest.approx(0.01, rel=0.3)
-    assert rates[-100] == pytest.approx(0.2, rel=0.1)
-
-
 @given(
     st.integers(0, 10**6),
     st.integers(1, 25),
@@ -121,20 +104,3 @@ def test_chance_equals_its_slow_twin_as_a_table_and_pair_by_pair(
             assert found.rates_of(source, target) == pytest.approx(slow.ravel())
             assert found.rates_of(target, source) == pytest.approx(slow.T.ravel())
             assert len(found.rates_of(source[:0], target[:0])) == 0
-
-
-def test_chance_has_no_table_of_many_zones() -> None:
-    """Rates are computed, and stored, only for pairs that are asked for."""
-    zones = module.TABLE_ZONES_MAX
-    left, came = traffic(1, 50, 3), traffic(2, 50, 3)
-    small, large = NullRates(*left, *came, zones), NullRates(*left, *came, zones + 1)
-    assert (
-        sum(
-            isinstance(part, np.ndarray) and part.shape == (zones, zones)
-            for part in vars(small).values()
-        )
-        == 1
-    )
-    assert max(part.size for part in vars(large).values() if part is not None) < 20 * (zones + 1)
-    pairs = np.array([0, 1, 2]), np.array([2, 0, zones - 1])
-    assert large.rates_of(*pairs) == pytest.approx(small.rates_of(*pairs))

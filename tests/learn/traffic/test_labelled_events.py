@@ -7,8 +7,7 @@ import pytest
 
 from camtopod.event_time import microseconds
 from camtopod.learn.links.visible_links import visible_transitions
-from camtopod.learn.traffic.labelled_events import Scene, label_events, number_zones
-from camtopod.learn.traffic.speed import USUAL_PASSAGES_MIN
+from camtopod.learn.traffic.labelled_events import Scene, label_events
 from camtopod.learn.window.sliding_window import Window
 from camtopod.learn.zones.zone_map import ZoneMap, cell_sums, cells_of, find_zones, fixed_point
 from camtopod.records import Event
@@ -116,46 +115,10 @@ def test_scene_equals_a_walk_over_the_events(forget: int) -> None:
     assert len(passages) > 50
 
 
-def test_slowness_stands_at_both_ends_of_a_passage() -> None:
-    _, _, scene = seen(made(1, 60))
-    ways: dict[tuple[int, int], list[float]] = {}
-    p, d, a = scene.passages, scene.departures, scene.arrivals
-    for u, v, entered, left in zip(p.source, p.target, p.entered, p.left, strict=True):
-        ways.setdefault((u, v), []).append(left - entered)
-    for u, v, entered, left in zip(p.source, p.target, p.entered, p.left, strict=True):
-        stays = ways[u, v]
-        expected = (
-            np.log((left - entered) / np.median(stays))
-            if len(stays) >= USUAL_PASSAGES_MIN
-            else np.nan
-        )
-        (leaving,) = d.slow[(d.t == left) & (d.zone == v)]
-        (coming,) = a.slow[(a.t == entered) & (a.zone == u)]
-        assert leaving == pytest.approx(expected, abs=0.02, nan_ok=True)
-        assert coming == pytest.approx(leaving, nan_ok=True)
-    assert np.isnan(d.slow[np.isinf(d.since)]).all()
-
-
 def test_a_camera_is_tracked_when_most_exits_have_their_entry() -> None:
     for tracked, expected in ((1.0, True), (0.9, True), (0.2, False), (0.0, False)):
         _, _, scene = seen(made(2, 60, tracked))
         assert scene.tracked.tolist() == [expected] * 3
-
-
-def test_zones_are_numbered_through() -> None:
-    window, maps, _ = seen(made(3, 40))
-    zones, tables = number_zones(window, maps)
-    assert tables.shape == (3, 721)
-    door = window.cameras.index("door")
-    for k, zone in enumerate(zones):
-        if zone.camera == door:
-            assert zone.shape is None
-            assert tables[door, -1] == k
-            assert (tables[door, :-1] == -1).all()
-        else:
-            assert zone.shape is not None
-            assert tables[zone.camera, cells_of(*fixed_point((zone.shape.x, zone.shape.y)))] == k
-            assert tables[zone.camera, -1] == -1
 
 
 def test_passages_are_counted_where_tracks_tie_them() -> None:

@@ -112,13 +112,6 @@ def test_open_passages_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert window.column("mate").tolist() == [-1, -1, -1, -1, 1, 2]
 
 
-def test_at_most_so_many_events() -> None:
-    window = Window(7)
-    window.append(at(1, [Event("a", "entry", 1)] * 20))
-    assert window.forget_old(0) == 13
-    assert len(window) == 7
-
-
 def test_at_most_so_many_of_each_camera_if_that_is_more() -> None:
     window, now = Window(7, 3, 1000), 0
     for cameras, held in ((1, 7), (2, 7), (3, 9), (6, 18)):

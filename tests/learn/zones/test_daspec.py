@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from bench.support.thesis_tables import FIGURE_4_4_ZONES, TABLE_5_1, figure_4_4
-from bench.thesis import authors_bandwidth
 from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
 from camtopod.learn.zones.zone_map import cell_sums, fixed_point
 
@@ -70,12 +69,6 @@ def test_table_5_1_gives_its_two_zones() -> None:
         {(0, 1), (1, 2)},
         {(0, 2), (1, 1)},
     )
-
-
-def test_the_authors_rule_splits_table_5_1() -> None:
-    width = authors_bandwidth(TABLE.astype(float))
-    assert width == pytest.approx(0.63, abs=0.005)
-    assert data_spectroscopy(grid_of(TABLE), width).groups > 2
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -25,12 +25,6 @@ def test_posterior_decides() -> None:
     assert set(cells.ravel().tolist()) == {-1, 0, 1}
 
 
-def test_more_clutter_more_cells_without_zone() -> None:
-    sizes = [(classify_cells((A, B), clutter) >= 0).sum() for clutter in (0.01, 0.1, 1.0, 5.0)]
-    assert sizes == sorted(sizes, reverse=True)
-    assert sizes[0] > sizes[-1] > 0
-
-
 def test_a_zone_narrower_than_a_cell_has_its_cell() -> None:
     point = ZoneShape(1, 0.71, 0.33, ((0.0, 0.0), (0.0, 0.0)), 1.0)
     cells = classify_cells((point,), 0.3)

@@ -10,7 +10,6 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.zones.zone_map import cell_sums, cells_of, find_zones, fixed_point
 from camtopod.records import Event
-from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 BEFORE = [(0.05, 0.5), (0.5, 0.95), (0.9, 0.3)]
 AFTER = [(0.3, 0.1), (0.7, 0.7), (0.2, 0.8)]
@@ -65,14 +64,6 @@ def test_other_changes_are_no_move(
 ) -> None:
     before = places(seed, BEFORE, [0.5, 0.3, 0.2], 1000)
     assert first_look(before, places(seed + 100, doors, shares, 400, clutter)) is None
-
-
-def test_few_events_and_no_zones_are_no_move() -> None:
-    empty = np.full((GRID_ROWS, GRID_COLUMNS), -1, np.int16)
-    assert find_move(np.zeros(0, np.int64), empty) is None
-    assert find_move(np.arange(400) % 720, empty) is None
-    before = places(0, BEFORE, [0.5, 0.3, 0.2], 90)
-    assert first_look(before, places(1, AFTER, [0.4, 0.4, 0.2], 60)) is None
 
 
 def walks(seed: int, start: float, n: int, doors: list[tuple[float, float]]) -> list[Event]:
