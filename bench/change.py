@@ -23,7 +23,8 @@ from msgspec.structs import replace
 
 from bench.support.prediction_scores import next_entries
 from camtopod.learn.learner import Learner
-from camtopod.learn.self_score import ScoredPrediction, Scorer, Scores, marks
+from camtopod.learn.outcomes import ScoredPrediction
+from camtopod.learn.self_score import Scorer, Scores, marks
 from camtopod.records import Event, Topology
 from camtopod.sim.scoring import match_zones
 from camtopod.sim.settings import SimSettings

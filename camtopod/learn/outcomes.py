@@ -8,7 +8,8 @@ version gives the probability of each possible arrival.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from itertools import takewhile
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,20 +21,26 @@ Happened = dict[str, float]
 """Probability that the object appeared next at each camera; the rest has left the site."""
 
 
-class Exit(Protocol):
-    """An exit of an object from the view of a camera."""
+class ScoredPrediction(NamedTuple):
+    """A prediction that is to be scored.
 
-    @property
-    def t(self) -> float:
-        """Event time by the camera's own clock, Unix seconds."""
+    Probabilities are by name of the next camera, with "" for leaving the site.
+    """
 
-    @property
-    def camera(self) -> str:
-        """Name of the camera."""
+    t: float
+    """Time of the exit by the camera's own clock, Unix seconds."""
+    camera: str
+    """Camera of the exit."""
+    version: int
+    """Version with which the prediction was made."""
+    predicted: dict[str, float]
+    """Predicted probabilities."""
+    baseline: dict[str, float]
+    """Probabilities of the baseline, the Markov chain over cameras."""
 
 
 def outcomes_of(
-    exits: Sequence[Exit],
+    exits: Sequence[ScoredPrediction],
     posterior: Posterior,
     departures: Departures,
     arrivals: Arrivals,
@@ -43,51 +50,34 @@ def outcomes_of(
 ) -> list[Happened | None]:
     """Return the outcome of each of the exits up to ``until``; None if the fit has no such exit.
 
-    exits: sorted by time.
+    exits: predictions of exits, sorted by time.
     departures, arrivals: those of the fit, in corrected time.
     cameras: names of all cameras.
     offsets (cameras,): clock offset of each camera, seconds.
     until (Unix seconds): later exits may still have an arrival, so their outcome is not known.
     """
-    # The exits whose outcome is known.
-    known_exits = []
-    for one in exits:
-        if one.t > until:
-            break
-        known_exits.append(one)
+    # The row of each exit among the departures; -1 if it is not there.
+    rows = []
+    for one in takewhile(lambda one: one.t <= until, exits):
+        camera = cameras.index(one.camera)
+        t = one.t - offsets[camera]
+        low, high = np.searchsorted(departures.t, (t, np.nextafter(t, np.inf)))
+        same = low + np.flatnonzero(departures.camera[low:high] == camera)
+        rows.append(int(same[0]) if len(same) else -1)
 
-    # The probability of each next camera.
-    rows = [_row_of(one, departures, cameras, offsets) for one in known_exits]
-    known = [row for row in rows if row is not None]
-    shares = iter(_shares(posterior, arrivals, known, len(cameras)))
-
-    # By name of the camera.
+    # The probability of each next camera, by name.
     outcomes: list[Happened | None] = []
-    for row in rows:
-        if row is None:
-            outcomes.append(None)
-        else:
-            share = next(shares)
-            outcomes.append({cameras[k]: float(share[k]) for k in np.flatnonzero(share)})
+    for row, share in zip(rows, _shares(posterior, arrivals, rows, len(cameras)), strict=True):
+        outcomes.append(None)
+        if row >= 0:
+            outcomes[-1] = {cameras[k]: float(share[k]) for k in np.flatnonzero(share)}
     return outcomes
-
-
-def _row_of(one: Exit, departures: Departures, cameras: list[str], offsets: Floats) -> int | None:
-    """Return the row of an exit in the table of departures; None if it is not there.
-
-    Arguments are as for `outcomes_of`.
-    """
-    camera = cameras.index(one.camera)
-    t = one.t - offsets[camera]
-    low, high = np.searchsorted(departures.t, (t, np.nextafter(t, np.inf)))
-    rows = low + np.flatnonzero(departures.camera[low:high] == camera)
-    return int(rows[0]) if len(rows) else None
 
 
 def _shares(posterior: Posterior, arrivals: Arrivals, rows: list[int], cameras: int) -> Floats:
     """Return the probability of each camera to see the object of a departure next, (k, cameras).
 
-    rows: k departures.
+    rows: k departures; -1 for none.
     cameras: number of cameras.
 
     The spurious share of each candidate does not count.
@@ -96,7 +86,7 @@ def _shares(posterior: Posterior, arrivals: Arrivals, rows: list[int], cameras: 
     c = posterior.fit.candidates
     number = np.full(int(c.departure.max(initial=-1)) + 1, -1)
     for k, row in enumerate(rows):
-        if row < len(number):
+        if 0 <= row < len(number):
             number[row] = k
 
     candidate_rows = np.flatnonzero(number[c.departure] >= 0)

@@ -70,7 +70,7 @@ from camtopod.learn.next_camera import (
     overlap_table,
     views_of,
 )
-from camtopod.learn.outcomes import Exit, Happened, outcomes_of
+from camtopod.learn.outcomes import Happened, ScoredPrediction, outcomes_of
 from camtopod.learn.prediction_model import build_model
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic import Scene
@@ -92,13 +92,13 @@ class Known(NamedTuple):
         arrival (`CandidateScreen`), by `place` of the zone of arrival; empty on a small site.
     learned: number of events learned so far.
     everywhere: True to screen all zones of arrival now, because there is no later refit.
-    exits: predicted exits whose outcome is to be estimated, oldest first.
+    exits: predictions of exits whose outcome is to be estimated, oldest first.
     """
 
     followed: Mapping[int, FollowedSources]
     learned: int
     everywhere: bool
-    exits: Sequence[Exit]
+    exits: Sequence[ScoredPrediction]
 
 
 class Refit(NamedTuple):

@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.event_time import MICROSECONDS
-from camtopod.learn.outcomes import Happened
+from camtopod.learn.outcomes import Happened, ScoredPrediction
 from camtopod.predict import Predictor, PredictorState
 from camtopod.records import Event, Prediction, SelfScore, Topology
 
@@ -31,24 +31,6 @@ PENDING_MAX = 2000
 """Largest number of predictions that wait for their outcome; beyond, the oldest is dropped."""
 PROBABILITY_FLOOR = 1e-4
 """Lower bound on a predicted probability in the log loss."""
-
-
-class ScoredPrediction(NamedTuple):
-    """A prediction that is to be scored.
-
-    Probabilities are by name of the next camera, with "" for leaving the site.
-    """
-
-    t: float
-    """Time of the exit, seconds."""
-    camera: str
-    """Camera of the exit."""
-    version: int
-    """Version with which the prediction was made."""
-    predicted: dict[str, float]
-    """Predicted probabilities."""
-    baseline: dict[str, float]
-    """Probabilities of the baseline, the Markov chain over cameras."""
 
 
 class Scores(NamedTuple):

@@ -8,11 +8,11 @@ import pytest
 
 from bench.support.prediction_scores import next_entries
 from camtopod.learn.learner import Learner
+from camtopod.learn.outcomes import ScoredPrediction
 from camtopod.learn.self_score import (
     EXITS_PER_VERSION,
     PROBABILITY_FLOOR,
     SCORED_MAX,
-    ScoredPrediction,
     Scorer,
     ScorerState,
     marks,

@@ -14,14 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Indices, Ints, Singles, row_slices
+from camtopod.arrays import Floats, Indices, Ints, Rows, Singles, row_slices
 from camtopod.learn.association.problem import Problem
 from camtopod.topology import LagBins, lag_smoothing_matrix
 
-PAIR_TABLE_MAX = 20_000_000
-"""Largest number of entries of a dense table over pairs of zones; beyond, pairs are numbered by
-sorting.
-"""
 EXCESS_SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
 """Standard deviations, in lag bins, of the smoothing kernels with which a lag histogram is compared
 with the null model.
@@ -105,18 +101,16 @@ def departures_in_reach(
 
 def possible(
     problem: Problem,
-    arrival_rows: NDArray[np.intp],
-    departure_rows: NDArray[np.intp] | None = None,
-    at_once: int = CANDIDATES_AT_ONCE,
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
+    arrival_rows: Rows,
+    departure_rows: Rows | None = None,
+) -> Iterator[tuple[Rows, Rows, Floats]]:
     """Yield the candidates of given arrivals, part by part: departure, arrival, lag.
 
     arrival_rows: rows of the arrivals.
     departure_rows: rows of the departures to consider, ascending; None for all.
-    at_once: approximate number of candidates in each part, which limits memory.
 
-    Each part has three arrays (n,): row of the departure, index of the arrival in
-    ``arrival_rows``, and seconds from the departure to the arrival.
+    Each part has about `CANDIDATES_AT_ONCE` candidates, as three arrays (n,): row of the departure,
+    index of the arrival in ``arrival_rows``, and seconds from the departure to the arrival.
     """
     # Find the departures in reach of each arrival.
     departures, arrivals, bins, *_ = problem
@@ -134,9 +128,8 @@ def possible(
     # List the departures and arrivals within the lags, at least one arrival at a time.
     first = 0
     while first < len(arrival_rows):
-        stop = max(
-            int(np.searchsorted(reached, reached[first] + at_once, side="right")) - 1, first + 1
-        )
+        most = reached[first] + CANDIDATES_AT_ONCE
+        stop = max(int(np.searchsorted(reached, most, side="right")) - 1, first + 1)
         n = high[first:stop] - low[first:stop]
         at = np.repeat(np.arange(first, stop), n)
         departure = np.arange(len(at)) + np.repeat(low[first:stop] - (np.cumsum(n) - n), n)
@@ -163,29 +156,24 @@ def possible(
         first = stop
 
 
+def listed(
+    problem: Problem, arrival_rows: Rows, departure_rows: Rows | None = None
+) -> tuple[Ints, Ints, Floats]:
+    """Return all candidates of given arrivals: departure, arrival, lag; see `possible`."""
+    none = np.zeros(0, np.int32)
+    parts = [(none, none, np.zeros(0))]
+    for departure, at, lag in possible(problem, arrival_rows, departure_rows):
+        parts.append((departure.astype(np.int32), at.astype(np.int32), lag))
+    departures, arrivals, lags = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return departures, arrivals, lags
+
+
 def find_candidates(problem: Problem) -> Candidates:
     """Return all candidates of a problem."""
-    departures, arrivals, bins, zones, _ = problem
-    low, high = departures_in_reach(departures.t, arrivals.t, bins)
-    most = int((high - low).sum())
-
-    # np.empty reserves address space only: pages that are never written cost no memory, and there
-    # are fewer candidates than departures in reach.
-    departure = np.empty(most, np.int32)
-    arrival = np.empty(most, np.int32)
-    lag = np.empty(most, np.float32)
-    n = 0
-    for departed, arrived, lags in possible(problem, np.arange(len(arrivals.t))):
-        rows = slice(n, n := n + len(departed))
-        departure[rows] = departed
-        arrival[rows] = arrived
-        lag[rows] = lags
-    departure = departure[:n]
-    arrival = arrival[:n]
-    lag = lag[:n]
-
+    departures, arrivals, _, zones, _ = problem
+    departure, arrival, lag = listed(problem, np.arange(len(arrivals.t)))
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
-    return Candidates(departure, arrival, pair, lag, source, target)
+    return Candidates(departure, arrival, pair, lag.astype(np.float32), source, target)
 
 
 def slices_by_arrival(arrival: Indices) -> list[slice]:
@@ -264,32 +252,10 @@ def number_pairs(departure_zone: Ints, arrival_zone: Ints, zones: int) -> tuple[
     Return the number of each candidate's pair (M,), and the source and the target of the pairs that
     occur, (P,) each.
     """
-    size = max(zones, 1)
-
-    # Too many pairs for a dense table: sort.
-    if zones * zones > PAIR_TABLE_MAX:
-        present, number = np.unique(
-            departure_zone.astype(np.int64) * zones + arrival_zone, return_inverse=True
-        )
-        return (
-            number.astype(np.int32),
-            (present // size).astype(np.int32),
-            (present % size).astype(np.int32),
-        )
-
-    # Mark the pairs that occur in a dense table, number them, and look the numbers up.
-    parts = [
-        slice(k, k + CANDIDATES_AT_ONCE) for k in range(0, len(departure_zone), CANDIDATES_AT_ONCE)
-    ]
-    table = np.zeros((zones, zones), np.int32)
-    for part in parts:
-        table[departure_zone[part], arrival_zone[part]] = 1
-    source, target = np.nonzero(table)
-    table[source, target] = np.arange(len(source), dtype=np.int32)
-    pair = np.empty(len(departure_zone), np.int32)
-    for part in parts:
-        pair[part] = table[departure_zone[part], arrival_zone[part]]
-    return pair, source.astype(np.int32), target.astype(np.int32)
+    key = departure_zone.astype(np.int64) * zones + arrival_zone
+    present, number = np.unique(key, return_inverse=True)
+    source, target = (ends.astype(np.int32) for ends in np.divmod(present, max(zones, 1)))
+    return number.astype(np.int32), source, target
 
 
 RESPONSIBILITY_MAX = 1.0 - 1e-6

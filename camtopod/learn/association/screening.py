@@ -32,6 +32,7 @@ from camtopod.learn.association.candidates import (
     departures_in_reach,
     excess_over_null,
     find_candidates,
+    listed,
     number_pairs,
     possible,
 )
@@ -71,8 +72,6 @@ a single look.
 """
 LOOKS_MIN = 20_000_000
 """Least budget of a fit for looks, in the unit of `LOOKS_PER_EVENT`; takes about a second."""
-COUNTED_AT_ONCE = 1 << 17
-"""Number of candidates that a look counts together."""
 ROUNDS = 2
 """Rounds of EM within one zone of arrival, when candidates are weighed."""
 NOISE_SD = 0.5
@@ -262,10 +261,10 @@ def candidates_of_pairs(problem: Problem, candidates: Candidates, pairs: Rows) -
         number[candidates.source[pairs_here]] = pairs_here
         departure_rows = _among(leaving, candidates.source[pairs_here])
         arrival_rows = coming[zone][clear[coming[zone]]]
-        for departure, at, lag in possible(problem, arrival_rows, departure_rows):
-            part_arrival = arrival_rows[at].astype(np.int32)
-            pair = number[departures.zone[departure]]
-            parts.append((departure.astype(np.int32), part_arrival, pair, lag.astype(np.float32)))
+        departure, at, lag = listed(problem, arrival_rows, departure_rows)
+        pair = number[departures.zone[departure]]
+        arrival = arrival_rows[at].astype(np.int32)
+        parts.append((departure, arrival, pair, lag.astype(np.float32)))
 
     # Order by arrival. Each part has its own arrivals, ordered by arrival and departure.
     lefts, cames, pairings, lags = zip(*parts, strict=True)
@@ -380,9 +379,9 @@ def excess_by_source(ends: ScreenInput, zone: int) -> Floats:
     thinned = arrival_rows[:: -(-int((high - low).sum()) // most) or 1]
 
     # Histograms of the lags, by zone of departure.
-    for departure, _, lag in possible(ends.problem, thinned, at_once=COUNTED_AT_ONCE):
+    for departure, _, lag in possible(ends.problem, thinned):
         cell = departures.zone[departure].astype(np.int64) * bins.size + bins.index(lag)
-        counts_flat += np.bincount(cell, minlength=len(counts_flat))
+        np.add.at(counts_flat, cell, 1.0)
 
     # Compare those with enough candidates with the null model, thinned like the arrivals.
     counts = counts_flat.reshape(zones, bins.size)
@@ -442,20 +441,9 @@ def _likely(ends: ScreenInput, zone: int, sources: Longs, arrival_rows: Rows) ->
     number = np.zeros(len(ends.leaving), np.int64)
     number[sources] = np.arange(len(sources))
 
-    # List the candidates: departure, index of the arrival, cell (source and lag bin) and lag.
-    parts = [(_NO_ROWS, _NO_ROWS, _NO_ROWS, np.zeros(0, np.float32))]
-    for departed, arrived, lags in possible(ends.problem, arrival_rows, departure_rows):
-        at_bin = number[departures.zone[departed]] * bins.size + bins.index(lags)
-        parts.append(
-            (
-                departed.astype(np.int32),
-                arrived.astype(np.int32),
-                at_bin.astype(np.int32),
-                lags.astype(np.float32),
-            )
-        )
-    departure, at, cell, lag = (np.concatenate(column) for column in zip(*parts, strict=True))
-    del parts
+    # List the candidates: departure, index of the arrival, lag, and cell (source and lag bin).
+    departure, at, lag = listed(ends.problem, arrival_rows, departure_rows)
+    cell = number[departures.zone[departure]] * bins.size + bins.index(lag)
 
     # Initial hazards (sources, bins): the excess over the null model.
     size = len(sources) * bins.size
@@ -482,7 +470,7 @@ def _likely(ends: ScreenInput, zone: int, sources: Longs, arrival_rows: Rows) ->
     return (
         departure[kept],
         arrival_rows[at[kept]].astype(np.int32),
-        lag[kept],
+        lag[kept].astype(np.float32),
         share[kept].astype(np.float32),
     )
 

@@ -23,21 +23,11 @@ def null_variance(lag_min: float, lag_max: float) -> float:
     return (lag_max - lag_min) ** 2 / 12.0
 
 
-def distance(departed: Floats, arrived: Floats, variance: float) -> Floats:
-    """Return the Mahalanobis distances (n,) of arrivals from departures, with the sign of the lag.
-
-    departed, arrived (n,): times of departure and arrival, seconds.
-    variance (s^2): S of the thesis.
-    """
-    d: Floats = (arrived - departed) / np.sqrt(variance)
-    return d
-
-
 def distance_variance(lags: Floats, variance: float) -> Floats:
     """Return the thesis's ``Var(d)`` of L links, (L,).
 
     lags (L, n, seconds): n lags of each link, observed or Monte Carlo.
     variance (s^2): S of the thesis.
     """
-    result: Floats = distance(np.zeros_like(lags), lags, variance).var(axis=1)
+    result: Floats = (lags / np.sqrt(variance)).var(axis=1)
     return result
