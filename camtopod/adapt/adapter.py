@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from typing import TypeVar
 
-from camtopod import codec
 from camtopod.codec import Rejected
 from camtopod.records import Event
 
@@ -36,7 +35,10 @@ class Adapter:
     """MQTT topic of these lines below the program's prefix."""
 
     def receive(self, line: bytes) -> list[Event]:
-        """Return the events that a line makes certain. Raises `Rejected` for an unusable line."""
+        """Return the events that a line makes certain. Raises `Rejected` for an unusable line.
+
+        The caller checks the events like those that programs send.
+        """
         raise NotImplementedError
 
     def silent(self, now: float) -> list[Event]:
@@ -78,14 +80,6 @@ def split_topic(line: bytes, wanted: str = "*") -> tuple[list[str], bytes]:
     if not fnmatchcase(topic, wanted):
         raise Rejected("other-topic", f"is not of {wanted}")
     return topic.split("/"), match[2]
-
-
-def checked(events: Iterable[Event]) -> list[Event]:
-    """Validate events made from another program's data as if they had been received.
-
-    Raises `Rejected`.
-    """
-    return [codec.event_from_json(codec.to_json(event)) for event in events]
 
 
 def remember(latest: dict[_K, _V], key: _K, value: _V) -> None:

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from typing import NamedTuple
 
 from camtopod import codec
-from camtopod.adapt.adapter import Adapter, Size, checked, remember
+from camtopod.adapt.adapter import Adapter, Size, remember
 from camtopod.adapt.tracks import TRACKS_MAX, TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import CAMERA_PATTERN, Event
@@ -50,16 +50,12 @@ class CameraStream:
     """Tracks of one camera, or of one analytics module of a camera."""
 
     def __init__(self, camera: str, size: Size, labels: Collection[str]) -> None:
-        self._tracks = TrackEvents(camera, size)
+        self.tracks = TrackEvents(camera, size)
         self._labels = labels
         self._kinds: dict[Name, str] = {}
         """Latest known kind of each track: trackers do not classify an object in each frame."""
         self.arrived = 0.0
         """When the latest frame came, seconds of the clock of `StreamAdapter.silent`."""
-
-    def lose(self) -> list[Event]:
-        """Return the exits of all objects, as the camera is silent."""
-        return checked(self._tracks.lose())
 
     def update(self, seen: Sequence[TrackedBox], ended: Iterable[Name], t: float) -> list[Event]:
         """Return the events that a frame at ``t`` (seconds) makes certain.
@@ -68,7 +64,7 @@ class CameraStream:
 
         Raises `Rejected` if a later frame came before, or the frame has too many boxes.
         """
-        if self._tracks.is_late(t):
+        if self.tracks.is_late(t):
             raise Rejected("out-of-order", "a later frame of this camera came before")
         if len(seen) > TRACKS_MAX:
             raise Rejected("too-many", f"more than {TRACKS_MAX} objects in a frame")
@@ -82,15 +78,11 @@ class CameraStream:
             kind = (one.kind or self._kinds.get(one.name, "")).lower()
             if kind in self._labels or (not self._labels and kind not in PARTS):
                 wanted.append(one)
-        events = self._tracks.update([one.name for one in wanted], [one.box for one in wanted], t)
+        events = self.tracks.update([one.name for one in wanted], [one.box for one in wanted], t)
         for name in ended:
             self._kinds.pop(name, None)
-            events += self._tracks.end(name)
-        return checked(events)
-
-    def close(self) -> list[Event]:
-        """Return the exits of objects out of sight in the last frame."""
-        return checked(self._tracks.close())
+            events += self.tracks.end(name)
+        return events
 
 
 class StreamAdapter(Adapter):
@@ -119,11 +111,11 @@ class StreamAdapter(Adapter):
             return []
         self._checked = now
         silent = (one for one in self._streams.values() if now - one.arrived > SILENT_SECONDS)
-        return [event for stream in silent for event in stream.lose()]
+        return [event for stream in silent for event in stream.tracks.lose()]
 
     def close(self) -> list[Event]:
         """Return the exits of objects out of sight. Those in a camera's last frame are in view."""
-        return [event for stream in self._streams.values() for event in stream.close()]
+        return [event for stream in self._streams.values() for event in stream.tracks.close()]
 
     def _id_of(self, given: str) -> str:
         """Return the camera's id: the one camera's, or ``given``. Raises `Rejected`."""
@@ -133,8 +125,6 @@ class StreamAdapter(Adapter):
             if given != self._named:
                 raise Rejected("other-camera", "another camera than the first: omit --camera")
             return self._camera
-        if not re.match(CAMERA_PATTERN, given):
-            raise Rejected("no-camera", "names no camera: give --camera ID")
         return given
 
     def _stream(self, camera: str, size: Size = (1, 1), module: str = "") -> CameraStream:
@@ -144,6 +134,8 @@ class StreamAdapter(Adapter):
         """
         stream = self._streams.get((camera, module))
         if stream is None:
+            if not re.match(CAMERA_PATTERN, camera):
+                raise Rejected("no-camera", "names no camera: give --camera ID")
             if len(self._streams) >= STREAMS_MAX:
                 raise Rejected("too-many-cameras", f"more than {STREAMS_MAX} cameras")
             stream = CameraStream(camera, size, self._labels)

@@ -24,7 +24,6 @@ from camtopod.adapt.adapter import (
     ANY_CAMERA,
     Adapter,
     Sizes,
-    checked,
     remember,
     size_of,
     split_topic,
@@ -144,7 +143,7 @@ class Frigate(Adapter):
             if moved and not now.stationary:
                 events.append(self._event("exit", now))
             known.ended = True
-        return checked(events)
+        return events
 
     def _knows_size(self, camera: str) -> bool:
         return camera in self._sizes or ANY_CAMERA in self._sizes

@@ -8,7 +8,7 @@ from array import array
 import numpy as np
 
 from camtopod import codec
-from camtopod.adapt.adapter import ANY_CAMERA, Adapter, Sizes, checked
+from camtopod.adapt.adapter import ANY_CAMERA, Adapter, Sizes
 from camtopod.adapt.tracks import TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import Event
@@ -74,7 +74,7 @@ class Mot(Adapter):
             events += self._tracks.update(
                 rows[first:end, 1], rows[first:end, 2:], self._time(frame)
             )
-        return sorted(checked(events + self._tracks.close()), key=lambda event: event.t)
+        return sorted(events + self._tracks.close(), key=lambda event: event.t)
 
     def _time(self, frame: float) -> float:
         return self._start + (frame - 1) / self._fps

@@ -61,25 +61,22 @@ def streams(source: str) -> list[Stream]:
     """
     camera = _Camera(source)
     media = camera.media_service()
-    body = camera.ask(media, f'<GetProfiles xmlns="{_MEDIA}"/>')
     found = []
-    for profile in list(all_of(body, "Profiles"))[:16]:
-        encoder = next(all_of(profile, "VideoEncoderConfiguration"), None)
-        token = profile.get("token")
-        if encoder is None or token is None:
-            continue  # sound or metadata only
-        answer = camera.ask(
-            media,
-            f'<GetStreamUri xmlns="{_MEDIA}"><StreamSetup>'
-            f'<Stream xmlns="{_SCHEMA}">RTP-Unicast</Stream>'
-            f'<Transport xmlns="{_SCHEMA}"><Protocol>RTSP</Protocol></Transport></StreamSetup>'
-            f"<ProfileToken>{escape(token)}</ProfileToken></GetStreamUri>",
-        )
-        url = camera.with_login(text_of(answer, "Uri"))
-        width, height, fps = (
-            _number(text_of(encoder, name)) for name in ("Width", "Height", "FrameRateLimit")
-        )
-        found.append(Stream(url, int(width), int(height), fps))
+    profiles = camera.ask(media, f'<GetProfiles xmlns="{_MEDIA}"/>')
+    for profile in all_of(profiles, "Profiles"):
+        for encoder in all_of(profile, "VideoEncoderConfiguration"):  # else sound or metadata only
+            answer = camera.ask(
+                media,
+                f'<GetStreamUri xmlns="{_MEDIA}"><StreamSetup>'
+                f'<Stream xmlns="{_SCHEMA}">RTP-Unicast</Stream>'
+                f'<Transport xmlns="{_SCHEMA}"><Protocol>RTSP</Protocol></Transport></StreamSetup>'
+                f"<ProfileToken>{escape(profile.get('token', ''))}</ProfileToken></GetStreamUri>",
+            )
+            figures = [
+                int(re.sub(r"\D.*", "", text_of(encoder, name)) or 0)
+                for name in ("Width", "Height", "FrameRateLimit")
+            ]
+            found.append(Stream(camera.with_login(text_of(answer, "Uri")), *figures))
     if not found:
         raise OnvifError("the camera offers no video by ONVIF")
     return found
@@ -172,8 +169,3 @@ class _Camera:
             f"<Created xmlns={quoteattr(_SECURITY + 'wssecurity-utility-1.0.xsd')}>{created}"
             "</Created></UsernameToken></Security>"
         )
-
-
-def _number(text: str) -> float:
-    """Return a number that a camera says; 0 if it is none."""
-    return float(text) if text.isdecimal() and len(text) < 6 else 0.0

@@ -105,40 +105,34 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
     """
     text = path.read_text(encoding="utf-8")
     lines = toml_lines.key_lines(text)
-    cameras: dict[str, CameraSettings] = {}
     statuses = [exits.DONE]
 
-    def tell_source(camera: str, probe: Probe) -> None:
-        where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
-        _print(f"{where}: {'; '.join(probe.lines)}")
+    def tell(camera: str, probe: Probe) -> None:
+        if probe.problem or probe.codec:
+            where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
+            _print(f"{where}: {'; '.join(probe.lines)}")
         if probe.problem:
             statuses.append(exits.INPUT)
-
-    def tell(camera: str, probe: Probe) -> None:
-        if cameras[camera].source:
-            tell_source(camera, probe)
         if about := probe.detector.problem or probe.detector.text:
             line, name = detector_line(text, camera, probe.detector.key)
-            of = f" (camera {camera})" if camera and not name.startswith("cameras.") else ""
-            _print(f"{path}:{line}: {name}: {about}{of}")
-            if probe.detector.problem:
-                statuses.append(exits.CONFIG)
+            if camera and not name.startswith("cameras."):
+                about += f" (camera {camera})"
+            _print(f"{path}:{line}: {name}: {about}")
+        if probe.detector.problem:
+            statuses.append(exits.CONFIG)
 
     # Read the sources, then open the cameras. Detectors are run also without a source here.
-    for camera, settings in config.cameras.items():
+    cameras = dict(config.cameras) or {"": config.new_camera}
+    for camera in config.cameras:
         try:
             cameras[camera] = config.for_camera(camera).cameras[camera]
         except OSError as error:
-            tell_source(camera, Probe(f"cannot read {error.filename}: {error.strerror}"))
-            cameras[camera] = settings
-    if not cameras:
-        cameras[""] = CameraSettings(detector=config.detector)
-    probed = {
-        camera: settings
-        for camera, settings in cameras.items()
-        if settings.source or settings.detector.model
-    }
-    probe_all(probed, tell, folder)
+            tell(camera, Probe(f"cannot read {error.filename}: {error.strerror}"))
+    probe_all(
+        {name: one for name, one in cameras.items() if one.source or one.detector.model},
+        tell,
+        folder,
+    )
 
     # Open the bus.
     status, state = _bus(config)

@@ -10,6 +10,7 @@ import queue
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -193,21 +194,18 @@ def batches(
     delayed.
 
     ``tell`` is called while no events come: some files give all their events at the end. Raises
-    `CommandError` if reading fails; the reading thread prints why.
+    what reading them raises.
     """
     waiting: queue.Queue[Event | None] = queue.Queue(2 * most)
-    whole = threading.Event()
 
     def read() -> None:
         try:
             for event in events:
                 waiting.put(event)
-            whole.set()
         finally:
             waiting.put(None)
 
-    threading.Thread(target=read, daemon=True).start()
-
+    reading = ThreadPoolExecutor(1).submit(read)
     event: Event | None
     while not stop.is_set():
         try:
@@ -224,9 +222,8 @@ def batches(
         if batch:
             yield batch
         if event is None:
-            break
-    if not whole.is_set() and not stop.is_set():
-        raise CommandError("reading failed before the end of the input, see above")
+            reading.result()
+            return
 
 
 def _wait(

@@ -17,7 +17,7 @@ from typing import BinaryIO, NamedTuple
 
 from camtopod.adapt import LINE_BYTES_MAX, Adapter
 from camtopod.cli.exits import InputError
-from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json
+from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json, to_json
 from camtopod.records import Event
 from camtopod.redact import redact
 from camtopod.visible import visible
@@ -104,7 +104,7 @@ class LineReader:
                 try:
                     if len(text) > LINE_BYTES_MAX:
                         raise Rejected("too-long", f"more than {LINE_BYTES_MAX} bytes")
-                    events += adapter.receive(text)
+                    events += [event_from_json(to_json(event)) for event in adapter.receive(text)]
                 except Rejected as error:
                     self.reject(error.reason, f"{path}:{number}: {error}")
             self.events += len(events)
