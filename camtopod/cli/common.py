@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.config import DEFAULT_ENDPOINT, RESERVED, Config, is_endpoint, secret_files, settings
+from camtopod.config import RESERVED, Config, secret_files, settings
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
 from camtopod.serve.runtime import Progress, systemd
@@ -79,20 +79,10 @@ def _say(args: argparse.Namespace, message: str) -> None:
 
 def with_options(args: argparse.Namespace, loaded: Config) -> Config:
     """Apply ``--site``, ``--connect`` and ``--state`` to ``loaded``. Raises `CommandError`."""
-    if args.site is not None:
-        check_name("--site", args.site)
-        loaded = replace(loaded, site=settings.SiteSettings(args.site))
-    if args.connect:
-        for endpoint in args.connect:
-            if not is_endpoint(endpoint):
-                raise CommandError(
-                    f"--connect {endpoint!r}: write it like {DEFAULT_ENDPOINT}", exits.USAGE
-                )
-            if loaded.bus.tls.ca and not endpoint.startswith("tls/"):
-                raise CommandError(
-                    f"--connect {endpoint!r}: write tls/..., as [bus.tls] is set", exits.USAGE
-                )
-        loaded = replace(loaded, bus=replace(loaded.bus, connect=tuple(args.connect), listen=()))
+    try:
+        loaded = loaded.joining(args.site, args.connect or ())
+    except ValueError as error:
+        raise CommandError(f"--{error}", exits.USAGE) from None
     if getattr(args, "state", None):
         loaded = replace(loaded, state=settings.StateSettings(args.state))
     return loaded

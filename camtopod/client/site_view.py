@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import re
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,9 +24,9 @@ from camtopod.client.errors import NothingLearned, zone_at, zones_of
 from camtopod.client.gate import Gate
 from camtopod.client.prediction_queue import PredictionQueue
 from camtopod.client.wakeup import ChangeSignal
-from camtopod.config import DEFAULT_ENDPOINT, is_endpoint, secret_files, settings as configs
+from camtopod.config import secret_files, settings as configs
 from camtopod.predict import Predictor
-from camtopod.records import CAMERA_PATTERN, Event, Prediction, Topology as Version
+from camtopod.records import Event, Prediction, Topology as Version
 from camtopod.serve.bus import (
     QUERY_SECONDS,
     Bus,
@@ -308,22 +307,7 @@ def settings_of(site: str | None, connect: str | Sequence[str], config: Settings
         for sentence in secret_files.find_exposed(settings.secrets(Path(config))):
             log.warning("%s", sentence)
 
-    # The site by argument takes precedence.
-    if site is not None:
-        if not re.match(CAMERA_PATTERN, site):
-            raise ValueError(f"site {site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
-        settings = replace(settings, site=configs.SiteSettings(site))
-
-    # So do the endpoints, which must fit the transport security that is configured.
-    endpoints = (connect,) if isinstance(connect, str) else tuple(connect)
-    for endpoint in endpoints:
-        if not is_endpoint(endpoint):
-            raise ValueError(f"connect {endpoint!r}: write it like {DEFAULT_ENDPOINT}")
-        if settings.bus.tls.ca and not endpoint.startswith("tls/"):
-            raise ValueError(f"connect {endpoint!r}: write tls/..., as [bus.tls] is set")
-    if not endpoints:
-        return settings
-    return replace(settings, bus=replace(settings.bus, connect=endpoints, listen=()))
+    return settings.joining(site, [connect] if isinstance(connect, str) else connect)
 
 
 def _plain(value: Any) -> Any:

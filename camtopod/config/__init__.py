@@ -25,7 +25,6 @@ from camtopod.config.settings import (
     SiteSettings as SiteSettings,
     StateSettings as StateSettings,
     detector_line as detector_line,
-    is_endpoint as is_endpoint,
     without_source as without_source,
 )
 from camtopod.config.toml_tables import FLOAT_MAX as FLOAT_MAX, fields as fields

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -270,6 +270,26 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
         keys = [self.bus.tls.private_key.replace("{camera}", name) for name in names]
         return files + [Path(key) for key in keys if key]
 
+    def joining(self, site: str | None, endpoints: Sequence[str]) -> Config:
+        """Return the configuration for another site and other endpoints, where given.
+
+        Raises `ValueError`.
+        """
+        config = self
+        if site is not None:
+            if not re.match(CAMERA_PATTERN, site):
+                raise ValueError(f"site {site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
+            config = replace(config, site=SiteSettings(site))
+        for endpoint in endpoints:
+            if not re.match(ENDPOINT_PATTERN, endpoint):
+                raise ValueError(f"connect {endpoint!r}: write it like {DEFAULT_ENDPOINT}")
+            if self.bus.tls.ca and not endpoint.startswith("tls/"):
+                raise ValueError(f"connect {endpoint!r}: write tls/..., as [bus.tls] is set")
+        if endpoints:
+            bus = replace(self.bus, connect=tuple(endpoints), listen=())
+            config = replace(config, bus=bus)
+        return config
+
     @property
     def new_camera(self) -> CameraSettings:
         """Settings of a camera that has no table."""
@@ -463,11 +483,6 @@ def _mistakes_of_bus(bus: BusSettings) -> Iterator[tuple[toml_lines.Path, str]]:
             if not endpoint.startswith("tls/"):
                 what = f"{endpoint!r} is not a tls/ endpoint, but [bus.tls] is set"
                 yield ("bus", key), what
-
-
-def is_endpoint(value: str) -> bool:
-    """Return True if ``value`` looks like an endpoint of zenoh: protocol/address."""
-    return re.match(ENDPOINT_PATTERN, value) is not None
 
 
 def _with_absolute_paths(folder: Path, config: Config) -> Config:
