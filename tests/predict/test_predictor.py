@@ -145,22 +145,14 @@ def test_without_further_knowledge_the_learned_shares() -> None:
         assert found.q90 > median + 0.5
 
 
-@pytest.mark.parametrize(
-    ("event", "zone"),
-    [
-        (EXIT, "a/1"),
+def test_a_camera_without_a_zone_or_without_links_leads_nowhere() -> None:
+    for event, zone in (
         (replace(EXIT, x=0.8), "a/2"),
-        (replace(EXIT, x=None, y=None), "a/1"),
         (replace(EXIT, camera="b"), "b/1"),
         (replace(EXIT, camera="unknown"), None),
-    ],
-)
-def test_zone_of_an_event(event: Event, zone: str | None) -> None:
-    prediction = Predictor(THREE).predict(event)
-    sound(prediction)
-    assert prediction.zone == zone
-    if zone != "a/1":
-        assert (prediction.leave, prediction.next_) == (1.0, [])
+    ):
+        prediction = Predictor(THREE).predict(event)
+        assert (prediction.zone, prediction.leave, prediction.next_) == (zone, 1.0, [])
 
 
 def test_a_topology_that_has_only_what_the_contract_asks() -> None:
@@ -256,21 +248,10 @@ def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         predictor.observe(replace(ENTERED, t=float(k), track=str(k)))
         predictor.observe(replace(EXIT, t=float(k), track=None))
         predictor.observe(replace(EXIT, t=float(k), track=f"only {k}"))
-    held = [*vars(predictor).items(), *vars(predictor._open_passages).items()]
-    sizes = {name: len(value) for name, value in held if isinstance(value, dict | list)}
-    sizes["in view"] = sum(map(len, predictor._open_passages._in_view.values()))
     state = predictor.save()
 
-    assert (
-        max(sizes.values())
-        == sizes["in view"]
-        == sizes["_ended"]
-        == len(state.under_way)
-        == len(state.arrivals.t)
-        == 7
-    )
-    assert len(predictor._exits.after(-math.inf)[0]) == 7
-    assert len(predictor._arrivals._t) == len(predictor._exits._t) == 14
+    assert len(state.under_way) == len(state.arrivals.t) == len(state.exits.t) == 7
+    assert len(predictor._open_passages._ended) == 7
 
 
 def test_a_newer_version_remembers_what_has_been_seen() -> None:
@@ -297,42 +278,6 @@ def test_a_newer_version_remembers_what_has_been_seen() -> None:
     prediction = followed.predict(EXIT)
     sound(prediction)
     assert list(chances(prediction)) == ["b/1"]
-
-
-# --- anything ---
-
-NAMES = ["a/1", "a/2", "b/1", "c/1", "d/1"]
-LINKS = st.lists(
-    st.builds(
-        link, st.sampled_from(NAMES), st.sampled_from(NAMES), st.floats(0, 1), st.floats(-19, 110)
-    ),
-    max_size=8,
-    unique_by=lambda item: (item.from_, item.to),
-)
-EVENTS = st.lists(
-    st.builds(
-        Event,
-        st.sampled_from("abcde"),
-        st.sampled_from(["entry", "exit"]),
-        st.floats(0, 60),
-        st.just(0.4),
-        st.just(0.5),
-        st.sampled_from([None, "1", "2"]),
-    ),
-    max_size=30,
-)
-
-
-@settings(max_examples=30)
-@given(LINKS, LINKS, st.sampled_from([[], STAY, [0.0] * 11]), EVENTS)
-def test_every_prediction_is_sound(
-    links: list[Link], weak: list[Link], stay: list[float], events: list[Event]
-) -> None:
-    weak = [w for w in weak if (w.from_, w.to) not in {(x.from_, x.to) for x in links}]
-    predictor = Predictor(a_topology(links, weak, stay))
-    for event in sorted(events, key=lambda e: e.t):
-        sound(predictor.predict(event))
-        predictor.observe(event)
 
 
 # --- the whole of it, against its slow twin ---
@@ -484,15 +429,18 @@ def a_made_up_network() -> tuple[list[Event], Truth, int, Learner]:
     return events, truth, cut, learner
 
 
+def uncounted(event: Event) -> Prediction:
+    """Return a prediction that does not count."""
+    return Prediction(event.camera, None, event.t, None, 1, 1.0, [])
+
+
 def test_predictions_on_a_made_up_network() -> None:
     """Learned from the first three quarters; a random guess is right for one camera in six."""
     events, truth, cut, learner = a_made_up_network()
     predictor, predictions = learner.predictor(), []
     for k, event in enumerate(events):
         if event.kind == "exit" and k < cut:
-            predictions.append(
-                Prediction(event.camera, None, event.t, None, 1, 1.0, [])
-            )  # does not count
+            predictions.append(uncounted(event))
         elif event.kind == "exit":
             predictions.append(predictor.predict(event))
             sound(predictions[-1])

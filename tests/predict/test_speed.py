@@ -3,61 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from msgspec.structs import replace
 
 from bench.support.prediction_scores import next_entries
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.predict.predictor import Predictor
-from camtopod.predict.speed import PaceModel, windows_at_pace
-from camtopod.records import Camera, Model, Pace, Topology, Way, Zone
 from camtopod.sim.simulation import SimSettings, simulate
-
-ZONES = [Zone("a/1", "a", 9, 9), Zone("a/2", "a", 9, 9)]
-
-
-def paces(pace: Pace | None) -> PaceModel:
-    model = Model(4.0, 0.1, -20.0, 120.0, [], [], pace=pace)
-    cameras = [Camera("a", ["a/1", "a/2"])]
-    return PaceModel(
-        Topology(
-            "camtopod/topology/1", "s", "e", 1, 0.0, 9, "", cameras, ZONES, [], [], model=model
-        )
-    )
-
-
-def window(
-    site: PaceModel,
-    entry: int | None,
-    exit_: int,
-    dwell: float | None,
-    transitions: float,
-    *lags: float,
-) -> list[float]:
-    """The window after one passage."""
-    pace = site.of_passage(entry, exit_, dwell)
-    return windows_at_pace(pace, np.array([lags]), np.array([transitions]))[0].tolist()
-
-
-def test_who_took_twice_as_long_is_expected_later() -> None:
-    site = paces(Pace(1.0, 0.6, 0.3, [Way("a/1", "a/2", 5.0)]))
-    usual, slow = (window(site, 0, 1, stay, 100.0, 8.0, 10.0, 12.0) for stay in (5.0, 10.0))
-
-    assert usual[1] == pytest.approx(10.0)
-    # The next view's slowness is expected to be 0.6 of this one's.
-    assert slow[1] == pytest.approx(10.0 * 2**0.8)
-    assert [late / early for late, early in zip(slow, usual, strict=True)] == pytest.approx(
-        [2**0.8] * 3
-    )
-
-
-def test_an_unknown_pace_widens_the_window() -> None:
-    site = paces(Pace(1.0, 0.6, 0.3, [Way("a/1", "a/2", 5.0)]))
-    known = window(site, 0, 1, 5.0, 100.0, 8.0, 10.0, 12.0)
-    for entry, stay in ((None, None), (1, 5.0), (0, None)):
-        unknown = window(site, entry, 1, stay, 100.0, 8.0, 10.0, 12.0)
-        assert unknown[0] < known[0] < unknown[1] < known[2] < unknown[2]
 
 
 def test_windows_hold_what_they_say() -> None:
