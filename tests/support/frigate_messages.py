@@ -11,44 +11,26 @@ PLATE, FACE = "KA-AB 1234", "Jane Doe"
 
 def seen(t: float, left: int, top: int, right: int, bottom: int, **more: Any) -> dict[str, Any]:
     """Return an object's state at ``t``; boxes are in pixels of the detect size."""
+    box = [left, top, right, bottom]
     return {
         "id": "1719000000.25-a1b2c3",
         "camera": "yard",
         "frame_time": t,
-        "snapshot": {
-            "frame_time": t,
-            "box": [left, top, right, bottom],
-            "area": 1,
-            "region": [0, 0, 320, 320],
-            "score": 0.8,
-            "attributes": [{"label": "face", "score": 0.8, "box": [1, 2, 3, 4]}],
-        },
+        "snapshot": {"frame_time": t, "box": box, "attributes": [{"label": "face", "box": box}]},
         "label": "person",
         "sub_label": [FACE, 0.91],
         "recognized_license_plate": [PLATE, 0.9],
-        "top_score": 0.91,
         "false_positive": False,
         "start_time": 1719000000.25,
         "end_time": None,
         "score": 0.83,
-        "box": [left, top, right, bottom],
-        "area": (right - left) * (bottom - top),
-        "ratio": 0.4,
-        "region": [0, 200, 500, 700],
+        "box": box,
         "active": True,
         "stationary": False,
         "motionless_count": 0,
         "position_changes": 1,
         "current_zones": ["drive"],
-        "entered_zones": ["drive"],
-        "has_clip": True,
-        "has_snapshot": True,
         "attributes": {"face": 0.8},
-        "current_attributes": [],
-        "pending_loitering": False,
-        "max_severity": "alert",
-        "current_estimated_speed": 0,
-        "velocity_angle": 0,
         **more,
     }
 
