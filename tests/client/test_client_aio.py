@@ -26,8 +26,9 @@ def test_asyncio_has_the_same(learned_daemon: LearnedDaemon) -> None:
                 exits = [
                     e.t for e in learned_daemon.walks(4, 16) if e.kind == "exit" and e.camera == "b"
                 ]
-                assert [p.t async for p in predictions] == exits
-                assert await predictions.get(0.0) is None
+                heard = [await predictions.get(20.0) for _ in exits]
+                assert [prediction and prediction.t for prediction in heard] == exits
+                assert [prediction async for prediction in predictions] == []
         assert [one.version async for one in site.versions()] == []
 
     asyncio.run(main())
@@ -49,5 +50,5 @@ def test_what_waits_in_asyncio_can_be_cancelled(learned_daemon: LearnedDaemon) -
             return time.monotonic() - started, len(site._news._listeners)
 
     seconds, listeners = asyncio.run(main())
-    assert seconds < 5.0
+    assert seconds < 30.0
     assert listeners == 0

@@ -48,7 +48,10 @@ RESTARTS = {
     "camtopod.cli.cameras.camera_process:RESTART_SECONDS_MAX": 0.4,
 }
 """Constants with which a camera's process is started again soon."""
-HUNG = {"camtopod.cli.cameras.camera_process:HUNG_SECONDS": 5}
+HUNG = {
+    "camtopod.cli.cameras.camera_process:HUNG_SECONDS": 5,
+    "camtopod.cli.cameras.camera_process:START_SECONDS": 12,
+}
 REFUSED = "the camera refuses the user name or password (401)"
 
 

@@ -268,10 +268,12 @@ def test_systemd_is_told_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyP
         monkeypatch.setenv("NOTIFY_SOCKET", address)
         assert systemd.notify("READY=1", systemd.status("all\nis well"))
         assert one.hear() == ["READY=1", "STATUS=all is well"]
+        before = time.monotonic()
         systemd.reloading()
         reloading, since = one.hear()
         assert reloading == "RELOADING=1"
-        assert abs(int(since.removeprefix("MONOTONIC_USEC=")) / 1e6 - time.monotonic()) < 5.0
+        microseconds = int(since.removeprefix("MONOTONIC_USEC="))
+        assert before <= microseconds / 1e6 + 1e-6 <= time.monotonic() + 1e-6
         one.close()
         assert not systemd.notify("READY=1"), "nobody is there: no error"
 
@@ -374,7 +376,5 @@ def test_a_grabber_under_systemd_and_one_that_is_stopped(program: Program) -> No
         program.signal(signal.SIGCONT)
         program.systemd.told.clear()
         program.systemd.wait_for("WATCHDOG=1")
-        began = time.monotonic()
         program.signal(signal.SIGTERM)
         assert program.end() == 0
-        assert time.monotonic() - began < 8.0

@@ -251,7 +251,5 @@ def test_a_stream_that_stalls_closes_or_refuses_comes_back(server: int) -> None:
     proxy.refusing = False
     analysed = int(grabber.statistics()["frames_analysed"])
     run_until(stream, more_frames)
-    began = time.monotonic()
     grabber.close()
-    assert time.monotonic() - began < 2.0
     proxy.close()

@@ -16,8 +16,6 @@ SITE = synthetic_topology(CAMERAS)
 PATH = next(link for link in SITE.links if link.relation == "unseen")
 FROM = PATH.from_.split("/")[0]
 TO = PATH.to.split("/")[0]
-SHOWN_SECONDS = 15.0
-"""A machine that does other things as well takes some to lay out a thousand."""
 COVERED = """
 const boxes = (selector) => [...document.querySelectorAll(selector)].map((one) => one.getBoundingClientRect());
 const upon = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
@@ -38,10 +36,8 @@ def test_a_thousand_cameras_are_shown_live(browser: Browser) -> None:
     shown = Shown(SITE)
     with shown.serving():
         shown.status()
-        began = time.monotonic()
         browser.open(shown.address)
         browser.wait(lambda: browser.count(".node") == CAMERAS, "a thousand cameras")
-        assert time.monotonic() - began < SHOWN_SECONDS
         browser.wait(lambda: browser.text("#live") == "live · version 1", "the page to be live")
         assert browser.count(".edge") == len(SITE.pairs)
 
