@@ -112,8 +112,8 @@ _LINEAR_ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_T
 
 With another number of threads the same events give results that differ in the last bits.
 """
-_KEEP_ON = ("grab",)
-"""Commands that reload their configuration on SIGHUP and never end by it."""
+_KEEP_ON = ("run", "grab")
+"""Commands that SIGHUP never ends."""
 _STATUS_OF_ERROR = {"SourceError": exits.INPUT, "BusError": exits.BUS, "StateError": exits.STATE}
 """Class of an OSError of camtopod -> exit status; the classes' own modules take long to import."""
 _COMMON: dict[str, dict[str, Any]] = {

@@ -1,6 +1,6 @@
-"""SIGTERM to the real programs at any moment, and SIGHUP to grabbers.
+"""SIGTERM and SIGHUP to the real programs at any moment.
 
-They end, lose nothing, and no SIGHUP ends a grabber. The quick form takes a few moments; the
+They end, lose nothing, and no SIGHUP ends them. The quick form takes a few moments; the
 campaign many.
 """
 
@@ -95,21 +95,18 @@ def under(tmp_path: Path) -> Iterator[Under]:
 
 
 def at_moments(under: Under, command: str, count: int, chance: random.Random) -> None:
-    """Start the program ``count`` times; send a SIGTERM at a random moment, to grabbers SIGHUPs."""
-    hangups = command == "grab"
+    """Start the program ``count`` times; send SIGHUPs and a SIGTERM at random moments."""
     for number in range(count):
         process = under.start(command)
-        if hangups:
-            wait_for(lambda one=process: under.listens(one), "it to listen", interval=0.002)  # type: ignore[misc]
+        wait_for(lambda one=process: under.listens(one), "it to listen", interval=0.002)  # type: ignore[misc]
         until = time.monotonic() + START_SECONDS[command] * chance.random() ** 2
         while time.monotonic() < until:
-            if hangups:
-                process.send_signal(signal.SIGHUP)
+            process.send_signal(signal.SIGHUP)
             time.sleep(chance.uniform(0.0, 0.2))
-        assert process.poll() is None, f"run {number}: it ended\n{under.log[-3000:]}"
+        assert process.poll() is None, f"run {number}: SIGHUP ended it\n{under.log[-3000:]}"
 
         process.send_signal(signal.SIGTERM)
-        if hangups and chance.random() < 0.5:
+        if chance.random() < 0.5:
             process.send_signal(signal.SIGHUP)
 
         # Before it catches SIGTERM, and again at the very end, the signal itself ends it.

@@ -7,11 +7,10 @@ import faulthandler
 import gc
 import logging
 import sys
-import threading
 from typing import Any
 
 from camtopod.cli import descriptors, exits
-from camtopod.cli.common import configuration, ends_within, signals, start_logging
+from camtopod.cli.common import SignalRequests, configuration, ends_within, signals, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.serve.bus import log_to_standard_output
 from camtopod.serve.daemon import Daemon
@@ -54,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     descriptors.raise_limit()
 
     # Load the configuration, then run with health page and watchdog.
-    with signals(reloads=False) as requests, ends_within(requests.stop, LEAVE_SECONDS):
+    with signals() as requests, ends_within(requests.stop, LEAVE_SECONDS):
         config = configuration(args)
         daemon = Daemon(config)
         log_to_standard_output()
@@ -68,20 +67,23 @@ def run(args: argparse.Namespace) -> int:
             if listening:
                 log.info("health at http://%s/healthz, /readyz and /metrics", listening)
             systemd.notify(systemd.status("starting"))
-            _run(daemon, requests.stop)
+            _run(daemon, requests)
     log.info("ended cleanly")
     return exits.DONE
 
 
-def _run(daemon: Daemon, stop: threading.Event) -> None:
-    """Start the daemon, and run it until ``stop`` is set or a part of it fails."""
-    if not daemon.start(stop):
+def _run(daemon: Daemon, requests: SignalRequests) -> None:
+    """Start the daemon, and run it until a signal ends it or a part of it fails."""
+    if not daemon.start(requests.stop):
         return
     try:
         systemd.notify("READY=1", systemd.status(f"running at {daemon.endpoint}"))
-        while not stop.wait(0.2):
+        while not requests.stop.wait(0.2):
             if daemon.wait(0):
                 raise CommandError("a part of the daemon failed, see above; start it again")
+            if requests.reload.is_set():
+                requests.reload.clear()
+                log.warning("SIGHUP changes nothing here: restart the daemon after a change")
     finally:
         systemd.notify("STOPPING=1")
         daemon.stop()
