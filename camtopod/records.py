@@ -52,6 +52,11 @@ PairRelation = Literal["overlapped", "unseen_path"]
 """Relation of two cameras: their views overlap, or a path that no camera sees joins them."""
 
 
+def _metric(name: str, meaning: str) -> Meta:
+    """Make a field a metric of ``/metrics``: ``camtopod_`` and this name, and what it means."""
+    return Meta(title=name, description=meaning)
+
+
 class Event(Struct, frozen=True, omit_defaults=True, gc=False):
     """One object that appears in the view of a camera (``entry``) or leaves it (``exit``).
 
@@ -388,13 +393,13 @@ class SelfScore(Struct, frozen=True):
         next camera of a camera.
     """
 
-    exits: Count
+    exits: Annotated[Count, _metric("score_exits", "Predictions that are scored")]
     since_version: Count
     log_loss: Number
-    top1: Share
-    top3: Share
+    top1: Annotated[Share, _metric("score_top1", "Share of next cameras that were the likeliest")]
+    top3: Annotated[Share, _metric("score_top3", "Share of next cameras among the likeliest three")]
     baseline_log_loss: Number
-    baseline_top1: Share
+    baseline_top1: Annotated[Share, _metric("score_baseline_top1", "Top-1 score of the baseline")]
 
 
 class Topology(Struct, frozen=True, omit_defaults=True):
@@ -533,19 +538,90 @@ class Status(Struct, frozen=True):
     camera: str | None = None
 
 
+class GrabberStatus(Status, frozen=True):
+    """State of a grabber, as published on ``status/{camera}``; None: it does not say."""
+
+    restarts: Annotated[
+        int | None, _metric("grabber_restarts_total", "Restarts of the camera's process")
+    ] = None
+    failures: Annotated[
+        int | None, _metric("grabber_failures_total", "Connections that failed or were lost")
+    ] = None
+    frames_analysed: Annotated[
+        int | None, _metric("grabber_frames_analysed_total", "Frames analysed")
+    ] = None
+    last_frame_t: Annotated[
+        float | None,
+        _metric("grabber_frame_timestamp_seconds", "Capture time of the latest frame"),
+    ] = None
+    waiting: Annotated[
+        int | None, _metric("spool_events", "Events that the daemon has not stored yet")
+    ] = None
+    dropped: Annotated[
+        int | None, _metric("spool_dropped_total", "Events lost because the spool was full")
+    ] = None
+    damaged_files: Annotated[
+        int | None, _metric("spool_damaged_files", "Files of the spool set aside for damage")
+    ] = None
+
+
 class CameraFigures(Struct, frozen=True):
-    """A camera in the daemon's status.
+    """A camera in the daemon's status; ``ahead`` is None if it is unknown."""
 
-    events: number of its events since the daemon's start.
-    newest (Unix seconds): time of its newest event.
-    ahead (seconds): by how much its last event was ahead of the daemon's clock; None if unknown.
-    alive: True while a program that publishes its events is on the bus.
-    """
+    events: Annotated[
+        int, _metric("events_total", "Events taken from the camera since the start")
+    ] = 0
+    newest: Annotated[
+        float | None, _metric("event_timestamp_seconds", "Time of the camera's newest event")
+    ] = None
+    ahead: Annotated[
+        float | None,
+        _metric("clock_ahead_seconds", "Last event's time ahead of this machine's clock"),
+    ] = None
+    alive: Annotated[
+        bool, _metric("camera_alive", "1 while the publisher of the camera's events is on the bus")
+    ] = False
 
-    events: int = 0
-    newest: float | None = None
-    ahead: float | None = None
-    alive: bool = False
+
+class EventCounts(Struct, frozen=True):
+    """Events since the daemon's start by what became of them, and those that wait."""
+
+    received: int = 0
+    stored: Annotated[int, _metric("events_stored_total", "Events stored in the journal")] = 0
+    duplicate: Annotated[int, _metric("events_duplicate_total", "Events received again")] = 0
+    future: Annotated[
+        int, _metric("events_future_total", "Events too far ahead of the clock, set aside")
+    ] = 0
+    flood: Annotated[
+        int, _metric("events_flood_total", "Events beyond what one view can show, not learned")
+    ] = 0
+    late: int = 0
+    lost: Annotated[int, _metric("events_lost_total", "Events missing between others")] = 0
+    waiting: Annotated[int, _metric("events_waiting", "Events stored and not learned yet")] = 0
+    merging: Annotated[
+        int, _metric("events_merging", "Events that wait for others or their time")
+    ] = 0
+
+
+class LearnerCounts(Struct, frozen=True):
+    """The learner's counts in this epoch, and sizes, as of its last step."""
+
+    accepted: int = 0
+    duplicate: int = 0
+    late: Annotated[int, _metric("events_late_total", "Events too late to be learned")] = 0
+    refused: int = 0
+    surplus: int = 0
+    held: Annotated[
+        int, _metric("learner_held_events", "Events held until the watermark has passed them")
+    ] = 0
+    learned: int = 0
+    window: int = 0
+    cameras: int = 0
+    watermark: Annotated[
+        float | None,
+        _metric("watermark_timestamp_seconds", "Event time up to which everything is learned"),
+    ] = None
+    version: int = 0
 
 
 class CatchingUp(Struct, frozen=True):
@@ -575,20 +651,17 @@ class NamesStatus(Struct, frozen=True):
 
 
 class JournalStatus(Struct, frozen=True):
-    """The journal.
-
-    entries: number of entries that there have ever been.
-    missing: entries known to have been lost when it was opened.
-    damaged: damaged entries that were not learned.
-    bytes: size of the file.
-    damaged_files: files set aside for damage.
-    """
+    """The journal."""
 
     entries: int = 0
-    missing: int = 0
-    damaged: int = 0
-    bytes: int = 0
-    damaged_files: list[str] = []
+    missing: Annotated[
+        int, _metric("journal_missing_entries", "Entries it had lost when it was opened")
+    ] = 0
+    damaged: Annotated[int, _metric("journal_damaged_entries", "Damaged entries, not learned")] = 0
+    bytes: Annotated[int, _metric("journal_bytes", "Size of the journal's file")] = 0
+    damaged_files: Annotated[
+        list[str], _metric("journal_damaged_files", "Files set aside for damage")
+    ] = []
 
 
 class DaemonStatus(Status, frozen=True):
@@ -596,24 +669,24 @@ class DaemonStatus(Status, frozen=True):
 
     site, epoch, version: site of the daemon, and the version of the topology that it published
         last; 0 if there is none.
-    events: events since the start by what became of them, and those that wait.
     rejects, reject_samples: rejected input by reason.
     dropped: publications dropped for lack of room, by camera.
-    learner: the learner's counts and sizes, as of its last step.
     catching_up: None if the learner is up to date.
     """
 
     site: str = ""
     epoch: str = ""
-    version: int = 0
-    events: dict[str, int] = {}
-    rejects: dict[str, int] = {}
+    version: Annotated[int, _metric("topology_version", "Newest version of the topology")] = 0
+    events: EventCounts = EventCounts()
+    rejects: Annotated[dict[str, int], _metric("rejected_total", "Inputs that were rejected")] = {}
     reject_samples: dict[str, list[str]] = {}
     dropped: dict[str, int] = {}
-    learner: dict[str, float] = {}
+    learner: LearnerCounts = LearnerCounts()
     catching_up: CatchingUp | None = None
-    predictions: int = 0
-    predictions_skipped: int = 0
+    predictions: Annotated[int, _metric("predictions_total", "Predictions published")] = 0
+    predictions_skipped: Annotated[
+        int, _metric("predictions_skipped_total", "Exits without a prediction for lack of time")
+    ] = 0
     questions_refused: int = 0
     score: SelfScore | None = None
     alarms: list[Alarm] = []

@@ -268,7 +268,7 @@ class Learner:
             raise RuntimeError("no version has been learned yet")
         return Predictor(self.topology)
 
-    def statistics(self) -> dict[str, int | float]:
+    def statistics(self) -> dict[str, int | float | None]:
         """Return counts and sizes by name, for people and for health checks."""
         watermark = self._intake.watermark_us
         return {
@@ -277,7 +277,7 @@ class Learner:
             "learned": self.state.learned,
             "window": len(self._window),
             "cameras": len(self._window.cameras),
-            "watermark": 0.0 if watermark is None else watermark / MICROSECONDS,
+            "watermark": watermark and watermark / MICROSECONDS,
             "version": self._next_version - 1,
         }
 

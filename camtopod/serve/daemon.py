@@ -32,7 +32,7 @@ from camtopod.config import Config
 from camtopod.event_time import MICROSECONDS, EventTime, microseconds
 from camtopod.keys.rules import STATUS
 from camtopod.predict import Predictor
-from camtopod.records import DaemonStatus, Prediction, Topology
+from camtopod.records import DaemonStatus, EventCounts, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
 from camtopod.serve.bus import (
@@ -268,12 +268,12 @@ class Daemon:
             epoch=self.epoch if topology is None else topology.epoch,
             version=0 if topology is None else topology.version,
             t=self._clock(),
-            events={
+            events=EventCounts(
                 **intake.counts,
-                "lost": intake.numbers.lost,
-                "waiting": learning.waiting,
-                "merging": intake.merger.waiting,
-            },
+                lost=intake.numbers.lost,
+                waiting=learning.waiting,
+                merging=intake.merger.waiting,
+            ),
             rejects=dict(intake.rejects.counts),
             reject_samples=intake.rejects.samples(),
             dropped=dict(intake.inbox.dropped),

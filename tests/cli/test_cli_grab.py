@@ -174,7 +174,7 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> 
         client.subscribe("status/lobby", lambda key, raw: said.append(msgspec.msgpack.decode(raw)))
         arguments = grab_to(daemon.endpoint, tmp_path)
         assert main(arguments) == 0
-        assert daemon.status().events["stored"] == len(EVENTS)
+        assert daemon.status().events.stored == len(EVENTS)
         wait_for(lambda: bool(said) and said[-1]["state"] == "ended", "the last status")
         assert (said[-1]["frames"], said[-1]["published"], said[-1]["camera"]) == (
             7,
@@ -182,7 +182,7 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> 
             "lobby",
         )
         assert main(arguments) == 0
-        assert daemon.status().events["stored"] == 2 * len(EVENTS), "the spool's count goes on"
+        assert daemon.status().events.stored == 2 * len(EVENTS), "the spool's count goes on"
         client.close()
 
 
@@ -233,7 +233,7 @@ def test_a_supervised_file_waits_for_the_daemon_at_its_end(
         daemon = Daemon(small_config(tmp_path / "daemon"), meeting)
         stack.callback(daemon.stop)
         assert main(grab_to(meeting.endpoint, tmp_path)) == 0
-        assert daemon.status().events["stored"] == len(EVENTS)
+        assert daemon.status().events.stored == len(EVENTS)
     assert ("ended", "waiting for the daemon to store 20 events") in said
     receiver.close()
 
@@ -259,7 +259,7 @@ def test_a_live_source_goes_on_while_the_bus_is_away(
             daemon.start()
         if count == 19:
             wait_for(
-                lambda: daemon.status().events["stored"] >= 10,
+                lambda: daemon.status().events.stored >= 10,
                 "the events of before, from the spool",
             )
 
@@ -269,6 +269,6 @@ def test_a_live_source_goes_on_while_the_bus_is_away(
         f'[bus]\nconnect = ["{endpoint}"]\nconnect_seconds = 0.2\n[cameras.lobby]\nsource = "rtsp://h/x"\n'
     )
     assert main(["--config", str(path), "grab", "--camera", "lobby", "--state", str(tmp_path)]) == 0
-    assert daemon.status().events["stored"] == len(EVENTS)
+    assert daemon.status().events.stored == len(EVENTS)
     assert FakeGrabber.made[0].source == "rtsp://h/x"
     daemon.stop()

@@ -88,7 +88,7 @@ def test_what_became_of_the_events_is_said(
         assert "1 refused" in capsys.readouterr().err
         assert ingest(daemon, tmp_path, recording, "--anew") == 0
         assert f"{events} events stored, {events - 1} of them late" in capsys.readouterr().err
-        assert daemon.status().events["stored"] == 2 * events + 22
+        assert daemon.status().events.stored == 2 * events + 22
 
 
 def test_a_camera_too_many_ends_it_and_left_events_of_one_hold_nothing_up(

@@ -27,7 +27,7 @@ def test_a_daemon_stores_what_is_published(tmp_path: Path) -> None:
 
         assert publisher.wait_stored(WAIT_SECONDS)
         assert (publisher.waiting, publisher.dropped) == (0, 0)
-        wait_for(lambda: daemon.status().events["stored"] == len(EVENTS), "all events")
+        wait_for(lambda: daemon.status().events.stored == len(EVENTS), "all events")
 
 
 def test_events_wait_for_a_daemon_that_comes_later(tmp_path: Path) -> None:
@@ -42,7 +42,7 @@ def test_events_wait_for_a_daemon_that_comes_later(tmp_path: Path) -> None:
         publisher.publish(*EVENTS[10:])
 
         assert publisher.wait_stored(WAIT_SECONDS)
-        wait_for(lambda: daemon.status().events["stored"] == len(EVENTS), "all events")
+        wait_for(lambda: daemon.status().events.stored == len(EVENTS), "all events")
 
 
 def test_what_is_wrong_is_refused_before_anything_is_stored(tmp_path: Path) -> None:

@@ -188,7 +188,7 @@ def test_every_bad_camera_is_named_and_the_good_one_goes_on(
             ("frozen", hung),
         ):
             wait_for(lambda camera=camera, what=what: statuses.is_said(camera, what), camera)  # type: ignore[misc]
-        wait_for(lambda: daemon.status().events["stored"] == len(expected), "all of its events")
+        wait_for(lambda: daemon.status().events.stored == len(expected), "all of its events")
         wait_for(lambda: newest["frozen"]["state"] == "connecting", "its return")
         assert "p@ss" not in str(statuses.reasons) + box.log
 
@@ -344,7 +344,7 @@ def test_campaign_of_killed_grabbers(port: int, tmp_path: Path) -> None:
             before = 0
             for number in range(kills + 1):
                 wanted = before + EVENTS_BETWEEN
-                wait_for(lambda n=wanted: daemon.status().events["stored"] >= n, "events", 60.0)  # type: ignore[misc]
+                wait_for(lambda n=wanted: daemon.status().events.stored >= n, "events", 60.0)  # type: ignore[misc]
                 if number < kills:
                     time.sleep(chance.uniform(0.0, 1.0))
                     kill(box, whole=number % BOX_EVERY == BOX_EVERY - 1)

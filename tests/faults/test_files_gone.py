@@ -57,9 +57,9 @@ def test_nothing_is_acknowledged_from_then_on_and_what_the_spools_have_comes_bac
         grabber.await_stored()
         LOSSES[loss](state)
         wait_for(lambda: daemon.status().state == "degraded", "it to notice")
-        received = daemon.status().events["received"]
+        received = daemon.status().events.received
         grabber.publish(AFTER)
-        wait_for(lambda: daemon.status().events["received"] > received, "some of the events")
+        wait_for(lambda: daemon.status().events.received > received, "some of the events")
 
         reason = daemon.status().reason
         assert f"{state}/journal.db was removed or replaced while it is in use" in reason
@@ -175,7 +175,7 @@ def journals_around(
         damage(state, earlier)
         with grabber.daemon() as daemon:
             grabber.publish(1)
-            wait_for(lambda: daemon.status().events["stored"] > 0, "the next event")
+            wait_for(lambda: daemon.status().events.stored > 0, "the next event")
             grabber.await_stored()
     return before, stored(state)
 

@@ -482,7 +482,7 @@ def test_an_authenticated_site_works_as_one_without(keys: Keys, tmp_path: Path) 
 
         subscriber = TopologySubscriber(reader)
         wait_for(lambda: subscriber.update() is not None, "the topology")
-        assert daemon.status().events["stored"] == len(events) + 1
+        assert daemon.status().events.stored == len(events) + 1
         exit_at = {"x": 0.9, "y": 0.5}
         wait_for(lambda: bool(reader.query("predict/a", exit_at)), "a prediction")
         wait_for(lambda: "status/daemon" in dict(reader.query("status/*")), "the status")
@@ -518,7 +518,7 @@ def test_one_certificate_for_the_cameras_of_another_program(
         )
 
         assert ingest("door", "yard") == exits.DONE
-        assert daemon.status().events["stored"] == 100
+        assert daemon.status().events.stored == 100
         assert ingest("hall") == exits.BUS
         assert "camera hall: the daemon is there and does not answer" in capfd.readouterr().err
-        assert daemon.status().events["stored"] == 100
+        assert daemon.status().events.stored == 100

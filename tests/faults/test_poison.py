@@ -118,7 +118,10 @@ def unchanging(daemon: Daemon) -> dict[str, Any]:
         "topology": daemon.topology,
         "state": status.state,
         "journal": status.journal.entries,
-        **{name: status.events[name] for name in ("stored", "future", "flood", "lost", "waiting")},
+        **{
+            name: getattr(status.events, name)
+            for name in ("stored", "future", "flood", "lost", "waiting")
+        },
     }
 
 
@@ -133,7 +136,7 @@ def poison(directory: Path, count: int, seed: int) -> None:
         events = [*numbered(walkers(40)), *closing]
         for event in events:
             bus.publish(f"event/{event.camera}", event, "event")
-        wait_for(lambda: daemon.status().events["stored"] == len(events), "the good events")
+        wait_for(lambda: daemon.status().events.stored == len(events), "the good events")
         wait_for(lambda: all_out(daemon, len(events)), "its versions")
         before = unchanging(daemon)
         assert before["state"] == "running"
@@ -163,7 +166,7 @@ def poison(directory: Path, count: int, seed: int) -> None:
         good = Event("a", "exit", T0 + 11 * serving.SPAN_SECONDS, 0.9, 0.5)
         bus.publish("event/a", good, "event")
         stored = before["stored"] + 1
-        wait_for(lambda: daemon.status().events["stored"] == stored, "the next good event")
+        wait_for(lambda: daemon.status().events.stored == stored, "the next good event")
 
 
 def test_poison_on_every_key_changes_nothing(tmp_path: Path) -> None:

@@ -121,7 +121,7 @@ def test_a_renamed_camera_goes_on_whichever_name_its_grabber_uses(site: Site) ->
     assert publisher.wait_stored(10), "stored under the number of the old name"
     before = daemon.status().cameras["yard"].events
     put(bus, msgspec.structs.replace(fresh("b", 9), boot="boot-spool", seq=10))
-    wait_for(lambda: daemon.status().events["duplicate"] == 1, "the duplicate")
+    wait_for(lambda: daemon.status().events.duplicate == 1, "the duplicate")
     status = daemon.status()
     assert (status.cameras["yard"].events, status.cameras["yard"].alive) == (before, True)
     assert "b" not in status.cameras

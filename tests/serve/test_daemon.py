@@ -87,8 +87,8 @@ def put(bus: Bus, *events: Event) -> None:
 
 
 def stored(daemon: Daemon, count: int) -> None:
-    wait_for(lambda: daemon.status().events["stored"] >= count, f"{count} stored events")
-    assert daemon.status().events["stored"] == count
+    wait_for(lambda: daemon.status().events.stored >= count, f"{count} stored events")
+    assert daemon.status().events.stored == count
 
 
 def caught_up(view: TopologySubscriber, version: int) -> Topology:
@@ -133,7 +133,7 @@ def test_events_are_stored_once_and_learned_as_the_plain_learner_does(site: Site
     assert view.topology is not None
     assert (view.topology.version, view.topology.digest) == (expected.version, expected.digest)
     assert view.topology.epoch == daemon.epoch
-    wait_for(lambda: daemon.status().events["duplicate"] == 50, "duplicates")
+    wait_for(lambda: daemon.status().events.duplicate == 50, "duplicates")
     stored(daemon, len(events))
     late = TopologySubscriber(site.client(daemon))
     assert caught_up(late, 1) == view.topology, "a late joiner gets the whole"
@@ -147,7 +147,7 @@ def test_a_daemon_whose_learner_is_killed_fails_and_goes_on_where_it_was(site: S
     events = [*numbered(walkers(40)), closing_event()]
     put(site.client(daemon), *events[:100])
     wait_for(
-        lambda: daemon.status().events["stored"] == 100 and not daemon.status().events["waiting"],
+        lambda: daemon.status().events.stored == 100 and not daemon.status().events.waiting,
         "learning",
     )
     assert daemon._process is not None
@@ -190,7 +190,7 @@ def test_old_versions_can_be_asked_for(site: Site) -> None:
     before = daemon.status().journal
     daemon.stop()
     again = site.daemon()
-    assert again.status().events["waiting"] == 0, "it stopped with a snapshot"
+    assert again.status().events.waiting == 0, "it stopped with a snapshot"
     assert asked_of(site, again, first.version) == first
     assert again.status().journal.entries == before.entries
 
@@ -304,7 +304,7 @@ def test_time_goes_on_without_events(site: Site) -> None:
     site.now += 4 * serving.SPAN_SECONDS
     wait_for(lambda: daemon.topology is not None, "a version")
     assert daemon.topology is not None
-    wait_for(lambda: daemon.status().learner["learned"] == len(events), "every event to be learned")
+    wait_for(lambda: daemon.status().learner.learned == len(events), "every event to be learned")
     wait_for(lambda: all_out(daemon, len(events)), "its versions")
     before = daemon.topology
     daemon.stop()
@@ -353,7 +353,7 @@ def sorted_by_time(events: list[Event]) -> list[Event]:
 def test_a_clock_behind_the_newest_event_is_said_with_what_to_do(site: Site) -> None:
     first = site.daemon()
     put(site.client(first), *(Event(camera, "entry", NOW) for camera in "ab"))
-    wait_for(lambda: first.status().learner.get("accepted") == 2, "the events to be learned")
+    wait_for(lambda: first.status().learner.accepted == 2, "the events to be learned")
     first.stop()
 
     site.now = NOW - 86_400.0

@@ -98,7 +98,7 @@ def test_what_cannot_be_read_teaches_nothing_and_is_counted(process: LearnerProc
         LearnProgress,
     )
     assert (answer.position, answer.unreadable) == (5, 1)
-    assert answer.statistics["accepted"] == 2
+    assert answer.statistics.accepted == 2
 
 
 def test_it_gives_way(process: LearnerProcess) -> None:

@@ -57,13 +57,11 @@ def daemon_on(state: Path, events: list[Event]) -> Daemon:
         for event in events:
             bus.publish(f"event/{event.camera}", event, "event")
         wait_for(
-            lambda: (
-                sum(daemon.status().events[name] for name in ("stored", "duplicate")) == len(events)
-            ),
+            lambda: daemon.status().events.stored + daemon.status().events.duplicate == len(events),
             "all",
         )
-        wait_for(lambda: not daemon.status().events["waiting"], "learning")
-        learned = daemon.status().learner["version"]
+        wait_for(lambda: not daemon.status().events.waiting, "learning")
+        learned = daemon.status().learner.version
         wait_for(
             lambda: daemon.topology is not None and daemon.topology.version == learned,
             "the newest version",
@@ -108,7 +106,7 @@ def test_events_of_the_recording_count_once(recording: Path, site: Path, tmp_pat
     """They may come again, from a spool or a file."""
     assert learn(recording, site, tmp_path / "state") == exits.DONE
     daemon = daemon_on(tmp_path / "state", RECORDED)
-    assert daemon.status().events["duplicate"] == len(RECORDED)
+    assert daemon.status().events.duplicate == len(RECORDED)
     daemon.stop()
     with closing(Journal(tmp_path / "state")) as journal:
         assert len(journal) == len(RECORDED)

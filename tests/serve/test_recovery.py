@@ -140,7 +140,7 @@ def test_it_says_how_far_it_is_behind(start: Start) -> None:
     """Of what was stored since it was up to date, and by event time."""
     one = start()
     one.learn(EVENTS[:100])
-    watermark = one.learning.progress.statistics["watermark"]
+    watermark = one.learning.progress.statistics.watermark
     assert one.learning.catching_up(watermark + 1000.0) is None, "all of it is learned"
     one.store(EVENTS[100:150])
     assert one.learning.catching_up(watermark + CATCHING_UP_SECONDS - 1.0) is None
@@ -164,7 +164,7 @@ def test_a_damaged_snapshot_costs_an_epoch_and_nothing_that_was_learned(start: S
 
     assert again.started_at == positions[1]
     assert {epoch for epoch, _, _ in again.published} == {"F"}
-    assert again.learning.progress.statistics["accepted"] == len(EVENTS)
+    assert again.learning.progress.statistics.accepted == len(EVENTS)
 
 
 def test_a_damaged_entry_begins_an_epoch_with_what_is_left(start: Start) -> None:
@@ -221,7 +221,7 @@ def test_an_entry_at_which_the_learner_dies_twice_is_skipped(
     assert "at entry 131 of the journal, which is skipped in epoch F" in caplog.text
     again.run()
     again.learn(EVENTS[160:])
-    assert again.learning.progress.statistics["accepted"] == len(EVENTS) - 1
+    assert again.learning.progress.statistics.accepted == len(EVENTS) - 1
     assert {epoch for epoch, _, _ in again.published} == {"F"}
 
 
@@ -247,9 +247,9 @@ def test_a_rewind_is_replayed_like_an_event(start: Start) -> None:
     entry = command_entry(Rewind(to, one.epoch, one.new_epoch()))
     one.journal.commit([entry])
     one.run()
-    assert (one.epoch, one.learning.progress.statistics["watermark"]) == ("F", to)
+    assert (one.epoch, one.learning.progress.statistics.watermark) == ("F", to)
     one.learn(EVENTS[120:])
-    assert one.learning.progress.statistics["late"] <= 30, (
+    assert one.learning.progress.statistics.late <= 30, (
         "of what a wild clock had made late nothing is made good"
     )
     assert {epoch for epoch, _, _ in one.published} == {"E", "F"}

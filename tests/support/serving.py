@@ -45,8 +45,8 @@ def wait_for(
 def all_out(daemon: Daemon, events: int) -> bool:
     """Return True if the learner has had ``events`` events and its versions are published."""
     learner = daemon.status().learner
-    had = learner.get("accepted", 0) + learner.get("late", 0) == events
-    return bool(had and learner["version"] == daemon.status().version)
+    had = learner.accepted + learner.late == events
+    return had and learner.version == daemon.status().version
 
 
 def free_endpoint() -> str:

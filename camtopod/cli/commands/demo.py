@@ -187,7 +187,7 @@ def _watch(recording: Recording, work: Path) -> Topology:
         _until(daemon, functools.partial(_has_learned, daemon))
         _say(_progress(daemon))
         topology = daemon.topology
-        late = daemon.status().learner["late"]
+        late = daemon.status().learner.late
         if late:
             _say(f"{late} events were too late and not learned: the machine was very busy")
     if topology is None:
@@ -231,8 +231,8 @@ def _has_learned(daemon: Daemon, quiet: float) -> bool:
     quiet: seconds since the last change.
     """
     status = daemon.status()
-    busy = status.events["waiting"] or status.learner["held"]
-    published = status.learner["version"] == status.version
+    busy = status.events.waiting or status.learner.held
+    published = status.learner.version == status.version
     return quiet >= QUIET_SECONDS and published and not busy
 
 
@@ -262,7 +262,7 @@ def _progress(daemon: Daemon) -> str:
     """Return one line about the events and the newest topology."""
     status = daemon.status()
     topology = daemon.topology
-    events = f"{len(status.cameras)} cameras, {status.events['stored']} events"
+    events = f"{len(status.cameras)} cameras, {status.events.stored} events"
     if topology is None:
         return f"{events}, nothing learned yet"
     links = sum(link.relation != "visible" for link in topology.links)

@@ -84,7 +84,7 @@ class SiteState:
             minutes = behind.seconds / 60
             words += f", catching up, {behind.share:.0%} ({minutes:.0f} minutes behind)"
         rejected = sum(daemon.rejects.values())
-        stored = daemon.events.get("stored", 0)
+        stored = daemon.events.stored
         return f"{words}, {stored} events stored, {rejected} rejected since its start"
 
     def camera_lines(self, topology: Topology | None, now: float) -> list[str]:

@@ -88,7 +88,7 @@ class LearnerFeeder:
 
         newest: event time of the newest event stored, Unix seconds.
         """
-        watermark = self.progress.statistics["watermark"] or newest  # none before its first events
+        watermark = self.progress.statistics.watermark or newest  # none before its first events
         waiting = self.waiting
         if not waiting or newest - watermark < CATCHING_UP_SECONDS:
             self._up_to_date_at = self.position

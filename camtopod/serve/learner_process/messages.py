@@ -13,6 +13,7 @@ from msgspec import Struct
 
 from camtopod.event_time import EventTimeState
 from camtopod.learn.settings import Settings
+from camtopod.records import LearnerCounts
 from camtopod.serve.storage import StoredVersion
 
 INPUTS_MAX = 4_000
@@ -96,7 +97,7 @@ class LearnProgress(Struct):
 
     position: int
     deadline: float | None
-    statistics: dict[str, int | float]
+    statistics: LearnerCounts
     epoch: str
     unreadable: int = 0
     event_time: EventTimeState = msgspec.field(default_factory=EventTimeState)

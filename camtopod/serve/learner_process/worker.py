@@ -19,13 +19,15 @@ from ctypes import c_longlong
 from multiprocessing.connection import Connection
 from typing import Any
 
+import msgspec
+
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, Rewind, TakeBack
 from camtopod.learn.learner import Learner
 from camtopod.learn.renaming import rename
 from camtopod.learn.rewinding import rewind
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
-from camtopod.records import Topology
+from camtopod.records import LearnerCounts, Topology
 from camtopod.serve.learner_process.messages import (
     Answer,
     Begin,
@@ -179,9 +181,8 @@ class Worker:
     def _progress(self, position: int, **more: Any) -> LearnProgress:
         """Return the progress."""
         learner = self._learner
-        return LearnProgress(
-            position, learner.next_deadline(), learner.statistics(), learner.epoch, **more
-        )
+        counts = msgspec.convert(learner.statistics(), LearnerCounts)
+        return LearnProgress(position, learner.next_deadline(), counts, learner.epoch, **more)
 
     def _take_versions(self) -> list[NewVersion]:
         """Return the versions of a step."""
