@@ -211,7 +211,7 @@ def run_daemons(pipe: Connection, config: Config, now: Any) -> None:
                     made = daemon.topology
                     pipe.send(
                         (
-                            daemon.status().events["waiting"],
+                            daemon.status().events.waiting,
                             (made.version, made.digest) if made else None,
                         )
                     )
