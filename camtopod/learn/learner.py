@@ -60,9 +60,8 @@ from camtopod.topology import with_digest
 REFIT_EVENTS_MIN = 10
 """Least new events for a new version, unless the last version is older than ``refit_hours``."""
 GONE_ZONES_MAX = 32
-"""Largest number of vanished zones that are remembered for each camera.
-
-A zone that returns to its place gets its number back.
+"""Largest number of vanished zones that are remembered for each camera. A zone that returns to its
+place gets its number back.
 """
 MOVE_EVENTS = 25
 """New events of a camera after which it is tested again for having been turned."""

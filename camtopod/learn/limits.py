@@ -1,17 +1,10 @@
-"""Limits on the memory and time of one fit.
-
-Limits are counts, not times, so that the same events give the same version on a machine of any
-speed.
+"""Limits on the memory and time of one fit: counts, so that all machines make the same version.
 
 Nearly all memory and time of a fit go into *event pairs* (a departure and an arrival within the
-range of lags) and into tables with a row for each pair of zones. The number of events in a window
-is limited, but the number of event pairs grows with the square of the traffic: 30,000 departures
-and as many arrivals within five minutes are 900 million pairs. So each stage of a fit first counts
-its event pairs, which is cheap because times are sorted, and then uses at most a fixed number.
-Beyond the limit it leaves out the arrivals with the most departures in reach (`arrivals_within`):
-they carry the least information, as each may be of any of these departures, and they come from
-times and places where a camera floods the site with events. Arrivals at other times are unaffected,
-and so is every site below the limits: a hundred cameras with ordinary traffic need a tenth of each.
+range of lags) and into tables with a row for each pair of zones. The number of event pairs grows
+with the square of the traffic, so each stage of a fit first counts them and then uses at most a
+fixed number. Beyond the limit it leaves out the arrivals with the most departures in reach
+(`arrivals_within`): they carry the least information.
 """
 
 from __future__ import annotations
@@ -39,16 +32,13 @@ ZONE_PAIRS_PER_CAMERA_MAX = 250
 ENTRY_PAIRS_MAX = 20_000
 ENTRY_PAIRS_PER_CAMERA_MAX = 600
 """Entry kernels of a site (`next_camera.entry_kernels`): in all, or for each camera if that is
-more.
-
-An entry kernel belongs to a pair of a zone of entry and a zone of the next appearance.
+more. An entry kernel belongs to a pair of a zone of entry and a zone of the next appearance.
 """
 CONTEXT_CELLS_MAX = 8_000_000
 CONTEXT_CELLS_PER_CAMERA_MAX = 40_000
 """Cells of a table of transitions by context (`next_camera.contexts`): in all, or for each camera
-of the site if that is more.
-
-The table has a row for each context of a departure and a column for each next zone.
+of the site if that is more. The table has a row for each context of a departure and a column for
+each next zone.
 """
 
 

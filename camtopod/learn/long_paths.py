@@ -1,13 +1,10 @@
 """Long paths: pairs of cameras whose transit time the lag bins of the joint fit do not resolve.
 
-Lag bins are a tenth of the lag wide and end at three minutes. A path of five minutes that all
-objects take within ten seconds has no bin, and one of two minutes is lost in the traffic of a bin
-of twelve seconds. But such paths stand out of the correlogram of their two cameras
-(`clocks.correlogram`). So `find_long_paths` searches the correlogram of each ordered pair of
-cameras, in bins of a second, over a quarter of an hour. If its clearest peak is at a long lag, the
-departures from the first camera are copied and *delayed* by that lag (`delayed`), so that the joint
-fit, which measures lags from the delayed departures, covers the peak. Whether there is a link is
-decided by the evidence of the fit, as for any other pair.
+Lag bins are a tenth of the lag wide and end at three minutes, but a path of five minutes that all
+objects take within ten seconds stands out of the correlogram of its two cameras
+(`clocks.correlogram`). If its clearest peak is at a long lag (`find_long_paths`), the departures
+from the first camera are copied and *delayed* by that lag (`delayed`), so that the joint fit covers
+the peak. Whether there is a link is decided by the evidence of the fit, as for any other pair.
 """
 
 from __future__ import annotations
@@ -39,9 +36,8 @@ LONG_SECONDS_MIN = 60.0
 """Least lag of a long path; the lag bins are fine enough for shorter ones."""
 LONG_SECONDS_MAX = 900.0
 LONG_SHARE_MAX = 0.25
-"""Largest lag of a long path, in seconds and as a share of the duration of the window.
-
-The share ensures that a path is observed more than once.
+"""Largest lag of a long path, in seconds and as a share of the duration of the window. The share
+ensures that a path is observed more than once.
 """
 SHARP_SHARE_MAX = 0.1
 """Largest half width of a peak, as a share of its lag, at lags that have a lag bin."""
@@ -51,7 +47,6 @@ FALSE_PROBABILITY = 0.01
 """Probability of any false peak on a site without links."""
 FALSE_LEGS = 1.0
 """Expected false peaks, on a site without links, among those that may be parts of a longer path.
-
 Used to recognise paths that lead over a camera between (`_is_over`).
 """
 SAME_SHARE = 0.1
@@ -60,9 +55,8 @@ SAME_SECONDS = 10.0
 number of seconds.
 """
 HALF_SD_MIN = 1.0
-"""Least height of the peak of a long path in each half of the window, in standard deviations.
-
-It ensures that a single coincidence of events does not make a peak.
+"""Least height of the peak of a long path in each half of the window, in standard deviations. It
+ensures that a single coincidence of events does not make a peak.
 """
 LONG_PATHS_MAX = 256
 """Largest number of long paths; of more, those with the clearest peaks."""

@@ -79,9 +79,8 @@ from camtopod.records import Model
 from camtopod.topology import LagBins, offset_bins
 
 STEPS = ("candidates", "joint fit", "evidence", "changes", "prediction", "topology")
-"""Names of steps 3 to 8, in order; `refit` reports each as it begins.
-
-Steps 1 and 2 have no names: progress shows them as part of the learner's step before, the clocks.
+"""Names of steps 3 to 8, in order; `refit` reports each as it begins. Steps 1 and 2 have no names:
+progress shows them as part of the learner's step before, the clocks.
 """
 
 
@@ -195,8 +194,7 @@ def refit(
     scene: the window's events labelled with their zones, in corrected time.
     clocks: the clock offsets with which the times were corrected.
     known: results of earlier refits, and exits whose outcome is to be estimated.
-    on_step: called with the name of each of `STEPS` as the step begins; the memory of the step
-        before is free again at that moment.
+    on_step: called with the name of each of `STEPS` as the step begins.
     """
     bins = lag_bins(settings)
     zones = len(scene.zones)
@@ -225,10 +223,9 @@ def refit(
         all_pairs = nothing(settings, zones)
         changes = []
         followed = dict(known.followed)
-        model = build_model(
-            window.cameras, scene, None, bins, window, [], settings.correct_clocks, overlapping
-        )
-        predicted = Predicted(nothing(settings, zones), model, [])
+        corrected = settings.correct_clocks
+        model = build_model(window.cameras, scene, None, bins, window, [], corrected, overlapping)
+        predicted = Predicted(all_pairs, model, [])
 
     # 8. The links to publish, as they are at present.
     on_step("topology")
@@ -236,9 +233,8 @@ def refit(
     between = present(all_pairs, changes, zones, share_min)
     likely_now = present(predicted.likely_pairs, changes, zones, share_min)
     camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
-    certain = without_missed_detections(
-        between, through, significant(between, settings), camera_of, settings
-    )
+    found = significant(between, settings)
+    certain = without_missed_detections(between, through, found, camera_of, settings)
     published = with_monte_carlo_variance(between.rows(np.flatnonzero(certain)), bins)
     visible = through.rows(np.flatnonzero(significant(through, settings)))
     weak = select_weak_links(likely_now, published, zones)

@@ -1,15 +1,10 @@
-"""Retire cameras that no longer report.
-
-Camera names may be invented, misspelled or used for a day only. Every name costs memory and counts
-towards the limit of cameras (``cameras_max``).
+"""Retire cameras that no longer report, as every name costs memory and counts towards the limit.
 
 A camera is retired when its last event is more than a week old and older than the window
-(``window_hours``). As nothing that is learned depends on it any more, it is forgotten. Only the
-shapes of its zones are kept, for a limited number of cameras, so that a camera that returns, after
-a holiday for example, gets its zone numbers back. `cameras_to_retire` names these cameras.
-
-When the limit of cameras is reached, a new camera replaces the one with the fewest events in the
-window among those silent for an hour, which `camera_to_replace` names.
+(`cameras_to_retire`). As nothing that is learned depends on it any more, it is forgotten, except
+for the shapes of its zones: a camera that returns gets its zone numbers back. When the limit of
+cameras is reached, a new camera replaces the one with the fewest events in the window among those
+silent for an hour (`camera_to_replace`).
 """
 
 from __future__ import annotations

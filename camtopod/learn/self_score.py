@@ -1,12 +1,9 @@
 """Self-evaluation: the learner scores its own predictions once their outcome is known.
 
-`Scorer.watch` predicts the next camera for a sample of the exits as they are learned, with the
-version of that time. Objects are anonymous, so the true outcome is never known for certain. But
-once the longest lag after an exit has passed, the fit of a later version gives the probability r of
-each next camera, or of none (`outcomes`). `Scorer.mark` then gives the prediction its expected
-score under that fit: the log loss is ``-sum r log p`` in place of ``-log p``. An exit event that is
-of no object counts as an object that leaves the site. The *baseline* for comparison is the Markov
-chain over cameras (thesis 4.6).
+`Scorer.watch` predicts the next camera for a sample of the exits as they are learned. Once the
+longest lag after an exit has passed, the fit of a later version gives the probability r of each
+next camera, or of none (`outcomes`), and `Scorer.mark` gives the prediction its expected score: the
+log loss is ``-sum r log p``. The *baseline* is the Markov chain over cameras (thesis 4.6).
 """
 
 from __future__ import annotations

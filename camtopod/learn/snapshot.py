@@ -26,9 +26,8 @@ from camtopod.publishers import Publisher
 from camtopod.records import Topology
 
 FORMAT = 3
-"""Format of the snapshots that this program reads and writes.
-
-Snapshots of another format are refused; the state is learned again from the journal.
+"""Format of the snapshots that this program reads and writes. Snapshots of another format are
+refused; the state is learned again from the journal.
 """
 BYTES_MAX = 1 << 30
 """Largest size of an uncompressed snapshot in bytes; a snapshot that unpacks to more is damaged."""

@@ -1,17 +1,9 @@
 """Odds of where and when the object of an exit appears next, given the events observed so far.
 
 The *targets* of an exit are the zones where its object may appear next. The odds are masses by
-target and lag bin, relative to the probability of leaving the site (`find_odds`). Each is the sum
-of two parts:
-
-* from arrivals that would not be observed yet: the hazard in lag bins that are still to come;
-* from arrivals that have been observed: for each, the hazard of the object over the rate of all
-  other causes of the arrival.
-
-The first part of a target's odds is reduced if its camera may have stopped reporting.
-
-`Site` and `ExitTable` hold what these computations need from the topology version, `Query` is one
-question and `SeenArrivals` the observed arrivals that matter for it.
+target and lag bin, relative to the probability of leaving the site (`find_odds`): the hazard in lag
+bins that are still to come, less if the target's camera may have stopped reporting; and for each
+observed arrival the hazard of the object over the rate of all other causes of the arrival.
 """
 
 from __future__ import annotations

@@ -2,23 +2,12 @@
 
 A `Predictor` reads one topology version, observes events (`Predictor.observe`) and answers for an
 exit (`Predictor.predict`). The possible outcomes of an exit compete: the object appears at one of
-the zones after some lag, or leaves the site. Their prior odds are the learned hazards (rates of
-appearing by lag) of all pairs of zones, weak evidence included. At the exit, the odds are changed
-by five things:
-
-* *context*: where the object entered the view, where exactly it left the view, and at which camera
-  it probably was before (`contexts`);
-* *exposure*: a lag of -L is only possible if the passage has lasted L;
-* *seen arrivals*: where views overlap, the object may already have appeared. Each recent arrival
-  counts with the hazard of this object over the rate of all other causes of the arrival; the
-  odds of an overlapping view without an arrival are reduced (`odds`);
-* *speed*: an object that was slow in this view takes longer to the next view (`speed`);
-* *silent cameras*: a camera that is silent for far longer than its traffic explains has probably
-  stopped reporting.
-
-If the question is asked again later, outcomes that would have been observed by then have lost their
-odds, and arrivals since the exit count like those before it. The time windows of the answer are
-those of the remaining odds.
+the zones after some lag, or leaves the site. Their prior odds are the learned hazards of all pairs
+of zones. They are changed by the exit's *context* (`contexts`), by *exposure* (a lag of -L is only
+possible if the passage has lasted L), by *seen arrivals* (where views overlap, the object may
+already have appeared: `odds`), by *speed* (`speed`), and by *silent cameras*, which have probably
+stopped reporting. If the question is asked again later, outcomes that would have been observed by
+then have lost their odds.
 
 Events have the times of their cameras' clocks. All times inside are *corrected times*: less the
 clock offset of the camera, as given in the topology.

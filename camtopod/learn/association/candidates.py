@@ -23,9 +23,8 @@ EXCESS_SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
 with the null model.
 """
 CANDIDATES_AT_ONCE = 1 << 15
-"""Number of candidates processed together, of possibly millions.
-
-Intermediate results of this size stay in the processor's cache and need little memory.
+"""Number of candidates processed together, of possibly millions. Intermediate results of this size
+stay in the processor's cache and need little memory.
 """
 
 

@@ -1,35 +1,23 @@
-"""Expectation maximisation over candidates: which arrival belongs to which departure.
+"""Expectation maximisation over candidates: which arrival belongs to which departure (METHOD 5).
 
 The model: every arrival has one cause, a departure or the outside. Every departure causes at most
 one arrival. The rate at which a departure from zone u causes an arrival at zone v after a lag is
-the *hazard* ``h[u, v](lag)``, per second and exposed departure. The *background* of v, the rate of
-arrivals from outside, is a share of the local rate of arrivals at v; as that is local in time, a
-rhythm common to all zones makes no links. A departure is *exposed* to a lag if an arrival after the
-lag would be in the window (`exposure`).
+the *hazard* ``h[u, v](lag)``, per second and exposed departure (`exposure`). The *background* of v,
+the rate of arrivals from outside, is a share of the local rate of arrivals at v; as that is local
+in time, a rhythm common to all zones makes no links.
 
 `Em` is a fit in progress over M candidates of P pairs of zones. `Em.run` iterates the E step
 (`Em.expect`), which computes the responsibility of each candidate from the hazards, and the M step
-(`Em.maximise`), which computes the hazards from the responsibilities. Begin reading there, and at
-`joint_fit.fit_jointly`, the outer loop: it repeats `Em.run`, adjusts candidates for speed in
-between and drops pairs of zones.
+(`Em.maximise`), which computes the hazards from the responsibilities. The E step is the sum-product
+approximation of the marginals of a one-to-one assignment with misses and clutter (Williams and Lau,
+IEEE Trans. AES 50(4), 2014), one sweep of *messages* an iteration. Each candidate is judged by the
+hazard that the other candidates make (leave one out). The outer loop is `joint_fit.fit_jointly`.
 
-The E step is the sum-product approximation of the marginals of a one-to-one assignment with misses
-and clutter (Williams and Lau, IEEE Trans. AES 50(4), 2014), one sweep of *messages* an iteration.
-Each candidate is judged by the hazard that the other candidates make (leave one out). The M step
-counts expected transitions by lag and smooths. Marinakis and Dudek (2005) sample the assignments;
-here their sum is approximated.
+A departure and its *delayed copies* (`long_paths`; ``Departures.of`` gives the original) together
+cause at most one arrival, so the E step sums over them (`Em.over_copies`).
 
-A departure that may begin a long path has *delayed copies* among the departures (`long_paths`);
-``Departures.of`` gives the original of a copy. A departure and its copies together cause at most
-one arrival, so the E step sums over them (`Em.over_copies`).
-
-An `EmModel` adds to this: the sparse prior of the joint fit; and for the fit for prediction
-(`next_camera.fit`) `Term`s (further ways in which a departure causes an arrival), a `PairPrior`,
-and factors for single candidates and departures. `Em.assume` replaces the model, `Em.believe` the
-responsibilities; nothing else is changed from outside.
-
-There may be millions of candidates. Intermediate results of the E step exist for one part of them
-at a time (`slices_by_arrival`); the M step takes another 12 bytes for each candidate.
+There may be millions of candidates: intermediate results of the E step exist for one part of them
+at a time (`slices_by_arrival`).
 """
 
 from __future__ import annotations
@@ -72,7 +60,6 @@ ITERATIONS = 6
 """EM iterations of a run."""
 STRIDE = 1.8
 """Over-relaxation factor of EM updates on a log scale; plain EM (factor 1) converges slowly.
-
 Over-relaxation converges for factors below 2.
 """
 STRIDE_RATIO_MAX = 4.0
@@ -207,9 +194,8 @@ class Em:
         self.own = np.zeros((self.pairs, bins.size), np.float32)
         """(P, bins) share that one transition in a bin contributes to the smoothed count there.
 
-        For example, smoothing leaves 0.3 of a transition in its bin, and the smoothed count of the
-        bin is 2.0: ``own`` is 0.3 / 2.0 = 0.15. A candidate in this bin with a responsibility of
-        0.8 has made 0.8 * 0.15 = 0.12 of the hazard, so it is judged by 0.88 of the hazard.
+        With 0.15, a candidate with a responsibility of 0.8 is judged by 1 - 0.8 * 0.15 = 0.88 of
+        the hazard of its bin.
         """
         self._adjusted = adjusted or adjust(problem, candidates, NO_PERSISTENCE)
 

@@ -23,7 +23,6 @@ SETTLED = 0.03
 """Largest change of any figure of the persistence of speed after which no further run is made."""
 SPARSITY = 1.0
 """Transitions that the sparse prior takes off each pair of zones, as most pairs are not linked.
-
 Without the prior, arrivals from outside would be shared out among thousands of pairs.
 """
 FOLLOWED_TRANSITIONS_MIN = 0.05

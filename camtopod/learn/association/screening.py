@@ -1,18 +1,13 @@
 """Screening: select the candidates for the joint fit on sites with too many candidates for one fit.
 
-With a dozen cameras, every departure within the lags of an arrival is a candidate. With a hundred
-there are thousands for each arrival, nearly all from the other end of the site, and their number
-grows with the square of the traffic. So on a large site two cheaper steps go before the joint fit
-(`CandidateScreen.find`):
+On a large site two cheaper steps go before the joint fit (`CandidateScreen.find`):
 
 * *Looks, now and then.* A look at a zone of arrival compares the lag histogram from every zone of
   departure with the null model (Makris, Ellis and Black 2004). The zones of departure that stand
-  out most are *followed* as sources of the zone of arrival until the next look at it. Each fit
-  looks at as many zones of arrival as its number of events allows, those with the oldest look
-  first, so the cost per event does not depend on the number of cameras.
+  out most are *followed* until the next look. Each fit looks at as many zones of arrival as its
+  number of events allows, those with the oldest look first.
 * *Weighing, in every fit.* Candidates along the followed pairs of zones are weighed by a few rounds
-  of EM within one zone of arrival: sources compete for its arrivals, but zones of arrival do not
-  yet compete for departures. Improbable candidates are dropped.
+  of EM within one zone of arrival. Improbable candidates are dropped.
 """
 
 from __future__ import annotations
@@ -65,10 +60,8 @@ SEEN_MIN = 3
 STANDS_OUT_SD = 2.0
 """Least excess over the null model, in standard deviations, of a pair of zones that is followed."""
 LOOKS_PER_EVENT = 400
-"""Budget of a fit for looks, per event of the window.
-
-The unit is a candidate counted or a cell of a histogram. `ZONE_SCREEN_PAIRS_PER_EVENT_MAX` limits
-a single look.
+"""Budget of a fit for looks, per event of the window. The unit is a candidate counted or a cell of
+a histogram. `ZONE_SCREEN_PAIRS_PER_EVENT_MAX` limits a single look.
 """
 LOOKS_MIN = 20_000_000
 """Least budget of a fit for looks, in the unit of `LOOKS_PER_EVENT`; takes about a second."""

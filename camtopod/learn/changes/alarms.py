@@ -24,16 +24,13 @@ SUBJECTS_MAX = 10_000
 SHARE_CHANGE_MIN = 0.1
 """Least change in the share of an open link for an alarm; smaller changes only affect the link."""
 STARTING_SECONDS = 1800.0
-"""Seconds after the first event in which no change is reported.
-
-Objects that were on the site before have not been recorded yet.
+"""Seconds after the first event in which no change is reported. Objects that were on the site
+before have not been recorded yet.
 """
 SILENCE_SLACK_SECONDS = 900.0
 """Seconds around the beginning and the end of a camera's silence in which no link change is
-reported.
-
-Such changes are an effect of the silence: objects that pass the silent camera seem to go from the
-camera before it straight to the camera after it.
+reported. Such changes are an effect of the silence: objects that pass the silent camera seem to go
+from the camera before it straight to the camera after it.
 """
 CLOCK_CHANGE_SECONDS_MIN = 0.5
 """Least change of a clock offset that is reported, seconds."""
@@ -44,9 +41,8 @@ GONE_RATIO = 0.05
 before a change and its share after, the smaller over the larger.
 """
 ZONE_SHARE_MAX = 0.99
-"""Responsibility given to each event of a zone in the test for changes.
-
-It is below 1, so that the evidence of a single event is limited.
+"""Responsibility given to each event of a zone in the test for changes. It is below 1, so that the
+evidence of a single event is limited.
 """
 
 

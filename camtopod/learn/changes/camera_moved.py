@@ -1,16 +1,12 @@
 """Find turned cameras: their newest events come from new places, and their known zones are silent.
 
-`find_move` compares the newest events of one camera, by grid cell, with its earlier events. A shift
-of traffic between known zones is no move, whatever its size; nor is a door that opens or closes.
-So two conditions must hold for the newest n events, for one of several n (`LENGTHS`):
+`find_move` compares the newest n events of one camera, by grid cell, with its earlier events, for
+several n (`LENGTHS`). Two conditions must hold:
 
 * *The known zones are silent*: they have kept little of their share of the traffic.
-* *Other places explain the newest events better.* Under the null model, each zone and the clutter
-  distribute their events over cells as before; only the proportions between zones are fitted to
-  the newest events. The alternative is a kernel density that predicts each of the newest events
-  from those before it. As the density does not depend on the event that it predicts, the likelihood
-  ratio exceeds r with a probability of at most 1 / r if nothing has changed (Ville's inequality),
-  for each n.
+* *Other places explain the newest events better* than the known zones with any proportions between
+  them: a kernel density predicts each of the newest events from those before it. If nothing has
+  changed, the likelihood ratio exceeds r with a probability of at most 1 / r (Ville's inequality).
 """
 
 from __future__ import annotations
@@ -31,9 +27,8 @@ LENGTHS = (60, 90, 135, 200, 300)
 BEFORE_MIN = 100
 """Least number of events before the newest ones, from which the known places are learned."""
 LEFT_MAX = 0.35
-"""Largest share of their traffic that the known zones of a turned camera may have kept.
-
-Two standard deviations are added to the estimate of the share before it is compared. Cells whose
+"""Largest share of their traffic that the known zones of a turned camera may have kept. Two
+standard deviations are added to the estimate of the share before it is compared. Cells whose
 traffic has increased count as unchanged.
 """
 LEFT_SURE = 0.5
@@ -41,9 +36,8 @@ LEFT_SURE = 0.5
 skipped.
 """
 KNOWN_CONTRAST = 2.5
-"""Least ratio of the density of events in a known zone to that in the cells outside all zones.
-
-Only the events before the newest ones count. A zone of the map with a lower ratio does not count as
+"""Least ratio of the density of events in a known zone to that in the cells outside all zones. Only
+the events before the newest ones count. A zone of the map with a lower ratio does not count as
 known: it may be made of the newest events only.
 """
 _WIDTH = 1.0

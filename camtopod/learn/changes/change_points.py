@@ -1,25 +1,19 @@
-"""Change points of links: links that opened, closed or changed their share, and when they did.
+"""Change points of links: links that opened, closed or changed their share (METHOD 11).
 
 The *share* of a pair of zones is the share of the departures at the first zone that appear next at
-the second. The joint fit estimates one share for the whole window, so it still shows a link that
-was closed, and shows a link that was opened too weakly. `find_changes` tests each pair of the fit
-for a moment at which its share changed; `present` replaces shares in a `LinkTable` by those since
-the change. Traffic that rises and falls changes departures and transitions alike, and is no change.
+the second. The joint fit estimates one share for the whole window. `find_changes` tests each pair
+of the fit for a moment at which its share changed; `present` replaces shares in a `LinkTable` by
+those since the change.
 
 Let the fit give an arrival the responsibility ``r`` of being a transition of the pair. If the share
-were ``f`` times as large, the arrival would be ``1 - r + f r`` times as likely, and the expected
-number of transitions ``f`` times as large. The log likelihood of the *factor* ``f`` over a stretch
-of time is therefore
+were ``f`` times as large, the log likelihood of a stretch of time would be larger by
 
-``sum over arrivals of log(1 - r + f r) - (f - 1) * expected transitions``,
-
-in which an arrival that may well have another cause has little weight.
+``sum over arrivals of log(1 - r + f r) - (f - 1) * expected transitions``.
 
 The change is where two factors, one before and one after, exceed a single factor by most log
-likelihood. It counts if this difference, divided by the overdispersion that remains (groups of
-people, shares that follow the hour), exceeds the value that the null model reaches at any split of
-any pair in less than `FALSE_ALARM` of the windows: a union bound over Wilks' theorem. Related:
-Killick, Fearnhead and Eckley (2012); cost functions of the ruptures package.
+likelihood. It counts if this difference, divided by the overdispersion that remains, exceeds the
+value that the null model reaches at any split of any pair in less than `FALSE_ALARM` of the
+windows: a union bound over Wilks' theorem (related: Killick, Fearnhead and Eckley, 2012).
 """
 
 from __future__ import annotations
@@ -37,19 +31,17 @@ from camtopod.learn.links import LinkTable, log_likelihood_ratio
 from camtopod.learn.traffic import Departures
 
 FALSE_ALARM = 5e-3
-"""Theoretical probability of any false change in one window.
-
-The measured probability is far smaller, as uncertain arrivals vary less than the theory assumes.
+"""Theoretical probability of any false change in one window. The measured probability is far
+smaller, as uncertain arrivals vary less than the theory assumes.
 """
 FACTORS = np.concatenate(([0.0], np.geomspace(0.03, 100.0, 25)))
 """Factors that are tried: share in a stretch of time over the share in the whole window."""
 SPLIT_DEPARTURES_MIN = 4
 """Least number of departures before a change, and after it."""
 SPLIT_RATIO = 1.15
-"""Ratio between the numbers of departures after successive splits that are tried.
-
-Splits are tried with 4, 4.6, 5.3, ... departures after them, so that the resolution is proportional
-to the age of a change.
+"""Ratio between the numbers of departures after successive splits that are tried. Splits are tried
+with 4, 4.6, 5.3, ... departures after them, so that the resolution is proportional to the age of a
+change.
 """
 BLOCKS = 16
 """Number of blocks of the window from whose counts the overdispersion is estimated."""

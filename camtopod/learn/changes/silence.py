@@ -19,9 +19,8 @@ FALSE_ALARM = 1e-3
 EVENTS_PER_PASSAGE = 2.0
 """Events per passage. The two are not independent, so a gap counts half its number of events."""
 LONGER_THAN_BEFORE = 2.0
-"""Least ratio of a lasting silence to the camera's longest earlier gap for an alarm.
-
-Some cameras have quiet nights of their own.
+"""Least ratio of a lasting silence to the camera's longest earlier gap for an alarm. Some cameras
+have quiet nights of their own.
 """
 EVENTS_MIN = 10
 """Least number of events of a camera in the window for its gaps to be tested."""

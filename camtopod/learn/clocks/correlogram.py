@@ -33,9 +33,8 @@ SPECTRA_MAX = 4096
 ROWS_AT_ONCE = 256
 """Number of correlograms that callers ask for at a time."""
 CHANCE_BINS = (301, 101)
-"""Widths, in bins, of the two moving averages that make the null model of a correlogram.
-
-The averages are local, so that a rhythm common to all zones is part of the null model.
+"""Widths, in bins, of the two moving averages that make the null model of a correlogram. The
+averages are local, so that a rhythm common to all zones is part of the null model.
 """
 CHANCE_MIN = 0.02
 """Least count per bin under the null model."""

@@ -1,15 +1,11 @@
-"""Estimate the clock offset of each camera from traffic alone.
+"""Estimate the clock offset of each camera from traffic alone (METHOD 4).
 
 Every path that objects take in both directions shows the difference of two clocks
 (`two_way_paths`). The offsets are a robust fit to all differences of the site (`solve_offsets`),
-under two assumptions: a path takes about as long in both directions (how nearly, the *asymmetry*,
-is estimated from how well the differences agree), and most clocks are right. A clock counts as
-wrong on clear evidence only. `ClockTracker` keeps the estimate from version to version.
-
-If all traffic between two cameras goes in one direction, a wrong clock cannot be told from a long
-path: the clock counts as right and is marked as unidentified. The same holds for cameras without
-positions, which have a single zone, so that all paths between two of them look like one. If only
-two cameras are joined by two-way paths, the clock of the one with more events counts as right.
+under two assumptions: a path takes about as long in both directions, and most clocks are right. A
+clock counts as wrong on clear evidence only. `ClockTracker` keeps the estimate from version to
+version. If all traffic between two cameras goes in one direction, or a camera has no positions, a
+wrong clock cannot be told from a long path: the clock counts as right and unidentified.
 """
 
 from __future__ import annotations
@@ -42,10 +38,9 @@ SPAN_MIN_SECONDS = 1800.0
 CAMERAS_MAX = 250
 """Limit of the cameras whose clocks are estimated; of more, those with the most events count."""
 ASYMMETRIES = (0.01, 0.02, 0.04, 0.08, 0.16)
-"""Values that are tried for the asymmetry of the paths of a site; the likeliest is used.
-
-Asymmetry is half the difference of the transit times in both directions, as a share of the transit
-time, on average over paths.
+"""Values that are tried for the asymmetry of the paths of a site; the likeliest is used. Asymmetry
+is half the difference of the transit times in both directions, as a share of the transit time, on
+average over paths.
 """
 ASYMMETRY_PRIOR = 0.04
 """Prior asymmetry, which decides if there are too few paths for an estimate."""
@@ -56,46 +51,31 @@ TURNING_SHARE = 0.2
 to turn around there.
 """
 SPREAD_SHARE_MAX = 0.75
-"""Largest standard deviation of transit times, as a share of the transit time.
-
-Beyond, there are several paths, which need not be used equally in both directions.
+"""Largest standard deviation of transit times, as a share of the transit time. Beyond, there are
+several paths, which need not be used equally in both directions.
 """
 SHORT_SECONDS = 2.0
 """Least transit time in seconds that `SPREAD_SHARE_MAX` refers to; shorter ones count as this long.
 """
 RIGHT_WEIGHT = 0.01
-"""Cost of a second of clock offset in the first estimate (`_least_disagreement`).
-
-The unit is one standard deviation of disagreement between the offsets and one measured difference.
+"""Cost of a second of clock offset in the first estimate (`_least_disagreement`), in standard
+deviations of disagreement between the offsets and one measured difference.
 """
 RIGHT_BEFORE_TRUST = 0.5
-"""Additional trust in a clock that was right in the earlier estimate.
-
-Trust is a factor on the cost of an offset. Without this addition, it is 1 plus the camera's share
-of all events.
-"""
+"""Additional trust, a factor on the cost of an offset, in a clock that was right before."""
 OUTLIER_SD = 3.0
-"""Disagreement, in standard deviations, at which a difference has half its usual weight.
-
-Also the degrees of freedom of Student's t in `_with_asymmetry`.
+"""Disagreement, in standard deviations, at which a difference has half its usual weight; also the
+degrees of freedom of Student's t in `_with_asymmetry`.
 """
 ROUNDS = 20
 """Iterations of the robust least squares."""
 CLEAR_SD = 4.0
-"""Least offset of a wrong clock, in standard deviations of the offset.
-
-The offset must exceed `OFFSET_MIN_SECONDS`, too.
-"""
 OFFSET_MIN_SECONDS = 0.25
-"""Least offset of a wrong clock, in seconds; it must exceed `CLEAR_SD`, too."""
+"""Least offset of a wrong clock: in standard deviations of the offset, and in seconds."""
 MOVE_SD = 2.0
-"""Least difference of a new estimate that replaces a known offset, in standard deviations.
-
-The difference must exceed `MOVE_MIN_SECONDS`, too.
-"""
 MOVE_MIN_SECONDS = 0.1
-"""Least difference of a new estimate that replaces a known offset, in seconds; it must exceed
-`MOVE_SD`, too.
+"""Least difference of a new estimate that replaces a known offset: in standard deviations, and in
+seconds.
 """
 RELEARN_SECONDS = 0.5
 """Change of an offset beyond which `ClockTracker.update` returns True."""

@@ -1,23 +1,16 @@
-"""Held-out evidence for links: each part of the window is judged by a fit of other parts.
+"""Held-out evidence for links (METHOD 7): parts of the window are judged by fits of others.
 
-A flexible fit finds structure in any data, so how well it explains the data it was fitted to says
-little. The window is therefore cut into stretches of time, which are assigned in turn to eight
-parts. The hazards of all pairs of zones are fitted from scratch on the first part and judged on the
-second. The result, a *bet*, is a likelihood ratio for each pair of zones: how much better are the
-arrivals of the second part predicted with the pair than without it? Then hazards are fitted on the
+The window is cut into stretches of time, which are assigned in turn to eight parts. The hazards of
+all pairs of zones are fitted from scratch on the first part and judged on the second: how much
+better are its arrivals predicted with the pair than without it? Then hazards are fitted on the
 first two parts and judged on the third, and so on (`BETS`).
 
-If two zones are unrelated, the likelihood ratio of each bet has a mean of at most 1, whatever the
-shape of the fit. So has the product of the bets, as each bet is on events that the bets before it
-have not used (a test martingale; Shafer and others, Statistical Science 26(1), 2011; Wasserman,
-Ramdas and Balakrishnan 2020). Further products come from the order of parts reversed, and from
-hazards that are partly spread over all lags (`EVEN_SHARES`). The mean of all products is an
-e-value: it exceeds ``exp(x)`` with a probability of at most ``exp(-x)``, and false discovery rates
-can be computed from e-values without knowing how they depend on each other (Wang and Ramdas 2022).
-
-The bound is approximate, as the likelihood approximates the competition for departures and the
-rates of the null model. On simulated networks without links there are far fewer false links than
-the bound allows.
+If two zones are unrelated, the product of these likelihood ratios has a mean of at most 1, whatever
+the shape of the fit (a test martingale; Shafer and others, Statistical Science 26(1), 2011).
+Further products come from the order of parts reversed, and from hazards that are partly spread over
+all lags (`EVEN_SHARES`). The mean of all products is an e-value, from which false discovery rates
+follow (Wang and Ramdas 2022). The bound is approximate, as the likelihood approximates the
+competition for departures and the rates of the null model.
 """
 
 from __future__ import annotations
@@ -39,15 +32,13 @@ STRETCH_SECONDS_MAX = 3600.0
 STRETCH_LAGS_MIN = 4.0
 """Shortest stretch, in multiples of the longest transit time, unless the window is too short."""
 BET_SPARSITY = 0.5
-"""Transitions that the sparse prior takes off each pair of zones in the fit for a bet.
-
-They are fewer than in the fit of the whole window, as a part of the window has few transitions.
+"""Transitions that the sparse prior takes off each pair of zones in the fit for a bet. They are
+fewer than in the fit of the whole window, as a part of the window has few transitions.
 """
 EVEN_SHARES = (0.0, 0.3)
-"""Shares of a hazard that are spread evenly over all lags before a bet.
-
-With a sharp hazard alone, each arrival outside its peak costs much evidence. The mean of the
-products of bets over these shares is an e-value, too.
+"""Shares of a hazard that are spread evenly over all lags before a bet. With a sharp hazard alone,
+each arrival outside its peak costs much evidence. The mean of the products of bets over these
+shares is an e-value, too.
 """
 SWEEPS = 3
 """Number of E steps under given hazards."""

@@ -30,7 +30,6 @@ WEAK_LINKS_PER_ZONE_MAX = 24
 """Largest number of weak links from one zone."""
 LEFT_OVER_MIN = 0.05
 """Lower bound on the share of a zone's departures that published links leave over in the posterior.
-
 It prevents a division by 0.
 """
 MONTE_CARLO_SEED = 2011

@@ -1,17 +1,11 @@
 """Missed detections: with paths A -> B -> C, objects that camera B misses make a false link A -> C.
 
 A *path over a skipped camera* is a link from zone u to zone a, a passage from a to b through the
-view of a camera, and a link from b to v. If the camera misses a share m of the passages through its
-view, then for every object recorded on the path there are ``odds = m / (1 - m)`` objects that are
-recorded at u and next at v, with a lag of transit, dwell and transit time. The links and passages
-give the number of such transitions but for the factor ``odds``. The odds are estimated from all
-other pairs of zones (u, v) that such paths join: most of these pairs have no link of their own, so
-the number of their transitions gives the odds, and the few pairs with a link stand out. One camera
-often has too few such pairs, so the pairs of other cameras count a little, too.
-
-Transitions of a pair beyond this number, or at other lags, are the pair's own; a link must meet the
-rule for publishing with its own transitions (`without_missed_detections`). Several missed passages
-in a row need no special treatment: the false link that the first one makes is part of a path.
+view of a camera, and a link from b to v. If the camera misses a share m of the passages, then for
+every object recorded on the path ``odds = m / (1 - m)`` objects are recorded at u and next at v.
+The odds are estimated from all other pairs of zones (u, v) that such paths join, as most of these
+have no link of their own. Transitions of a pair beyond what the odds explain are the pair's own; a
+link must meet the rule for publishing with these (`without_missed_detections`).
 """
 
 from __future__ import annotations
@@ -28,9 +22,8 @@ from camtopod.topology import LagBins
 
 WINDOW_SD = 2.0
 """Half the width of the range of lags of a path, around its median, in sums of the standard
-deviations of its link, passage and link.
-
-Standard deviations are added up, as a slow object is slow on all three.
+deviations of its link, passage and link. Standard deviations are added up, as a slow object is slow
+on all three.
 """
 WINDOW_SECONDS = 1.0
 """Seconds added to half the width of the range of lags of a path."""
@@ -43,14 +36,12 @@ TELLING_TRANSITIONS_MAX = 50.0
 OTHERS_TRANSITIONS = 150.0
 """Weight, in transitions, of the pairs of all cameras together in the odds of one camera."""
 ODDS_QUANTILE = 0.75
-"""Weighted quantile of the odds of pairs that is used as the odds of a camera.
-
-It is above the median, as the fit estimates no transitions for many pairs that have few.
+"""Weighted quantile of the odds of pairs that is used as the odds of a camera. It is above the
+median, as the fit estimates no transitions for many pairs that have few.
 """
 MISSED_SHARE_MIN = 0.1
-"""Smallest share of missed passages assumed for a camera, unless the setting allows less.
-
-With few events there are few paths, and the fit estimates no transitions for the rarest of them.
+"""Smallest share of missed passages assumed for a camera, unless the setting allows less. With few
+events there are few paths, and the fit estimates no transitions for the rarest of them.
 """
 UNCERTAINTY = 2.0
 """Factor by which the number of missed passages may be larger than expected."""

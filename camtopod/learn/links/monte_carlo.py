@@ -20,9 +20,8 @@ EPSILON_SECONDS = 0.0134
 5.1.
 """
 ITERATIONS_MAX = 64
-"""Limit of the iterations.
-
-The walk starts from lags that already have the stationary distribution, so it need not run long.
+"""Limit of the iterations. The walk starts from lags that already have the stationary distribution,
+so it need not run long.
 """
 
 

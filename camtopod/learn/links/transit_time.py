@@ -1,17 +1,10 @@
-"""Transit times of links: mode (thesis 4.5), mean, spread, quantiles and standard errors.
+"""Transit times of links: mode (thesis 4.5), mean, spread, quantiles and errors (METHOD 8).
 
 `transit_figures` computes them for every pair of zones from possible transitions, each with its lag
-and the probability that it is a transition as its weight.
-
-The thesis takes the most popular bin of the histogram as the mode. Bins here are wider for longer
-lags, so the mode is the peak of the density per second, on a smoothed histogram, placed between
-bins by a parabola through the peak and its neighbours.
-
-The median combines two estimates by their standard errors. One is the median of the lags. The other
-is the median of the lags that objects of usual speed would have had. The latter is often more
-exact: speed varies far more between objects than along the path of one object, and an object's
-slowness is known from the views before and after the link, where many more objects were recorded
-than on this link.
+and the probability that it is a transition as its weight. Lag bins are wider for longer lags, so
+the mode is the peak of the density per second, on a smoothed histogram, placed between bins by a
+parabola. The median combines two estimates by their standard errors: the median of the lags, and
+that of the lags that objects of usual speed would have had, which is often more exact.
 """
 
 from __future__ import annotations
@@ -38,20 +31,17 @@ MEDIAN_ERROR = 1.2533
 """Ratio of the standard error of the median of n normal values to sd / sqrt(n)."""
 FAR_SD = 4.5
 """Largest distance from the median, in standard deviations, of lags that count for mean and sd.
-
 Lags further away are spurious.
 """
 SPREAD_MIN_SECONDS = 0.2
 """Lower bound on the spread of lags, seconds; entries and exits are not detected more exactly."""
 LAG_ERROR = 0.01
-"""Relative error of the median of the lags that does not shrink with the number of lags.
-
-It comes from spurious transitions. The value was found on simulated networks, like `PACE_ERROR` and
+"""Relative error of the median of the lags that does not shrink with the number of lags. It comes
+from spurious transitions. The value was found on simulated networks, like `PACE_ERROR` and
 `MEAN_ERROR`.
 """
 PACE_ERROR = 0.02
 """Relative error of the median of the lags at usual speed that does not shrink with their number.
-
 It comes from spurious transitions, and from objects that do not quite keep their speed.
 """
 MEAN_ERROR = 0.015

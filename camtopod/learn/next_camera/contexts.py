@@ -1,16 +1,12 @@
 """Contexts of a departure: other known facts about the object, and where such objects appear next.
 
-People and vehicles have a direction. So departures from one zone are told apart by their *context*:
-the zone where the passage began, the block of the image where the object left, and the camera that
-it probably came from. There are four levels of context (`LEVELS`). For each, the departures in a
-context and their transitions to each next zone are counted, and the probability p of a next zone is
-smoothed by *back-off* to the level before: ``p = (f N + k p') / (f n + k)``, the interpolation of
-the language models of Jelinek and Mercer (1980). Here n is the number of departures in the context,
-N the number of their transitions to the zone, p' the probability at the level before, and k is
-`BACK_OFF_DEPARTURES`. As objects are anonymous, n departures carry less information than n
-departures of tracked objects would; the *certain share* ``f`` of their transitions (the mean
-responsibility of a transition) accounts for that. ``f n`` are called certain departures, ``f N``
-certain transitions.
+Departures from one zone are told apart by their *context*: the zone where the passage began, the
+block of the image where the object left, and the camera that it probably came from (`LEVELS`). The
+probability p of a next zone is smoothed by *back-off* to the level before: ``p = (f N + k p') /
+(f n + k)`` (Jelinek and Mercer 1980), with n departures in the context, N of their transitions to
+the zone, p' the probability at the level before, and k `BACK_OFF_DEPARTURES`. As objects are
+anonymous, the *certain share* ``f`` of transitions (the mean responsibility of a transition) scales
+both: ``f n`` are called certain departures, ``f N`` certain transitions.
 
 `Contexts.count` counts, `Contexts.judged` gives the probability of each candidate in its context,
 without the candidate's own contribution (leave one out).
@@ -29,10 +25,8 @@ from camtopod.learn.limits import CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MA
 from camtopod.topology import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
 LEVELS = ("entry", "block", "entry+block", "previous")
-"""Levels of context; each backs off to the one before.
-
-``entry``: zone of entry. ``block``: block of the image where the object left. ``previous``: camera
-that the object came from.
+"""Levels of context; each backs off to the one before. ``entry``: zone of entry. ``block``: block
+of the image where the object left. ``previous``: camera that the object came from.
 """
 PREVIOUS_RESPONSIBILITY_MIN = 0.02
 """Least responsibility of candidates from which the previous camera is determined."""

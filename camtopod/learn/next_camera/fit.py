@@ -1,21 +1,10 @@
-"""The fit for prediction: where objects appear next, all weak evidence included.
+"""The fit for prediction: where objects appear next, all weak evidence included (METHOD 10).
 
-A published link must be certain beyond reasonable doubt; a prediction uses all evidence by its
-weight. This fit extends EM over candidates (`association.em.Em`) by
-
-* *entry kernels* (`entry_kernels`): where views overlap, an object often appears in the next view a
-  certain time after it has *entered* this view, whenever it leaves this view;
-* *skipped cameras* (`skipped_cameras`, `skip_rate`): an object that a camera has missed appears
-  next where it would have appeared after that camera;
-* a *prior* (`prior`): departures elsewhere in the view, and return traffic, predict transitions of
-  pairs of zones with few data;
-* *contexts* of a departure (`contexts`), and leaving the site as a possible outcome of each;
-* a test of whether two views overlap at all (`negative_without_overlap`);
-* *sampling* at the end (`sampling`): the posterior is half the fit and half the mean of samples;
-* the *spurious* share of each pair of zones (`spurious`).
-
-`followed_of` selects the candidates with a few iterations, `fit_followed` runs the whole fit; both
-use `PosteriorFitter`, whose methods are in the order of the steps.
+It extends EM over candidates (`association.em.Em`) by entry kernels, skipped cameras, a prior over
+pairs of zones, contexts of departures, samples, and the spurious share of each pair; the head of
+the package names their modules. `followed_of` selects the candidates with a few iterations,
+`fit_followed` runs the whole fit; both use `PosteriorFitter`, whose methods are in the order of the
+steps.
 
 Entry kernels and hazards both start from the excess over the null model. If only hazards did, then
 where one view ends as another begins, departures from the former would be credited with arrivals in

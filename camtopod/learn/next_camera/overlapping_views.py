@@ -4,12 +4,9 @@ At the moment of each exit, some passages in other views are *open*: begun and n
 counted by *offset*, the seconds by which the open passage began later than the passage that ends
 with the exit. Passages of one object begin at nearly constant offsets. The null model is the same
 count with all exits shifted by some seconds, which keeps rhythms and platoons of objects but breaks
-identities. The excess over the null model is attributed to passages of the same object. This is the
-cross-correlation of Makris, Ellis and Black (2004), for intervals instead of instants.
-
-Two views overlap if the counts of each half of the exits predict the offsets in the other half
-better than two null models do: no overlap at all; and passages that coexist more often than
-expected, but at the offsets of the first null model. Platoons alone produce the second.
+identities. The excess over the null model is attributed to passages of the same object. Two views
+overlap if the counts of each half of the exits predict the offsets in the other half better than no
+overlap does, and better than the null offsets at a higher rate, which platoons alone produce.
 """
 
 from __future__ import annotations

@@ -2,15 +2,10 @@
 
 A *path over a skipped camera* consists of a *leg* (a transition from zone u to its next zone a), a
 passage from a to b through a camera's view, and another leg from b to v. An object on this path is
-recorded at u and next at v if the camera misses its passage. For every recorded object there are
-``odds = m / (1 - m)`` such objects, m being the share of passages that the camera misses.
-
-There are far more pairs (u, v) that such paths join than there are links, each with a percent or so
-of the departures, which is too little to find them one by one. But the legs and the passages give
-the probability and the lags of each. `skip_hazards` computes the hazards of these pairs at odds of
-1; `skip_rate` estimates the odds.
-
-`links.missed_detections` uses the same paths to leave out links that they explain.
+recorded at u and next at v if the camera misses its passage: ``odds = m / (1 - m)`` objects for
+every recorded one, m being the share of missed passages. Each pair (u, v) has too few transitions
+to be found alone, but the legs and the passages give the probability and the lags of each:
+`skip_hazards` computes the hazards at odds of 1, `skip_rate` estimates the odds.
 """
 
 from __future__ import annotations
@@ -38,9 +33,8 @@ TIED_SHARE_MIN = 0.5
 recorded. Below, any entry may lead to any exit.
 """
 LEG_QUANTILES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
-"""Quantiles that stand for the lags of a leg.
-
-The lags of a path are all sums of a quantile of each leg and the median dwell time.
+"""Quantiles that stand for the lags of a leg. The lags of a path are all sums of a quantile of each
+leg and the median dwell time.
 """
 SPREAD_SD_BINS = 2.0
 """Standard deviation, in lag bins, of the kernel by which the lags of a path are spread."""

@@ -1,14 +1,9 @@
 """Estimate the share of the transitions of each pair of zones that is spurious, made by chance.
 
-Among thousands of pairs of zones, chance makes a few transitions for each. In total these would be
-many, and an object that leaves the site would usually be predicted to appear somewhere. A single
-spurious transition cannot be told from one on a rarely used path, but it contributes less evidence.
-Transitions on the real paths of one site contribute about equally to the likelihood: much where few
-objects are under way at once and transit times are sharp, little in a crowd. Spurious transitions
-contribute far less. So `real_probability` compares each pair's *evidence per transition* with the
-site's usual value, allowing for the spread among the site's pairs and for pairs with few
-transitions. Broad transit times do not make a pair spurious: where they are usual, so is their
-evidence per transition.
+Among thousands of pairs of zones, chance makes a few transitions for each. They contribute far less
+evidence than transitions on the real paths of the site, which contribute about equally much. So
+`real_probability` compares each pair's *evidence per transition* with the site's usual value,
+allowing for the spread among the site's pairs and for pairs with few transitions.
 
 Where no pair of zones has significant evidence, the usual value has no meaning. So
 `any_link_probability` estimates from all pairs together whether the site has any link at all: the
@@ -38,9 +33,8 @@ CHANCE_TRANSITIONS = 3.0
 makes few transitions of each pair.
 """
 DEPARTURES_TO_TELL = 10.0
-"""Scale of the number of departures of a zone that are enough to find a link from there.
-
-n departures are enough with probability ``1 - exp(-n / DEPARTURES_TO_TELL)``.
+"""Scale of the number of departures of a zone that are enough to find a link from there. n
+departures are enough with probability ``1 - exp(-n / DEPARTURES_TO_TELL)``.
 """
 REAL_MIN = 0.07
 """Lower bound on the share of a pair's transitions that is real."""

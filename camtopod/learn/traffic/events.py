@@ -47,16 +47,8 @@ class Departures(NamedTuple):
         """
         # The new row of each arrival; the last element is for -1.
         number = np.append(np.where(arrivals, np.cumsum(arrivals) - 1, -1), -1).astype(np.int32)
-        own = number[self.own[kept]]
-        return Departures(
-            self.t[kept],
-            self.zone[kept],
-            self.camera[kept],
-            self.since[kept],
-            self.slow[kept],
-            own,
-            self.block[kept],
-        )
+        columns: list[Any] = [column[kept] for column in self._replace(own=number[self.own])[:-1]]
+        return Departures(*columns)
 
     @staticmethod
     def without_arrivals(
@@ -84,6 +76,5 @@ class Arrivals(NamedTuple):
 
     def take(self, kept: NDArray[Any]) -> Arrivals:
         """Return the arrivals ``kept``, given as a mask or as rows."""
-        return Arrivals(
-            self.t[kept], self.zone[kept], self.camera[kept], self.rate[kept], self.slow[kept]
-        )
+        columns: list[Any] = [column[kept] for column in self]
+        return Arrivals(*columns)

@@ -97,13 +97,10 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
 
 
 def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = None) -> Scene:
-    """Label a window's events with zones, and sort them into departures, arrivals and passages.
-
-    The window must not be empty.
+    """Label the events of a window that is not empty: departures, arrivals and passages.
 
     maps: zone map of each camera.
-    ahead (cameras, seconds): clock offset of each camera (positive if the clock is fast), which is
-        subtracted from the times of its events; None to leave times as they are.
+    ahead (cameras, seconds): clock offsets to be subtracted from the times; None for none.
     """
     # Times, corrected for the offsets of the clocks.
     zones, tables = number_zones(window, maps)
@@ -116,19 +113,17 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
         last -= max(float(ahead.max(initial=0.0)), 0.0)
 
     # The zone of each event, and the row of the entry of each exit.
-    entry = window.column("entry").astype(bool)
-    zone = tables[
-        camera, cells_of(window.column("px").astype(np.int64), window.column("py").astype(np.int64))
-    ]
+    entry = window.column("entry")
+    px, py = (window.column(name).astype(np.int64) for name in ("px", "py"))
+    zone = tables[camera, cells_of(px, py)]
     mate = window.entries_of_exits()
     n = len(zones)
 
     # Rows of departures and arrivals, by corrected time.
-    exit_rows = np.flatnonzero(~entry & (zone >= 0))
-    entry_rows = np.flatnonzero(entry & (zone >= 0))
-    exit_rows, entry_rows = (
-        rows[np.argsort(t[rows], kind="stable")] for rows in (exit_rows, entry_rows)
-    )
+    by_time = np.argsort(t, kind="stable")
+    by_time = by_time[zone[by_time] >= 0]
+    exit_rows = by_time[~entry[by_time]]
+    entry_rows = by_time[entry[by_time]]
 
     # Passages with both ends in a zone have a slowness, which their entry and exit get.
     entry_of_exit = mate[exit_rows]
@@ -145,7 +140,7 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
     arrival = np.full(len(t) + 1, -1, np.int32)
     arrival[entry_rows] = np.arange(len(entry_rows), dtype=np.int32)
     own_arrival = arrival[np.where(entry_of_exit >= 0, entry_of_exit, len(t))]
-    block = blocks_of(window.column("px")[exit_rows], window.column("py")[exit_rows])
+    block = blocks_of(px[exit_rows], py[exit_rows])
     departures = Departures(
         t[exit_rows], zone[exit_rows], camera[exit_rows], since, slow[exit_rows], own_arrival, block
     )

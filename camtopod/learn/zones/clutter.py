@@ -32,9 +32,8 @@ less than this probability.
 SEARCH_PROBABILITY = 0.0001
 """Value of `FLOOR_PROBABILITY` for the later search among events that were taken for clutter."""
 FLOOR_WIDTHS = (0.75, 1.75)
-"""Standard deviations of the kernels that define a cell's surroundings, grid steps.
-
-The smaller one suits a single door, the larger one a zone of few events.
+"""Standard deviations of the kernels that define a cell's surroundings, grid steps. The smaller one
+suits a single door, the larger one a zone of few events.
 """
 DASPEC_RUNS_MAX = 3
 """Most runs of DaSpec, each on the cells that no eigenvector kept so far reaches."""

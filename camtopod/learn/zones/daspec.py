@@ -3,13 +3,9 @@
 Source: Shi, Belkin, Yu, "Data spectroscopy: eigenspaces of convolution operators and clustering",
 Annals of Statistics 37(6B), 2009. There, n points and a bandwidth w give the matrix
 ``K_ij = exp(-|x_i - x_j|^2 / 2 w^2) / n``. Its eigenvectors that do not change sign are the
-clusters, and a point belongs to the one with the largest entry at the point.
-
-Here points are events on a grid. Points in the same grid cell have the same row in K, so the matrix
-is equivalent to ``D^1/2 K D^1/2`` over the occupied cells, where D holds each cell's share of the
-points. That matrix has the same nonzero eigenvalues, and the entry of a point in an eigenvector is
-that of its cell divided by the root of the cell's count. The cost does not depend on the number of
-points, only on the number of occupied cells.
+clusters, and a point belongs to the one with the largest entry at the point. Here points are events
+on a grid: points in the same cell have the same row in K, so ``D^1/2 K D^1/2`` over the occupied
+cells, where D holds each cell's share of the points, has the same nonzero eigenvalues.
 
 Distances are in grid steps, for rows and columns alike.
 """

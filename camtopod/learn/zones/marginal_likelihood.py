@@ -19,9 +19,8 @@ from scipy.special import gammaln, multigammaln
 from camtopod.arrays import Floats
 
 ZONE_SD = 0.02
-"""Prior standard deviation of a zone, image units.
-
-The prior is wide: a third of this or three times as much costs little evidence.
+"""Prior standard deviation of a zone, image units. The prior is wide: a third of this or three
+times as much costs little evidence.
 """
 _FREEDOM = 4.0
 """Degrees of freedom of the inverse Wishart prior."""

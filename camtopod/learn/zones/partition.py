@@ -1,23 +1,14 @@
 """Partition of a camera's grid cells into zones and clutter: a robust DaSpec (thesis 4.2).
 
 The input are the occupied cells of a camera's grid, with the sums of their events (`Cells`); the
-result of `partition` is the zone of each cell, or clutter. Steps:
-
-1. *Density floor* (`clutter`): the rate of clutter around each cell is estimated from the sparse
-   cells, and cells that clutter alone explains are left out.
-2. *DaSpec* (`daspec`) groups the remaining cells, and runs again over cells that no eigenvector of
-   the first run reaches, such as those of a zone with less than 5 % of the points. Its bandwidth is
-   half that of the rule, as too many groups are better than too few.
-3. *Moves* (`_Partition.improve`) until none improves the partition: merge groups that are not two
-   zones, drop groups that are not denser than clutter, assign each cell to the Gaussian that
-   explains it best, split groups that are two zones, and run DaSpec again on the clutter.
+result of `partition` is the zone of each cell, or clutter. Cells that clutter alone explains are
+left out (`clutter`), DaSpec groups the others (`daspec`), and *moves* (`_Partition.improve`) merge,
+drop, reassign and split groups until none improves the partition.
 
 Two groups are two zones if two Gaussians explain them better than one (`marginal_likelihood`) and
 there is a valley, a stretch of low density, between them (`separation`). The first criterion alone
-would cut every zone that is not Gaussian; the second alone is weak for few events.
-
-A partition may also start from an earlier one, which is then *held*: it changes only on clear
-evidence (`HOLD`).
+would cut every zone that is not Gaussian; the second alone is weak for few events. A partition may
+also start from an earlier one, which then changes only on clear evidence (`HOLD`).
 """
 
 from __future__ import annotations
@@ -51,37 +42,31 @@ Labels = NDArray[np.intp]
 EVENTS_MIN = 5
 """Least number of events of a camera for more than one zone; with fewer, all its cells are one."""
 ZONE_EVENTS_MIN = 3
-"""Least number of events of a zone if a camera has several.
-
-Where there is hardly any clutter, two events are unlikely to coincide by chance, but two points
-have no extent in the second dimension.
+"""Least number of events of a zone if a camera has several. Where there is hardly any clutter, two
+events are unlikely to coincide by chance, but two points have no extent in the second dimension.
 """
 PAIR_EVENTS = 1000.0
-"""Limit of the number of events that a pair of groups counts for when it is split or merged.
-
-No zone is exactly Gaussian, so with unlimited evidence every zone would be split. n events count as
-n / (1 + n / PAIR_EVENTS) (Miller, Dunson: Robust Bayesian inference via coarsening, JASA 2019).
+"""Limit of the number of events that a pair of groups counts for when it is split or merged. No
+zone is exactly Gaussian, so with unlimited evidence every zone would be split. n events count as n
+/ (1 + n / PAIR_EVENTS) (Miller, Dunson: Robust Bayesian inference via coarsening, JASA 2019).
 """
 VALLEY_MIN = 3.5
 """Least log likelihood ratio of a valley if two Gaussians explain the events better than one."""
 VALLEY_ALONE = 8.0
-"""Least log likelihood ratio of a valley if two Gaussians do not explain the events better.
-
-Several doors in a row need it: however they are cut in two, the two parts look like one Gaussian.
+"""Least log likelihood ratio of a valley if two Gaussians do not explain the events better. Several
+doors in a row need it: however they are cut in two, the two parts look like one Gaussian.
 """
 UNLIKE_GAIN_PER_EVENT = 2.0
 """Gain of log posterior per event of the smaller group above which no valley is needed."""
 EXCESS_MIN = 11.0
 """Log likelihood ratio of the events beyond the expected clutter above which a group is a zone,
-even if its Gaussian fits badly.
-
-An example is a fire door, if half of the events in its cells are clutter.
+even if its Gaussian fits badly. An example is a fire door, if half of the events in its cells are
+clutter.
 """
 HOLD = 1.5
-"""Factor on the thresholds of evidence when an earlier partition is held.
-
-A new zone needs this many times the usual evidence, and a held zone is dropped only if its
-evidence is this many times smaller than a new zone would need. So zones do not come and go.
+"""Factor on the thresholds of evidence when an earlier partition is held. A new zone needs this
+many times the usual evidence, and a held zone is dropped only if its evidence is this many times
+smaller than a new zone would need. So zones do not come and go.
 """
 HOLD_GAIN = 3.0
 """Least gain of log posterior of a change when an earlier partition is held; otherwise it is 0."""

@@ -20,9 +20,8 @@ from camtopod.learn.zones.marginal_likelihood import covariance
 _Parts = Sequence[Any] | Floats
 
 FAR = 3.0
-"""Distance of two centres beyond which two groups are separate without a valley.
-
-The unit is the sum of the two groups' standard deviations along the discriminating line.
+"""Distance of two centres beyond which two groups are separate without a valley. The unit is the
+sum of the two groups' standard deviations along the discriminating line.
 """
 
 
@@ -80,9 +79,8 @@ def sd_along(cov: _Parts, line: _Parts) -> Any:
 
 
 DEPTH = 0.85
-"""Largest density of a valley relative to the density of each of its flanks.
-
-A stretch that is less deep is a ripple, not a valley, however significant it is.
+"""Largest density of a valley relative to the density of each of its flanks. A stretch that is less
+deep is a ripple, not a valley, however significant it is.
 """
 _STEPS = 18
 """Number of grid points along the line."""
