@@ -142,17 +142,6 @@ def gaussian_density(points, mean, cov):
     return np.exp(-squared / 2) / (2 * np.pi * np.sqrt(np.linalg.det(cov)))
 
 
-# --- wiener (two correlations, as scipy has it) ---
-
-
-def wiener(image, size, noise):
-    """Filter with Wiener's filter over windows of ``size`` x ``size``.
-
-    ``noise`` is a variance, or None for scipy's estimate.
-    """
-    return scipy.signal.wiener(image, size, noise)
-
-
 # --- learner: window, lags, rates, candidates, joint fit, transit times, significance ---
 
 
@@ -442,47 +431,6 @@ def q_values(p, tests):
                 rank = sum(value <= other for value in p)
                 levels.append(other * tests / rank)
         result.append(min(1.0, *levels))
-    return np.array(result)
-
-
-def doubts(
-    pair, responsibility, pairs, evidence, left, spread_min, to_tell, chance, few, least, departures
-):
-    """Return 1 - P(something is linked) P(in character) of each pair."""
-    transitions, nats = [0.0] * pairs, [0.0] * pairs
-    for p, r in zip(pair, responsibility, strict=True):
-        transitions[p] += r
-        nats[p] += -np.log(1 - r) - r
-
-    # Odds that something is linked, over all pairs.
-    every = len(left) ** 2
-    unknown = sum(np.exp(-n / departures) for n in left) / len(left) * (every - len(evidence))
-    odds = (sum(np.exp(e) for e in evidence) + unknown) / every
-
-    # Typical evidence of a transition, and the deviation of each pair.
-    each = sorted(
-        (nats[p] / transitions[p], transitions[p]) for p in range(pairs) if transitions[p] > 0
-    )
-    reached = [(value, sum(n for _, n in each[: k + 1])) for k, (value, _) in enumerate(each)]
-
-    def quantile(share):
-        return next(max(value, 1e-12) for value, n in reached if n >= share * reached[-1][1])
-
-    result = []
-    for p in range(pairs):
-        real = 1.0
-        if transitions[p] > 0:
-            usual, high = quantile(0.5), quantile(0.75)
-            variance = (
-                (np.log(high / usual) / 0.6745) ** 2
-                + spread_min**2
-                + to_tell / (usual * transitions[p])
-            )
-            below = min(np.log(max(nats[p] / transitions[p] / usual, 1e-12)), 0.0)
-            likely = np.exp(-0.5 * below**2 / variance)
-            odds_of_chance = chance * (1 + few / transitions[p])
-            real = max((1 + odds_of_chance) * likely / (likely + odds_of_chance), least)
-        result.append(1 - odds / (1 + odds) * real)
     return np.array(result)
 
 

@@ -86,16 +86,6 @@ def test_labels_are_names_of_coco_or_numbers(tmp_path: Path) -> None:
         assert caught.value.key == "labels"
 
 
-# --- decoding -------------------------------------------------------------------------------------
-
-
-def test_the_better_of_two_boxes_of_a_class_is_kept() -> None:
-    boxes = np.array([[0, 0, 10, 20], [1, 0, 11, 20], [30, 0, 40, 20], [0, 0, 10, 20]], np.float32)
-    scores = np.array([0.9, 0.8, 0.7, 0.6], np.float32)
-    kept = layouts.nms(layouts.Found(boxes, scores, np.array([0, 0, 0, 1])))
-    assert kept.scores.tolist() == pytest.approx([0.9, 0.7, 0.6])
-
-
 # --- files that cannot be used --------------------------------------------------------------------
 
 
@@ -114,15 +104,6 @@ def test_a_file_that_is_no_model_is_refused(tmp_path: Path, content: bytes, word
     with pytest.raises(DetectorError, match=words) as caught:
         Model(settings(path))
     assert caught.value.key == "model"
-
-
-def test_a_model_that_ends_early_is_refused_wherever_it_ends(tmp_path: Path) -> None:
-    content = write_model(tmp_path / "m.onnx", "yolov8").read_bytes()
-    short = tmp_path / "short.onnx"
-    for length in range(1, len(content), len(content) // 7):
-        short.write_bytes(content[:length])
-        with pytest.raises(DetectorError):
-            Model(settings(short))
 
 
 @pytest.mark.parametrize(

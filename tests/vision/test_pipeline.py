@@ -39,16 +39,6 @@ def test_one_passage_is_an_entry_and_an_exit_with_capture_times() -> None:
     assert entry.seq is None
 
 
-def test_an_entry_is_reported_soon_after_it_happened() -> None:
-    scene = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0))])
-    pipeline = ViewPipeline("cam", VisionSettings())
-    for k in range(round(12 * FPS)):
-        if pipeline.process(k / FPS, scene.picture(k / FPS)):
-            assert k / FPS < 5.0 + 1.5
-            return
-    pytest.fail("no entry")
-
-
 @pytest.mark.parametrize(("a", "b"), [((-0.1, 0.8), (1.1, 0.8)), ((0.4, 1.3), (0.6, -0.1))])
 def test_who_is_seen_late_has_crossed_the_border_where_and_when_it_was(a: Place, b: Place) -> None:
     """The first and last pictures within the border miss the person, who walks straight on."""

@@ -98,14 +98,6 @@ def test_nobody_is_silent_by_chance_or_at_night() -> None:
         assert heard(day, day + 0.1, day + 0.2, quiet) == 4 * [CameraSilences([], False)]
 
 
-def test_nights_of_its_own_are_a_habit() -> None:
-    busy = poisson(0.1, 0, 200_000, 1)
-    shop = np.concatenate([poisson(0.1, 50_000 * k, 50_000 * k + 25_000, k) for k in range(4)])
-    _, closed = heard(busy, shop)
-    assert len(closed.intervals) == 4
-    assert not closed.lasts  # no longer than on other nights
-
-
 def test_a_camera_that_stops_while_an_installation_starts_is_not_said_to_be_silent() -> None:
     """In the first half hour no alarm is raised, as traffic has yet to be learned."""
     log, silent = AlarmLog(AlarmState()), CameraSilences([(100.0, np.inf)], True)

@@ -78,14 +78,6 @@ def test_nothing_is_found_where_nothing_changes() -> None:
     assert sum(change is not None for change in found) <= 2
 
 
-def test_more_traffic_is_no_change() -> None:
-    chance = np.random.default_rng(3)
-    hours = (
-        np.sort(np.concatenate((chance.uniform(0, 12, 100), chance.uniform(12, 24, 900)))) * 3600
-    )
-    assert latest_change(trials(np.full(1000, 0.3), 4, times=hours), THRESHOLD) is None
-
-
 def test_a_share_that_follows_the_hour_is_no_change() -> None:
     hour = np.arange(2400) % 240 / 10
     shares = 0.4 + 0.3 * np.sin(2 * np.pi * hour / 24)

@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-import naive
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 
 from camtopod.learn.learner import Learner
 from camtopod.learn.next_camera.spurious import (
-    CHANCE_PRIOR,
-    CHANCE_TRANSITIONS,
-    DEPARTURES_TO_TELL,
-    NATS_TO_TELL,
-    REAL_MIN,
-    SPREAD_MIN,
     any_link_probability,
     real_probability,
     spurious_shares,
@@ -26,30 +18,6 @@ from camtopod.sim.simulation import simulate
 
 ONCE = Settings(refit_share=1e9, refit_hours=1e9)
 """Everything is learned in one fit."""
-
-
-@given(
-    st.lists(st.tuples(st.integers(0, 5), st.floats(0.001, 0.999)), max_size=30),
-    st.lists(st.floats(-50, 20), max_size=6),
-    st.lists(st.integers(0, 40), min_size=3, max_size=9),
-)
-def test_by_loops(
-    candidates: list[tuple[int, float]], evidence: list[float], left: list[int]
-) -> None:
-    pair, responsibility = (np.array([c[k] for c in candidates]) for k in (0, 1))
-    found = spurious_shares(
-        pair.astype(np.int32), responsibility, 6, np.array(evidence), np.array(left, float)
-    )
-    constants = (
-        SPREAD_MIN,
-        NATS_TO_TELL,
-        CHANCE_PRIOR,
-        CHANCE_TRANSITIONS,
-        REAL_MIN,
-        DEPARTURES_TO_TELL,
-    )
-    slow = naive.doubts(pair, responsibility, 6, evidence, left, *constants)
-    assert found == pytest.approx(slow, abs=1e-9)
 
 
 def test_what_is_usual_is_not_doubted_and_what_is_out_of_character_is() -> None:

@@ -124,12 +124,6 @@ def test_doors_close_together_with_unequal_traffic() -> None:
     assert len(found(positions).zones) == 3
 
 
-def test_a_long_border_is_one_zone() -> None:
-    rng = np.random.default_rng(5)
-    strip = np.stack([rng.uniform(0.2, 0.5, 2000), rng.uniform(0.95, 1.0, 2000)], axis=1)
-    assert len(found(np.concatenate([strip, rng.random((400, 2))])).zones) == 1
-
-
 def test_few_events() -> None:
     none = find_zones(sums_of(np.zeros((0, 2))), next_number=7)
     assert (none.zones, none.next_number) == ((), 7)
