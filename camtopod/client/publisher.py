@@ -125,18 +125,10 @@ class Publisher:
         while not self._closing.is_set():
             if self._bus is None:
                 with contextlib.suppress(BusError):  # the daemon is waited for
-                    self._use(dial(settings))
-            with self._mutex:
-                if not self._closing.is_set():
-                    with contextlib.suppress(StateError):  # the next `publish` raises it
-                        self._outbox.retry()
+                    bus = dial(settings)
+                    with self._mutex:
+                        self._outbox.attach(bus, [self.camera])
+                        self._bus = bus
+            with self._mutex, contextlib.suppress(StateError):  # the next `publish` raises it
+                self._outbox.retry()
             self._closing.wait(RETRY_SECONDS)
-
-    def _use(self, bus: Bus) -> None:
-        """Publish on a bus from now on, unless closed meanwhile."""
-        with self._mutex:
-            if self._closing.is_set():
-                bus.close()
-            else:
-                self._outbox.attach(bus, [self.camera])
-                self._bus = bus

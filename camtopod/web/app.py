@@ -213,9 +213,7 @@ def serving(
     """
     # Progress marks, bus followers, HTTP server.
     marks = progress or Progress()
-    page, versions, messages = (
-        marks.watch(name, STALL_SECONDS) for name in ("page", "versions", "messages")
-    )
+    page, feeding = (marks.watch(name, STALL_SECONDS) for name in ("page", "feed"))
     stop = threading.Event()
     page_queues = PageQueues()
     feed = Feed(bus, page_queues, clock, config.limits.status_seconds)
@@ -237,12 +235,7 @@ def serving(
     # One thread for each.
     threads = [
         threading.Thread(target=server.run, args=[[listener]], name="page", daemon=True),
-        threading.Thread(
-            target=feed.follow_versions, args=[stop, versions.beat], name="versions", daemon=True
-        ),
-        threading.Thread(
-            target=feed.follow_messages, args=[stop, messages.beat], name="messages", daemon=True
-        ),
+        threading.Thread(target=feed.follow, args=[stop, feeding.beat], name="feed", daemon=True),
     ]
 
     for thread in threads:

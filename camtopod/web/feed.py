@@ -1,15 +1,13 @@
 """Follow a site's bus for the page: newest map, health, live news; forward news to open pages.
 
-Two threads besides the bus's own: *versions* follows the topology and makes its map once a version;
-*messages* processes predictions, events and status from a bounded queue. The bus's threads only
-fill that queue.
+The bus's own threads process predictions, events and status; another follows the topology and makes
+its map once a version.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-import queue
 import re
 import threading
 from collections import deque
@@ -40,8 +38,6 @@ from camtopod.web.map_data import Map, draw
 from camtopod.web.outbox import PageQueues
 from camtopod.web.versions import VersionSummary, summary
 
-INBOX_MAX = 10_000
-"""Messages from the bus that wait to be processed; beyond it they are dropped and counted."""
 CAMERAS_MAX = 5_000
 """Cameras whose status is kept."""
 PREDICTIONS_PER_SECOND_MAX = 25
@@ -120,8 +116,7 @@ def shown(prediction: Prediction) -> ShownPrediction:
 
 
 class Feed:
-    """Follower of one site's bus; run `follow_versions` and `follow_messages` in a thread
-    each.
+    """Follower of one site's bus; run `follow` in a thread.
 
     status_seconds: interval in which the daemon publishes its status.
     """
@@ -133,15 +128,14 @@ class Feed:
         self._page_queues = page_queues
         self._clock = clock
         self._silent_seconds = SILENT_STATUSES * status_seconds
-        self._inbox: queue.Queue[tuple[str, bytes]] = queue.Queue(INBOX_MAX)
         self._began = clock()
         self._connected_since = self._began  # no status can arrive while the bus is unreachable
         self._daemon: tuple[DaemonStatus, float] | None = None
         """Newest status of the daemon, and when it was received."""
         self._grabbers: dict[str, tuple[Status, float]] = {}
         """The same of each camera's grabber."""
-        self._mutex = threading.Lock()  # of predictions and of watched cameras
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
+        self._mutex = threading.Lock()  # of watched cameras
         self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
         self._second = 0
         self._this_second = 0
@@ -155,15 +149,17 @@ class Feed:
         """Versions of the newest epoch since this server began, oldest first; never changed."""
         self.map: Map | None = None
         self.map_json = b"null"
-        self.dropped = 0
-        """Messages dropped because the queue was full."""
-        bus.subscribe("status/*", self._put)
-        bus.subscribe("prediction/*", self._put)
+        bus.subscribe("status/*", self._on_message)
+        bus.subscribe("prediction/*", self._on_message)
 
-    def follow_versions(self, stop: threading.Event, beat: Beat = no_beat) -> None:
+    def follow(self, stop: threading.Event, beat: Beat = no_beat) -> None:
         """Follow the topology until ``stop`` is set."""
+        for key, payload in self._bus.query("status/*"):
+            self._on_message(key, payload)
         while not stop.wait(_TICK_SECONDS):
             beat()
+            if not self._bus.connected:
+                self._connected_since = self._clock()
             if (newest := self._view.update()) is not None:
                 self.show(newest)
 
@@ -174,8 +170,7 @@ class Feed:
         if before is not None and before.epoch != topology.epoch:
             before = None
             self.versions = []
-            with self._mutex:
-                self._predictions.clear()
+            self._predictions.clear()
 
         # Everything that the page asks for; then open pages ask.
         self.map = draw(topology, self.map)
@@ -185,22 +180,9 @@ class Feed:
         self.map_json = codec.to_json(self.map)
         self._page_queues.send("version", self._version())
 
-    def follow_messages(self, stop: threading.Event, beat: Beat = no_beat) -> None:
-        """Process messages of the bus until ``stop`` is set."""
-        for key, payload in self._bus.query("status/*"):
-            self._on_message(key, payload)
-        while not stop.is_set():
-            beat()
-            with contextlib.suppress(queue.Empty):
-                self._on_message(*self._inbox.get(timeout=_TICK_SECONDS))
-            if not self._bus.connected:
-                self._connected_since = self._clock()
-
     def hello(self) -> bytes:
         """Return the first messages for a page that has just connected: server-sent events."""
-        with self._mutex:
-            predictions = list(self._predictions)
-        past = [b"event: past\ndata: " + one for one in predictions]
+        past = [b"event: past\ndata: " + one for one in self._predictions.copy()]
         lines = [b"event: version\ndata: " + self._version(), *past]
         return b"".join(line + b"\n\n" for line in lines)
 
@@ -221,7 +203,6 @@ class Feed:
         return {
             "now": now,
             "live": self._live(now),
-            "dropped": self.dropped,
             "daemon": daemon,
             "cameras": self._cameras(now, figures),
         }
@@ -239,7 +220,7 @@ class Feed:
         with self._mutex:
             count, end = self._watched.get(camera) or (
                 0,
-                self._bus.subscribe(f"event/{camera}", self._put),
+                self._bus.subscribe(f"event/{camera}", self._on_message),
             )
             self._watched[camera] = (count + 1, end)
         try:
@@ -326,12 +307,6 @@ class Feed:
 
     # --- messages of the bus ---
 
-    def _put(self, key: str, payload: bytes) -> None:
-        try:
-            self._inbox.put_nowait((key, payload))
-        except queue.Full:
-            self.dropped += 1
-
     def _on_message(self, key: str, payload: bytes) -> None:
         """Process a message; one that cannot be read is ignored."""
         kind, _, name = key.partition("/")
@@ -365,8 +340,7 @@ class Feed:
         if self._this_second > PREDICTIONS_PER_SECOND_MAX:
             return
         content = codec.to_json(shown(prediction))
-        with self._mutex:
-            self._predictions.append(content)
+        self._predictions.append(content)
         self._page_queues.send("prediction", content, passing=True)
 
     def _on_event(self, camera: str, event: Event) -> None:

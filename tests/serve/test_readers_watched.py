@@ -94,7 +94,7 @@ def test_a_page_that_hangs_does_not_feed_the_watchdog(
         let_go = stuck_in(TopologySubscriber, "update", monkeypatch)
         with contextlib.ExitStack() as stack:
             stack.callback(let_go)
-            hangs_and_gets_on(told, "versions", let_go)
+            hangs_and_gets_on(told, "feed", let_go)
             address = said.removeprefix("STATUS=the page is at ")
             with urllib.request.urlopen(address, timeout=WAIT_SECONDS) as answer:
                 assert answer.status == 200

@@ -52,7 +52,7 @@ export class Health {
 
   #draw() {
     if (!this.app.health) return;
-    const { daemon, live, now, cameras, dropped, login } = this.app.health;
+    const { daemon, live, now, cameras, login } = this.app.health;
     this.leave.hidden = !login;
     const events = daemon.events ?? {};
     const rejected = Object.values(daemon.rejects ?? {}).reduce((sum, n) => sum + n, 0);
@@ -84,7 +84,6 @@ export class Health {
             .join(", ") || null,
         ),
         fact("Predictions since start", count(daemon.predictions)),
-        dropped ? fact("Not shown here", count(dropped), "Messages dropped because this page's server was overloaded") : null,
       ),
     );
     const wanted = cameras.filter((row) => `${row.id} ${row.state} ${row.reason}`.toLowerCase().includes(this.#text));
