@@ -102,23 +102,6 @@ def camera_id(text: str) -> str:
     return text
 
 
-def check_name(option: str, name: str) -> None:
-    """Raise `CommandError` for a name that cannot be part of a key on the bus."""
-    if not re.match(CAMERA_PATTERN, name):
-        raise CommandError(
-            f"{option} {name!r}: use 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
-        )
-
-
-def check_camera(name: str) -> None:
-    """Raise `CommandError` for a value of --camera that is no camera's id."""
-    check_name("--camera", name)
-    if name in RESERVED:
-        raise CommandError(
-            f"--camera {name}: this name is reserved on the bus, use another", exits.USAGE
-        )
-
-
 @contextlib.contextmanager
 def writing(path: str | Path) -> Iterator[None]:
     """Turn an OSError of the block, which writes ``path``, into a `CommandError`."""
@@ -212,23 +195,24 @@ class SignalRequests(NamedTuple):
 
 @contextlib.contextmanager
 def signals(reloads: bool = True) -> Iterator[SignalRequests]:
-    """Return the requests of SIGTERM, SIGINT and, with ``reloads``, SIGHUP while the block runs.
+    """Return the requests of SIGTERM, SIGINT and SIGHUP while the block runs.
+
+    Without ``reloads`` SIGHUP stops as well.
 
     A thread sets the events; the C level of the interpreter wakes it through a pipe. Setting an
     event in a Python handler could deadlock with the wait it interrupts, and no handler runs while
     the main thread is inside a library.
     """
     requests = SignalRequests(threading.Event(), threading.Event())
-    numbers = [signal.SIGTERM, signal.SIGINT]
-    if reloads:
-        numbers.append(signal.SIGHUP)
+    numbers = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
     at_a_terminal = os.isatty(0)
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
 
     def obey() -> None:
         while number := os.read(reading, 1):
-            if number[0] == signal.SIGHUP and not (at_a_terminal and not os.isatty(0)):
+            hung_up = at_a_terminal and not os.isatty(0)
+            if number[0] == signal.SIGHUP and reloads and not hung_up:
                 requests.reload.set()
             elif number[0] in numbers:  # others have handlers of their own
                 requests.stop.set()

@@ -112,8 +112,6 @@ _LINEAR_ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_T
 
 With another number of threads the same events give results that differ in the last bits.
 """
-_KEEP_ON = ("run", "grab")
-"""Commands that SIGHUP never ends."""
 _STATUS_OF_ERROR = {"SourceError": exits.INPUT, "BusError": exits.BUS, "StateError": exits.STATE}
 """Class of an OSError of camtopod -> exit status; the classes' own modules take long to import."""
 _COMMON: dict[str, dict[str, Any]] = {
@@ -151,9 +149,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in _LINEAR_ALGEBRA_THREADS:
         os.environ.setdefault(name, "1")
     form = "text"
-    if _command_in(arguments) in _KEEP_ON:
-        # SIGHUP is ignored until the command installs its handler: there is no configuration to
-        # reload yet.
+    if _command_in(arguments) == "grab":
+        # SIGHUP is ignored until the supervisor has a handler: there is nothing to reload yet.
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
     try:

@@ -12,7 +12,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta, Struct
@@ -313,16 +313,6 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
             cameras = {**cameras, camera: replace(known, source=source, source_file="")}
         return replace(self.certified(camera), cameras=cameras)
 
-    def own_vision(self, camera: str) -> dict[str, Any]:
-        """Return the settings of vision in which ``camera`` differs from ``[vision]``."""
-        return _differences(self.cameras[camera].vision, self.vision)
-
-    def common_vision(self, camera: str) -> dict[str, Any]:
-        """Return the settings that ``camera`` has of ``[vision]`` and that are not the defaults."""
-        own = self.own_vision(camera)
-        common = _differences(self.vision, VisionSettings())
-        return {key: value for key, value in common.items() if key not in own}
-
     def certified(self, camera: str) -> Config:
         """Return the configuration with the certificate of ``camera``, for its publisher."""
         tls = _with_paths(self.bus.tls, lambda path: path.replace("{camera}", camera))
@@ -519,12 +509,6 @@ def _with_paths(tls: TlsSettings, change: Callable[[str], str]) -> TlsSettings:
     return TlsSettings(
         **{field: change(path) for field, path in msgspec.structs.asdict(tls).items()}
     )
-
-
-def _differences(settings: Struct, others: Struct) -> dict[str, Any]:
-    """Return the fields of ``settings`` that are not the same in ``others``."""
-    fields = msgspec.structs.asdict(settings)
-    return {key: value for key, value in fields.items() if value != getattr(others, key)}
 
 
 def _local_address(endpoint: str) -> str:

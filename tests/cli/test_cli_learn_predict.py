@@ -74,7 +74,7 @@ def test_learn_writes_the_topology_and_every_version(
     assert len(versions) > 2
     assert (last.epoch, last.events, last.digest) == (EPOCH, len(EVENTS), digest_of(last))
     assert apply_delta(versions[-2], make_delta(versions[-2], last)) == last
-    assert f"version {last.version}: {len(EVENTS)} events, 3 cameras" in said
+    assert f"version {last.version}, {len(EVENTS)} events, 3 cameras" in said
 
 
 def test_learn_from_a_pipe_and_from_several_files(run: Run, topology: Path, tmp_path: Path) -> None:

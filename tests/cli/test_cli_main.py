@@ -96,16 +96,6 @@ def test_every_command_has_its_own_help(capsys: pytest.CaptureFixture[str]) -> N
         assert re.search(rf"example: camtopod .*\b{name}\b", out)
 
 
-def test_alone_it_says_how_to_begin(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main.main([])
-    assert caught.value.code == exits.USAGE
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert re.findall(r"(?m)^    camtopod (\w+)", err) == ["demo", "init", "web"]
-    assert len(err.splitlines()) <= 12
-
-
 @pytest.mark.parametrize(
     "arguments", [[], ["nonsense"], ["probe", "--nonsense"], ["--log-format", "xml", "probe"]]
 )
@@ -115,31 +105,22 @@ def test_usage(
     with pytest.raises(SystemExit) as caught:
         main.main(arguments)
     assert caught.value.code == exits.USAGE
-    assert capsys.readouterr().out == ""
+    out, err = capsys.readouterr()
+    assert out == ""
+    begins = re.findall(r"(?m)^    camtopod (\w+)", err)
+    assert begins == ([] if arguments else ["demo", "init", "web"])
 
 
 def test_common_options_stand_before_or_after_the_command(command: types.ModuleType) -> None:
-    options = [
-        "--site",
-        "hq",
-        "--connect",
-        "tcp/a:1",
-        "--connect",
-        "tcp/b:2",
-        "--log-format",
-        "json",
-    ]
+    options = ["--site=hq", "--connect=tcp/a:1", "--connect", "tcp/b:2", "--log-format", "json"]
     assert main.main([*options, "probe", "w"]) == 0
     assert main.main(["probe", "w", *options]) == 0
     assert main.main(["--site", "hq", "probe", "w"]) == 0
+
     before, after, few = command.seen
     assert vars(before) == vars(after)
-    assert (before.site, before.connect, before.log_format, before.word) == (
-        "hq",
-        ["tcp/a:1", "tcp/b:2"],
-        "json",
-        "w",
-    )
+    assert (before.site, before.connect) == ("hq", ["tcp/a:1", "tcp/b:2"])
+    assert (before.log_format, before.word) == ("json", "w")
     assert (few.config, few.connect, few.log_format) == (None, [], "text")
 
 
@@ -235,13 +216,10 @@ def test_check_says_what_holds_for_each_camera(
     assert lines == [
         f"{path}:8: warning: cameras.b: source is missing; add it, or source_file, or grab this"
         " camera with `camtopod grab --camera b SOURCE`",
-        f"{path}:3: cameras.a: analysed_fps = 7.0, ignore 1 area (50% of the picture), 1 door",
-        f"{path}:8: cameras.b: min_height = 0.1; of [vision]: analysed_fps = 9.0",
+        f"{path}:3: cameras.a: ignore: 1, doors: 1",
+        f"{path}:8: cameras.b: analysed_fps = 9.0, min_height = 0.1",
         f"{path}: no mistakes; site site, 2 cameras",
     ]
-    path.write_text("[cameras.a]\nsource = '0'\n[cameras.b]\nsource = '1'\n")
-    assert main.main(["check", str(path)]) == 0
-    assert f"{path}: 2 cameras with default settings of vision" in capsys.readouterr().err
 
 
 def arguments(**given: Any) -> argparse.Namespace:
@@ -351,35 +329,29 @@ def test_log_formats(form: str, capsys: pytest.CaptureFixture[str]) -> None:
         assert re.fullmatch(r't=\S+Z level=warning from=serve\.x message="says \\"no\\""', line)
 
 
-# --- run
-# --------------------------------------------------------------------------------------------
+# --- run ------------------------------------------------------------------------------------------
 
 
 def test_run_says_why_it_cannot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "file").write_text("")
-    listen = tmp_path / "c.toml"
-    listen.write_text('[bus]\nlisten = ["tcp/127.0.0.1:0"]\n')
-    assert (
-        main.main(["--config", str(listen), "run", "--state", str(tmp_path / "file" / "x")]) == 74
-    )
-    assert "cannot write the state directory" in capsys.readouterr().err
+    config = tmp_path / "c.toml"
+    file = tmp_path / "file"
+    file.write_text("")
 
-    newer = tmp_path / "newer"
-    with closing(Journal(newer)) as journal:
+    def run(text: str, state: Path) -> tuple[int, str]:
+        config.write_text(text)
+        status = main.main(["--config", str(config), "run", "--state", str(state)])
+        return status, capsys.readouterr().err
+
+    status, said = run('[bus]\nlisten = ["tcp/127.0.0.1:0"]\n', file / "x")
+    assert (status, "cannot write the state directory" in said) == (exits.STATE, True)
+    status, said = run("[bus]\nlisten = 5\n", tmp_path)
+    assert (status, f"{config}:2: bus.listen: expected" in said) == (exits.CONFIG, True)
+    away = '[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.2\n'
+    assert run(away, tmp_path / "s")[0] == exits.BUS
+    with closing(Journal(tmp_path / "newer")) as journal:
         journal.set_meta("format", "99")
-    assert main.main(["--config", str(listen), "run", "--state", str(newer)]) == 74
-    err = capsys.readouterr().err
-    assert "journal.db has format 99" in err
-    assert "Traceback" not in err
-
-    wrong = tmp_path / "wrong.toml"
-    wrong.write_text("[bus]\nlisten = 5\n")
-    assert main.main(["--config", str(wrong), "run"]) == 78
-    assert f"{wrong}:2: bus.listen: expected endpoints" in capsys.readouterr().err
-
-    away = tmp_path / "away.toml"
-    away.write_text('[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.2\n')
-    assert main.main(["--config", str(away), "run", "--state", str(tmp_path / "s")]) == 69
+    status, said = run('[bus]\nlisten = ["tcp/127.0.0.1:0"]\n', tmp_path / "newer")
+    assert (status, "journal.db has format 99" in said) == (exits.STATE, True)
 
 
 def test_a_low_limit_of_open_files_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -420,7 +392,7 @@ def test_a_crash_shows_no_password_and_ends_with_a_status() -> None:
     script = (
         "import threading\n"
         "from camtopod.cli import main\n"
-        "def fail(): raise ValueError('rtsp://u:hunter2@h/x is broken')\n"
+        "def fail(): raise ValueError('rtsp://u:hunter2@h/x is broken \\x1b[2J')\n"
         "def run():\n"
         "    thread = threading.Thread(target=fail, name='other'); thread.start(); thread.join()\n"
         "    fail()\n"
@@ -432,3 +404,4 @@ def test_a_crash_shows_no_password_and_ends_with_a_status() -> None:
     assert "in thread other:" in done.stderr
     assert done.stderr.count("ValueError: rtsp://***@h/x is broken") == 2
     assert "hunter2" not in done.stderr
+    assert "\x1b" not in done.stderr

@@ -63,6 +63,9 @@ def test_the_commands_reach_the_daemon(daemon: Daemon, capsys: pytest.CaptureFix
     assert told(capsys, *hq, "forget", "b", "--take-back")[0] == 0
     assert told(capsys, *hq, "rename", "c", "yard")[0] == 0
     wait_for(lambda: "yard" in cameras(daemon), "the version")
+    status, _, err = told(capsys, *hq, "forget", "bb")
+    assert status == exits.FAILED
+    assert "there is no camera bb; there are: " in err
     epoch = daemon.epoch
     assert told(capsys, *hq, "reset", "--yes")[0] == 0
     wait_for(lambda: daemon.epoch > epoch and not cameras(daemon), "the reset")
@@ -76,24 +79,6 @@ def test_a_site_that_was_not_named_is_left_alone(
     assert "no daemon of site site answers" in err
     assert "there is a daemon of site hq: add --site hq" in err
     assert "b" in cameras(daemon)
-
-
-def test_what_the_daemon_refuses_is_said(
-    daemon: Daemon, capsys: pytest.CaptureFixture[str]
-) -> None:
-    hq = ("--connect", daemon.endpoint, "--site", "hq")
-    status, out, err = told(capsys, *hq, "forget", "bb")
-    assert (status, out) == (exits.FAILED, "")
-    assert "there is no camera bb; there are: a, b, c" in err
-
-
-@pytest.mark.parametrize(
-    "arguments", [["forget"], ["forget", "a/1"], ["rename", "a"], ["rename", "a", "b c"]]
-)
-def test_wrong_usage(arguments: list[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    assert ended.value.code == exits.USAGE
 
 
 def test_a_reset_has_to_be_confirmed(

@@ -171,9 +171,6 @@ def test_a_camera_has_the_settings_of_all_and_its_own() -> None:
     assert config.cameras["a"].vision == msgspec.structs.replace(
         config.vision, analysed_fps=5.0, min_height=0.1, sensitivity=2.0
     )
-    assert config.own_vision("a") == {"analysed_fps": 5.0, "min_height": 0.1, "sensitivity": 2.0}
-    assert config.common_vision("a") == {"working_width": 160}
-    assert config.own_vision("b") == {}
 
 
 def test_areas_and_doors_are_lists_of_points_or_texts() -> None:

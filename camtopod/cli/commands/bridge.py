@@ -57,8 +57,6 @@ class HomeAssistantState:
         self._site = DaemonStatus()
         self._grabbers: dict[str, Status] = {}
         self._predictions: dict[str, Prediction] = {}
-        self._cameras: list[str] = []
-        self._discovery = homeassistant.discovery(topics, [])
         self._subscriber = TopologySubscriber(bus)
         bus.watch_alive("daemon", self._on_daemon)
         bus.subscribe("status/*", self._on_status)
@@ -78,17 +76,15 @@ class HomeAssistantState:
         grabbers = dict(self._grabbers)  # the bus's threads change it
         site = self._site
 
-        # Cameras, from any source, in a stable order; a new set needs new discovery messages.
+        # Cameras, from any source, in a stable order.
         names = {*grabbers, *site.cameras, *zones}
         cameras = sorted(name for name in names if re.match(CAMERA_PATTERN, name))
         cameras = cameras[: self._cameras_max]
-        if cameras != self._cameras:
-            self._cameras = cameras
-            self._discovery = homeassistant.discovery(topics, cameras)
 
         # Messages of the site, then of each camera.
         alive = bool(self._daemons)
-        messages = self._discovery | homeassistant.site_state(topics, alive, site, topology)
+        messages = homeassistant.discovery(topics, cameras)
+        messages |= homeassistant.site_state(topics, alive, site, topology)
         for camera in cameras:
             counted = site.cameras.get(camera, CameraFigures())
             messages |= homeassistant.camera_state(
@@ -113,11 +109,9 @@ class HomeAssistantState:
                 self._keep(self._grabbers, camera, codec.read(Status, payload, pack=True))
 
     def _on_prediction(self, key: str, payload: bytes) -> None:
-        camera = key.removeprefix("prediction/")
         with contextlib.suppress(codec.Rejected):
             prediction = codec.read(Prediction, payload, pack=True)
-            if prediction.camera == camera:
-                self._keep(self._predictions, camera, prediction)
+            self._keep(self._predictions, prediction.camera, prediction)
 
     def _keep(self, where: dict[str, Any], camera: str, record: Any) -> None:
         """Store the newest ``record`` of a camera, unless there are too many cameras."""

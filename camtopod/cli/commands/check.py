@@ -25,6 +25,7 @@ from camtopod.config import (
 from camtopod.serve.bus import access
 from camtopod.visible import visible
 from camtopod.vision.detector.onnx_header import HeaderError, input_size
+from camtopod.vision.settings import VisionSettings
 
 
 def add_parser(subparsers: Any) -> None:
@@ -146,36 +147,19 @@ def _camera_lines(path: Path, config: Config, text: str) -> Iterator[str]:
         yield f"{where}: warning: {what}"
 
     lines = toml_lines.key_lines(text)
-    plain = 0
-    for camera in config.cameras:
-        own = ", ".join(map(_setting, config.own_vision(camera).items()))
-        common = ", ".join(map(_setting, config.common_vision(camera).items()))
-        where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
-        parts = [own, common and f"of [vision]: {common}", *_detector_words(config, camera)]
-        if text := "; ".join(filter(None, parts)):
-            yield f"{where}: {text}"
-        else:
-            plain += 1
-    if plain:
-        yield f"{path}: {counted(plain, 'camera')} with default settings of vision"
-
-
-def _detector_words(config: Config, camera: str) -> list[str]:
-    """Return the detector of a camera in words; nothing if there is none and could be none."""
-    detector = config.cameras[camera].detector
-    if not detector.model:
-        return ["detector = false"] if config.detector.model else []
-    labels = ", ".join(map(str, detector.labels))
-    return [f"detector {Path(detector.model).name} ({labels})"]
-
-
-def _setting(item: tuple[str, Any]) -> str:
-    """Return a setting in words; of areas only how many there are, and how large."""
-    key, value = item
-    if key == "ignore" and value:
-        from camtopod.vision.detect import ignored_share
-
-        return f"ignore {counted(len(value), 'area')} ({ignored_share(value):.0%} of the picture)"
-    if key == "doors" and value:
-        return counted(len(value), "door")
-    return f"{key} = {json.dumps(value)}"
+    defaults = VisionSettings()
+    for name, camera in config.cameras.items():
+        words = []
+        for key in VisionSettings.__struct_fields__:
+            value = getattr(camera, key)
+            if isinstance(value, tuple) and value:
+                words.append(f"{key}: {len(value)}")
+            elif value != getattr(defaults, key):
+                words.append(f"{key} = {json.dumps(value)}")
+        if camera.detector.model:
+            labels = ", ".join(map(str, camera.detector.labels))
+            words.append(f"detector {Path(camera.detector.model).name} ({labels})")
+        elif config.detector.model:
+            words.append("detector = false")
+        if words:
+            yield f"{path}:{lines.get(('cameras', name), 1)}: cameras.{name}: {', '.join(words)}"

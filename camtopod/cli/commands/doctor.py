@@ -134,10 +134,8 @@ def _machine() -> Iterator[str]:
     yield f"{platform.platform()}; the clock says {clock.wall():.3f}"
     load = " ".join(f"{one:.1f}" for one in os.getloadavg())
     yield f"{os.cpu_count()} cores, {len(os.sched_getaffinity(0))} for this program, load {load}"
-    for path, lines in (("/proc/meminfo", 3), ("/sys/fs/cgroup/memory.max", 1)):
-        with contextlib.suppress(OSError):
-            text = Path(path).read_text(encoding="utf-8")
-            yield f"{path}: {', '.join(' '.join(one.split()) for one in text.splitlines()[:lines])}"
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    yield f"{memory / 2**20:.0f} MiB of memory"
     names = sorted(filter(_VARIABLES.match, os.environ))
     yield f"environment variables that are set: {', '.join(names) or 'none'}"
 

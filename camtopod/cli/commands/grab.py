@@ -23,7 +23,7 @@ from camtopod.cli.cameras.camera_process import with_restarts
 from camtopod.cli.cameras.heartbeat import HeartbeatSender
 from camtopod.cli.common import (
     SignalRequests,
-    check_camera,
+    camera_id,
     configuration,
     ends_within,
     open_output,
@@ -69,7 +69,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "source", nargs="?", metavar="SOURCE", help="rtsp:// URL, video file or device number"
     )
-    parser.add_argument("--camera", metavar="ID", help="the camera's id, [A-Za-z0-9_.-]{1,64}")
+    parser.add_argument(
+        "--camera", metavar="ID", type=camera_id, help="the camera's id, [A-Za-z0-9_.-]{1,64}"
+    )
     parser.add_argument(
         "--out",
         metavar="FILE",
@@ -141,7 +143,6 @@ def _all(args: argparse.Namespace, requests: SignalRequests) -> int:
 
 def _one(args: argparse.Namespace, stop: threading.Event) -> int:
     """Grab one camera, to the bus or to event lines."""
-    check_camera(args.camera)
     config = configuration(args)
     settings = _settings(args, config)
     redact.remember(settings.source)

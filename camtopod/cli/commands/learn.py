@@ -17,13 +17,12 @@ from typing import Any, BinaryIO
 from camtopod.cli.common import configuration, open_output
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.cli.terminal import Progress, busiest_links, transit
+from camtopod.cli.terminal import Progress, busiest_links, topology_lines, transit
 from camtopod.codec import to_json
 from camtopod.learn.learner import STEPS, Learner
 from camtopod.records import Topology
 from camtopod.serve.recorded_state import RecordedState
 from camtopod.serve.runtime import wall
-from camtopod.topology import links_between_views, links_in_words
 
 EPOCH = "recording"
 """Epoch of a topology learned from files, constant so that the same files give the same bytes."""
@@ -107,7 +106,8 @@ def run(args: argparse.Namespace) -> int:
     elif not (args.updates or args.state):
         print("\n".join(link_lines(topology)))
         print("camtopod: --topology OUT.json keeps the topology", file=sys.stderr)
-    print(f"camtopod: {describe(topology)}", file=sys.stderr)
+    for line in topology_lines(topology):
+        print(f"camtopod: {line}", file=sys.stderr)
     return 0
 
 
@@ -160,17 +160,6 @@ def _write(learner: Learner, updates: BinaryIO | None) -> None:
     for topology in learner.updates():
         if updates is not None:
             updates.write(to_json(topology) + b"\n")
-
-
-def describe(topology: Topology) -> str:
-    """Return one line about a topology."""
-    between = len(links_between_views(topology))
-    return (
-        f"version {topology.version}: {topology.events} events, {len(topology.cameras)} cameras, "
-        f"{len(topology.zones)} zones, "
-        f"{links_in_words(between)}, "
-        f"{len(topology.pairs)} related pairs of cameras"
-    )
 
 
 def link_lines(topology: Topology) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any
 from camtopod import mqtt
 from camtopod.adapt import ANY_CAMERA, FORMATS, LINE_BYTES_MAX, Adapter, FormatOptions, Size
 from camtopod.cli import exits
-from camtopod.cli.common import check_camera
+from camtopod.cli.common import camera_id
 from camtopod.cli.events import broker_options
 from camtopod.cli.events.event_lines import LineReader, numbered, open_input
 from camtopod.cli.exits import CommandError
@@ -30,7 +30,7 @@ _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "camera": (
         "the id of the one camera (default: as the topic or the message names it)",
-        {"metavar": "ID"},
+        {"metavar": "ID", "type": camera_id},
     ),
     "fps": ("frames per second", {"type": float, "metavar": "N"}),
     "start": (
@@ -94,8 +94,6 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
             raise CommandError(
                 f"--{option} is for {_formats(option)}, not {args.format}", exits.USAGE
             )
-    if args.camera is not None:
-        check_camera(args.camera)
     if chosen.make is None:
         return None
     try:

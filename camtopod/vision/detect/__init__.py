@@ -10,4 +10,3 @@ from camtopod.vision.detect.background import Luma as Luma
 from camtopod.vision.detect.blobs import Blob as Blob, find_blobs as find_blobs
 from camtopod.vision.detect.motion import MotionDetector as MotionDetector
 from camtopod.vision.detect.shrink import shrunk as shrunk
-from camtopod.vision.detect.watched import ignored_share as ignored_share
