@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import stat
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,17 +17,8 @@ def read(path: Path) -> str:
 
     Raises `OSError`, also if the line is empty or not UTF-8.
     """
-    try:
-        with path.open("rb") as file:
-            line = file.read(BYTES_MAX).split(b"\n", 1)[0].strip()
-    except FileNotFoundError as error:
-        # A variable may not be set, as $CREDENTIALS_DIRECTORY outside of a service.
-        unset = re.search(r"\$\{?\w+\}?", str(path))
-        raise (
-            error
-            if unset is None
-            else OSError(error.errno, f"{unset[0]} is not set here", str(path))
-        ) from None
+    with path.open("rb") as file:
+        line = file.read(BYTES_MAX).split(b"\n", 1)[0].strip()
     try:
         text = line.decode("utf-8")
     except UnicodeDecodeError:

@@ -250,10 +250,11 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def listens(self) -> tuple[str, ...]:
         """Endpoints at which the daemon listens; empty if it only connects to others."""
-        default = (
-            f"tls/{DEFAULT_ENDPOINT.partition('/')[2]}" if self.bus.tls.ca else DEFAULT_ENDPOINT
-        )
-        return self.bus.listen or (() if self.bus.connect else (default,))
+        if self.bus.listen or self.bus.connect:
+            return self.bus.listen
+        if self.bus.tls.ca:
+            return (DEFAULT_ENDPOINT.replace("tcp/", "tls/"),)
+        return (DEFAULT_ENDPOINT,)
 
     @property
     def dials(self) -> tuple[str, ...]:

@@ -124,10 +124,7 @@ def _feed(
     with Progress(piped=True) as progress:
 
         def say_step(step: str) -> None:
-            number = 1 if learner.topology is None else learner.topology.version + 1
-            progress.show(
-                "version %d, step %d of %d: %s", number, STEPS.index(step) + 1, len(STEPS), step
-            )
+            progress.show("step %d of %d: %s", STEPS.index(step) + 1, len(STEPS), step)
 
         learner.on_step = say_step
         for line in reader.merged(paths):

@@ -31,4 +31,6 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Forget the camera, or take that back."""
-    return carry_out(args, (TakeBack if args.take_back else Forget)(args.camera))
+    if args.take_back:
+        return carry_out(args, TakeBack(args.camera))
+    return carry_out(args, Forget(args.camera))

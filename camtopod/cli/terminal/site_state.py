@@ -96,7 +96,8 @@ class SiteState:
         known = {**_learned(topology), **self._daemon.cameras}
         newest = max((one.newest or 0.0 for one in known.values()), default=0.0)
         names = self._daemon.names
-        lines = []
+        wrong = []
+        fine = []
         for name in {*self._cameras, *known}:
             figures = known.get(name, CameraFigures())
             state, reason = self._camera_state(name, figures)
@@ -111,10 +112,12 @@ class SiteState:
             last = ""
             if figures.newest is not None and 0 <= now - figures.newest < 1e6:
                 last = f"{now - figures.newest:.0f} s"
-            mark = "!" if state not in _FINE else " "
-            line = f"{mark} {name:<20} {state:<11} {figures.events:>8} {last:>9}  {reason}"
-            lines.append((mark != "!", name, line))
-        return [line for *_, line in sorted(lines)]
+            line = f"{name:<20} {state:<11} {figures.events:>8} {last:>9}  {reason}"
+            if state in _FINE:
+                fine.append(f"  {line}")
+            else:
+                wrong.append(f"! {line}")
+        return [*sorted(wrong), *sorted(fine)]
 
     def _camera_state(self, name: str, figures: CameraFigures) -> tuple[str, str]:
         """Return (state, reason) of a camera by its status and the daemon's figures."""
