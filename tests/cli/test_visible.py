@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import json
-import logging
 import re
 from pathlib import Path
 
 import msgspec
-import pytest
 import serving
 from hypothesis import given, strategies as st
 from serving import free_endpoint, small_config, wait_for
 
 from camtopod import codec
 from camtopod.cli.commands.watch import parts
-from camtopod.cli.common import _Formatter
 from camtopod.cli.terminal.site_state import SiteState
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
@@ -47,17 +44,6 @@ def test_nothing_else_is_left_and_json_stays_json(text: str) -> None:
     assert visible(text).isprintable()
     if not re.search("[\ud800-\udfff]", text):  # two halves become one character
         assert json.loads(visible(json.dumps(text, ensure_ascii=False))) == text
-
-
-@pytest.mark.parametrize("form", ["text", "logfmt", "json"])
-def test_a_message_is_one_line_in_every_form(form: str) -> None:
-    record = logging.LogRecord(
-        "camtopod.x", logging.WARNING, "", 0, "rejected event/%s", (HOSTILE,), None
-    )
-    line = _Formatter(form).format(record)
-    assert ACTING.search(line) is None, line
-    if form == "json":
-        assert json.loads(line)["message"] == f"rejected event/{HOSTILE}"
 
 
 def full_of_it() -> tuple[SiteState, Topology]:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import termios
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -52,16 +53,6 @@ SCORE = SelfScore(200, 3, 1.25, 0.81, 0.93, 1.75, 0.55)
 REASON = "the source cannot be opened: [red]nothing listens; trying again in 3.5 s"
 
 
-class Steady:
-    """A clock that is set by hand."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 def lines(site: SiteState, topology: Topology | None = None) -> list[str]:
     return "\n\n".join(watch.parts(site, topology, NOW)).split("\n")
 
@@ -90,9 +81,9 @@ def publish(site: SiteState, name: str, **status: object) -> None:
     site.on_status(f"status/{name}", msgspec.msgpack.encode(status))
 
 
-def busy_site(cameras: int, steady: Steady | None = None) -> SiteState:
+def busy_site(cameras: int, steady: Callable[[], float] = lambda: 100.0) -> SiteState:
     """Return a site with cameras, one in ten of them with a problem, a daemon, and predictions."""
-    site = SiteState("hq", steady or Steady())
+    site = SiteState("hq", steady)
     counters = {
         f"cam{k:04}": {"events": k, "newest": NOW - k, "alive": True} for k in range(cameras)
     }
@@ -164,13 +155,13 @@ def test_predictions_in_words() -> None:
 
 
 def test_a_sender_of_statuses_may_fall_silent() -> None:
-    steady = Steady()
-    site = busy_site(2, steady)
+    now = 100.0
+    site = busy_site(2, lambda: now)
     publish(site, "film", state="ended", reason="the file is at its end")
     publish(site, "daemon", state="running", catching_up={"seconds": 2640.0, "share": 0.63})
     assert "daemon running, catching up, 63% (44 minutes behind), 0 events" in site.daemon_line()
 
-    steady.now += SILENT_SECONDS + 1.0
+    now += SILENT_SECONDS + 1.0
     publish(site, "cam0001", state="running", reason="")
     assert "daemon silent (no status for 6 s; what is shown below may" in site.daemon_line()
     assert cameras(site) == {
