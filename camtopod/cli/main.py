@@ -1,7 +1,7 @@
 """Console script: find the command, import only its module, turn expected errors into exit
 statuses.
 
-A command is a module, usually ``camtopod.cli.commands.NAME``, with two functions.
+A command is a module, ``camtopod.cli.commands.NAME``, with two functions.
 ``add_parser(subparsers)`` calls ``subparsers.add_parser(NAME, ...)`` once and adds the command's
 own arguments; it returns the parsers of its own subcommands, if it has any. ``run(args) -> int``
 does the work and returns the exit status.
@@ -35,71 +35,29 @@ from camtopod.cli import completion, exits
 from camtopod.redact import redact
 from camtopod.visible import visible, visible_lines
 
-COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": (
-        "camtopod.cli.commands.demo",
-        "run the whole system on simulated cameras, without any configuration",
-    ),
-    "init": ("camtopod.cli.commands.init", "probe cameras and write a configuration"),
-    "grab": (
-        "camtopod.cli.commands.grab",
-        "turn the video of one camera, or of all configured ones, into entry and exit events",
-    ),
-    "run": (
-        "camtopod.cli.commands.run",
-        "run the daemon: learn the topology from events on the bus and predict",
-    ),
-    "learn": ("camtopod.cli.commands.learn", "learn the topology from recorded event lines"),
-    "predict": (
-        "camtopod.cli.commands.predict",
-        "predict for each recorded exit where the object appears next",
-    ),
-    "simulate": (
-        "camtopod.cli.commands.simulate",
-        "simulate a camera network: event lines and their ground truth",
-    ),
-    "watch": (
-        "camtopod.cli.commands.watch",
-        "show cameras, topology and predictions live in the terminal",
-    ),
-    "web": (
-        "camtopod.cli.commands.web",
-        "serve a web page: map, cameras, links, versions and health",
-    ),
-    "export": (
-        "camtopod.cli.commands.export",
-        "convert a topology to a picture or an exchange format",
-    ),
-    "report": ("camtopod.cli.commands.report", "write the web page of one topology to a file"),
-    "ingest": ("camtopod.cli.commands.ingest", "publish events from other programs"),
-    "bridge": (
-        "camtopod.cli.commands.bridge",
-        "show cameras, alarms and predictions in Home Assistant, through MQTT",
-    ),
-    "forget": ("camtopod.cli.operator.forget", "remove a camera and all that was learned of it"),
-    "rename": (
-        "camtopod.cli.operator.rename",
-        "rename a camera and keep everything learned about it",
-    ),
-    "reset": (
-        "camtopod.cli.operator.reset",
-        "begin the site anew: forget everything that was learned",
-    ),
-    "keys": (
-        "camtopod.cli.commands.keys",
-        "create a private certificate authority and certificates for the bus",
-    ),
-    "schema": (
-        "camtopod.cli.commands.schema",
-        "print the JSON Schema of a message or of the configuration",
-    ),
-    "check": ("camtopod.cli.commands.check", "check a configuration and list all mistakes"),
-    "doctor": (
-        "camtopod.cli.commands.doctor",
-        "collect diagnostics for a bug report, without secrets",
-    ),
+COMMANDS = {
+    "demo": "run the whole system on simulated cameras, without any configuration",
+    "init": "probe cameras and write a configuration",
+    "grab": "turn the video of one camera, or of all configured ones, into entry and exit events",
+    "run": "run the daemon: learn the topology from events on the bus and predict",
+    "learn": "learn the topology from recorded event lines",
+    "predict": "predict for each recorded exit where the object appears next",
+    "simulate": "simulate a camera network: event lines and their ground truth",
+    "watch": "show cameras, topology and predictions live in the terminal",
+    "web": "serve a web page: map, cameras, links, versions and health",
+    "export": "convert a topology to a picture or an exchange format",
+    "report": "write the web page of one topology to a file",
+    "ingest": "publish events from other programs",
+    "bridge": "show cameras, alarms and predictions in Home Assistant, through MQTT",
+    "forget": "remove a camera and all that was learned of it",
+    "rename": "rename a camera and keep everything learned about it",
+    "reset": "begin the site anew: forget everything that was learned",
+    "keys": "create a private certificate authority and certificates for the bus",
+    "schema": "print the JSON Schema of a message or of the configuration",
+    "check": "check a configuration and list all mistakes",
+    "doctor": "collect diagnostics for a bug report, without secrets",
 }
-"""Command -> (module, one-line summary for --help)."""
+"""Command -> one-line summary for --help."""
 
 PLACES = (Path("camtopod.toml"), Path("/etc/camtopod/camtopod.toml"))
 """Files that are read without --config; the first one that exists."""
@@ -286,9 +244,9 @@ def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str
         dest="command", metavar="COMMAND", title="commands", required=True
     )
     modules = {}
-    for command, (path, summary) in COMMANDS.items():
+    for command, summary in COMMANDS.items():
         if command in whole:
-            modules[command] = importlib.import_module(path)
+            modules[command] = importlib.import_module(f"camtopod.cli.commands.{command}")
             inner = modules[command].add_parser(subparsers) or []
             for its in (subparsers.choices[command], *inner):
                 _add_common(its, top=False)

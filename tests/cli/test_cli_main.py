@@ -28,7 +28,7 @@ from camtopod.serve.storage.journal import Journal
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     """Add a command ``probe`` which keeps its arguments and calls ``act``."""
-    module = types.ModuleType("camtopod.cli.cameras.probe")
+    module = types.ModuleType("camtopod.cli.commands.probe")
     module.seen = []  # type: ignore[attr-defined]
     module.act = lambda args: 0  # type: ignore[attr-defined]
 
@@ -40,8 +40,8 @@ def command(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
         return int(module.act(args))
 
     module.add_parser, module.run = add_parser, run  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "camtopod.cli.cameras.probe", module)
-    monkeypatch.setitem(main.COMMANDS, "probe", ("camtopod.cli.cameras.probe", "for this test"))
+    monkeypatch.setitem(sys.modules, "camtopod.cli.commands.probe", module)
+    monkeypatch.setitem(main.COMMANDS, "probe", "for this test")
     return module
 
 

@@ -58,7 +58,7 @@ FLOORS = (
     "cli.terminal",
     "cli.common",
     "cli.events cli.generated cli.cameras",
-    "cli.commands cli.operator",
+    "cli.commands",
     "cli",
     "__main__",
 )

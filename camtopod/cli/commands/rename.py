@@ -6,8 +6,8 @@ import argparse
 from typing import Any
 
 from camtopod.admin import Rename
+from camtopod.cli.commands.forget import carry_out
 from camtopod.cli.common import camera_id
-from camtopod.cli.operator.carry_out import carry_out
 
 
 def add_parser(subparsers: Any) -> None:

@@ -1,0 +1,71 @@
+"""`camtopod forget`: a camera and all that was learned of it leaves the site.
+
+`carry_out` sends this and every other command of an operator to the daemon.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from camtopod import codec
+from camtopod.admin import Command, Forget, TakeBack
+from camtopod.cli import exits
+from camtopod.cli.common import camera_id, configuration, start_logging
+from camtopod.cli.exits import CommandError
+from camtopod.cli.site_choice import right_site
+from camtopod.serve.admin_queries import Done, parameters_of
+from camtopod.serve.bus import QueryError, dial
+
+ANSWER_SECONDS = 30.0
+"""Longest wait for the daemon's answer; it answers when the command is on its disk."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add `forget`."""
+    parser = subparsers.add_parser(
+        "forget",
+        help="remove a camera and all that was learned of it",
+        description="Removes a camera from the site: its zones, links, counters and events. The "
+        "next version, made at once, is without it. Events that still come under its name are "
+        "refused until the name is taken back. For a camera with a new name, use "
+        "rename.",
+        epilog="example: camtopod --site hq forget lobby",
+    )
+    parser.add_argument("camera", type=camera_id, metavar="CAMERA", help="the camera")
+    parser.add_argument(
+        "--take-back",
+        action="store_true",
+        help="accept events of this forgotten name again, as of a new camera",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Forget the camera, or take that back."""
+    if args.take_back:
+        return carry_out(args, TakeBack(args.camera))
+    return carry_out(args, Forget(args.camera))
+
+
+def carry_out(args: argparse.Namespace, command: Command) -> int:
+    """Send a command to the daemon, print its answer, and return the exit status.
+
+    The site is that of ``--site`` or of the configuration, never another one. Raises
+    `CommandError`.
+    """
+    start_logging(args)
+    config = configuration(args)
+    key, parameters = parameters_of(command)
+    with dial(config) as bus:
+        try:
+            answers = bus.query(key, parameters, ANSWER_SECONDS, one=True)
+        except QueryError as error:
+            raise CommandError(str(error)) from None
+        if not answers:
+            what = f"no daemon of site {bus.site} answers at {bus.endpoint}"
+            what += right_site(bus, config)
+            if config.bus.tls.ca:
+                what += "; with certificates, only that of the daemon may do this"
+            raise CommandError(what, exits.BUS)
+    print(codec.read(Done, answers[0][1], pack=True).done)
+    return exits.DONE
