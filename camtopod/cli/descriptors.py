@@ -10,7 +10,5 @@ WANTED_MAX = 65_536
 
 def raise_limit() -> None:
     """Raise the limit to what the system allows, at most `WANTED_MAX`."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft != resource.RLIM_INFINITY:
-        allowed = WANTED_MAX if hard == resource.RLIM_INFINITY else min(hard, WANTED_MAX)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, allowed), hard))
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, WANTED_MAX), hard))

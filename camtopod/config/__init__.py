@@ -1,8 +1,8 @@
 """Configuration files: TOML to typed settings, with the line of every mistake.
 
 `settings` holds the tables, their defaults, and `load`. It is built on `toml_tables`, which makes
-structs of tables, and `toml_lines`, which finds the lines of keys. `secret_files` reads and writes
-files that hold secrets.
+structs of tables, and finds the lines of keys. `secret_files` reads and writes files that hold
+secrets.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 from camtopod.config import (
     secret_files as secret_files,
     settings as settings,
-    toml_lines as toml_lines,
 )
 from camtopod.config.settings import (
     DEFAULT_ENDPOINT as DEFAULT_ENDPOINT,
@@ -27,4 +26,4 @@ from camtopod.config.settings import (
     detector_line as detector_line,
     without_source as without_source,
 )
-from camtopod.config.toml_tables import FLOAT_MAX as FLOAT_MAX, fields as fields
+from camtopod.config.toml_tables import fields as fields, key_lines as key_lines

@@ -19,8 +19,15 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from camtopod import redact
-from camtopod.config import secret_files, toml_lines
-from camtopod.config.toml_tables import Problem, TableReader, did_you_mean, syntax
+from camtopod.config import secret_files
+from camtopod.config.toml_tables import (
+    Keys,
+    Problem,
+    TableReader,
+    did_you_mean,
+    key_lines,
+    syntax,
+)
 from camtopod.learn.settings import Settings
 from camtopod.records import CAMERA_PATTERN
 from camtopod.vision.detector.coco import LABELS
@@ -367,7 +374,7 @@ def load(path: Path, raw: bytes | None = None) -> Config:
 def parse(text: str, name: str = "configuration") -> Config:
     """Return the configuration in ``text``; raise `ConfigError`, which calls the file ``name``."""
     data, text, problems = syntax(text.replace("\r\n", "\n"))
-    reader = TableReader(TABLES, toml_lines.key_lines(text))
+    reader = TableReader(TABLES, key_lines(text))
     tables = data.pop("cameras", {})
     config = reader.table(Config(), data, ())
     if not isinstance(tables, dict):
@@ -402,7 +409,7 @@ def without_source(config: Config, text: str, name: Path) -> list[str]:
 
     text: content of the file ``name``.
     """
-    lines = toml_lines.key_lines(text)
+    lines = key_lines(text)
     return [
         f"{name}:{lines.get(('cameras', camera), 1)}: cameras.{camera}: source is missing; add it, "
         f"or source_file, or grab this camera with `camtopod grab --camera {camera} SOURCE`"
@@ -418,23 +425,23 @@ def detector_line(text: str, camera: str, key: str) -> tuple[int, str]:
 
     text: content of the configuration file.
     """
-    lines = toml_lines.key_lines(text)
+    lines = key_lines(text)
     places = [("cameras", camera, "detector", key), ("detector", key)]
     places += [("cameras", camera, "detector"), ("detector",)]
     place = next((place for place in places if place in lines), ("detector",))
     return lines.get(place, 1), ".".join(place)
 
 
-def _mistakes(config: Config) -> Iterator[tuple[toml_lines.Path, str]]:
+def _mistakes(config: Config) -> Iterator[tuple[Keys, str]]:
     """Yield what is wrong between settings that are right by themselves."""
     yield from _mistakes_of_bus(config.bus)
     if config.web.token_file and not config.web.password_file:
         yield ("web", "token_file"), "password_file is missing: people cannot give a token"
 
     # Cameras, and their detectors where those differ from the common one.
-    detectors: dict[toml_lines.Path, DetectorSettings] = {("detector",): config.detector}
+    detectors: dict[Keys, DetectorSettings] = {("detector",): config.detector}
     for name, camera in config.cameras.items():
-        path: toml_lines.Path = ("cameras", name)
+        path: Keys = ("cameras", name)
         if not re.match(CAMERA_PATTERN, name):
             yield path, "a camera's id is 1 to 64 of the characters A-Z a-z 0-9 _ . -"
         if name in RESERVED:
@@ -458,7 +465,7 @@ def _mistakes(config: Config) -> Iterator[tuple[toml_lines.Path, str]]:
                 yield (*path, "labels"), f"COCO has no {label!r}{hint}"
 
 
-def _mistakes_of_bus(bus: BusSettings) -> Iterator[tuple[toml_lines.Path, str]]:
+def _mistakes_of_bus(bus: BusSettings) -> Iterator[tuple[Keys, str]]:
     """Yield what is wrong with certificates: they need all files, and tls/ endpoints."""
     if bus.tls == TlsSettings():
         return

@@ -1,16 +1,19 @@
-"""Make structs of TOML, collecting all mistakes with their lines, not only the first."""
+"""Make structs of TOML, collecting all mistakes with their lines, not only the first.
+
+The standard library's parser does not tell on which line a key is; `key_lines` does.
+"""
 
 from __future__ import annotations
 
 import difflib
 import re
 import tomllib
+from collections.abc import Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 from msgspec import Struct
 
-from camtopod.config import toml_lines
 from camtopod.vision.settings import Areas, Places
 
 FLOAT_MAX = 9e9
@@ -32,6 +35,8 @@ _GONE_NAMES = """
 """
 GONE = frozenset(_GONE_NAMES.split())
 """Tables, keys and table.keys of earlier versions that have gone without a replacement."""
+Keys = tuple[str, ...]
+"""Keys from the root of a document."""
 _T = TypeVar("_T", bound=Struct)
 
 
@@ -65,19 +70,52 @@ def syntax(text: str) -> tuple[dict[str, Any], str, list[Problem]]:
             lines[number - 1] = ""
 
 
+def key_lines(text: str) -> dict[Keys, int]:
+    """Return the line (from 1) of every key and table of a valid TOML document.
+
+    The line of a table is that of its first mention, that of a key in an inline table the line on
+    which the statement begins.
+    """
+    lines: dict[Keys, int] = {}
+    table: Keys = ()
+    statement = ""
+    for number, line in enumerate(text.split("\n"), 1):
+        statement += line + "\n"
+        try:
+            paths = list(_paths(tomllib.loads(statement)))
+        except tomllib.TOMLDecodeError:
+            continue  # it goes on in the next line
+        if paths and statement.lstrip().startswith("["):
+            table = paths[-1]
+        else:
+            paths = [(*table, *path) for path in paths]
+        for path in paths:
+            lines.setdefault(path, number + 1 - statement.count("\n"))
+        statement = ""
+    return lines
+
+
+def _paths(table: dict[str, Any], parent: Keys = ()) -> Iterator[Keys]:
+    """Yield the path of every key in ``table``."""
+    for key, value in table.items():
+        yield (*parent, key)
+        if isinstance(value, dict):
+            yield from _paths(value, (*parent, key))
+
+
 class TableReader:
     """Builds structs from the tables that tomllib read.
 
     tables: struct of each table, by its dotted name; for hints.
-    lines: line of each key, as of `toml_lines.key_lines`.
+    lines: line of each key, as of `key_lines`.
     """
 
-    def __init__(self, tables: dict[str, type[Struct]], lines: dict[toml_lines.Path, int]) -> None:
+    def __init__(self, tables: dict[str, type[Struct]], lines: dict[Keys, int]) -> None:
         self.problems: list[Problem] = []
         self._tables = tables
         self._lines = lines
 
-    def table(self, defaults: _T, data: Any, path: toml_lines.Path) -> _T:
+    def table(self, defaults: _T, data: Any, path: Keys) -> _T:
         """Return ``defaults`` with the settings of the table ``data`` at ``path``.
 
         Mistakes are reported, and left out.
@@ -103,7 +141,7 @@ class TableReader:
                     self.report(place, str(error))
         return msgspec.structs.replace(defaults, **values)
 
-    def report(self, path: toml_lines.Path, what: str) -> None:
+    def report(self, path: Keys, what: str) -> None:
         """Report a mistake at ``path``, or at the nearest table around it that has a line."""
         place = path
         while place and place not in self._lines:

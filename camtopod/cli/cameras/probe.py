@@ -16,7 +16,7 @@ from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import exit_reason
 from camtopod.cli.common import writing
 from camtopod.cli.site_choice import right_site
-from camtopod.config import CameraSettings, Config, detector_line, toml_lines
+from camtopod.config import CameraSettings, Config, detector_line, key_lines
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
 from camtopod.visible import visible
@@ -104,7 +104,7 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
     folder: where to keep pictures of the cameras, or None.
     """
     text = path.read_text(encoding="utf-8")
-    lines = toml_lines.key_lines(text)
+    lines = key_lines(text)
     statuses = [exits.DONE]
 
     def tell(camera: str, probe: Probe) -> None:

@@ -17,9 +17,9 @@ from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import (
     Config,
     detector_line,
+    key_lines,
     secret_files,
     settings,
-    toml_lines,
     without_source,
 )
 from camtopod.serve.bus import access
@@ -146,7 +146,7 @@ def _camera_lines(path: Path, config: Config, text: str) -> Iterator[str]:
         where, _, what = problem.partition(": ")
         yield f"{where}: warning: {what}"
 
-    lines = toml_lines.key_lines(text)
+    lines = key_lines(text)
     defaults = VisionSettings()
     for name, camera in config.cameras.items():
         words = []

@@ -26,8 +26,6 @@ source = "rtsp://user:password@192.0.2.10:554/stream1"
 # ignore = [[[0.0, 0.0], [0.3, 0.0], [0.3, 0.1], [0.0, 0.1]]]
 # min_height = 0.1
 # detector = false
-
-[cameras.hall]
 """
 _HALL = {"source": "rtsp://user:password@192.0.2.11:554/stream1"}
 
@@ -35,25 +33,22 @@ _HALL = {"source": "rtsp://user:password@192.0.2.11:554/stream1"}
 def example() -> str:
     """Return a valid configuration file in which every setting is explained."""
     parts = [_HEAD, table("site", TABLES["site"], {"name": "hq"})]
-    parts += [table(name, TABLES[name], {}) for name in ("bus", "bus.tls", "state", "keep")]
-    parts += [_CAMERAS + "\n".join(_settings("cameras", CameraSettings, _HALL))]
-    parts += [
-        table(name, TABLES[name], {})
-        for name in ("vision", "detector", "learn", "limits", "health", "web", "map")
-    ]
+    parts += [table(name, TABLES[name]) for name in ("bus", "bus.tls", "state", "keep")]
+    parts += [_CAMERAS, table("cameras.hall", CameraSettings, _HALL)]
+    rest = ("vision", "detector", "learn", "limits", "health", "web", "map")
+    parts += [table(name, TABLES[name]) for name in rest]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 
 
-def table(name: str, kind: type[Struct], given: dict[str, Any]) -> str:
-    """Return one table with every setting; those not in ``given`` are comments with the default."""
-    return "\n".join([f"[{name}]", *_settings(name, kind, given)])
+def table(name: str, kind: type[Struct], given: dict[str, Any] | None = None) -> str:
+    """Return one table with every setting: its explanation, and its value.
 
-
-def _settings(name: str, kind: type[Struct], given: dict[str, Any]) -> list[str]:
-    """Return the lines of one table: explanation and value of each setting."""
+    Those that are not in ``given`` are comments with the default.
+    """
+    given = given or {}
     documents = attribute_docs(kind)
     own = inspect.get_annotations(kind)
-    lines = []
+    lines = [f"[{name}]"]
     for field in fields(name, kind):
         if field.name not in own or isinstance(field.default, Struct):  # a table of its own
             continue
@@ -62,7 +57,7 @@ def _settings(name: str, kind: type[Struct], given: dict[str, Any]) -> list[str]
             lines.append(f"{field.name} = {json.dumps(given[field.name])}")  # the same in TOML
         else:
             lines.append(f"# {field.name} = {json.dumps(field.default)}")
-    return lines
+    return "\n".join(lines)
 
 
 def attribute_docs(kind: type[Struct]) -> dict[str, str]:
