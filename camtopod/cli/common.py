@@ -195,24 +195,23 @@ class SignalRequests(NamedTuple):
 
 @contextlib.contextmanager
 def signals(reloads: bool = True) -> Iterator[SignalRequests]:
-    """Return the requests of SIGTERM, SIGINT and SIGHUP while the block runs.
-
-    Without ``reloads`` SIGHUP stops as well.
+    """Return the requests of SIGTERM, SIGINT and, with ``reloads``, SIGHUP while the block runs.
 
     A thread sets the events; the C level of the interpreter wakes it through a pipe. Setting an
     event in a Python handler could deadlock with the wait it interrupts, and no handler runs while
     the main thread is inside a library.
     """
     requests = SignalRequests(threading.Event(), threading.Event())
-    numbers = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+    numbers = [signal.SIGTERM, signal.SIGINT]
+    if reloads:
+        numbers.append(signal.SIGHUP)
     at_a_terminal = os.isatty(0)
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
 
     def obey() -> None:
         while number := os.read(reading, 1):
-            hung_up = at_a_terminal and not os.isatty(0)
-            if number[0] == signal.SIGHUP and reloads and not hung_up:
+            if number[0] == signal.SIGHUP and not (at_a_terminal and not os.isatty(0)):
                 requests.reload.set()
             elif number[0] in numbers:  # others have handlers of their own
                 requests.stop.set()

@@ -107,8 +107,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in _LINEAR_ALGEBRA_THREADS:
         os.environ.setdefault(name, "1")
     form = "text"
-    if _command_in(arguments) == "grab":
-        # SIGHUP is ignored until the supervisor has a handler: there is nothing to reload yet.
+    if _command_in(arguments) in ("run", "grab"):
+        # SIGHUP ends neither; it is ignored until the supervisor of cameras has a handler.
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
     try:
