@@ -149,18 +149,14 @@ def test_the_example_configuration_is_valid_with_and_without_its_defaults() -> N
         ("[sight]\n", ""),
         ('[site]\nnmae = "hq"', "site"),
         ('[site]\nname = "a/b"', "site.name"),
-        ('[learn]\nwindow_hours = "x"', "learn.window_hours"),
         ("[limits]\ncommit_seconds = -1", "limits.commit_seconds"),
         ('[bus]\nlisten = ["localhost"]', "bus.listen.0"),
-        ('[bus.tls]\nkey = "x"', "bus.tls"),
         ("[cameras.lobby]\nspeed = 2", "cameras.lobby"),
-        ("[cameras.lobby]\nanalysed_fps = 0", "cameras.lobby.analysed_fps"),
         ("[cameras.lobby]\nignore = [[[0, 0], [1, 0]]]", "cameras.lobby.ignore.0"),
         ("[cameras.lobby]\nignore = [[0.5, 0.5]]", "cameras.lobby.ignore.0"),
         ('[cameras.lobby]\nsource = "a"\nsource_file = "b"', "cameras.lobby"),
         ('[cameras."a b"]\nsource = "0"', "cameras"),
         ('[cameras.daemon]\nsource = "0"', "cameras"),
-        ('[health]\nlisten = "nowhere"', "health.listen"),
     ],
 )
 def test_a_mistake_in_a_configuration_is_found_where_it_is(toml: str, where: str) -> None:
