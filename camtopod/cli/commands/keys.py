@@ -198,8 +198,8 @@ def _issue(authority: Authority, args: argparse.Namespace, config: Config, name:
     example = _example(authority.site, config, certificate, folder.name)
     secret_files.write(folder / "camtopod.toml", example.encode())
     _say(
-        f"{args.role} {name}: {folder}, valid until {date_text(certificate.expires)}; copy this "
-        f"folder to the machine that uses it (camtopod.toml in it is an example)"
+        f"{folder}: valid until {date_text(certificate.expires)}; copy this folder to the machine "
+        f"that uses it (camtopod.toml in it is an example)"
     )
     if args.role == "daemon":
         hosts = [host for host in authority.hosts if host not in LOCAL_HOSTS]
