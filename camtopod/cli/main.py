@@ -108,7 +108,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault(name, "1")
     form = "text"
     if _command_in(arguments) in ("run", "grab"):
-        # SIGHUP ends neither; it is ignored until the supervisor of cameras has a handler.
+        # SIGHUP ends neither; it is ignored until they have a handler.
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
     try:
