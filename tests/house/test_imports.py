@@ -248,4 +248,4 @@ def test_everything_public_has_a_docstring() -> None:
 def test_programs_that_only_predict_do_not_load_scipy(module: str) -> None:
     """SciPy takes 50 MB and most of a second, in the daemon's own process and in every tracker."""
     code = f"import sys, {module}; sys.exit(any(name.split('.')[0] == 'scipy' for name in sys.modules))"
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0

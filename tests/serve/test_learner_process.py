@@ -80,7 +80,8 @@ def test_what_the_terminal_and_systemd_tell_the_group_is_not_for_it(
 ) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(process.pid, number)
-    process.ask(LearnBatch(0, [event("1")]), LearnProgress)
+
+    assert process.ask(LearnBatch(0, [event("1")]), LearnProgress).position == 1
 
 
 def test_what_cannot_be_read_teaches_nothing_and_is_counted(process: LearnerProcess) -> None:

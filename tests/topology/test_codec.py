@@ -210,4 +210,6 @@ for most in range(200, 300):
 
 def test_a_type_may_be_decoded_first_by_many_threads_at_once() -> None:
     """Msgspec alone crashes the process here."""
-    subprocess.run([sys.executable, "-c", MANY_THREADS], check=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", MANY_THREADS], check=False, timeout=60)
+
+    assert done.returncode == 0
