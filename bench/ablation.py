@@ -133,7 +133,11 @@ MECHANISMS = [
         },
     ),
     Mechanism(
-        "entry kernels", {"learn.next_camera.entry_kernels:entry_pairs_max": lambda cameras: 0}
+        "entry kernels",
+        {
+            "learn.next_camera.entry_kernels:ENTRY_PAIRS_MAX": 0,
+            "learn.next_camera.entry_kernels:ENTRY_PAIRS_PER_CAMERA_MAX": 0,
+        },
     ),
     Mechanism(
         "test of overlap",

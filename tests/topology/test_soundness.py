@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import copy
-import io
 import json
 import random
-import resource
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,7 +13,6 @@ import msgspec
 import pytest
 
 from bench.support.disturbances import with_wrong_clocks, without_positions, without_tracks
-from camtopod.cli.commands import export, report
 from camtopod.cli.main import main
 from camtopod.codec import Rejected, decode_topology, to_json
 from camtopod.export import FORMATS
@@ -140,42 +137,6 @@ def test_every_command_says_that_it_is_no_topology(
         assert err.startswith(f"camtopod: {source} is not a topology: ")
         assert len(err.splitlines()) == 1
         assert err[:-1].isprintable()
-
-
-def test_a_file_of_ten_gigabytes_is_refused_before_it_is_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    sparse, good, events = (
-        tmp_path / "sparse.json",
-        tmp_path / "topology.json",
-        tmp_path / "events.jsonl",
-    )
-    with sparse.open("wb") as file:
-        file.truncate(10 * 1024**3)
-    good.write_bytes(json.dumps(PLAIN).encode())
-    events.write_bytes(b"")
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for command in (
-        ["export", str(sparse), "--format", "svg"],
-        ["report", str(sparse)],
-        ["predict", str(sparse), str(events)],
-    ):
-        assert main(command) == 66
-        assert "is not a topology: it has more than 536870912 bytes" in capsys.readouterr().err
-
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000, "KiB"
-
-
-def test_a_pipe_without_end_is_refused(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(export, "TOPOLOGY_BYTES_MAX", 3 * 1024**2)
-    monkeypatch.setattr(report, "TOPOLOGY_BYTES_MAX", 3 * 1024**2)
-    with open("/dev/zero", "rb") as zeros:
-        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(zeros))
-        assert main(["export", "-", "--format", "svg"]) == 66
-
-    assert "- is not a topology: it has more than" in capsys.readouterr().err
 
 
 def test_what_the_learner_makes_is_sound() -> None:
