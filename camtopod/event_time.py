@@ -50,13 +50,18 @@ class CameraDelay(Struct):
 
 
 class EventTimeState(Struct):
-    """The saved state of an `EventTime`."""
+    """The state of an `EventTime`. All times are in microseconds."""
 
     newest_us: int | None = None
+    """Time of the newest event, or the time passed to `EventTime.advance` if that is newer."""
     second_us: int | None = None
+    """Time of the newest event of any camera other than ``leader``."""
     leader: str | None = None
+    """The camera with the newest event; None after `EventTime.advance` or `EventTime.rewind`."""
     watermark_us: int | None = None
+    """Events older than this are too late to be learned; None before the first event."""
     behind: dict[str, CameraDelay] = {}
+    """How far the events of each camera are behind."""
 
 
 class EventTime:
@@ -69,43 +74,48 @@ class EventTime:
     def __init__(self, lateness_seconds: float, clocks_apart_seconds: float = 0.0) -> None:
         self._lateness_us = microseconds(lateness_seconds)
         self._apart_us = microseconds(clocks_apart_seconds)
-        self.newest_us: int | None = None
-        """Time of the newest event, or the time passed to `advance` if that is newer."""
-        self.watermark_us: int | None = None
-        """Events older than this are too late to be learned; None before the first event."""
-        self.second_us: int | None = None
-        """Time of the newest event of any camera other than `leader`."""
-        self.leader: str | None = None
-        """The camera with the newest event; None after `advance` or `rewind`."""
-        self.behind: dict[str, CameraDelay] = {}
-        self.lateness_us = self._lateness_us
-        """By how much the watermark trails event time: the setting plus the delay of the camera
-        whose clock is slowest.
-        """
+        self.load(EventTimeState())
+
+    def load(self, state: EventTimeState) -> None:
+        """Continue from a state, which is changed from here on."""
+        self.state = state
+        self._update_lateness()
+
+    @property
+    def newest_us(self) -> int | None:
+        """As in `EventTimeState`."""
+        return self.state.newest_us
+
+    @property
+    def watermark_us(self) -> int | None:
+        """As in `EventTimeState`."""
+        return self.state.watermark_us
 
     def note(self, t_us: int, camera: str) -> bool:
         """Note an event of ``camera`` at ``t_us``; return False if it is too late to be learned."""
         self._update_delay(t_us, camera)
-        if self.watermark_us is not None and t_us < self.watermark_us:
+        state = self.state
+        if state.watermark_us is not None and t_us < state.watermark_us:
             return False
 
         # Update the newest event of all cameras and that of all but the leading one.
-        if self.newest_us is None or t_us > self.newest_us:
-            if camera != self.leader:
-                self.second_us = self.newest_us
-                self.leader = camera
-            self.newest_us = t_us
-        elif camera != self.leader and (self.second_us is None or t_us > self.second_us):
-            self.second_us = t_us
+        if state.newest_us is None or t_us > state.newest_us:
+            if camera != state.leader:
+                state.second_us = state.newest_us
+                state.leader = camera
+            state.newest_us = t_us
+        elif camera != state.leader and (state.second_us is None or t_us > state.second_us):
+            state.second_us = t_us
 
         self._raise_watermark()
         return True
 
     def advance(self, now_us: int) -> None:
         """Advance event time to ``now_us`` without an event; do nothing before the first event."""
-        if self.newest_us is not None and now_us > self.newest_us:
-            self.newest_us = self.second_us = now_us
-            self.leader = None
+        state = self.state
+        if state.newest_us is not None and now_us > state.newest_us:
+            state.newest_us = state.second_us = now_us
+            state.leader = None
             self._raise_watermark()
 
     def rewind(self, to_us: int) -> None:
@@ -113,67 +123,55 @@ class EventTime:
 
         Needed when a wrong clock has stamped events later than that.
         """
-        if self.watermark_us is not None and self.watermark_us > to_us:
-            self.newest_us = self.second_us = to_us + self.lateness_us
-            self.leader = None
-            self.watermark_us = to_us
-
-    def save(self) -> EventTimeState:
-        """Return the state from which `load` continues."""
-        return EventTimeState(
-            self.newest_us, self.second_us, self.leader, self.watermark_us, self.behind
-        )
-
-    def load(self, state: EventTimeState) -> None:
-        """Continue from a saved state."""
-        self.newest_us = state.newest_us
-        self.second_us = state.second_us
-        self.leader = state.leader
-        self.watermark_us = state.watermark_us
-        self.behind = state.behind
-        self._update_lateness()
+        state = self.state
+        if state.watermark_us is not None and state.watermark_us > to_us:
+            state.newest_us = state.second_us = to_us + self.lateness_us
+            state.leader = None
+            state.watermark_us = to_us
 
     def forget(self, names: Set[str]) -> None:
         """Forget the delays of these cameras."""
-        for name in names & self.behind.keys():
-            del self.behind[name]
+        for name in names & self.state.behind.keys():
+            del self.state.behind[name]
         self._update_lateness()
 
     def rename(self, old: str, new: str) -> None:
         """Continue with the camera ``old`` under the name ``new``."""
-        if old in self.behind:
-            self.behind[new] = self.behind.pop(old)
-        if self.leader == old:
-            self.leader = new
+        if old in self.state.behind:
+            self.state.behind[new] = self.state.behind.pop(old)
+        if self.state.leader == old:
+            self.state.leader = new
 
     def _update_delay(self, t_us: int, camera: str) -> None:
         """Update the camera's delay; ignore events further behind than clocks may differ."""
         come = self._event_time()
         if come is None or come - t_us > self._apart_us:
             return
-        behind = self.behind.setdefault(camera, CameraDelay())
+        behind = self.state.behind.setdefault(camera, CameraDelay())
         known = behind.known
         behind.note(come - t_us, self._lateness_us)
         if behind.known != known:
             self._update_lateness()
 
     def _update_lateness(self) -> None:
-        """Update `lateness_us` for the camera whose clock is slowest."""
-        self.lateness_us = self._lateness_us + max(
-            (behind.known for behind in self.behind.values()), default=0
-        )
+        """Update ``lateness_us``: the setting plus the delay of the slowest camera."""
+        delays = (behind.known for behind in self.state.behind.values())
+        self.lateness_us = self._lateness_us + max(delays, default=0)
 
     def _event_time(self) -> int | None:
         """Return the event time."""
-        if self.newest_us is None:
+        newest = self.state.newest_us
+        if newest is None:
             return None
-        second = self.newest_us if self.second_us is None else self.second_us
-        return max(second, self.newest_us - self._apart_us)
+        second = self.state.second_us
+        if second is None:
+            return newest
+        return max(second, newest - self._apart_us)
 
     def _raise_watermark(self) -> None:
         """Raise the watermark; only `rewind` lowers it, as events below it have been learned."""
         come = self._event_time()
         assert come is not None
         watermark = come - self.lateness_us
-        if self.watermark_us is None or watermark > self.watermark_us:
-            self.watermark_us = watermark
+        if self.state.watermark_us is None or watermark > self.state.watermark_us:
+            self.state.watermark_us = watermark

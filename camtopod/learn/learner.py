@@ -175,7 +175,6 @@ class Learner:
 
     def save(self) -> LearnerState:
         """Return a copy of the state, from which `load` continues; fetch the `updates` before."""
-        self._intake.save()
         state = deepcopy(replace(self.state, topology=None))
         state.topology = self.state.topology
         state.scorer.predictor = self._scorer.predictor_state()
@@ -259,7 +258,7 @@ class Learner:
 
     def event_time(self) -> EventTimeState:
         """Return the state of event time and watermark."""
-        return self._intake.time.save()
+        return self._intake.time.state
 
     def predictor(self) -> Predictor:
         """Return a predictor with the newest version; raise RuntimeError before the first."""

@@ -154,18 +154,6 @@ class Associated(NamedTuple):
     followed: dict[int, FollowedSources]
 
 
-class Predicted(NamedTuple):
-    """The result of step 7.
-
-    likely_pairs: every pair of zones with expected transitions in the fit for prediction.
-    model, happened: as in `Refit`.
-    """
-
-    likely_pairs: LinkTable
-    model: Model
-    happened: list[Happened | None]
-
-
 def lag_bins(settings: Settings) -> LagBins:
     """Return the bins of the lags between views."""
     return LagBins(-settings.overlap_max_seconds, settings.transit_max_seconds)
@@ -215,23 +203,25 @@ def refit(
     if len(scene.departures.t) and len(scene.arrivals.t):
         associated = associate(scene, silences, overlapping, window, known, settings, on_step)
         on_step("prediction")
-        predicted = predict_next(scene, window, clocks, associated, overlapping, known, settings)
+        likely_pairs, model, happened = predict_next(
+            scene, window, clocks, associated, overlapping, known, settings
+        )
         all_pairs = associated.between
         changes = associated.changes
         followed = associated.followed
     else:
-        all_pairs = nothing(settings, zones)
+        all_pairs = likely_pairs = nothing(settings, zones)
+        happened = []
         changes = []
         followed = dict(known.followed)
         corrected = settings.correct_clocks
         model = build_model(window.cameras, scene, None, bins, window, [], corrected, overlapping)
-        predicted = Predicted(all_pairs, model, [])
 
     # 8. The links to publish, as they are at present.
     on_step("topology")
     share_min = settings.publish_probability_min
     between = present(all_pairs, changes, zones, share_min)
-    likely_now = present(predicted.likely_pairs, changes, zones, share_min)
+    likely_now = present(likely_pairs, changes, zones, share_min)
     camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
     found = significant(between, settings)
     certain = without_missed_detections(between, through, found, camera_of, settings)
@@ -248,9 +238,9 @@ def refit(
         significant_links=all_pairs.rows(np.flatnonzero(significant(all_pairs, settings))),
         changes=changes,
         silences=silences,
-        model=predicted.model,
+        model=model,
         followed=followed,
-        happened=predicted.happened,
+        happened=happened,
     )
 
 
@@ -363,8 +353,10 @@ def predict_next(
     overlapping: list[OverlappingViews],
     known: Known,
     settings: Settings,
-) -> Predicted:
+) -> tuple[LinkTable, Model, list[Happened | None]]:
     """Do step 7: fit where objects appear next, make the model, estimate outcomes of exits.
+
+    Return every pair of zones with expected transitions in this fit, the model and the outcomes.
 
     associated: result of steps 3 to 6.
     """
@@ -410,4 +402,4 @@ def predict_next(
         settings.correct_clocks,
         overlapping,
     )
-    return Predicted(likely_pairs, model, happened)
+    return likely_pairs, model, happened

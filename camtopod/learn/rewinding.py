@@ -27,7 +27,7 @@ def rewind(state: LearnerState, to: float) -> LearnerState:
     time.rewind(to_us)
     intake = replace(
         state.intake,
-        time=time.save(),
+        time=time.state,
         held=[event for event in state.intake.held if microseconds(event.t) <= to_us],
         newest={camera: min(t_us, to_us) for camera, t_us in state.intake.newest.items()},
     )

@@ -67,7 +67,7 @@ def names_known(learner: Learner) -> set[str]:
     """Return every camera of which the learner has more than its zone numbers."""
     state = learner.save()
     assert len(state.cameras) <= len(state.window.cameras) == len(state.window.seen)
-    assert len(state.clocks.offset) <= len(state.window.cameras)
+    assert len(state.clocks.clocks.offset) <= len(state.window.cameras)
     intake = {*state.intake.newest, *state.intake.time.behind}
     return {*state.window.cameras, *intake, *(event.camera for event in state.intake.held)}
 

@@ -115,22 +115,18 @@ class Difference(NamedTuple):
     transit: float
 
 
-class ClockState(Struct):
-    """The state of a `ClockTracker`.
-
-    offset, sd, identified: columns of `Clocks`.
-    learned: number of events learned at the last estimate.
-    """
-
-    offset: Floats = field(default_factory=lambda: np.zeros(0))
-    sd: Floats = field(default_factory=lambda: np.zeros(0))
-    identified: Bools = field(default_factory=lambda: np.zeros(0, bool))
-    learned: int = 0
-
-
 def right_clocks(cameras: int) -> Clocks:
     """Return `Clocks` of cameras without any estimate: all offsets are 0."""
     return Clocks(np.zeros(cameras), np.full(cameras, np.inf), np.zeros(cameras, bool))
+
+
+class ClockState(Struct):
+    """The state of a `ClockTracker`."""
+
+    clocks: Clocks = field(default_factory=lambda: right_clocks(0))
+    """The newest estimate."""
+    learned: int = 0
+    """Number of events learned at the last estimate."""
 
 
 class ClockTracker:
@@ -142,18 +138,14 @@ class ClockTracker:
     @property
     def clocks(self) -> Clocks:
         """The newest estimate."""
-        return Clocks(self.state.offset, self.state.sd, self.state.identified)
-
-    def _use(self, clocks: Clocks) -> None:
-        """Replace the newest estimate."""
-        self.state.offset, self.state.sd, self.state.identified = clocks
+        return self.state.clocks
 
     def keep_cameras(self, kept: Bools) -> None:
         """Keep only the cameras of the mask ``kept`` (cameras,), and renumber them."""
-        offset, sd, identified = self.clocks
         # Cameras added since the last estimate are not in ``clocks`` yet.
-        known = kept[: len(offset)]
-        self._use(Clocks(offset[known], sd[known], identified[known]))
+        known = kept[: len(self.clocks.offset)]
+        offset, sd, identified = self.clocks
+        self.state.clocks = Clocks(offset[known], sd[known], identified[known])
 
     def update(self, scene: Scene, cameras: int, learned: int) -> bool:
         """Estimate the clocks again if there are new cameras or enough new events.
@@ -175,7 +167,7 @@ class ClockTracker:
             return False
 
         # Change only what clearly differs.
-        self._use(keep_unless_clear(known, estimate_clocks(scene, cameras, known)))
+        self.state.clocks = keep_unless_clear(known, estimate_clocks(scene, cameras, known))
         self.state.learned = learned
         return bool((np.abs(self.clocks.offset - known.offset) > RELEARN_SECONDS).any())
 

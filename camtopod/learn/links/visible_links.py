@@ -8,8 +8,6 @@ are counted. Otherwise the entries and exits of a camera are associated by the j
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from camtopod.arrays import Floats, Longs, rows_by_group
@@ -54,12 +52,11 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
 
     # Cameras without tracks: fit each of them, with a fair share of the candidates.
     views = [_view(scene, int(camera), bins) for camera in np.flatnonzero(~scene.tracked)]
-    problems = [view.problem for view in views]
-    reach = [departures_in_reach(one.departures.t, one.arrivals.t, bins) for one in problems]
+    reach = [departures_in_reach(one.departures.t, one.arrivals.t, bins) for one, _ in views]
     most = fair_share(
         np.array([int((high - low).sum()) for low, high in reach], np.intp), candidates_max
     )
-    parts.extend(_joined(view, most) for view in views)
+    parts.extend(_joined(*view, most) for view in views)
     return concatenate_transitions(parts)
 
 
@@ -101,19 +98,11 @@ def with_usual_dwell_times(departures: Departures, through: LinkTable) -> Depart
     )
 
 
-class _View(NamedTuple):
-    """The events of one camera without tracks, prepared for the joint fit.
+def _view(scene: Scene, camera: int, bins: LagBins) -> tuple[Problem, int]:
+    """Return a camera's entries and exits for the joint fit, and the index of its first zone.
 
-    problem: its entries as departures, its exits as arrivals; zones are numbered from 0.
-    first: index of its first zone.
+    In the problem entries are departures and exits arrivals, and zones are numbered from 0.
     """
-
-    problem: Problem
-    first: int
-
-
-def _view(scene: Scene, camera: int, bins: LagBins) -> _View:
-    """Return the entries and exits of one camera, given by its index, for the joint fit."""
     is_entry = scene.arrivals.camera == camera
     is_exit = scene.departures.camera == camera
     of_camera = [index for index, zone in enumerate(scene.zones) if zone.camera == camera]
@@ -136,17 +125,19 @@ def _view(scene: Scene, camera: int, bins: LagBins) -> _View:
         local_rates(t, zone, zones),
         scene.departures.slow[is_exit],
     )
-    return _View(Problem(starts, ends, bins, zones, scene.last), first)
+    return Problem(starts, ends, bins, zones, scene.last), first
 
 
-def _joined(view: _View, candidates_max: int) -> Transitions:
+def _joined(view: Problem, first: int, candidates_max: int) -> Transitions:
     """Return the passages through the view of a camera without tracks, by a joint fit.
 
+    view, first: result of `_view`.
     candidates_max: limit of the candidates, which the newest events meet.
     """
-    problem = newest_within_limit(view.problem, candidates_max)
+    problem = newest_within_limit(view, candidates_max)
     if len(problem.departures.t) == 0 or len(problem.arrivals.t) == 0:
         return concatenate_transitions([])
     found = transitions_of(fit_jointly(problem, find_candidates(problem)))
-    first = np.int32(view.first)
-    return found._replace(source=found.source + first, target=found.target + first)
+    return found._replace(
+        source=found.source + np.int32(first), target=found.target + np.int32(first)
+    )

@@ -22,7 +22,7 @@ class ReorderBufferState(Struct):
     """The state of a `ReorderBuffer`."""
 
     time: EventTimeState = field(default_factory=EventTimeState)
-    """State of event time, set when the state is saved."""
+    """State of event time."""
     counts: dict[str, int] = field(
         default_factory=lambda: {"accepted": 0, "duplicate": 0, "late": 0, "refused": 0}
     )
@@ -47,14 +47,10 @@ class ReorderBuffer:
     def __init__(
         self, lateness_seconds: float, cameras_max: int, clocks_apart_seconds: float = 0.0
     ) -> None:
-        self.state = ReorderBufferState()
         self.time = EventTime(lateness_seconds, clocks_apart_seconds)
         """Event time and watermark."""
         self.cameras_max = cameras_max
-        self.oldest_held_us: int | None = None
-        """Time of the oldest held event in microseconds."""
-        self._numbers: set[tuple[str, str | None, int | None]] = set()
-        """(camera, boot, seq) of the held events that have boot and seq."""
+        self.load(ReorderBufferState())
 
     @property
     def newest_us(self) -> int | None:
@@ -71,13 +67,8 @@ class ReorderBuffer:
         """As in `ReorderBufferState.newest`."""
         return self.state.newest
 
-    def save(self) -> ReorderBufferState:
-        """Return the state from which `load` continues."""
-        self.state.time = self.time.save()
-        return self.state
-
     def load(self, state: ReorderBufferState) -> None:
-        """Continue from a saved state; this buffer must be new."""
+        """Continue from a state, which is changed from here on; this buffer must be new."""
         self.state = state
         self.time.load(state.time)
         self._hold_only(state.held)
@@ -140,8 +131,10 @@ class ReorderBuffer:
     def _hold_only(self, events: list[Event]) -> None:
         """Replace the held events."""
         self.state.held = events
-        self.oldest_held_us = None
-        self._numbers = set()
+        self.oldest_held_us: int | None = None
+        """Time of the oldest held event in microseconds."""
+        self._numbers: set[tuple[str, str | None, int | None]] = set()
+        """(camera, boot, seq) of the held events that have boot and seq."""
         for event in events:
             self._note_held(event, microseconds(event.t))
 
