@@ -25,7 +25,12 @@ from msgspec.structs import replace
 from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
 from camtopod.learn import refit as refits
 from camtopod.learn.assemble import assemble, empty_topology, link_records, zone_id
-from camtopod.learn.changes import AlarmLog, find_move
+from camtopod.learn.camera_zones import (
+    GONE_ZONES_MAX,
+    find_moved_cameras,
+    refresh_camera_zones,
+)
+from camtopod.learn.changes import AlarmLog
 from camtopod.learn.clocks import ClockTracker
 from camtopod.learn.links import zone_pairs_of
 from camtopod.learn.refit import Known, Refit, dwell_bins, lag_bins, refit
@@ -37,21 +42,14 @@ from camtopod.learn.retired_cameras import (
 )
 from camtopod.learn.self_score import Scorer
 from camtopod.learn.settings import Settings
-from camtopod.learn.snapshot import CameraState, LearnerState, RetiredCamera
+from camtopod.learn.snapshot import LearnerState, RetiredCamera
 from camtopod.learn.traffic import Scene, label_events
 from camtopod.learn.window import (
     FORGOTTEN,
     ReorderBuffer,
     Window,
 )
-from camtopod.learn.zones import (
-    ZoneMap,
-    ZoneShape,
-    cell_sums,
-    cells_of,
-    find_zones,
-    refresh_zones,
-)
+from camtopod.learn.zones import ZoneMap
 from camtopod.predict import Predictor
 from camtopod.publishers import RETURNS_MIN, Publisher
 from camtopod.records import Event, Topology
@@ -59,14 +57,6 @@ from camtopod.topology import with_digest
 
 REFIT_EVENTS_MIN = 10
 """Least new events for a new version, unless the last version is older than ``refit_hours``."""
-GONE_ZONES_MAX = 32
-"""Largest number of vanished zones that are remembered for each camera. A zone that returns to its
-place gets its number back.
-"""
-MOVE_EVENTS = 25
-"""New events of a camera after which it is tested again for having been turned."""
-ZONES_REFRESH_SHARE = 0.1
-"""Share of a camera's events in the window that must be new for its zones to be learned again."""
 STEPS = ("zones", "clocks", *refits.STEPS)
 """Names of the steps that make a version, in order."""
 
@@ -296,7 +286,7 @@ class Learner:
             if not self._is_version_due(tick):
                 continue
             if self.only_last:
-                self._refresh_zones()
+                refresh_camera_zones(self.state, self._window)
                 self._note_version(tick)
             else:
                 self._refit(tick)
@@ -317,7 +307,7 @@ class Learner:
         # Retire silent cameras; find turned cameras and those that two programs publish.
         if silent := cameras_to_retire(self._intake, self._window, until_us, window_us):
             self._retire(silent)
-        self._find_moved_cameras()
+        find_moved_cameras(self.state, self._window)
         self._find_doubled_cameras(batch)
         self.state.learned += len(batch)
         self.state.since_fit += len(batch)
@@ -392,7 +382,7 @@ class Learner:
             self._note_version(tick_us)
             return
         self.on_step("zones")
-        self._refresh_zones()
+        refresh_camera_zones(self.state, self._window)
         self.on_step("clocks")
         scene = self._corrected(label_events(self._window, self._maps()))
 
@@ -495,43 +485,6 @@ class Learner:
         self.state.moved = []
         self.state.doubled = []
 
-    def _find_moved_cameras(self) -> None:
-        """Test cameras with enough new events for having been turned.
-
-        The events of a turned camera from before the move are forgotten, and its zones get new
-        numbers.
-        """
-        window = self._window
-        to_test = [
-            camera
-            for camera, known in enumerate(self.state.cameras)
-            if window.seen[camera] - known.tested_at >= MOVE_EVENTS
-        ]
-        if not to_test:
-            return
-        rows_of_camera = window.rows_of_cameras()
-        for camera in to_test:
-            # Test the grid cells of the camera's events.
-            known = self.state.cameras[camera]
-            known.tested_at = window.seen[camera]
-            rows = rows_of_camera[camera]
-            rows = rows[window.has_position()[rows]]
-            px, py = (window.column(name)[rows].astype(np.int64) for name in ("px", "py"))
-            move = find_move(cells_of(px, py), known.zones.cells)
-
-            # Learn the zones of the new view from the events since the move.
-            if move:
-                since = float(window.column("t")[rows[move.first]] / MICROSECONDS)
-                window.forget_camera(camera, int(rows[move.first]))
-                since_move = slice(move.first, None)
-                known.zones = find_zones(
-                    cell_sums(px[since_move], py[since_move]), (), known.zones.next_number
-                )
-                known.zoned_at = known.tested_at
-                known.vanished = ()
-                self.state.moved.append((camera, since, move))
-                rows_of_camera = window.rows_of_cameras()
-
     def _find_doubled_cameras(self, batch: list[tuple[int, Event]]) -> None:
         """Find cameras that two programs publish at the same time.
 
@@ -546,35 +499,6 @@ class Learner:
             if publisher.note_boot(event.boot) and publisher.returns == RETURNS_MIN:
                 self.state.doubled.append(event.camera)
 
-    def _refresh_zones(self) -> None:
-        """Learn the zones of new cameras, and again those of cameras with enough new events."""
-        window = self._window
-        placed = window.has_position()
-        px, py = (window.column(name).astype(np.int64) for name in ("px", "py"))
-        for camera, rows_of_camera in enumerate(window.rows_of_cameras()):
-            events = window.seen[camera]
-            rows = rows_of_camera[placed[rows_of_camera]]
-
-            # A new camera, or a retired one that reports again.
-            if camera == len(self.state.cameras):
-                retired = self.state.retired.pop(window.cameras[camera], RetiredCamera())
-                zones = find_zones(
-                    cell_sums(px[rows], py[rows]), retired.zones, retired.next_number
-                )
-                vanished = _vanished(retired.zones, zones)
-                self.state.cameras.append(CameraState(zones, events, vanished, events))
-                continue
-
-            # A known camera.
-            known = self.state.cameras[camera]
-            if events - known.zoned_at >= ZONES_REFRESH_SHARE * len(rows):
-                before = known.zones.zones + known.vanished
-                known.zones = refresh_zones(
-                    cell_sums(px[rows], py[rows]), known.zones, known.vanished
-                )
-                known.zoned_at = events
-                known.vanished = _vanished(before, known.zones)
-
     def _maps(self) -> list[ZoneMap]:
         """Return the zones of each camera, by its index in the window."""
         return [camera.zones for camera in self.state.cameras]
@@ -584,9 +508,3 @@ class Learner:
         self._clock_tracker.update(scene, len(self._window.cameras), self.state.learned)
         offset = self._clock_tracker.clocks.offset
         return label_events(self._window, self._maps(), offset) if offset.any() else scene
-
-
-def _vanished(known: tuple[ZoneShape, ...], now: ZoneMap) -> tuple[ZoneShape, ...]:
-    """Return the known zones that are not in the present map, `GONE_ZONES_MAX` at most."""
-    numbers = {zone.number for zone in now.zones}
-    return tuple(zone for zone in known if zone.number not in numbers)[:GONE_ZONES_MAX]
