@@ -58,7 +58,9 @@ def intersection(a: Box, b: Box) -> Box | None:
 def overlap(a: Box, b: Box) -> float:
     """Return the common area as a share of the smaller box, 0 to 1."""
     common = intersection(a, b)
-    return 0.0 if common is None else area(common) / max(min(area(a), area(b)), 1.0)
+    if common is None:
+        return 0.0
+    return area(common) / max(min(area(a), area(b)), 1.0)
 
 
 def iou(a: Box, b: Box) -> float:

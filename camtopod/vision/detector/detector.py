@@ -151,11 +151,13 @@ class Detector:
         self._saved = min(float(INFERENCES_SAVED_MAX), self._saved + earned)
 
         # Less often on standing people, and where it is of no use.
-        pause = STANDING_SECONDS if only_standing else 0.0
-        pause = USELESS_SECONDS if self._agreement.useless else pause
-        inferences = min(
-            1 if self._agreement.useless else INFERENCES_SAVED_MAX, int(self._saved + 1e-6)
-        )
+        pause = 0.0
+        inferences = int(self._saved + 1e-6)
+        if only_standing:
+            pause = STANDING_SECONDS
+        if self._agreement.useless:
+            pause = USELESS_SECONDS
+            inferences = min(inferences, 1)
         if t - self._last < pause or not regions:
             return []
 

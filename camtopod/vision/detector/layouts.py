@@ -133,8 +133,8 @@ def _possible(outputs: Sequence[Array], size: Size) -> list[Form]:
         return []
     output = outputs[0]
     shape = shapes[0]
-    if len(shape) == 4:
-        return [Form("ssd", None)] if shape[1] == 1 and shape[3] == 7 else []
+    if len(shape) == 4 and shape[1] == 1 and shape[3] == 7:
+        return [Form("ssd", None)]
     if len(shape) != 3:
         return []
 
