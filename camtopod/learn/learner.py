@@ -141,7 +141,7 @@ class Learner:
 
     def advance(self, now: float) -> None:
         """Advance event time to ``now`` (seconds) without an event, and process passed ticks."""
-        self._intake.advance(microseconds(now))
+        self._intake.time.advance(microseconds(now))
         self._process_ticks()
 
     def flush(self) -> None:
@@ -149,7 +149,7 @@ class Learner:
 
         No version is made if no event is new since the last one.
         """
-        newest = self._intake.newest_us
+        newest = self._intake.time.newest_us
         if newest is None:
             return
         self._learn(newest)
@@ -183,7 +183,7 @@ class Learner:
         The evidence of their events about other cameras is kept. `camtopod.learn.rename` renames a
         camera.
         """
-        known = names & {*self._window.cameras, *self._intake.newest_of, *self.state.retired}
+        known = names & {*self._window.cameras, *self._intake.state.newest, *self.state.retired}
         self._intake.drop_held(names)
         self.forget(names)
         self._alarms.erase(names)
@@ -258,7 +258,7 @@ class Learner:
 
     def statistics(self) -> dict[str, int | float | None]:
         """Return counts and sizes by name, for people and for health checks."""
-        watermark = self._intake.watermark_us
+        watermark = self._intake.time.watermark_us
         return {
             **self._intake.state.counts,
             "held": len(self._intake.state.held),
@@ -271,7 +271,7 @@ class Learner:
 
     def _process_ticks(self) -> None:
         """Learn every tick with events that the watermark has passed; make the versions due."""
-        watermark = self._intake.watermark_us
+        watermark = self._intake.time.watermark_us
         if watermark is None:
             return
         # An event at the watermark may still be received.
@@ -390,7 +390,7 @@ class Learner:
         known = Known(
             self.state.followed, self.state.learned, self.only_last, self.state.scorer.waiting
         )
-        clocks = self._clock_tracker.clocks
+        clocks = self.state.clocks.clocks
         found = refit(scene, self._window, clocks, known, self.settings, self.on_step)
         self.state.followed = found.followed
         self._scorer.mark(found.happened)
@@ -423,7 +423,7 @@ class Learner:
             self._window,
             scene,
             found.model,
-            self._clock_tracker.clocks,
+            self.state.clocks.clocks,
             links=between + visible,
             weak_links=weak,
         )
@@ -506,5 +506,5 @@ class Learner:
     def _corrected(self, scene: Scene) -> Scene:
         """Estimate the clock offsets, and return the scene with its times corrected by them."""
         self._clock_tracker.update(scene, len(self._window.cameras), self.state.learned)
-        offset = self._clock_tracker.clocks.offset
+        offset = self.state.clocks.clocks.offset
         return label_events(self._window, self._maps(), offset) if offset.any() else scene

@@ -37,7 +37,7 @@ def cameras_to_retire(
     now_us (microseconds): event time.
     window_us (microseconds): length of the window.
     """
-    newest = reorder_buffer.newest_of
+    newest = reorder_buffer.state.newest
     t_us = now_us - max(window_us, round(RETIRED_AFTER_SECONDS * MICROSECONDS))
     return {name for name in (*newest, *window.cameras) if newest.get(name, t_us - 1) < t_us}
 
@@ -47,11 +47,11 @@ def camera_to_replace(reorder_buffer: ReorderBuffer, window: Window) -> str | No
 
     reorder_buffer, window: as for `cameras_to_retire`.
     """
-    newest = reorder_buffer.newest_of
-    watermark_us = reorder_buffer.watermark_us
+    newest = reorder_buffer.state.newest
+    watermark_us = reorder_buffer.time.watermark_us
     silent_us = (watermark_us or 0) - round(REPLACEABLE_AFTER_SECONDS * MICROSECONDS)
 
-    # The usual case: `newest_of` begins with the camera whose last event was received first.
+    # The usual case: it begins with the camera whose last event was received first.
     if not newest or newest[next(iter(newest))] >= silent_us:
         return None
 

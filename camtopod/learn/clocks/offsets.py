@@ -135,16 +135,11 @@ class ClockTracker:
     def __init__(self, state: ClockState) -> None:
         self.state = state
 
-    @property
-    def clocks(self) -> Clocks:
-        """The newest estimate."""
-        return self.state.clocks
-
     def keep_cameras(self, kept: Bools) -> None:
         """Keep only the cameras of the mask ``kept`` (cameras,), and renumber them."""
         # Cameras added since the last estimate are not in ``clocks`` yet.
-        known = kept[: len(self.clocks.offset)]
-        offset, sd, identified = self.clocks
+        known = kept[: len(self.state.clocks.offset)]
+        offset, sd, identified = self.state.clocks
         self.state.clocks = Clocks(offset[known], sd[known], identified[known])
 
     def update(self, scene: Scene, cameras: int, learned: int) -> bool:
@@ -157,7 +152,7 @@ class ClockTracker:
         Return True if an offset changes by more than `RELEARN_SECONDS`.
         """
         # New cameras have right clocks so far.
-        known = self.clocks
+        known = self.state.clocks
         if cameras > len(known.offset):
             more = right_clocks(cameras - len(known.offset))
             known = Clocks(*(np.concatenate(columns) for columns in zip(known, more, strict=True)))
@@ -169,7 +164,7 @@ class ClockTracker:
         # Change only what clearly differs.
         self.state.clocks = keep_unless_clear(known, estimate_clocks(scene, cameras, known))
         self.state.learned = learned
-        return bool((np.abs(self.clocks.offset - known.offset) > RELEARN_SECONDS).any())
+        return bool((np.abs(self.state.clocks.offset - known.offset) > RELEARN_SECONDS).any())
 
 
 def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:

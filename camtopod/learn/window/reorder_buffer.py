@@ -48,24 +48,9 @@ class ReorderBuffer:
         self, lateness_seconds: float, cameras_max: int, clocks_apart_seconds: float = 0.0
     ) -> None:
         self.time = EventTime(lateness_seconds, clocks_apart_seconds)
-        """Event time and watermark."""
+        """Event time and watermark; call its ``advance`` for time that passes without events."""
         self.cameras_max = cameras_max
         self.load(ReorderBufferState())
-
-    @property
-    def newest_us(self) -> int | None:
-        """Time of the newest event in microseconds, or of `advance` if that is newer."""
-        return self.time.newest_us
-
-    @property
-    def watermark_us(self) -> int | None:
-        """The watermark in microseconds: older events are late. None before the first event."""
-        return self.time.watermark_us
-
-    @property
-    def newest_of(self) -> dict[str, int]:
-        """As in `ReorderBufferState.newest`."""
-        return self.state.newest
 
     def load(self, state: ReorderBufferState) -> None:
         """Continue from a state, which is changed from here on; this buffer must be new."""
@@ -84,14 +69,14 @@ class ReorderBuffer:
 
     def has_room_for(self, camera: str) -> bool:
         """Return True if the camera is known or there is room for one more."""
-        return camera in self.newest_of or len(self.newest_of) < self.cameras_max
+        return camera in self.state.newest or len(self.state.newest) < self.cameras_max
 
     def _judge(self, event: Event) -> str:
         """Return the verdict on an event, and hold it if it is accepted."""
         if not self.has_room_for(event.camera):
             return "refused"
         t_us = microseconds(event.t)
-        self.newest_of[event.camera] = max(t_us, self.newest_of.pop(event.camera, t_us))
+        self.state.newest[event.camera] = max(t_us, self.state.newest.pop(event.camera, t_us))
 
         if (event.camera, event.boot, event.seq) in self._numbers:
             return "duplicate"
@@ -100,10 +85,6 @@ class ReorderBuffer:
         self.state.held.append(event)
         self._note_held(event, t_us)
         return "accepted"
-
-    def advance(self, now_us: int) -> None:
-        """Advance event time to ``now_us`` without an event."""
-        self.time.advance(now_us)
 
     def cameras_held(self) -> set[str]:
         """Return the cameras that have held events."""
@@ -115,8 +96,8 @@ class ReorderBuffer:
 
     def forget(self, names: Set[str]) -> None:
         """Forget these cameras, except for their held events."""
-        for name in names & self.newest_of.keys():
-            del self.newest_of[name]
+        for name in names & self.state.newest.keys():
+            del self.state.newest[name]
         self.time.forget(names)
 
     def take_until(self, until_us: int) -> list[tuple[int, Event]]:

@@ -275,15 +275,15 @@ def test_the_keeper_looks_when_there_is_enough_new() -> None:
     events = len(scene.departures.t) + len(scene.arrivals.t)
     keeper = ClockTracker(ClockState())
     assert keeper.update(scene, 4, events)
-    first = keeper.clocks
+    first = keeper.state.clocks
     assert np.flatnonzero(first.offset).tolist() == [2]
     assert not keeper.update(scene, 4, events + int(0.9 * REFRESH_SHARE * events))
     assert keeper.state.learned == events
     assert not keeper.update(scene, 4, events + int(1.1 * REFRESH_SHARE * events))
     assert keeper.state.learned > events
-    assert keeper.clocks.offset.tolist() == first.offset.tolist()
+    assert keeper.state.clocks.offset.tolist() == first.offset.tolist()
     assert not keeper.update(scene, 5, events)  # a new camera
-    assert len(keeper.clocks.offset) == 5
+    assert len(keeper.state.clocks.offset) == 5
 
 
 # --- the learner ---
