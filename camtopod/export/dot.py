@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from camtopod.export.graph import edges, seconds
+from camtopod.export.graph import COLOURS, edges, seconds
 from camtopod.records import Topology
 from camtopod.visible import visible
 
@@ -20,14 +20,13 @@ def to_dot(topology: Topology) -> str:
 
     # Nodes.
     for camera in topology.cameras:
-        count = len(camera.zones)
-        label = f"{_escaped(camera.id)}\\n{count} {'zone' if count == 1 else 'zones'}"
+        label = f"{_escaped(camera.id)}\\nzones: {len(camera.zones)}"
         lines.append(f'  {_quoted(camera.id)} [label="{label}"];')
 
     # Edges.
     for edge in edges(topology):
         attributes = {
-            "color": edge.colour,
+            "color": COLOURS[edge.relation],
             "label": seconds(edge.transit.mode),
             "weight": str(round(100 * edge.probability)),
             "penwidth": f"{1 + 3 * edge.probability:.2f}",

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
+
 from msgspec import Struct
 
 from camtopod.records import Link, PairRelation, Topology, Transit
+from camtopod.topology import links_between_views
 
-BLACK = "black"
-"""Colour of overlapping views in the thesis (4.6)."""
-GREY = "gray60"
-"""Colour of paths that no camera sees."""
+COLOURS: dict[PairRelation, str] = {"overlapped": "black", "unseen_path": "gray60"}
+"""Colour of an edge by the relation of its cameras, as in the thesis (4.6)."""
 
 
 class Edge(Struct, frozen=True):
@@ -17,8 +18,8 @@ class Edge(Struct, frozen=True):
 
     from_: str
     to: str
-    overlapped: bool
-    """True if one of its links joins overlapping views."""
+    relation: PairRelation
+    """Overlapped if one of its links joins overlapping views."""
     transit: Transit
     """Transit time of the link with most transitions, among overlapped ones if there are any."""
     probability: float
@@ -27,48 +28,38 @@ class Edge(Struct, frozen=True):
     """Expected number of transitions of all its links."""
 
     @property
-    def relation(self) -> PairRelation:
-        """Relation of the two cameras."""
-        return "overlapped" if self.overlapped else "unseen_path"
-
-    @property
-    def colour(self) -> str:
-        """Colour in the thesis: `BLACK` or `GREY`."""
-        return BLACK if self.overlapped else GREY
+    def overlapped(self) -> bool:
+        """Whether the views of the two cameras overlap."""
+        return self.relation == "overlapped"
 
 
 def edges(topology: Topology) -> list[Edge]:
     """Return the directed edges between cameras, sorted by camera ids."""
     camera = {zone.id: zone.camera for zone in topology.zones}
-    exits: dict[str, int] = {}
+    exits = Counter[str]()
     for zone in topology.zones:
-        exits[zone.camera] = exits.get(zone.camera, 0) + zone.exits
+        exits[zone.camera] += zone.exits
 
     # Links between different cameras, by pair of cameras.
-    grouped: dict[tuple[str, str], list[Link]] = {}
-    for link in topology.links:
-        if link.relation != "visible" and camera[link.from_] != camera[link.to]:
-            grouped.setdefault((camera[link.from_], camera[link.to]), []).append(link)
+    grouped: dict[tuple[str, str], list[Link]] = defaultdict(list)
+    for link in links_between_views(topology):
+        grouped[camera[link.from_], camera[link.to]].append(link)
 
     # One edge per pair, with the times of its main link.
     result = []
     for (a, b), links in sorted(grouped.items()):
+        chief = max(links, key=lambda x: (x.relation == "overlapped", x.transitions, x.from_, x.to))
+        relation: PairRelation = "unseen_path"
+        if chief.relation == "overlapped":
+            relation = "overlapped"
         transitions = sum(link.transitions for link in links)
-        overlapping = [link for link in links if link.relation == "overlapped"]
-        chief = max(overlapping or links, key=lambda link: (link.transitions, link.from_, link.to))
-        result.append(
-            Edge(
-                from_=a,
-                to=b,
-                overlapped=bool(overlapping),
-                transit=chief.transit,
-                probability=min(1.0, transitions / exits[a]) if exits[a] else 0.0,
-                transitions=transitions,
-            )
-        )
+        probability = min(1.0, transitions / max(exits[a], 1))
+        result.append(Edge(a, b, relation, chief.transit, probability, transitions))
     return result
 
 
 def seconds(value: float) -> str:
     """Return a time for a label, with a tenth of a second at most."""
-    return f"{value:.1f} s" if abs(value) < 10 else f"{value:.0f} s"
+    if abs(value) < 10:
+        return f"{value:.1f} s"
+    return f"{value:.0f} s"

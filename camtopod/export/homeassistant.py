@@ -6,6 +6,7 @@ Pure: state of the site in, retained messages (topic -> text) out. `camtopod bri
 from __future__ import annotations
 
 import datetime
+from collections import defaultdict
 from collections.abc import Iterable
 from typing import Any
 
@@ -13,7 +14,7 @@ import msgspec
 from msgspec import Struct
 
 from camtopod import __version__, codec
-from camtopod.records import Alarm, CameraFigures, DaemonStatus, Prediction, Status, Topology
+from camtopod.records import CameraFigures, DaemonStatus, Prediction, Status, Topology
 from camtopod.topology import links_between_views
 
 DISCOVERY = "homeassistant"
@@ -76,7 +77,7 @@ class Topics(Struct, frozen=True):
     @property
     def daemon(self) -> str:
         """Availability of the daemon."""
-        return f"{self.prefix}/{self.site}/daemon/availability"
+        return self.topic_of("", "availability")
 
     def topic_of(self, camera: str, topic: str) -> str:
         """Return a topic of a camera, or of the site for ""."""
@@ -102,9 +103,11 @@ def site_state(
     """
     state: dict[str, Any] = {
         "problem": _switch(not alive or status.state != "running"),
-        "reason": status.reason if alive else "the daemon is not running",
+        "reason": status.reason,
         **dict.fromkeys(("version", "cameras", "links", "score", "usual")),
     }
+    if not alive:
+        state["reason"] = "the daemon is not running"
     alarm: dict[str, Any] = {"alarm": "none"}
     if topology is not None:
         state["version"] = topology.version
@@ -113,10 +116,15 @@ def site_state(
         if topology.score is not None:
             state["score"] = round(100.0 * topology.score.top1, 1)
             state["usual"] = round(100.0 * topology.score.baseline_top1, 1)
-        if topology.alarms:
-            alarm = _alarm(topology.alarms[-1])
+        for newest in (topology.alarms or [])[-1:]:
+            alarm = {
+                "alarm": f"{newest.kind} {newest.subject}"[:255],  # all that Home Assistant takes
+                "detail": newest.detail,
+                "version": newest.version,
+                "at": _iso(newest.t),
+            }
     return {
-        topics.daemon: "online" if alive else "offline",
+        topics.daemon: ("offline", "online")[alive],
         topics.topic_of("", "state"): _json(state),
         topics.topic_of("", "alarm"): _json(alarm),
     }
@@ -129,10 +137,9 @@ def camera_state(
 
     status: of the camera's grabber; None if its events come from another program.
     """
-    online = counted.alive and (status is None or status.state == "running")
     reported = status or Status()
     state = {
-        "online": _switch(online),
+        "online": _switch(counted.alive and reported.state in ("", "running")),
         "state": reported.state,
         "reason": reported.reason,
         "events": counted.events,
@@ -148,31 +155,28 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
     ``look`` is the other camera that most probably sees the object now or, if none does, next,
     with the probability ``sees``.
     """
-    next_: dict[str, float] = {}
+    next_: dict[str, float] = defaultdict(float)
     for one in prediction.next_:
-        next_[one.camera] = next_.get(one.camera, 0.0) + one.probability
+        next_[one.camera] += one.probability
 
     # The camera, or leaving the site, with the largest share.
     shares = {LEAVES_SITE: prediction.leave, **next_}
-    camera, probability = max(shares.items(), key=lambda item: item[1])
+    camera = max(shares, key=lambda name: shares[name])
     window: dict[str, str | None] = {"from": None, "until": None}
     for place in prediction.next_:
         if place.camera == camera:
-            window = {
-                "from": _iso(prediction.t + place.q10),
-                "until": _iso(prediction.t + place.q90),
-            }
+            window["from"] = _iso(prediction.t + place.q10)
+            window["until"] = _iso(prediction.t + place.q90)
             break
 
     # The camera to look at; without overlapping views it follows from the next appearances.
-    looks = {one.camera: one.probability for one in prediction.look or []} or {
-        name: share for name, share in next_.items() if name != prediction.camera
-    }
+    next_.pop(prediction.camera, None)
+    looks = {one.camera: one.probability for one in prediction.look or []} or next_
     look, sees = max(looks.items(), key=lambda item: item[1], default=(NO_CAMERA, 0.0))
 
     state = {
         "next": camera,
-        "probability": round(probability, 3),
+        "probability": round(shares[camera], 3),
         "zone": prediction.zone,
         "left": _iso(prediction.t),
         **window,
@@ -185,9 +189,9 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
 def _announced(topics: Topics, camera: str, entity: Entity) -> tuple[str, str]:
     """Return topic and payload of the discovery message of an entity."""
     state = topics.topic_of(camera, entity.topic)
-    available = [topics.bridge]
-    if entity.field != "problem":
-        available.append(topics.daemon)
+    available = [topics.bridge, topics.daemon]
+    if entity.field == "problem":  # which says so while the daemon is away
+        available.remove(topics.daemon)
     config = {
         "name": entity.name,
         "unique_id": f"camtopod/{topics.site}/{camera or 'daemon'}/{entity.field}",
@@ -206,24 +210,11 @@ def _announced(topics: Topics, camera: str, entity: Entity) -> tuple[str, str]:
 
 def _device(site: str, camera: str) -> dict[str, Any]:
     whole = f"camtopod/{site}"
-    if not camera:
-        return {
-            "identifiers": [whole],
-            "name": f"camtopod {site}",
-            "manufacturer": "camtopod",
-            "sw_version": __version__,
-        }
-    return {
-        "identifiers": [f"{whole}/{camera}"],
-        "name": camera,
-        "manufacturer": "camtopod",
-        "via_device": whole,
-    }
-
-
-def _alarm(alarm: Alarm) -> dict[str, Any]:
-    text = f"{alarm.kind} {alarm.subject}"[:255]  # Home Assistant takes no more
-    return {"alarm": text, "detail": alarm.detail, "version": alarm.version, "at": _iso(alarm.t)}
+    device: dict[str, Any] = {"manufacturer": "camtopod"}
+    if camera:
+        return device | {"identifiers": [f"{whole}/{camera}"], "name": camera, "via_device": whole}
+    name = f"camtopod {site}"
+    return device | {"identifiers": [whole], "name": name, "sw_version": __version__}
 
 
 def _escaped(name: str) -> str:
@@ -240,7 +231,7 @@ def _iso(t: float) -> str | None:
 
 def _switch(on: bool) -> str:
     """Return the state of a binary sensor."""
-    return "ON" if on else "OFF"
+    return ("OFF", "ON")[on]
 
 
 def _json(content: Any) -> str:

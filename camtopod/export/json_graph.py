@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from camtopod.export.graph import edges
+from camtopod.export.graph import COLOURS, edges
 from camtopod.records import Topology
 
 _ABOUT = ("site", "epoch", "version", "as_of", "digest")
@@ -32,7 +32,7 @@ def to_json_graph(topology: Topology) -> str:
             "source": edge.from_,
             "target": edge.to,
             "relation": edge.relation,
-            "colour": edge.colour,
+            "colour": COLOURS[edge.relation],
             "weight": edge.transit.mode,
             "transit": edge.transit,
             "probability": edge.probability,
