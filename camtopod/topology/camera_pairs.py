@@ -21,6 +21,14 @@ from camtopod.records import Link, Pair, PairRelation, Relation, Zone
 
 NEGATIVE_LAG_SHARE_MIN = 0.5
 """Share of transitions with a negative lag above which a link is overlapped."""
+RELATIONS: dict[bool, PairRelation] = {True: "overlapped", False: "unseen_path"}
+"""Relation of two related cameras by the result of a test of overlap."""
+REASONS = {
+    (False, True): "entered during the passage here, or within the tolerance after it, "
+    "but mostly not before leaving",
+    (True, False): "entered before leaving here, but also before the passages here begin",
+}
+"""Why the tests, of lags and of sums, may differ."""
 
 
 def relation_of(ahead: float) -> Relation:
@@ -28,7 +36,9 @@ def relation_of(ahead: float) -> Relation:
 
     ahead: share of the link's transitions with a negative lag.
     """
-    return "overlapped" if ahead > NEGATIVE_LAG_SHARE_MIN else "unseen"
+    if ahead > NEGATIVE_LAG_SHARE_MIN:
+        return "overlapped"
+    return "unseen"
 
 
 def find_camera_pairs(zones: Iterable[Zone], links: Iterable[Link], tolerance: float) -> list[Pair]:
@@ -71,28 +81,14 @@ def _pair(
     during = any(sum_rule(dwell, abs(dwell + lag), abs(lag), tolerance) for dwell, lag in tested)
 
     # Explain a difference.
+    by_sums: PairRelation | None = None
     reason = None
     if not tested:
         reason = "no passage is known for the sum rule"
-    elif during and not ahead:
-        reason = (
-            "entered during the passage here, or within the tolerance after it, "
-            "but mostly not before leaving"
-        )
-    elif ahead and not during:
-        reason = "entered before leaving here, but also before the passages here begin"
-    return Pair(
-        cameras,
-        _relation(ahead or during),
-        _relation(ahead),
-        _relation(during) if tested else None,
-        reason,
-    )
-
-
-def _relation(overlapped: bool) -> PairRelation:
-    """Return the relation of two related cameras by the result of a test."""
-    return "overlapped" if overlapped else "unseen_path"
+    else:
+        by_sums = RELATIONS[during]
+        reason = REASONS.get((ahead, during))
+    return Pair(cameras, RELATIONS[ahead or during], RELATIONS[ahead], by_sums, reason)
 
 
 _ROUNDING = 1e-9

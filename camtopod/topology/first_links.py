@@ -8,42 +8,26 @@ number of links.
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 from camtopod.records import Lacks, Link, Topology
 from camtopod.topology.site_names import camera_of
 
 NAMED_TRANSITIONS_MIN = 2.0
 """Transitions from which a weak link is named as the nearest one to publication."""
-_LONGEST = {"minutes": 120.0, "hours": 48.0, "days": math.inf}
-"""Amount from which a duration is given in the next larger unit."""
-
-
-class LinkEnds(Protocol):
-    """The zones of a link."""
-
-    @property
-    def from_(self) -> str:
-        """Where objects leave."""
-
-    @property
-    def to(self) -> str:
-        """Where they appear."""
+UNITS = (("minutes", 60.0, 120.0), ("hours", 3600.0, 48.0), ("days", 86400.0, math.inf))
+"""Unit of a duration, its seconds, and amount from which the next larger one is used."""
 
 
 def links_between_views(topology: Topology) -> list[Link]:
     """Return the published links between the views of two cameras."""
-    return [link for link in topology.links if joins_two_views(link)]
+    return [link for link in topology.links if _joins_two_views(link)]
 
 
 def links_in_words(count: int) -> str:
     """Return a number of links between views, in words."""
-    return f"{count} {'link' if count == 1 else 'links'} between views"
-
-
-def joins_two_views(link: LinkEnds) -> bool:
-    """Return True if a link joins the views of two cameras."""
-    return camera_of(link.from_) != camera_of(link.to)
+    if count == 1:
+        return "1 link between views"
+    return f"{count} links between views"
 
 
 def likely_links(topology: Topology) -> list[Link]:
@@ -51,11 +35,7 @@ def likely_links(topology: Topology) -> list[Link]:
 
     Half-way: a link lacks at most as many passages as it has.
     """
-    return [
-        link
-        for link in _lacking(topology)
-        if link.lacks is not None and link.lacks.passages <= link.transitions
-    ]
+    return [link for link, lacks in _lacking(topology) if lacks.passages <= link.transitions]
 
 
 def waiting_for_links(topology: Topology) -> str:
@@ -64,58 +44,53 @@ def waiting_for_links(topology: Topology) -> str:
         return ""
 
     # Passages and cameras so far.
-    passages = sum(zone.exits for zone in topology.zones)
-    so_far = f"{passages:,} {'passage' if passages == 1 else 'passages'} so far"
+    so_far = f"{sum(zone.exits for zone in topology.zones):,} passages so far"
     cameras = [camera.id for camera in topology.cameras]
     if not cameras:
         return "No camera is known yet."
     if len(cameras) < 2:
         return f"A link needs two cameras: only {cameras[0]} has sent events, {so_far}."
-    none_yet = f"No two cameras are linked yet: {so_far}."
 
     # The weak link that needs least time.
-    nearest = next(iter(_lacking(topology)), None)
-    if nearest is None or nearest.lacks is None:
-        return f"{none_yet} A link takes about ten passages from one camera to another."
-    total = nearest.transitions + nearest.lacks.passages
-    return (
-        f"{none_yet} The nearest one, {camera_of(nearest.from_)} to {camera_of(nearest.to)}, has "
-        f"{nearest.transitions:.0f} of about {total:.0f}; "
-        f"about {duration_in_words(nearest.lacks.seconds)} at this traffic."
-    )
+    none_yet = f"No two cameras are linked yet: {so_far}."
+    for nearest, lacks in _lacking(topology):
+        total = nearest.transitions + lacks.passages
+        return (
+            f"{none_yet} The nearest one, {camera_of(nearest.from_)} to {camera_of(nearest.to)}, "
+            f"has {nearest.transitions:.0f} of about {total:.0f}; "
+            f"about {duration_in_words(lacks.seconds)} at this traffic."
+        )
+    return f"{none_yet} A link takes about ten passages from one camera to another."
 
 
 def lacks_in_words(lacks: Lacks) -> str:
     """Return the evidence that a weak link lacks, in words."""
-    passages = (
-        "one more passage" if lacks.passages < 1.5 else f"about {lacks.passages:.0f} more passages"
-    )
+    passages = f"about {lacks.passages:.0f} more passages"
+    if lacks.passages < 1.5:
+        passages = "one more passage"
     return f"{passages}, {duration_in_words(lacks.seconds)} at this traffic"
 
 
 def duration_in_words(seconds: float) -> str:
     """Return a duration in whole minutes, hours or days, at least one minute."""
-    minutes = seconds / 60.0
-    for unit, amount in (
-        ("minutes", minutes),
-        ("hours", minutes / 60.0),
-        ("days", minutes / 1440.0),
-    ):
-        if amount < _LONGEST[unit]:
-            break
-    return f"{max(amount, 1.0):.0f} {unit if amount >= 1.5 else unit[:-1]}"
+    if seconds < 90.0:
+        return "1 minute"
+    unit, length, _ = next(one for one in UNITS if seconds < one[1] * one[2])
+    return f"{seconds / length:.0f} {unit}"
 
 
-def _lacking(topology: Topology) -> list[Link]:
+def _joins_two_views(link: Link) -> bool:
+    """Return True if a link joins the views of two cameras."""
+    return camera_of(link.from_) != camera_of(link.to)
+
+
+def _lacking(topology: Topology) -> list[tuple[Link, Lacks]]:
     """Return the weak links between views that more traffic would publish, nearest first."""
     found = [
-        link
+        (link, link.lacks)
         for link in topology.weak_links or []
         if link.lacks is not None
         and link.transitions >= NAMED_TRANSITIONS_MIN
-        and joins_two_views(link)
+        and _joins_two_views(link)
     ]
-    return sorted(
-        found,
-        key=lambda link: (math.inf if link.lacks is None else link.lacks.seconds, link.q_value),
-    )
+    return sorted(found, key=lambda one: (one[1].seconds, one[0].q_value))

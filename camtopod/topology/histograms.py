@@ -9,7 +9,6 @@ at most `STEPS` per bin). The functions make such histograms and read them.
 from __future__ import annotations
 
 import numpy as np
-from msgspec.structs import replace
 
 from camtopod.arrays import Floats
 from camtopod.records import Histogram
@@ -31,10 +30,10 @@ def counts_histogram(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histo
     counts (bins,): expected transitions in each of ``bins``.
     delay (seconds): to be added to the lags.
     """
-    first, last = _ends(counts)
-    if first == last:
+    first, kept = _trimmed(counts, bins)
+    if not len(kept):
         return Histogram(0, [])
-    return _late(Histogram(bins.first + first, _three_digits(counts[first:last])), delay)
+    return Histogram(first, [float(f"{n:.3g}") for n in kept], delay=delay)
 
 
 def step_histogram(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
@@ -43,8 +42,11 @@ def step_histogram(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram
     mass (bins,): mass in each of ``bins``, in any unit.
     delay (seconds): to be added to the lags.
     """
-    first, last = _ends(mass)
-    return _late(_stepped(bins.first + first, mass[first:last]), delay)
+    first, kept = _trimmed(mass, bins)
+    unit = round_significant(float(kept.max(initial=0.0)) / STEPS)
+    if unit == 0.0:
+        return Histogram(0, [])
+    return Histogram(first, np.rint(kept / unit).astype(np.int64).tolist(), unit, delay)
 
 
 def masses_on_bins(histogram: Histogram, bins: LagBins) -> Floats:
@@ -62,28 +64,12 @@ def masses_on_bins(histogram: Histogram, bins: LagBins) -> Floats:
     return result
 
 
-def _ends(mass: Floats) -> tuple[int, int]:
-    """Return the first bin above `MASS_MIN` and one past the last; (0, 0) if there is none."""
+def _trimmed(mass: Floats, bins: LagBins) -> tuple[int, Floats]:
+    """Return the number of the first bin that is kept, and the masses from there on."""
     full = np.flatnonzero(mass > MASS_MIN * mass.sum())
-    return (int(full[0]), int(full[-1]) + 1) if len(full) else (0, 0)
-
-
-def _stepped(first: int, mass: Floats) -> Histogram:
-    """Return masses, from bin number ``first`` on, as a histogram in steps."""
-    unit = round_significant(float(mass.max(initial=0.0)) / STEPS)
-    if unit == 0.0:
-        return Histogram(0, [])
-    return Histogram(first, np.rint(mass / unit).astype(np.int64).tolist(), unit)
-
-
-def _late(histogram: Histogram, delay: float) -> Histogram:
-    """Return a histogram with its delay (seconds) set; an empty one stays without a delay."""
-    return replace(histogram, delay=delay) if delay and histogram.mass else histogram
-
-
-def _three_digits(counts: Floats) -> list[int | float]:
-    """Return counts rounded to three significant digits."""
-    return [float(f"{n:.3g}") for n in counts]
+    if not len(full):
+        return 0, mass[:0]
+    return bins.first + int(full[0]), mass[full[0] : full[-1] + 1]
 
 
 DIGITS = 6
@@ -92,4 +78,6 @@ DIGITS = 6
 
 def round_significant(value: float) -> float:
     """Return a value rounded to `DIGITS` significant digits; -0.0 and nan become 0.0."""
-    return float(f"{value:.{DIGITS}g}") + 0.0 if value == value else 0.0
+    if np.isnan(value):
+        return 0.0
+    return float(f"{value:.{DIGITS}g}") + 0.0

@@ -21,11 +21,6 @@ LAG_SCALE_SECONDS = 4.0
 """Lag, in seconds, around which bins change from constant width to a constant share of the lag."""
 LAG_STEP = 0.1
 """Width of a bin in asinh(lag / scale): about 0.4 s near zero, a tenth of the lag far from zero."""
-CELLS_PER_BIN = 1.001
-"""Cells of the lookup table of `LagBins.index` per width of the narrowest bin.
-
-It is above 1, so that at most one edge of a bin lies within a cell.
-"""
 OFFSET_SECONDS_MAX = 600.0
 """Largest offset between the beginnings of two passages that has a bin, seconds."""
 
@@ -72,16 +67,6 @@ class LagBins:
         Bin ``k`` holds ``limits[k]`` <= lag < ``limits[k + 1]``.
         """
 
-        # Lookup table for `index`: the bin in which each cell begins. Cells are narrower than any
-        # bin, so at most one edge lies within a cell.
-        self._cells_per_second = CELLS_PER_BIN / float(self.widths.min())
-        cells = math.ceil((lag_max - lag_min) * self._cells_per_second) + 1
-        starts = lag_min + np.arange(cells) / self._cells_per_second
-        self._ends = np.array([*self.limits[1:-1], np.inf])
-        self._bin_of_cell = np.searchsorted(self.limits[1:-1], starts, side="right").astype(
-            np.int32
-        )
-
     def bin_of(self, lag: float) -> int:
         """Return the index of the bin of one lag (seconds); -1 if it is outside the range."""
         at = bisect_right(self.limits, lag) - 1
@@ -92,10 +77,8 @@ class LagBins:
 
         lag (n, seconds): the lags; any shape is possible.
         """
-        cell = ((lag - self.lag_min) * self._cells_per_second).astype(np.intp)
-        k: NDArray[np.int32] = self._bin_of_cell.take(cell, mode="clip")
-        k += lag >= self._ends.take(k)  # whether the edge within the cell has been passed
-        k[~((lag >= self.lag_min) & (lag <= self.lag_max))] = -1
+        k = np.searchsorted(self.limits, lag, side="right").astype(np.int32) - 1
+        k[k == self.size] = -1
         return k
 
 

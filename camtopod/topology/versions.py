@@ -8,22 +8,12 @@ digest, so that it has exactly the publisher's version.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable
-from typing import Any, TypeVar
+from collections.abc import Callable
+from typing import Any
 
 import msgspec
 
-from camtopod.records import (
-    DELTA_SCHEMA,
-    TOPOLOGY_SCHEMA,
-    Alarm,
-    Camera,
-    Delta,
-    Link,
-    Pair,
-    Topology,
-    Zone,
-)
+from camtopod.records import DELTA_SCHEMA, TOPOLOGY_SCHEMA, Alarm, Delta, Link, Topology
 
 NOT_CONTENT = ("schema", "site", "epoch", "version", "digest")
 """Fields that the digest does not cover, so that it depends on the learned events alone."""
@@ -31,19 +21,8 @@ NOT_CONTENT = ("schema", "site", "epoch", "version", "digest")
 ALARMS_KEPT_MAX = 50
 """Largest number of alarms in a topology; the oldest are dropped."""
 
-_Item = TypeVar("_Item", Camera, Zone, Link, Pair)
 LinkKey = tuple[str, str, str]
 """Zone of departure, zone of arrival, relation."""
-
-
-def camera_key(camera: Camera) -> str:
-    """Return the key of a camera in a delta."""
-    return camera.id
-
-
-def zone_key(zone: Zone) -> str:
-    """Return the key of a zone in a delta."""
-    return zone.id
 
 
 def link_key(link: Link) -> LinkKey:
@@ -55,9 +34,14 @@ def link_key(link: Link) -> LinkKey:
     return (link.from_, link.to, link.relation)
 
 
-def pair_key(pair: Pair) -> tuple[str, str]:
-    """Return the key of a pair of cameras in a delta."""
-    return pair.cameras
+KEYS: dict[str, Callable[[Any], Any]] = {
+    "cameras": lambda camera: camera.id,
+    "zones": lambda zone: zone.id,
+    "links": link_key,
+    "weak_links": link_key,
+    "pairs": lambda pair: pair.cameras,
+}
+"""Function from an item to its key, by the list of a topology that has the item."""
 
 
 def digest_of(topology: Topology) -> str:
@@ -92,12 +76,12 @@ def make_delta(old: Topology, new: Topology) -> Delta:
             f" version {old.version} of epoch {old.epoch}"
         )
 
-    cameras, gone_cameras = _changes(old.cameras, new.cameras, camera_key)
-    zones, gone_zones = _changes(old.zones, new.zones, zone_key)
-    links, gone_links = _changes(old.links, new.links, link_key)
-    weak, gone_weak = _changes(old.weak_links or [], new.weak_links or [], link_key)
-    pairs, gone_pairs = _changes(old.pairs, new.pairs, pair_key)
-
+    changes: dict[str, list[Any]] = {}
+    for name, key in KEYS.items():
+        before = {key(item): item for item in getattr(old, name) or []}
+        after = {key(item): item for item in getattr(new, name) or []}
+        changes[name] = [item for k, item in after.items() if _differs(before.get(k), item)]
+        changes[f"gone_{name}"] = [k for k in before if k not in after]
     return Delta(
         DELTA_SCHEMA,
         new.site,
@@ -106,20 +90,11 @@ def make_delta(old: Topology, new: Topology) -> Delta:
         new.as_of,
         new.events,
         new.digest,
-        cameras,
-        zones,
-        links,
-        weak,
-        pairs,
-        gone_cameras,
-        gone_zones,
-        gone_links,
-        gone_weak,
-        gone_pairs,
-        new.chain,
-        new.model,
-        _new_alarms(new),
-        new.score,
+        chain=new.chain,
+        model=new.model,
+        alarms=_new_alarms(new),
+        score=new.score,
+        **changes,
     )
 
 
@@ -135,6 +110,13 @@ def apply_delta(old: Topology, delta: Delta) -> Topology:
             f" version {old.version} of epoch {old.epoch}; get the whole topology"
         )
 
+    lists: dict[str, list[Any]] = {}
+    for name, key in KEYS.items():
+        items = {key(item): item for item in getattr(old, name) or []}
+        for k in getattr(delta, f"gone_{name}"):
+            items.pop(k, None)
+        items |= {key(item): item for item in getattr(delta, name)}
+        lists[name] = [items[k] for k in sorted(items)]
     new = Topology(
         schema=TOPOLOGY_SCHEMA,
         site=delta.site,
@@ -143,15 +125,11 @@ def apply_delta(old: Topology, delta: Delta) -> Topology:
         as_of=delta.as_of,
         events=delta.events,
         digest=delta.digest,
-        cameras=_merged(old.cameras, delta.cameras, delta.gone_cameras, camera_key),
-        zones=_merged(old.zones, delta.zones, delta.gone_zones, zone_key),
-        links=_merged(old.links, delta.links, delta.gone_links, link_key),
-        weak_links=_merged(old.weak_links or [], delta.weak_links, delta.gone_weak_links, link_key),
-        pairs=_merged(old.pairs, delta.pairs, delta.gone_pairs, pair_key),
         chain=delta.chain,
         model=delta.model,
         alarms=_with_new_alarms(old, delta.alarms),
         score=delta.score,
+        **lists,
     )
 
     if digest_of(new) != delta.digest:
@@ -179,31 +157,6 @@ def _with_new_alarms(old: Topology, new: list[Alarm] | None) -> list[Alarm] | No
     return [*(old.alarms or []), *(new or [])][-ALARMS_KEPT_MAX:] or None
 
 
-def _changes(
-    old: Iterable[_Item], new: Iterable[_Item], key: Callable[[_Item], Any]
-) -> tuple[list[_Item], list[Any]]:
-    """Return the items that were added or changed, and the keys of the items that are gone.
-
-    key: function from an item to its key.
-
-    Items are compared by their JSON, as in the digest, so -0.0 differs from 0.0.
-    """
-    before = {key(item): msgspec.json.encode(item) for item in old}
-    after = {key(item): item for item in new}
-    changed = [item for k, item in after.items() if before.get(k) != msgspec.json.encode(item)]
-    return changed, [k for k in before if k not in after]
-
-
-def _merged(
-    old: Iterable[_Item], changed: Iterable[_Item], gone: Iterable[Any], key: Callable[[_Item], Any]
-) -> list[_Item]:
-    """Return the items after a change, sorted by key, as all lists of a topology are.
-
-    changed: items that were added or changed.
-    gone: keys of the items that are gone.
-    """
-    items = {key(item): item for item in old}
-    for k in gone:
-        items.pop(tuple(k) if isinstance(k, list) else k, None)
-    items.update((key(item), item) for item in changed)
-    return [items[k] for k in sorted(items)]
+def _differs(old: Any, new: Any) -> bool:
+    """Return True if two items have different JSON, as in the digest: -0.0 differs from 0.0."""
+    return msgspec.json.encode(old) != msgspec.json.encode(new)
