@@ -9,6 +9,7 @@ at most `STEPS` per bin). The functions make such histograms and read them.
 from __future__ import annotations
 
 import numpy as np
+from msgspec.structs import replace
 
 from camtopod.arrays import Floats
 from camtopod.records import Histogram
@@ -33,7 +34,7 @@ def counts_histogram(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histo
     first, kept = _trimmed(counts, bins)
     if not len(kept):
         return Histogram(0, [])
-    return Histogram(first, [float(f"{n:.3g}") for n in kept], delay=delay)
+    return _delayed(Histogram(first, [float(f"{n:.3g}") for n in kept]), delay)
 
 
 def step_histogram(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
@@ -46,7 +47,8 @@ def step_histogram(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram
     unit = round_significant(float(kept.max(initial=0.0)) / STEPS)
     if unit == 0.0:
         return Histogram(0, [])
-    return Histogram(first, np.rint(kept / unit).astype(np.int64).tolist(), unit, delay)
+    steps = np.rint(kept / unit).astype(np.int64).tolist()
+    return _delayed(Histogram(first, steps, unit), delay)
 
 
 def masses_on_bins(histogram: Histogram, bins: LagBins) -> Floats:
@@ -62,6 +64,13 @@ def masses_on_bins(histogram: Histogram, bins: LagBins) -> Floats:
         result[start + low : start + high] = histogram.mass[low:high]
         result *= histogram.unit
     return result
+
+
+def _delayed(histogram: Histogram, delay: float) -> Histogram:
+    """Return a histogram with its delay (seconds); without one the field is left out."""
+    if delay == 0.0:
+        return histogram
+    return replace(histogram, delay=delay)
 
 
 def _trimmed(mass: Floats, bins: LagBins) -> tuple[int, Floats]:
