@@ -55,10 +55,10 @@ def test_it_gives_back_what_was_committed_in_order(journal: Journal, tmp_path: P
     journal.close()
     with closing(Journal(tmp_path)) as again:
         assert [one for _, one in again.entries()] == expected
-        assert [one for _, one in again.entries(after=1, up_to=3)] == expected[1:3]
+        assert [one for _, one in again.entries(after=1)] == expected[1:]
         assert again.numbers() == {("lobby", "b1"): 3}
         assert again.versions("E") == {1: "d1"}
-        assert again.version("E", 1) == again.version("E") == again.newest_version() == b"{}"
+        assert again.version("E", 1) == again.newest_version() == b"{}"
         assert again.version("E", 2) is None
         assert again.snapshots() == [Snapshot(3, "E", b"state")]
         assert len(again) == 4
@@ -247,7 +247,9 @@ def test_history_is_bounded_by_bytes_and_by_days(
         journal.prune(NOW + 16 * 86_400)
         assert 1 < len(journal.versions("E")) < before
         journal.prune(NOW + 100 * 86_400)
-        assert journal.version("E") == bytes(range(256)) * 8, "the newest stays whatever its age"
+        assert journal.newest_version() == bytes(range(256)) * 8, (
+            "the newest stays whatever its age"
+        )
 
 
 def test_how_far_made_up_cameras_had_come_is_forgotten(

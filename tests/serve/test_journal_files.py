@@ -145,15 +145,13 @@ def test_a_journal_that_came_back_older_begins_a_later_epoch(
     assert "older" not in caplog.text, "it is said once"
 
 
-@pytest.mark.parametrize("line", [b"", b"\0" * 105, None])
+@pytest.mark.parametrize("line", [b"", b"\0" * 105])
 def test_a_witness_that_cannot_be_read_says_nothing(
-    journal: Journal, tmp_path: Path, line: bytes | None, caplog: pytest.LogCaptureFixture
+    journal: Journal, tmp_path: Path, line: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     """As after a power cut: it is never synced."""
     journal.close()
-    content = bytearray((tmp_path / "journal.lock").read_bytes())
-    content[1] ^= 1  # how many entries
-    (tmp_path / "journal.lock").write_bytes(content if line is None else line)
+    (tmp_path / "journal.lock").write_bytes(line)
     with closing(Journal(tmp_path)) as again:
         assert (len(again), again.missing, again.meta("epoch")) == (3, 0, "E")
         again.commit(entries(4))

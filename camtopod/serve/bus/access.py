@@ -90,20 +90,15 @@ def openness_warning(config: Config) -> str | None:
     """Return who has access without authentication, and how to restrict it; None with it."""
     if config.bus.tls.ca:
         return None
-    what = "write events, read everything learned and answer in the daemon's place"
-    cure = "`camtopod keys init` and [bus.tls] close it, see README, 'Security'"
-    if not config.listens:
-        return (
-            f"no [bus.tls]: any program that reaches the bus at {', '.join(config.dials)} "
-            f"can {what}; {cure}"
-        )
-    if beyond := [endpoint for endpoint in config.listens if not is_local(endpoint)]:
-        where = ", ".join(beyond)
-        return (
-            f"ANYBODY ON THE NETWORK who reaches {where} can {what}: "
-            f"there is no authentication; {cure}"
-        )
-    return f"no authentication: every program of this machine can {what}; {cure}"
+    who = f"any program that reaches the bus at {', '.join(config.dials)}"
+    if config.listens and all(map(is_local, config.listens)):
+        who = "every program of this machine"
+    elif config.listens:
+        who = f"ANYBODY ON THE NETWORK who reaches {', '.join(config.listens)}"
+    return (
+        f"no authentication: {who} can write events, read everything learned and answer in the"
+        " daemon's place; `camtopod keys init` and [bus.tls] close it, see README, 'Security'"
+    )
 
 
 def is_local(endpoint: str) -> bool:

@@ -297,26 +297,21 @@ class Bus:
 
         Names that do not match `CAMERA_PATTERN` are left out.
         """
-        answers = self._session.liveliness().get(
-            self._full(f"alive/{role}/*"),
-            zenoh.handlers.FifoChannel(_REPLIES_MAX),
-            timeout=QUERY_SECONDS,
-        )
-        names = [
-            str(reply.ok.key_expr).rsplit("/", 1)[-1] for reply in answers if reply.ok is not None
-        ]
+        names = [key.rsplit("/", 1)[-1] for key in self._alive(self._full(f"alive/{role}/*"))]
         return [name for name in names if re.match(CAMERA_PATTERN, name)]
 
     def list_sites(self) -> list[str]:
         """Return the names of all sites that have a daemon on this bus, sorted."""
-        answers = self._session.liveliness().get(
-            f"{PREFIX}/*/alive/daemon/*",
-            zenoh.handlers.FifoChannel(_REPLIES_MAX),
-            timeout=QUERY_SECONDS,
-        )
-        keys = [str(reply.ok.key_expr) for reply in answers if reply.ok is not None]
+        keys = self._alive(f"{PREFIX}/*/alive/daemon/*")
         names = {key.removeprefix(f"{PREFIX}/").partition("/")[0] for key in keys}
         return sorted(name for name in names if re.match(CAMERA_PATTERN, name))
+
+    def _alive(self, keys: str) -> list[str]:
+        """Return the keys of the liveliness tokens that match ``keys``."""
+        answers = self._session.liveliness().get(
+            keys, zenoh.handlers.FifoChannel(_REPLIES_MAX), timeout=QUERY_SECONDS
+        )
+        return [str(reply.ok.key_expr) for reply in answers if reply.ok is not None]
 
     def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
         """Call ``on_change(name, alive)`` for programs of a role: those present, and each change.

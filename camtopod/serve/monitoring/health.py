@@ -60,38 +60,31 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 2.0  # seconds without a byte, then the connection is closed
 
     def do_GET(self) -> None:
-        """Answer with the page at the path, or with 404; both `/` and 404 list the pages."""
-        path = self.path.partition("?")[0]
-        make_page = self.server.pages.get(path)
-        page = _contents(self.server.pages, path) if make_page is None else make_page()
+        """Answer with the page at the path, or with 404."""
+        make_page = self.server.pages.get(self.path.partition("?")[0])
+        if make_page is None:
+            self.send_error(HTTPStatus.NOT_FOUND, f"There are {', '.join(self.server.pages)}")
+            return
+        page = make_page()
         self.send_response(page.status)
         self.send_header("Content-Type", page.content_type)
         self.send_header("Content-Length", str(len(page.body)))
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
-        if self.command != "HEAD":
-            self.wfile.write(page.body)
-
-    do_HEAD = do_GET
+        self.wfile.write(page.body)
 
     def log_message(self, format: str, *args: Any) -> None:
         """Log at level debug, as there may be a request every second."""
         log.debug(format, *args)
 
 
-def _contents(pages: Pages, path: str) -> Page:
-    """Return the page that lists all pages; with status 404 if another one was asked for."""
-    status = HTTPStatus.OK if path == "/" else HTTPStatus.NOT_FOUND
-    heading = "camtopod daemon. Pages here:" if path == "/" else "There is no such page here. Try:"
-    lines = [heading, *(f"  {name}" for name in pages), "The map is served by `camtopod web`."]
-    return Page(status, "text/plain; charset=utf-8", "\n".join([*lines, ""]).encode())
-
-
 def _answer(question: Reasons) -> Page:
     """Return the page that answers a question with its reasons."""
-    reasons = question()[:20]
-    status = HTTPStatus.SERVICE_UNAVAILABLE if reasons else HTTPStatus.OK
-    body = {"status": "failing" if reasons else "ok", "reasons": reasons}
+    body: dict[str, object] = {"status": "ok", "reasons": []}
+    status = HTTPStatus.OK
+    if reasons := question()[:20]:
+        body = {"status": "failing", "reasons": reasons}
+        status = HTTPStatus.SERVICE_UNAVAILABLE
     return Page(status, "application/json", json.dumps(body).encode() + b"\n")
 
 

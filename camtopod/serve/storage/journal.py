@@ -79,7 +79,7 @@ class Entry(Struct, frozen=True, gc=False):
 
 
 class StoredVersion(NamedTuple):
-    """A version of the topology; ``content`` is JSON, empty if only the digest is known."""
+    """A version of the topology; ``content`` is JSON."""
 
     epoch: str
     version: int
@@ -268,15 +268,13 @@ class Journal:
                 )
             return gone > 0 and until <= oldest
 
-    def entries(
-        self, after: int = 0, up_to: int | None = None
-    ) -> Iterator[tuple[int, Entry | None]]:
-        """Yield the entries after ``after``, up to ``up_to``, in order as (id, entry).
+    def entries(self, after: int = 0) -> Iterator[tuple[int, Entry | None]]:
+        """Yield the entries after ``after`` in order as (id, entry).
 
         The entry is None if it is damaged (it then stays in the file) or missing. They are read in
         chunks, so that more can be stored meanwhile.
         """
-        last = len(self) if up_to is None else up_to
+        last = len(self)
         after = max(after, self.first() - 1)  # older entries were deleted
         while after < last:
             with self._access():
@@ -347,13 +345,11 @@ class Journal:
                 )
             )
 
-    def version(self, epoch: str, version: int | None = None) -> bytes | None:
-        """Return a version (default: the newest) as JSON; None if it is not kept or damaged."""
+    def version(self, epoch: str, version: int) -> bytes | None:
+        """Return a version as JSON; None if it is not kept or damaged."""
         with self._access():
             row = self._db.execute(
-                "SELECT * FROM version WHERE epoch = ? AND version = COALESCE(?, "
-                "(SELECT MAX(version) FROM version WHERE epoch = ?)) AND size > 0",
-                (epoch, version, epoch),
+                "SELECT * FROM version WHERE epoch = ? AND version = ?", (epoch, version)
             ).fetchone()
         if row is None:
             return None
@@ -368,7 +364,7 @@ class Journal:
         """Return the undamaged version that was stored last, of any epoch, as JSON; else None."""
         with self._access():
             rows = self._db.execute(
-                "SELECT epoch, version FROM version WHERE size > 0 ORDER BY id DESC LIMIT ?",
+                "SELECT epoch, version FROM version ORDER BY id DESC LIMIT ?",
                 (VERSIONS_TRIED_MAX,),
             ).fetchall()
         return next(filter(None, (self.version(*row) for row in rows)), None)
@@ -456,7 +452,7 @@ class Journal:
     def _add_version(self, version: StoredVersion, stored: int) -> None:
         """Insert a version; ``stored``: Unix seconds."""
         number = journal_schema.last_version(self._db) + 1
-        content = zlib.compress(version.content, level=3) if version.content else b""
+        content = zlib.compress(version.content, level=3)
         row = (
             number,
             version.epoch,

@@ -43,7 +43,7 @@ CREATE TABLE IF NOT EXISTS snapshot (
 
 stored (Unix seconds): when the row was stored.
 stream: the highest seq of each (camera, boot), and the entry that has it.
-content: the topology, compressed; empty if only its digest is known.
+content: the topology, compressed.
 position: the last entry that a snapshot's state contains.
 """
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import zlib
 from typing import NamedTuple
 
 import msgspec
@@ -46,26 +45,13 @@ class Witness:
         self.known = JournalExtent()
         """The record as it was read or written last; the default if it could not be read."""
         with contextlib.suppress(OSError, msgspec.MsgspecError):
-            self.known = _decode(lock.read(1000))
+            line = lock.read(1000).partition(b"\n")[0]
+            self.known = msgspec.json.decode(line, type=JournalExtent)
 
     def note(self, known: JournalExtent) -> None:
-        """Write how far the journal has come, if that has changed. Errors are ignored."""
-        if known == self.known:
-            return
+        """Write how far the journal has come. Errors are ignored."""
         self.known = known
         try:
-            self._lock.write(_encode(known))
+            self._lock.write(msgspec.json.encode(known) + b"\n")
         except OSError as error:
             log.debug("cannot write the lock file: %s", error)
-
-
-def _encode(known: JournalExtent) -> bytes:
-    content = msgspec.json.encode(known)
-    return b"%s %08x\n" % (content, zlib.crc32(content))
-
-
-def _decode(raw: bytes) -> JournalExtent:
-    content, _, checksum = raw.partition(b"\n")[0].rpartition(b" ")
-    if checksum != b"%08x" % zlib.crc32(content):
-        return JournalExtent()
-    return msgspec.json.decode(content, type=JournalExtent)
