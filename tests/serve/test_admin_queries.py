@@ -170,7 +170,7 @@ def test_a_command_that_makes_no_sense_is_refused_with_the_reason(
 @pytest.mark.parametrize(
     ("key", "parameters", "why"),
     [
-        ("admin/format", {}, "there is no command admin/format; there are forget, rename"),
+        ("admin/format", {}, "admin/format: Invalid value 'format'"),
         ("admin/forget", {}, "camera"),
         ("admin/rename", {"old": "b"}, "new"),
         ("admin/rename", {"old": "b", "new": "a b"}, "new"),
@@ -242,6 +242,3 @@ def test_a_reset_begins_anew_and_events_of_before_do_not_count(site: Site) -> No
     daemon.stop()
     again = site.daemon()
     assert (again.epoch, set("abc") <= cameras(again)) == (daemon.epoch, True)
-
-
-# --- the disk, and large sites --------------------------------------------------------------------

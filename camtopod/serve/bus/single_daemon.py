@@ -17,8 +17,6 @@ log = logging.getLogger(__name__)
 
 ROLE = "daemon"
 """Role under which daemons appear on the bus, see `Bus.announce`."""
-NAMED_MAX = 20
-"""Most other daemons that are remembered by name."""
 
 
 class OtherDaemons:
@@ -52,15 +50,17 @@ class OtherDaemons:
     @property
     def reason(self) -> str:
         """Reason for the degraded state; "" if this is the only daemon."""
+        if not self._there:
+            return ""
         others = ", ".join(sorted(self._there.copy()))
-        return f"another daemon ({others}) serves the same site: stop one of them" if others else ""
+        return f"another daemon ({others}) serves the same site: stop one of them"
 
     def _on_change(self, name: str, alive: bool) -> None:
         if name == self.name:
             return
         if not alive:
             self._there.discard(name)
-        elif name not in self._there and len(self._there) < NAMED_MAX:
+        elif name not in self._there:
             self._there.add(name)
             log.error(
                 "another daemon (%s) serves site %s on this bus: stop one of them",

@@ -8,12 +8,10 @@ snapshots.
 from __future__ import annotations
 
 import collections
-import contextlib
 import logging
 import sqlite3
 import threading
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from camtopod.serve.runtime import Beat, Clock, no_beat
@@ -25,12 +23,6 @@ from camtopod.serve.storage.journal import (
 )
 
 log = logging.getLogger(__name__)
-
-SLOW_SECONDS = 5.0
-"""A transaction that takes longer than this (seconds) shows in the status.
-
-On a slow memory card one can take several seconds.
-"""
 
 
 class Learned(NamedTuple):
@@ -53,21 +45,8 @@ class JournalWriter:
         self._learned: collections.deque[Learned] = collections.deque()
         # True if the journal may hold more than its retention.
         self._too_much = False
-        self._failure = ""
-        # Start of the transaction under way, on the monotonic clock.
-        self._began: float | None = None
-
-    @property
-    def reason(self) -> str:
-        """Reason why nothing is stored at the moment, or "". Never waits for the disk."""
-        began = self._began
-        seconds = 0.0 if began is None else time.monotonic() - began
-        if seconds > SLOW_SECONDS:
-            return (
-                "the disk of the journal does not answer: "
-                f"a transaction has taken {seconds:.0f} s so far"
-            )
-        return self._failure
+        self.reason = ""
+        """Reason why nothing is stored at the moment, or ""."""
 
     def on_learned(self, learned: Learned) -> None:
         """Accept what the learner has made, to be stored and then published. Never blocks."""
@@ -95,19 +74,18 @@ class JournalWriter:
         # Retry until it succeeds, or until the daemon stops.
         while True:
             try:
-                with self._timed():
-                    new = self._journal.commit(entries, versions, snapshot, self._clock(), meta)
+                new = self._journal.commit(entries, versions, snapshot, self._clock(), meta)
                 break
             except sqlite3.Error as error:
-                if not self._failure:
+                if not self.reason:
                     log.error("cannot write the journal, so nothing is acknowledged: %s", error)
-                self._failure = f"cannot write the journal: {error}"
+                self.reason = f"cannot write the journal: {error}"
                 beat()  # a restart would not help
                 if stopping.wait(0.5):
                     return None
-        if self._failure:
+        if self.reason:
             log.info("the journal can be written again")
-            self._failure = ""
+            self.reason = ""
 
         # Publish.
         for one in learned:
@@ -121,16 +99,6 @@ class JournalWriter:
             return
         self._too_much = False
         try:
-            with self._timed():
-                self._too_much = self._journal.prune(self._clock())
+            self._too_much = self._journal.prune(self._clock())
         except sqlite3.Error as error:
             log.warning("cannot delete old entries of the journal: %s; trying again later", error)
-
-    @contextlib.contextmanager
-    def _timed(self) -> Iterator[None]:
-        """Note that a transaction is under way while the block runs, for `reason`."""
-        self._began = time.monotonic()
-        try:
-            yield
-        finally:
-            self._began = None
