@@ -7,11 +7,9 @@ from the entries itself.
 
 from __future__ import annotations
 
-import contextlib
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 
 from camtopod import codec
 from camtopod.config import KeepSettings
@@ -23,7 +21,7 @@ from camtopod.serve.storage import Entry, Journal, Snapshot, StateError, StoredV
 
 
 class RecordedState:
-    """The journal of a new state directory, as a context manager; the directory is made if missing.
+    """The journal of a new state directory, which is made if missing.
 
     Raises `StateError` if the directory has a state already or cannot be written.
 
@@ -37,26 +35,11 @@ class RecordedState:
         self.epoch = ulid(now)
         """The epoch of the versions."""
         self._journal = Journal(directory, keep)
-        with contextlib.ExitStack() as undo:
-            undo.callback(self._journal.close)
-            if len(self._journal) or self._journal.meta("epoch") is not None:
-                raise StateError(
-                    f"{directory} has a state already: name a new directory, or move that one away"
-                )
-            with self._errors_named():
-                self._journal.set_meta("epoch", self.epoch)
-            undo.pop_all()
-
-    def __enter__(self) -> RecordedState:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        at: TracebackType | None,
-    ) -> None:
-        self._journal.close()
+        if len(self._journal) or self._journal.meta("epoch") is not None:
+            self.close()
+            raise StateError(
+                f"{directory} has a state already: name a new directory, or move that one away"
+            )
 
     def add(self, event: Event) -> None:
         """Store an event that the learner has accepted."""
@@ -68,27 +51,24 @@ class RecordedState:
 
     def finish(self, learner: Learner) -> None:
         """Store the state of the learner after the last event, and its newest version."""
-        topology = learner.topology
         versions = []
-        if topology is not None:
-            versions = [
-                StoredVersion(
-                    topology.epoch, topology.version, topology.digest, codec.to_json(topology)
-                )
-            ]
+        if (newest := learner.topology) is not None:
+            content = codec.to_json(newest)
+            versions = [StoredVersion(newest.epoch, newest.version, newest.digest, content)]
         self._commit()
-        snapshot = Snapshot(len(self._journal), self.epoch, pack(learner.save()))
-        with self._errors_named():
-            self._journal.commit([], versions, snapshot, self._now)
+        self._commit(versions, Snapshot(len(self._journal), self.epoch, pack(learner.save())))
 
-    def _commit(self) -> None:
-        with self._errors_named():
-            self._journal.commit(self._waiting, now=self._now)
-        self._waiting = []
+    def close(self) -> None:
+        """Close the journal."""
+        self._journal.close()
 
-    @contextlib.contextmanager
-    def _errors_named(self) -> Iterator[None]:
+    def _commit(
+        self, versions: Sequence[StoredVersion] = (), snapshot: Snapshot | None = None
+    ) -> None:
+        """Store what waits, and this."""
+        meta = {"epoch": self.epoch}
         try:
-            yield
+            self._journal.commit(self._waiting, versions, snapshot, self._now, meta)
         except sqlite3.Error as error:
             raise StateError(f"cannot write the journal in {self._directory}: {error}") from None
+        self._waiting = []

@@ -6,7 +6,6 @@ import logging
 import os
 import random
 import signal
-import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -190,7 +189,6 @@ def test_old_versions_can_be_asked_for(site: Site) -> None:
     before = daemon.status().journal
     daemon.stop()
     again = site.daemon()
-    assert again.status().events.waiting == 0, "it stopped with a snapshot"
     assert asked_of(site, again, first.version) == first
     assert again.status().journal.entries == before.entries
 
@@ -346,10 +344,6 @@ def test_garbage_is_counted_quoted_once_and_survived(
     assert journal_of(site) == [("event", "hall", None, None), ("event", "lobby", None, None)]
 
 
-def sorted_by_time(events: list[Event]) -> list[Event]:
-    return sorted(events, key=lambda event: event.t)
-
-
 def test_a_clock_behind_the_newest_event_is_said_with_what_to_do(site: Site) -> None:
     first = site.daemon()
     put(site.client(first), *(Event(camera, "entry", NOW) for camera in "ab"))
@@ -366,34 +360,6 @@ def test_a_clock_behind_the_newest_event_is_said_with_what_to_do(site: Site) -> 
     assert again.failing() == [], "to start it again changes nothing"
     site.now = NOW
     wait_for(lambda: (again.status().reason, again.unready()) == ("", []), "it to be ready")
-
-
-# --- nothing is lost ------------------------------------------------------------------------------
-
-
-def test_a_disk_that_is_full_stops_the_answers_and_nothing_else(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    daemon = site.daemon()
-    publisher = site.publisher()
-    publisher.attach(site.client(daemon))
-    full = True
-    commit = daemon._journal.commit
-
-    def failing(*given: Any) -> Any:
-        if full and given[0]:
-            raise sqlite3.OperationalError("database or disk is full")
-        return commit(*given)
-
-    monkeypatch.setattr(daemon._journal, "commit", failing)
-    publisher.publish(*(Event("lobby", "entry", T0 + n) for n in range(20)))
-    wait_for(lambda: daemon.status().state == "degraded", "the status to say so")
-    assert "disk is full" in daemon.status().reason
-    assert publisher.waiting == 20
-    full = False
-    assert publisher.wait_stored(20)
-    assert daemon.status().state == "running"
-    stored(daemon, 20)
 
 
 # --- the bus itself -------------------------------------------------------------------------------

@@ -76,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         state = None
         if args.state:
-            state = stack.enter_context(RecordedState(args.state, config.keep, wall()))
+            state = RecordedState(args.state, config.keep, wall())
+            stack.callback(state.close)
         epoch = EPOCH if state is None else state.epoch
         learner = Learner(
             config.learn, site=config.site.name, epoch=epoch, only_last=args.updates is None
