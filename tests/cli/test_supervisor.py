@@ -204,18 +204,18 @@ def test_another_configuration_touches_only_what_changed(
     box.wait_for_beats("good-new")
     wait_for(lambda: not is_running(gone), "the end of what is gone")
 
-    # A setting of all cameras, of which good-new has its own; then it comes back.
+    # A setting of all cameras, of which good-new has its own; then one that none has.
     own = "analysed_fps = 5\n[vision]\nanalysed_fps = 6\n"
-    box.configure("good-same", "good-gone", "good-new", end=own)
+    box.configure("good-same", "good-changed", "good-new", end=own)
     box.reload()
-    wait_for(lambda: box.starts("good-gone") == box.starts("good-new") == 2, "both")
-    wait_for(lambda: box.starts("good-same") == 2, "one with another setting")
-    box.configure("good-same", "good-gone", "good-new", end=own.replace("6", "7"))
+    wait_for(lambda: box.starts("good-same") == box.starts("good-new") == 2, "both")
+    wait_for(lambda: box.starts("good-changed") == 3, "the third")
+    box.configure("good-same", "good-changed", "good-new", end=own.replace("6", "7"))
     box.reload()
-    wait_for(lambda: box.starts("good-same") == box.starts("good-gone") == 3, "these two")
+    wait_for(lambda: box.starts("good-same") == 3, "one that follows")
     assert box.starts("good-new") == 2
     box.head = box.head.replace("status_seconds = 0.1", "status_seconds = 0.2")
-    box.configure("good-same", "good-gone", "good-new", end=own.replace("6", "7"))
+    box.configure("good-same", "good-changed", "good-new", end=own.replace("6", "7"))
     box.reload()
     wait_for(lambda: box.starts("good-new") == 3, "all of them")
 
@@ -225,16 +225,12 @@ def test_a_wrong_configuration_changes_nothing(box: Box, caplog: pytest.LogCaptu
     box.start()
     box.wait_for_beats("good")
 
-    box.file.write_text('[cameras.lobby]\nsorce = "rtsp://u:p@ssword@h/x"\n')
-    box.reload()
-    wait_for(lambda: "no such key" in caplog.text, "the report")
     box.configure("good", end="[cameras.bare]\nmin_height = 0.1\n")
     line = box.file.read_text().splitlines().index("[cameras.bare]") + 1
     box.reload()
     missing = f"{box.file}:{line}: cameras.bare: source is missing"
     wait_for(lambda: missing in caplog.text, "the report")
-    assert caplog.text.count("the old configuration stays in use") == 2
-    assert "p@ssword" not in caplog.text
+    assert "the old configuration stays in use" in caplog.text
     count = len(box.beats("good"))
     wait_for(lambda: len(box.beats("good")) > count + 3, "it to go on")
     assert box.starts("good") == 1
